@@ -7,8 +7,8 @@ import pytest
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
-from crosscheck.sweep.expressions import Outputs
-from crosscheck.sweep.reductions import pruned, reductions
+from crosscheck.sweeps.expressions import Outputs
+from crosscheck.sweeps.reductions import pruned, reductions
 from newton_euler import simulate_batch
 from newton_euler.model.euler_parameters import rotations
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.sweep.distributions import (
+from crosscheck.sweeps.distributions import (
     Correlated,
     Distribution,
     Normal,
@@ -18,7 +18,7 @@ from crosscheck.sweep.distributions import (
     parse,
     parse_vary,
 )
-from crosscheck.sweep.sampling import SAMPLINGS, samples_of
+from crosscheck.sweeps.sampling import SAMPLINGS, samples_of
 
 RUNS = 4096
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.sweep.distributions import Correlated, Distribution, Values, Vary, parse
+from crosscheck.sweeps.distributions import Correlated, Distribution, Values, Vary, parse
 from newton_euler.errors import check_choice, is_count
 from newton_euler.scalars import Array
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.sweep.expressions import ASKED, Expression, Outputs, Value, norm
+from crosscheck.sweeps.expressions import ASKED, Expression, Outputs, Value, norm
 from newton_euler.errors import choices, plain_number
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
@@ -100,7 +100,7 @@ class Reduction:
     def of(self, outputs: Outputs) -> Array:
         """Reduce the outputs of runs to an array (runs, *dimensions); not a number where they are not."""
         with np.errstate(all="ignore"):
-            return np.ascontiguousarray(self._of(outputs))
+            return np.array(self._of(outputs), order="C")  # nothing that keeps all outputs in memory
 
     def _of(self, outputs: Outputs) -> Array:
         value, times = self.expression.evaluate(outputs), outputs.times

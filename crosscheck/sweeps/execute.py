@@ -1,0 +1,186 @@
+"""Execution of a sweep's chunks: on threads, by any executor of concurrent.futures, on a Dask cluster."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from crosscheck.errors import CrosscheckError
+from crosscheck.sweeps.store import KEPT_GOES_ON, missing
+from newton_euler.errors import OptionError, is_count
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+Result = TypeVar("Result")
+
+AHEAD = 2
+"""Tasks per worker that are given out: the next is there when one ends, and few are lost with a worker."""
+
+USUAL_WORKERS = 32
+"""Of an executor that does not say how many it has."""
+
+RETRIES = 3
+"""Times that a cluster makes a task again whose worker was lost."""
+
+PATIENCE = "10s"
+"""For a cluster to answer."""
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where tasks are executed.
+
+    Attributes:
+        executor: of tasks.
+        count: returns the number of workers at the moment.
+        apart: True if they are in other processes, which write what they make.
+    """
+
+    executor: Executor
+    count: Callable[[], int]
+    apart: bool
+
+
+@contextmanager
+def workers(
+    threads: int | None = None, executor: Executor | None = None, cluster: Client | str | None = None
+) -> Iterator[Workers]:
+    """Open workers: threads of this process, as many as it has processors unless told otherwise.
+
+    Args:
+        threads: their number.
+        executor: to use instead, which stays open.
+        cluster: a Dask client or the address of a scheduler to use instead.
+
+    Raises:
+        CrosscheckError: for more than one of them, and a cluster that does not answer.
+        OptionError: for an impossible number of threads.
+    """
+    given = {"threads": threads, "executor": executor, "cluster": cluster}
+    named = [name for name, value in given.items() if value is not None]
+    if len(named) > 1:
+        raise CrosscheckError(f"{' and '.join(named)} are different places to run at; choose one")
+    if cluster is not None:
+        with _client(cluster) as client:
+            # what is sent along says all; a key made of it would be made anew for each task
+            of_client = client.get_executor(pure=False, retries=RETRIES)
+            yield Workers(of_client, lambda: sum(client.ncores().values()) or 1, True)
+    elif executor is not None:
+        if not isinstance(executor, Executor):
+            raise OptionError("executor", executor, "one of concurrent.futures")
+        count = getattr(executor, "_max_workers", USUAL_WORKERS)
+        yield Workers(executor, lambda: count, not isinstance(executor, ThreadPoolExecutor))
+    else:
+        if threads is not None and not is_count(threads):
+            raise OptionError("threads", threads, "a whole number, 1 or more")
+        count = threads or os.cpu_count() or 1
+        with ThreadPoolExecutor(count) as pool:
+            yield Workers(pool, lambda: count, False)
+
+
+@contextmanager
+def _client(cluster: Client | str) -> Iterator[Client]:
+    """Return the client itself, or connect one to an address and close it in the end."""
+    try:
+        import distributed
+    except ImportError as error:
+        raise missing(error) from error
+    if isinstance(cluster, distributed.Client):
+        yield cluster
+        return
+    if not isinstance(cluster, str):
+        raise OptionError("cluster", cluster, "a Client of Dask or an address such as tcp://10.0.0.1:8786")
+    try:
+        client = distributed.Client(cluster, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError, TypeError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise CrosscheckError(f"cannot reach the cluster {cluster}: {reason}"[:300]) from error
+    with client:
+        yield client
+
+
+def in_any_order(
+    task: Callable[[int], Result], numbers: Iterable[int], at: Workers
+) -> Iterator[tuple[int, Result]]:
+    """Execute a task for each number; yields numbers and results as they come.
+
+    No more than `AHEAD` tasks per worker are given out at a time, so that a million of them are no burden.
+    What is running when this is left ends; what is waiting is not begun.
+
+    Raises:
+        CrosscheckError: of a task, and where processes that make them are lost again and again.
+    """
+    left = iter(numbers)
+    running: dict[Future[Result], int] = {}
+    try:
+        while True:
+            room = AHEAD * at.count() - len(running)
+            for _, number in zip(range(room), left, strict=False):
+                running[at.executor.submit(task, number)] = number
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                number = running.pop(future)
+                yield number, _result(future)
+    except BrokenExecutor as error:
+        raise CrosscheckError(f"a process of the executor died; {KEPT_GOES_ON}") from error
+    finally:
+        for future in running:
+            future.cancel()
+
+
+def _result(future: Future[Result]) -> Result:
+    try:
+        return future.result()
+    except (CrosscheckError, BrokenExecutor):
+        raise
+    except Exception as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise CrosscheckError(f"a worker failed: {reason:.300}; {KEPT_GOES_ON}") from error
+
+
+class Pace:
+    """Counts runs, and says how fast they come and how long the others take."""
+
+    def __init__(self, runs: int, there: int, progress: Callable[[str], None]) -> None:
+        self._runs, self._there, self._progress = runs, there, progress
+        self._made, self._start = 0, time.perf_counter()
+
+    def add(self, runs: int) -> None:
+        """Count runs that were made, and tell."""
+        self._made += runs
+        rate = self._made / max(time.perf_counter() - self._start, 1e-9)
+        there = self._there + self._made
+        left = span((self._runs - there) / rate)
+        self._progress(f"{there:,} of {self._runs:,} runs, {rate:,.0f} per s, {left} left")
+
+    @property
+    def made(self) -> int:
+        """The number of runs that were counted."""
+        return self._made
+
+
+def span(seconds: float) -> str:
+    """Word a time that something takes."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    minutes = seconds / 60.0
+    return f"{minutes:.0f} min" if minutes < 90.0 else f"{minutes / 60.0:.1f} h"
+
+
+def probed(make: Callable[[int], Any], runs: int) -> float:
+    """Measure the runs per second of one worker with as few as tell it; the code is compiled before."""
+    make(1)
+    count, taken = 4, 0.0
+    while taken < 0.05 and count < runs:
+        count = min(4 * count, runs)
+        start = time.perf_counter()
+        make(count)
+        taken = time.perf_counter() - start
+    return count / max(taken, 1e-3)

@@ -1,0 +1,175 @@
+"""The plan of a sweep: all that its runs depend on, and the results of any of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import version
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from crosscheck.errors import CrosscheckError
+from crosscheck.sweeps.expressions import ASKED, DIMENSIONS, Outputs, labels
+from crosscheck.sweeps.reductions import Reduction, pruned, reductions
+from crosscheck.sweeps.sampling import Samples
+from newton_euler.batch import Batch, simulate_batch
+from newton_euler.codegen.fingerprint import SOURCE, fingerprint
+from newton_euler.errors import NewtonEulerError
+from newton_euler.model.scene import Scene
+from newton_euler.scalars import Array
+
+ROOM = 48_000_000
+"""Bytes of the outputs of runs that are in memory together."""
+
+LANES = 8
+"""Runs that native code may advance side by side: fewer are never made together but at an end."""
+
+UNSEEN = frozenset({"description", "shapes", "meshes"})
+"""Fields of scenes that no run depends on."""
+
+RECORDED = ("crosscheck", "numpy", "scipy", "xarray", "zarr")
+"""Packages whose versions are recorded."""
+
+DONE, STOPPED = 1, 2
+"""Status of a run that came to its end, and of one that could not; 0 of one that has not been made."""
+
+Parameters = Mapping[str, Array]
+"""Values (runs,) by the name of a parameter."""
+
+
+class Chunk(NamedTuple):
+    """Results of consecutive runs.
+
+    Attributes:
+        values: arrays (runs, ...) by the name of a parameter or of what is kept.
+        errors: (runs,) why a run could not go on, empty for others.
+    """
+
+    values: dict[str, Array]
+    errors: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """All that the runs of a sweep depend on; it may be sent to other processes.
+
+    Attributes:
+        scene: with its nominal values.
+        samples: values of its parameters for each run.
+        keep: texts of what is kept of each run, NAME=REDUCTION.
+        control: of the integrator's steps, as of `newton_euler.simulate`.
+        chunk: runs of a task, and of what is stored together.
+    """
+
+    scene: Scene
+    samples: Samples
+    keep: tuple[str, ...]
+    control: Mapping[str, Any]
+    chunk: int
+
+    @cached_property
+    def kept(self) -> tuple[Reduction, ...]:
+        """The reductions of each run."""
+        return reductions(self.keep, self.scene)
+
+    @cached_property
+    def lean(self) -> Scene:
+        """The scene with those outputs alone that are needed."""
+        return pruned(self.scene, self.kept)
+
+    @property
+    def chunks(self) -> int:
+        """The number of tasks."""
+        return -(-self.samples.runs // self.chunk)
+
+    def bounds(self, k: int) -> tuple[int, int]:
+        """Return the first run of a chunk and the first after it."""
+        return k * self.chunk, min((k + 1) * self.chunk, self.samples.runs)
+
+    def parameters(self, first: int, last: int) -> Parameters:
+        """Return the parameters of the runs from `first` to before `last`."""
+        values = self.samples.values(first, last)
+        return {name: values[:, k].copy() for k, name in enumerate(self.samples.names)}
+
+    def batch(self, parameters: Parameters, scene: Scene) -> Batch:
+        """Make runs on one thread."""
+        return simulate_batch(scene, parameters=parameters, threads=1, **self.control)
+
+    @property
+    def together(self) -> int:
+        """The number of runs whose outputs are in memory at a time."""
+        sizes = {dimension: len(names) for dimension, names in labels(self.scene).items()}
+        numbers = sum(
+            int(np.prod([sizes[dimension] for dimension in DIMENSIONS.get(name, ())]))
+            for name, asked in ASKED.items()
+            if asked is None or asked in self.lean.outputs
+        )
+        runs = ROOM // (8 * numbers * len(self.lean.times))
+        return max(LANES, runs // LANES * LANES)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is worked out again where it is needed."""
+        fields = ("scene", "samples", "keep", "control", "chunk")
+        return {name: getattr(self, name) for name in fields}
+
+    def record(self) -> dict[str, Any]:
+        """Describe the plan for a file of results: another plan has another record.
+
+        Raises:
+            CrosscheckError: for a scene with functions whose meaning is not in their numbers.
+        """
+        known = fingerprint(self.scene, neutral=UNSEEN)
+        if known is None:
+            problem = "has parts of classes that this package does not know, by which it is not known again"
+            raise CrosscheckError(f"scene {self.scene.name!r} {problem}; leave out the folder (output)")
+        return {
+            "scene": self.scene.name,
+            "fingerprint": known,
+            "solver": SOURCE.hex(),
+            "vary": {",".join(names): str(each) for names, each in self.samples.groups},
+            "sampling": self.samples.sampling,
+            "runs": self.samples.runs,
+            "seed": self.samples.seed,
+            "keep": list(self.keep),
+            "control": dict(self.control),
+            "chunk": self.chunk,
+            "versions": {name: version(name) for name in RECORDED},
+        }
+
+
+def run_chunk(plan: Plan, k: int) -> Chunk:
+    """Make the runs of a chunk and reduce them: the same numbers in any process, thread and order.
+
+    Raises:
+        CrosscheckError: for a scene that cannot be run.
+    """
+    try:
+        return run_all(plan, plan.parameters(*plan.bounds(k)))
+    except NewtonEulerError as error:  # which could not be sent to another process
+        raise CrosscheckError(str(error)) from error
+
+
+def run_all(plan: Plan, parameters: Parameters) -> Chunk:
+    """Make runs with some parameters and reduce them."""
+    parts = list(_parts(plan, parameters))
+    values = {name: np.concatenate([part.values[name] for part in parts]) for name in parts[0].values}
+    return Chunk(values, np.concatenate([part.errors for part in parts]))
+
+
+def _parts(plan: Plan, parameters: Parameters) -> Iterator[Chunk]:
+    """Make and reduce as many runs at a time as there is room for."""
+    count = len(next(iter(parameters.values())))
+    parts = -(-count // plan.together)
+    size = -(-count // (parts * LANES)) * LANES
+    for start in range(0, count, size):
+        own = {name: values[start : start + size] for name, values in parameters.items()}
+        batch = plan.batch(own, plan.lean)
+        outputs = Outputs(plan.scene, plan.lean.times, batch.stacked)
+        values = dict(own) | {each.name: each.of(outputs) for each in plan.kept}
+        errors = [str(batch.errors.get(run, "")) for run in range(len(batch))]
+        for run in batch.errors:
+            for each in plan.kept:
+                values[each.name][run] = np.nan
+        yield Chunk(values, np.array(errors, dtype=object))

@@ -1,0 +1,217 @@
+"""Sweeps from the first call to the results: equal wherever they run, resumed where they were ended."""
+
+from __future__ import annotations
+
+import errno
+import multiprocessing
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import pytest
+
+import crosscheck.sweeps.sweep
+from crosscheck.errors import CrosscheckError
+from crosscheck.scenes import load
+from crosscheck.sweeps.store import NAME, Store
+from crosscheck.sweeps.sweep import Sweep, sweep
+from newton_euler import simulate_batch
+from newton_euler.errors import NewtonEulerError
+
+ARGUMENTS = (
+    "pendulum",
+    {"dumbbell.mass": "uniform(1, 2)"},
+    60,
+    "peak:reaction_force,at(1;2):dumbbell.position",
+)
+
+KEPT = ("peak:reaction_force", "at(1;2):dumbbell.position", "dumbbell.mass", "status")
+
+
+@pytest.fixture(autouse=True)
+def short_tasks(monkeypatch):
+    """Tasks of few runs, so that a small sweep has several of them."""
+    monkeypatch.setattr(crosscheck.sweeps.sweep, "TASK", 1e-6)
+    monkeypatch.setattr(crosscheck.sweeps.sweep, "replace", lambda plan, chunk: replace(plan, chunk=7))
+
+
+@pytest.fixture(scope="module")
+def reference():
+    """The same sweep in one task."""
+    return sweep(*ARGUMENTS, threads=1)
+
+
+def assert_equal(found: Sweep, reference: Sweep):
+    """All that is kept is equal to the last bit."""
+    for name in KEPT:
+        assert np.array_equal(found.dataset[name].values, reference.dataset[name].values), name
+
+
+def test_a_sweep_has_what_batches_have(reference):
+    found = reference.dataset
+    batch = simulate_batch(load("pendulum"), parameters={"dumbbell.mass": found["dumbbell.mass"].values})
+    forces = np.linalg.norm(batch.stacked("reaction_force"), axis=3).max(axis=1)
+    assert found["peak:reaction_force"].values == pytest.approx(forces, rel=1e-12)
+    at = found["at(1;2):dumbbell.position"]
+    # steps of the integrator end at other times where other outputs are asked for
+    assert at.values == pytest.approx(batch.stacked("position")[:, [100, 200], 1], abs=1e-9)
+    assert at.dims == ("run", "time", "axis")
+    assert (at.units, found["dumbbell.mass"].units, found["time"].units) == ("m", "kg", "s")
+    assert found["time"].values.tolist() == [1.0, 2.0]
+    assert found["axis"].values.tolist() == ["x", "y", "z"]
+    assert found["peak:reaction_force"].sel(joint="pivot").dims == ("run",)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("on_disk", [False, True])
+def test_results_depend_on_no_thread_chunk_or_disk(reference, tmp_path, threads, on_disk):
+    found = sweep(*ARGUMENTS, threads=threads, output=tmp_path if on_disk else None)
+    assert found.plan.chunk == 7
+    assert_equal(found, reference)
+
+
+@pytest.mark.parametrize("on_disk", [False, True])
+def test_executors_give_the_same(reference, tmp_path, on_disk):
+    output = tmp_path if on_disk else None
+    with ThreadPoolExecutor(2) as threads:
+        assert_equal(sweep(*ARGUMENTS, executor=threads), reference)
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as processes:
+        assert_equal(sweep(*ARGUMENTS, executor=processes, output=output), reference)
+
+
+def test_an_interrupted_sweep_goes_on(reference, tmp_path):
+    told = []
+
+    def interrupt(stage):
+        told.append(stage)
+        if len(told) == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sweep(*ARGUMENTS, output=tmp_path, progress=interrupt)
+    store = Store.at(tmp_path / NAME)
+    there = int(np.sum(store.group["status"][:] > 0))
+    assert 0 < there < 60
+    found = sweep(*ARGUMENTS, output=tmp_path)
+    assert found.made == 60 - there
+    assert_equal(found, reference)
+    assert sweep(*ARGUMENTS, output=tmp_path).made == 0
+
+
+def test_a_full_disk_is_one_line_and_loses_nothing(reference, tmp_path, monkeypatch):
+    written, into_place = [], Path.replace
+
+    def full(path, target):
+        if "dumbbell" in str(target):
+            written.append(path)
+            if len(written) > 9:
+                raise OSError(errno.ENOSPC, "No space left on device")
+        return into_place(path, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", full)
+        with pytest.raises(
+            CrosscheckError, match=r"cannot write .*: No space left on device; what is stored is kept"
+        ):
+            sweep(*ARGUMENTS, output=tmp_path)
+    found = sweep(*ARGUMENTS, output=tmp_path)
+    assert 0 < found.made < 60
+    assert_equal(found, reference)
+
+
+def test_runs_that_cannot_go_on_keep_their_error():
+    found = sweep(
+        "pendulum",
+        {"dumbbell.mass": [1.0, 2.0]},
+        None,
+        "final:dumbbell.position",
+        sampling="grid",
+        most_steps=3,
+    )
+    assert set(found.errors) == {0, 1}
+    assert "3 steps" in found.errors[0]
+    assert np.all(np.isnan(found.dataset["final:dumbbell.position"].values))
+    assert found.dataset["status"].values.tolist() == [2, 2]
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"seed": 1}, "another plan: seed 0, not 1"),
+        ({"runs": 61}, "another plan: runs 60, not 61"),
+        ({"vary": {"dumbbell.mass": "uniform(1, 3)"}}, "another plan: vary"),
+        ({"keep": "peak:reaction_force"}, "another plan: keep"),
+        ({"rtol": 1e-6}, "another plan: control"),
+        ({"scene": replace(load("pendulum"), duration=9.0)}, "another scene"),
+    ],
+)
+def test_another_plan_or_scene_is_refused(tmp_path, changed, words):
+    arguments = dict(zip(("scene", "vary", "runs", "keep"), ARGUMENTS, strict=True))
+    sweep(**arguments, output=tmp_path)
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    with pytest.raises(CrosscheckError) as caught:
+        sweep(**arguments | changed, output=tmp_path)
+    assert words in str(caught.value)
+    assert "name another folder" in str(caught.value)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"vary": {"dumbell.mass": "uniform(1, 2)"}}, "unknown parameter 'dumbell.mass'"),
+        ({"keep": "final:nothing"}, "unknown output 'nothing'"),
+        ({"keep": "status=peak:reaction_force"}, "'status' is the name of something else"),
+        ({"keep": ()}, "nothing is kept"),
+        ({"threads": 0}, "threads is 0"),
+        ({"threads": 1, "cluster": "tcp://127.0.0.1:1"}, "choose one"),
+        ({"rtol": 2.0}, "rtol is 2.0"),
+        ({"output": "/dev/null/folder"}, "cannot write"),
+        ({"executor": 3}, "executor is 3"),
+        ({"scene": "tracker_moon"}, "unknown"),
+    ],
+)
+def test_bad_input_is_one_line(changed, words):
+    arguments = dict(zip(("scene", "vary", "runs", "keep"), ARGUMENTS, strict=True))
+    with pytest.raises((CrosscheckError, NewtonEulerError)) as caught:
+        sweep(**arguments | changed)
+    assert words in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_folder_with_something_else_is_refused(tmp_path):
+    (tmp_path / NAME).mkdir()
+    with pytest.raises(CrosscheckError, match="holds no sweep"):
+        sweep(*ARGUMENTS, output=tmp_path)
+
+
+KILLED = """
+import sys
+from crosscheck.sweeps.sweep import sweep
+arguments = "tracker", {"panel_7.mass": "normal(0.89, 0.05)"}, 2000, "peak:reaction_force"
+sweep(*arguments, rtol=1e-6, output=sys.argv[1])
+"""
+
+
+@pytest.mark.slow  # a sweep of seconds, begun ten times
+def test_a_sweep_killed_ten_times_is_the_one_that_was_not(tmp_path, monkeypatch):
+    monkeypatch.undo()
+    random = Random(1)
+    for _ in range(10):
+        process = subprocess.Popen([sys.executable, "-c", KILLED, tmp_path / "killed"])
+        time.sleep(random.uniform(1.5, 4.0))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    arguments = ("tracker", {"panel_7.mass": "normal(0.89, 0.05)"}, 2000, "peak:reaction_force")
+    found = sweep(*arguments, rtol=1e-6, output=tmp_path / "killed").dataset
+    other = sweep(*arguments, rtol=1e-6, output=tmp_path / "other").dataset
+    for name in ("panel_7.mass", "peak:reaction_force", "status"):
+        assert np.array_equal(found[name].values, other[name].values)
+    assert np.all(found["status"].values == 1)
+    assert len(np.unique(found["panel_7.mass"].values)) == 2000
