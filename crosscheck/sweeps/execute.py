@@ -34,7 +34,7 @@ PATIENCE = "10s"
 
 @dataclass(frozen=True)
 class Workers:
-    """Where tasks are executed.
+    """An executor of tasks, and what is known of it.
 
     Attributes:
         executor: of tasks.
