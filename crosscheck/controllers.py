@@ -13,6 +13,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.report.table import Column, Rows, Table
 from crosscheck.scenes import SCENES, load
 from crosscheck.scenes.options import options_of
+from newton_euler.analysis.envelope import work_and_energy
 from newton_euler.model.control import ComputedTorque, DeclaredLaw, reference
 from newton_euler.model.digital_control import Digital
 from newton_euler.model.motions import TimeFunction
@@ -34,7 +35,7 @@ class Performance(NamedTuple):
         error_rms, error_peak: of x - r, the root of the mean square over time of all coordinates, and the
             largest.
         force_rms, force_peak: of the actuators, likewise.
-        energy: J, the integral of |force * rate|: nothing is recovered where a load drives an actuator.
+        energy: J, of all actuators, see `work_and_energy`.
     """
 
     error_rms: float
@@ -73,22 +74,19 @@ def performance(scene: Scene, run: Trajectory) -> dict[str, Performance]:
 def _performance(scene: Scene, run: Trajectory, targets: Mapping[int, float | TimeFunction]) -> Performance:
     """Compute the figures of the laws of these numbers, by what they follow."""
     assert run.actuator_force is not None
-    errors, powers = [], []
+    errors, energy = [], 0.0
     forces = run.actuator_force[:, list(targets)]
     for force, (k, target) in zip(forces.T, targets.items(), strict=True):
         law = scene.control[k]
-        motion = run.joint(law.joint)
-        assert motion.rates is not None
-        powers.append(np.abs(force * motion.rates[:, law.coordinate]))
-        wanted = [float(reference(target, float(t)).value) for t in run.time]
-        errors.append(motion.coordinates[:, law.coordinate] - wanted)
+        x = run.joint(law.joint).coordinates[:, law.coordinate]
+        energy += float(work_and_energy(force, x)[1][-1])
+        errors.append(x - [float(reference(target, float(t)).value) for t in run.time])
 
     def magnitudes(figures: Array) -> tuple[float, float]:
         """Root of the mean square, and the largest, of figures (a, n)."""
         mean = float(np.trapezoid(figures**2, run.time).mean() / run.time[-1])
         return mean**0.5, float(np.max(np.abs(figures)))
 
-    energy = float(np.trapezoid(np.sum(powers, axis=0), run.time))
     return Performance(*magnitudes(np.array(errors)), *magnitudes(forces.T), energy)
 
 
@@ -115,7 +113,7 @@ def compared(
         wanted = replace(
             loaded,
             output_period=min(loaded.output_period, loaded.duration / OUTPUTS),
-            outputs=frozenset({"velocities", "actuation"}),
+            outputs=frozenset({"actuation"}),
         )
         heads = set[str]()
         for engine in engines:

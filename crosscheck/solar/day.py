@@ -13,6 +13,8 @@ from crosscheck.solar.energy import THIS, ClearSky, over_day
 from crosscheck.solar.place import Place, Sun, day_times, sun_over
 from crosscheck.solar.tracking import Tracking
 from newton_euler import Axis, Loads, Poses, simulate, solve_poses, statics
+from newton_euler.analysis.configurations import smallest_turns
+from newton_euler.analysis.envelope import work_and_energy
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.motions import Steps
@@ -82,8 +84,7 @@ class Day:
     @cached_property
     def errors(self) -> Array:
         """(n,) rad between the panel's normal and the sun."""
-        across = np.linalg.norm(np.cross(self.normals, self.sun.direction), axis=1)
-        return np.arctan2(across, np.sum(self.normals * self.sun.direction, axis=1))
+        return np.asarray(np.linalg.norm(smallest_turns(self.normals, self.sun.direction), axis=1))
 
     @property
     def faces(self) -> Array:
@@ -103,18 +104,17 @@ class Day:
         sky = ClearSky(self.place, self.sun)
         return {name: sky.on(normals) for name, normals in {THIS: self.normals, **sky.alternatives()}.items()}
 
-    @property
+    @cached_property
     def light(self) -> dict[str, float]:
         """W h/m^2 over the day, by the same names."""
         return {name: over_day(self.seconds, power) for name, power in self.irradiance.items()}
 
     @cached_property
     def work(self) -> float:
-        """W h that the actuators do over the day against weight, as if they moved slowly; what a sinking
-        panel gives back to one of them is lost. Jumps that PD laws make take more."""
-        force = self.loads.actuator_force
-        moved = np.diff(np.stack(list(self.commands.values()), axis=1), axis=0)
-        return float(np.sum(np.maximum(0.5 * (force[1:] + force[:-1]) * moved, 0.0))) / 3600.0
+        """W h that the actuators take over the day against weight, as if they moved slowly, see
+        `work_and_energy`. Jumps that PD laws make take more."""
+        pairs = zip(self.loads.actuator_force.T, self.commands.values(), strict=True)
+        return sum(float(work_and_energy(force, x)[1][-1]) for force, x in pairs) / 3600.0
 
 
 def following(scene: Scene, axis: Axis, wanted: Array, period: float) -> tuple[Scene, Poses, Loads]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.solar.place import Place, Sun, solar_library
+from crosscheck.solar.place import Place, Sun, solar_library, tilted
 from newton_euler.scalars import Array
 
 ALBEDO = 0.2
@@ -74,12 +74,6 @@ class ClearSky:
             ONE_AXIS: tilted(tilt, towards),
             FACING: self.sun.direction,
         }
-
-
-def tilted(tilt: Array, azimuth: Array) -> Array:
-    """Return normals (n, 3), east, north and up, of panels tilted (n,) towards an azimuth (n,), rad."""
-    across = np.sin(tilt)
-    return np.stack([across * np.sin(azimuth), across * np.cos(azimuth), np.cos(tilt)], axis=1)
 
 
 def over_day(times: Array, power: Array) -> float:

@@ -93,6 +93,12 @@ def day_times(date: str, zone: str, period: float) -> pd.DatetimeIndex:
     return begin + pd.to_timedelta(seconds, unit="s")
 
 
+def tilted(tilt: Array, azimuth: Array) -> Array:
+    """Return unit vectors (n, 3), east, north and up, tilted from up (n,) towards an azimuth (n,), rad."""
+    across = np.sin(tilt)
+    return np.stack([across * np.sin(azimuth), across * np.cos(azimuth), np.cos(tilt)], axis=1)
+
+
 @dataclass(frozen=True, eq=False)
 class Sun:
     """Positions of the sun at n times.
@@ -110,10 +116,7 @@ class Sun:
     @property
     def direction(self) -> Array:
         """(n, 3) unit vectors to the sun: east, north, up."""
-        across = np.cos(self.elevation)
-        return np.stack(
-            [across * np.sin(self.azimuth), across * np.cos(self.azimuth), np.sin(self.elevation)], axis=1
-        )
+        return tilted(0.5 * np.pi - self.elevation, self.azimuth)
 
     @property
     def is_up(self) -> Array:

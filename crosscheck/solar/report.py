@@ -29,12 +29,10 @@ SURVEYED = ("faces\nsun, h", "off\ndeg", "fixed\nkWh/m^2", "this\n%", "1 axis\n%
 FILES = ("commands.csv", "day.png", "day.rrd")
 
 
-def hours(day: Day, step: int) -> Iterator[list[str | Cell]]:
-    """Rows of the hours, every `step`, in which the sun is up."""
-    whole = [
-        k for k, time in enumerate(day.sun.times) if time.minute == time.second == 0 and day.sun.is_up[k]
-    ]
-    for k in whole[::step]:
+def hours(day: Day) -> Iterator[list[str | Cell]]:
+    """Rows of the hours in which the sun is up."""
+    is_whole = (day.sun.times.minute == 0) & (day.sun.times.second == 0)
+    for k in np.flatnonzero(is_whole & day.sun.is_up):
         yield [
             f"{day.sun.times[k]:%H:%M}",
             f"{np.degrees(day.sun.azimuth[k]):.1f}",
@@ -51,11 +49,9 @@ def day_report(day: Day) -> Report:
     units |= {name: "mm" if day.is_slide(name) else "mrad" for name in day.commands}
     units |= {"tilt": "deg", "off sun": "deg"}
     columns = [*texts("time"), *(Column(f"{name}\n{unit}", numeric=True) for name, unit in units.items())]
-    count = sum(1 for _ in hours(day, 1))
-    tables = [
-        Table("sun, set-points and panel", columns, list(hours(day, step)))
-        for step in (1, -(-count // MOST_ROWS))
-    ]
+    rows: Rows = list(hours(day))
+    few = rows[:: -(-len(rows) // MOST_ROWS) or 1]
+    tables = [Table("sun, set-points and panel", columns, chosen) for chosen in (rows, few)]
     light = Table(
         "clear sky over the day",
         [*texts("panel"), *figures("kWh/m^2", "of fixed, %")],

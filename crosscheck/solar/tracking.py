@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.solar.place import Sun
+from crosscheck.solar.place import Sun, tilted
 from newton_euler.errors import is_finite_number
 from newton_euler.scalars import Array
 
@@ -64,9 +64,7 @@ class Tracking:
                 f"the sun does not rise on {sun.times[0].date()}: there is nothing to follow"
             )
         tilt = np.minimum(self._without_shadow(sun.elevation), np.radians(self.most_tilt))
-        wanted = np.stack(
-            [np.sin(tilt) * np.sin(sun.azimuth), np.sin(tilt) * np.cos(sun.azimuth), np.cos(tilt)], axis=1
-        )
+        wanted = tilted(tilt, sun.azimuth)
         waits = np.flatnonzero(~up)
         risen = np.flatnonzero(up)
         nearest = np.searchsorted(risen, waits)  # after sunset the first of the day, which is next morning's

@@ -102,6 +102,14 @@ def across(vectors: Array) -> Array:
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
 
 
+def smallest_turns(start: Array, end: Array) -> Array:
+    """Compute the rotation vectors (n, 3), rad, of the smallest rotations from unit vectors to others."""
+    sine = np.cross(start, end)
+    length = np.linalg.norm(sine, axis=1, keepdims=True)
+    angle = np.arctan2(length, np.sum(start * end, axis=1, keepdims=True))
+    return np.asarray(angle * np.divide(sine, length, out=across(start), where=length > SHORT))
+
+
 @dataclass(frozen=True, eq=False)
 class Goal:
     """Wanted values of chosen coordinates, and directions of the axis, for n configurations.
@@ -238,10 +246,7 @@ class Chain:
         x[:, turns] = within_revolution(x[:, turns])
         if not self.pointing:
             return x, np.zeros((len(x), 0))
-        sine = np.cross(other.towards, goal.towards)
-        length = np.linalg.norm(sine, axis=1, keepdims=True)
-        angle = np.arctan2(length, np.sum(other.towards * goal.towards, axis=1, keepdims=True))
-        return x, angle * np.divide(sine, length, out=across(other.towards), where=length > SHORT)
+        return x, smallest_turns(other.towards, goal.towards)
 
     def between(self, goal: Goal, other: Goal, share: Array) -> Goal:
         """Return the goals at shares (n,) of the way from `other` to `goal`."""

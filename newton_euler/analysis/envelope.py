@@ -138,8 +138,8 @@ def load_envelope(scene: Scene, runs: Trajectory | Mapping[str, Trajectory]) -> 
 
     Peaks are those of outputs. What a prescribed motion takes is part of the axial load of its joint. What a
     control law does is not, but that of an actuator, named as the coordinate that it acts on: `actuator
-    force` (N or N m), `speed` (m/s or rad/s), `power` (W), `work` done until then (J), and `energy` (J), the
-    same without what the actuator takes up as a brake.
+    force` (N or N m), `speed` (m/s or rad/s), `power` (W), and until then `work` and `energy` (J), see
+    `work_and_energy`.
 
     Args:
         scene: the mechanism and its control laws.
@@ -261,23 +261,33 @@ def actuator_loads(scene: Scene, run: Trajectory) -> dict[Load, Array]:
         joint = scene.mechanism.joint(law.joint)
         name, is_slide = coordinate_name(joint, law.coordinate), scene.mechanism.is_slide(*law.key)
         force = run.actuator_force[:, k]
-        speed = _rates(scene, run, joint.name)[:, law.coordinate]
-        power = force * speed
+        motion = replace(run, mechanism=scene.mechanism).joint(joint.name)
+        assert motion.rates is not None
+        speed = motion.rates[:, law.coordinate]
+        work, energy = work_and_energy(force, motion.coordinates[:, law.coordinate])
         for quantity, unit, values in (
             ("actuator force", "N" if is_slide else "N m", force),
             ("speed", "m/s" if is_slide else "rad/s", speed),
-            ("power", "W", power),
-            ("work", "J", _cumulative(power, run.time)),
-            ("energy", "J", _cumulative(np.maximum(power, 0.0), run.time)),
+            ("power", "W", force * speed),
+            ("work", "J", work),
+            ("energy", "J", energy),
         ):
             found[Load(name, quantity, unit)] = values
     return found
 
 
-def _rates(scene: Scene, run: Trajectory, joint: str) -> Array:
-    rates = replace(run, mechanism=scene.mechanism).joint(joint).rates
-    assert rates is not None
-    return rates
+def work_and_energy(force: Array, coordinate: Array) -> tuple[Array, Array]:
+    """Compute what an actuator does until each of n outputs (n,), J, by the trapezoidal rule.
+
+    Its energy is its work where that is positive: what drives it against its force is neither taken back nor
+    costs it anything.
+
+    Args:
+        force: (n,) N or N m; coordinate: (n,) m or rad.
+    """
+    steps = 0.5 * (force[1:] + force[:-1]) * np.diff(coordinate)
+    work, energy = (np.concatenate([[0.0], np.cumsum(each)]) for each in (steps, np.maximum(steps, 0.0)))
+    return work, energy
 
 
 def _cumulative(values: Array, time: Array) -> Array:
