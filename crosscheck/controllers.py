@@ -10,7 +10,7 @@ import numpy as np
 
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
-from crosscheck.report.table import Column, Rows, Table
+from crosscheck.report.table import Column, Rows, Table, figures, texts
 from crosscheck.scenes import SCENES, load
 from crosscheck.scenes.options import options_of
 from newton_euler.analysis.envelope import work_and_energy
@@ -123,18 +123,14 @@ def compared(
                 if kind not in heads:
                     rows.append(name)
                     heads.add(kind)
-                rows.append([f"  {engine}", *(f"{figure:.3g}" for figure in found)])
+                rows.append([f"  {engine}", *(f"{value:.3g}" for value in found)])
     return [Table(kind if len(kinds) > 1 else "", columns(kind), rows) for kind, rows in kinds.items()]
 
 
 def columns(kind: str) -> list[Column]:
     """Return the columns of the table of slides or hinges."""
     length, force = ("m", "N") if kind == "slides" else ("rad", "N m")
-    figures = (
-        ("error\nRMS", length),
-        ("error\npeak", length),
-        ("force\nRMS", force),
-        ("force\npeak", force),
-        ("energy", "J"),
-    )
-    return [Column("controller"), *(Column(name, unit, numeric=True) for name, unit in figures)]
+    return [
+        *texts("controller"),
+        *figures(f"error, {length}", "its peak", f"force, {force}", "its peak", "energy, J"),
+    ]

@@ -184,8 +184,9 @@ def link_inertia(model: Any, index: int) -> Any:
 
 def mass_matrix(model: Any, data: Any, map: CoordinateMap, q: Array) -> Array:
     """Compute the mass matrix (nv, nv) in tree velocities, armature included, at Pinocchio's q (nq,)."""
-    upper = np.triu(pin.crba(model, data, q))  # Pinocchio fills only the upper half
-    return map.v_from_pinocchio(map.v_from_pinocchio(upper + np.triu(upper, 1).T).T)
+    mass = np.array(pin.crba(model, data, q))
+    mass[map.below] = mass.T[map.below]  # Pinocchio fills only the upper half
+    return map.v_from_pinocchio(map.v_from_pinocchio(mass).T)
 
 
 class CoordinateMap:
@@ -193,6 +194,9 @@ class CoordinateMap:
 
     Both measure the same motions and count the same way; Pinocchio's stand in another order, and
     its quaternions are x-y-z-w. Angular velocities of balls are in the child's frame in both.
+
+    Attributes:
+        below: rows and columns below the diagonal of a mass matrix.
     """
 
     def __init__(self, model: Any, welded: WeldedMechanism) -> None:
@@ -209,6 +213,7 @@ class CoordinateMap:
             order_v[joint.idx_v : joint.idx_v + joint.nv] = np.arange(on_v.start, on_v.stop)
         self._order_q, self._order_v = order_q, order_v
         self._place_q, self._place_v = np.argsort(order_q), np.argsort(order_v)
+        self.below = np.tril_indices(model.nv, -1)
 
     def q_to_pinocchio(self, q: Array) -> Array:
         """Pinocchio's coordinates (nq,) of the tree's."""

@@ -28,7 +28,7 @@ LIMIT = 3.0
 """s after which a run is given up."""
 
 BUDGET = 20.0
-"""s of processor time after which a model begins no further ladder. Others' load leaves no setting out."""
+"""s of processor time after which an engine begins no further ladder. Others' load leaves no setting out."""
 
 SHARE = 0.15
 """s that the repeats of one setting should take together, if `LEAST_REPEATS` of them do not take longer."""
@@ -105,6 +105,7 @@ def measure(engines: Mapping[str, Models], exact: Poses, progress: Progress) -> 
     found = Measured()
     calls: list[Callable[[], float]] = []
     for engine, models in engines.items():
+        climbing = 0.0
         for name, load in models.items():
             progress(f"{engine}: {name}")
             try:
@@ -112,11 +113,12 @@ def measure(engines: Mapping[str, Models], exact: Poses, progress: Progress) -> 
             except Exception as error:  # whatever an engine has against a scene belongs in the table
                 found.failures.append(Failure(engine, name, reason_of(error)))
                 continue
-            climbing = time.process_time()
             for ladder in model.ladders:
-                end = f"not begun: others of its model have taken {BUDGET:g} s"
-                if time.process_time() - climbing < BUDGET:
+                end = f"not begun: others of its engine have taken {BUDGET:g} s"
+                if climbing < BUDGET:
+                    start = time.process_time()
                     end = _climb(engine, ladder, model.run, exact, found, calls)
+                    climbing += time.process_time() - start
                 found.ended[f"{engine}: {ladder.method}"] = end
     times = in_turns(calls, [m.repeats for m in found.measurements], progress)
     found.measurements = [replace(m, times=row) for m, row in zip(found.measurements, times, strict=True)]

@@ -119,7 +119,7 @@ def test_a_ladder_ends_after_a_run_that_takes_too_long_and_says_so(monkeypatch):
     assert measured.ended["engine: m"].endswith(" s, more than 0.01 s")
     monkeypatch.setattr(work_precision, "BUDGET", 0.0)
     measured, _ = measured_of(never=off_by(1e-3, 1e-3))
-    assert measured.ended == {"engine: m": "not begun: others of its model have taken 0 s"}
+    assert measured.ended == {"engine: m": "not begun: others of its engine have taken 0 s"}
 
 
 def test_native_runs_are_given_up_too(tracker):
