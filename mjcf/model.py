@@ -12,8 +12,8 @@ from mjcf.errors import ModelError
 from mjcf.forces import WIND_MOTORS, wind_loads, wind_site
 from mjcf.layout import Layout
 from mjcf.write import controls, welded_to_xml
-from newton_euler.analysis.controller_model import ControllerModel
 from newton_euler.equations.couplings import TreeCouplings
+from newton_euler.equations.engine_control import EngineControl
 from newton_euler.equations.model_control import roles
 from newton_euler.equations.system import MassProperties, Observation
 from newton_euler.model.control import NO_FORCES, Readings, commands
@@ -84,8 +84,7 @@ class CompiledScene:
         sites = [self.model.site(wind_site(load)).id for load in loads]
         motors = range(self.model.nu - count * len(loads), self.model.nu, count)
         self._winds = [(site, slice(k, k + count)) for site, k in zip(sites, motors, strict=True)]
-        # MuJoCo has no inverse dynamics with closed loops
-        self._controller = ControllerModel(scene) if roles(scene) else None
+        self._control = self.engine_control(scene) if roles(scene) else None
         self.actuate()
 
     def _restore_inertias(self) -> None:
@@ -136,22 +135,21 @@ class CompiledScene:
 
     def actuate(self) -> None:
         """Give MuJoCo's actuators the controls of the scene's laws at `time`."""
-        readings, model = self.readings(self.data), NO_FORCES
-        if self._controller:
-            mujoco.mj_fwdPosition(self.model, self.data)
-            mujoco.mj_fwdVelocity(self.model, self.data)
-            if self._controller.encoders:
-                self._controller.encoders.move_to(self.read_state(), readings)
-            model = self.model_forces(readings, self.time)
-        found = controls(self.scene, self.time, readings, model)
+        readings = self.readings(self.data)
+        found = controls(self.scene, self.time, readings, self.model_forces(self.data, readings))
         self.data.ctrl[: len(found)] = found
 
-    def model_forces(self, readings: Readings, time: float) -> Mapping[Key, float]:
-        """Forces (N or N m) that control laws get of newton_euler's model, where positions are worked out."""
-        if self._controller is None:
+    def engine_control(self, scene: Scene) -> EngineControl:
+        """Return the inverse dynamics of control laws that know the mechanism, by rigid constraints."""
+        raise NotImplementedError
+
+    def model_forces(self, data: Any, readings: Readings) -> Mapping[Key, float]:
+        """Forces (N or N m) that control laws get of a model of the mechanism at MuJoCo's state."""
+        if self._control is None:
             return NO_FORCES
-        wanted = commands(self.scene.control, readings, time)
-        return self._controller.forces(readings, wanted, time, self.read_state)
+        q, v = self.layout.to_qpos.T @ data.qpos, self.layout.to_qvel.T @ data.qvel
+        wanted = commands(self.scene.control, readings, data.time)
+        return self._control.forces(q, v, data.time, wanted)
 
     def blow(self, data: Any) -> None:
         """Give MuJoCo's motors of wind their controls where bodies are, as it has worked out last."""
@@ -171,12 +169,16 @@ class CompiledScene:
         x, x_rate = data.qpos[self._sensed_q], data.qvel[self._sensed_v]
         return dict(zip(self._sensed, zip(x, x_rate, strict=True), strict=True))
 
-    def state(self, q: Array, v: Array) -> State:
-        """Body poses and velocities by MuJoCo's kinematics."""
+    def move(self, q: Array, v: Array) -> None:
+        """Have MuJoCo work out positions and velocities of a state, and the wind there."""
         self.place(q, v)
         mujoco.mj_fwdPosition(self.model, self.data)
         mujoco.mj_fwdVelocity(self.model, self.data)
         self.blow(self.data)
+
+    def state(self, q: Array, v: Array) -> State:
+        """Body poses and velocities by MuJoCo's kinematics."""
+        self.move(q, v)
         return self.read_state()
 
     def coupling_phi(self, q: Array) -> Array:
@@ -185,7 +187,7 @@ class CompiledScene:
 
     def observe(self, q: Array, v: Array) -> Observation:
         """Poses, velocities and energies by MuJoCo's kinematics."""
-        self.state(q, v)
+        self.move(q, v)
         return self.observation()
 
     def observation(self) -> Observation:

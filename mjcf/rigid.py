@@ -12,14 +12,18 @@ which tells errors of a model from softness of a solver.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
 from mjcf.evaluate import all_loops, closes, constraint_jacobian, evaluation, loops, mass_and_force
 from mjcf.model import CompiledScene
 from newton_euler.equations.dense import solve_constrained
+from newton_euler.equations.engine_control import EngineControl, servo_forces
 from newton_euler.equations.redundancy import rows_left_out, without
 from newton_euler.equations.system import Evaluation
+from newton_euler.model.joint import Key
 from newton_euler.model.joint_geometry import JointGeometry, closing, in_tree
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
@@ -47,6 +51,9 @@ class RigidMuJoCo(CompiledScene):
         self._coupled = slice(len(self.phi_units) - len(self.couplings.units), None)
         self.velocity_units = self.tree.velocity_units
 
+    def engine_control(self, scene: Scene) -> EngineControl:
+        return EngineControl(scene, RigidMuJoCo)
+
     def rate(self, q: Array, v: Array) -> Array:
         """qdot (nq,)."""
         return self.tree.rate(q, v)
@@ -57,11 +64,13 @@ class RigidMuJoCo(CompiledScene):
 
     def _present(self) -> Array:
         """(k,) which rows MuJoCo has at this state: it drops constraints whose rows are all zero."""
+        if self.data.nefc == len(self._constraint):
+            return np.ones(self.data.nefc, dtype=bool)
         return np.isin(self._constraint, self.data.efc_id)
 
     def phi(self, q: Array) -> Array:
         """Residuals (k,) of MuJoCo's equality constraints."""
-        self.state(q, np.zeros(self.nv))
+        self.move(q, np.zeros(self.nv))
         residuals = np.zeros(len(self._constraint))
         residuals[self._present()] = self.data.efc_pos
         # MuJoCo has equalities of joints as they are at t = 0
@@ -76,7 +85,7 @@ class RigidMuJoCo(CompiledScene):
 
     def phi_jacobian(self, q: Array) -> Array:
         """(k, nv): derivative of `phi` along `retract`, and of its rate by v."""
-        self.state(q, np.zeros(self.nv))
+        self.move(q, np.zeros(self.nv))
         return self._jacobian()
 
     def _jacobian(self) -> Array:
@@ -87,7 +96,7 @@ class RigidMuJoCo(CompiledScene):
 
     def velocity_product(self, q: Array, v: Array) -> Array:
         """(k,) Jdot v, the part of the constraints' second rate that holds no acceleration."""
-        self.state(q, v)
+        self.move(q, v)
         self.data.qacc[:] = 0.0
         mujoco.mj_rnePostConstraint(self.model, self.data)
         product = np.zeros(len(self._constraint))  # and so it stays for joints, whose J is constant
@@ -101,7 +110,7 @@ class RigidMuJoCo(CompiledScene):
 
     def velocity_transformation(self, q: Array) -> Array:
         """(6 b, nv): v and omega of body 0, 1, ... for each velocity, by MuJoCo's Jacobians."""
-        self.state(q, np.zeros(self.nv))
+        self.move(q, np.zeros(self.nv))
         count = len(self.mechanism.bodies)
         rows = np.zeros((2 * count, 3, self.model.nv))
         for k, index in enumerate(self.body_id[1:count], start=1):
@@ -138,15 +147,26 @@ class RigidMuJoCo(CompiledScene):
     def _solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """vdot (nv,) and the multipliers (k,) of MuJoCo's constraint rows."""
         unused = rows_left_out(self)
-        gamma = -self.velocity_product(q, v)
-        gamma[self._coupled] += self.couplings.acceleration(self.time)
+        gamma = self._gamma(q, v)
         mass, force = self._mass_and_force()
         rows, gamma = without(self._jacobian(), unused), without(gamma, unused)
         return solve_constrained(mass, force, rows, gamma, self.phi_units, self.velocity_units)
 
+    def servo_forces(self, q: Array, v: Array, keys: Sequence[Key], accelerations: Array) -> Array:
+        """Forces on joint coordinates, N or N m, for their accelerations, by MuJoCo's own matrices."""
+        gamma = self._gamma(q, v)
+        terms, jacobian = self._mass_and_force(), self._jacobian()
+        return servo_forces(self, self.tree, terms, (jacobian, gamma), keys, accelerations)
+
+    def _gamma(self, q: Array, v: Array) -> Array:
+        """(k,) J vdot of MuJoCo's constraint rows."""
+        gamma = -self.velocity_product(q, v)
+        gamma[self._coupled] += self.couplings.acceleration(self.time)
+        return gamma
+
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Compute M (nv, nv) and f (nv,) of M vdot = f + J^T lambda, by MuJoCo."""
-        self.state(q, v)
+        self.move(q, v)
         return self._mass_and_force()
 
     def _mass_and_force(self) -> tuple[Array, Array]:

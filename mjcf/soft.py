@@ -28,7 +28,9 @@ from scipy.integrate import simpson
 from mjcf.evaluate import evaluation
 from mjcf.forces import wind_loads
 from mjcf.model import CompiledScene
+from mjcf.rigid import RigidMuJoCo
 from mjcf.write import control
+from newton_euler.equations.engine_control import EngineControl
 from newton_euler.equations.system import Evaluation
 from newton_euler.model.control import PD, DeclaredLaw, DrivenLaws
 from newton_euler.model.scene import Scene
@@ -66,6 +68,9 @@ class SoftMuJoCo(CompiledScene):
         # of the evaluations in a step; shared by copies of this object, one of which MuJoCo calls
         self._asked: list[tuple[Array, Array]] = []
         self._stages: list[Array] = []
+
+    def engine_control(self, scene: Scene) -> EngineControl:
+        return EngineControl(scene, RigidMuJoCo)
 
     def use_integrator(self, name: str) -> None:
         """Have MuJoCo integrate by the method that MJCF calls so."""
@@ -116,7 +121,7 @@ class SoftMuJoCo(CompiledScene):
             data.ctrl[self.driven.places] = self.driven.at(self.scene.control, data.time)
         if self.evaluated:
             readings = self.readings(data)
-            model = self.model_forces(readings, data.time)
+            model = self.model_forces(data, readings)
             for k in self.evaluated:  # as the scene has them at present
                 data.ctrl[k] = control(self.scene.control[k], data.time, readings, model)
         self.blow(data)

@@ -33,12 +33,12 @@ from mjcf.forces import (
     wrenches,
 )
 from mjcf.layout import Layout, number, numbers
-from newton_euler.analysis.controller_model import ControllerModel
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import Coupling, TreeCouplings, couplings
 from newton_euler.equations.model_control import roles
+from newton_euler.equations.relative import Relative
 from newton_euler.errors import check_type
-from newton_euler.model.control import NO_FORCES, PD, Readings, commands
+from newton_euler.model.control import NO_FORCES, PD, Readings
 from newton_euler.model.digital_control import HeldLaw, Law
 from newton_euler.model.euler_parameters import conjugate, from_rotation, product, rotation
 from newton_euler.model.geometry import Box, Shape, Sphere
@@ -414,10 +414,10 @@ def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
         attributes["qvel"] = numbers(layout.to_qvel @ v)
     places = {key: welded.tree.place(*key) for key in scene.sensed}
     readings = {key: (q[place[0]], v[place[1]]) for key, place in places.items() if place}
-    model: dict[Key, float] = {}
+    model: Mapping[Key, float] = {}
     if roles(scene):
-        known = ControllerModel(scene)
-        model = known.forces(readings, commands(scene.control, readings, 0.0), 0.0, lambda: state)
+        system = Relative(scene)
+        model = system.model_forces(*system.coordinates(state))
     acting = Wrenches(scene.mechanism, state)
     winds = [value for load in wind_loads(scene) for value in acting.wind(load)]
     if ctrl := controls(scene, 0.0, readings, model) + winds:

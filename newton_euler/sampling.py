@@ -91,7 +91,7 @@ class Controllers:
     """The controllers of a scene in one run."""
 
     def __init__(self, scene: Scene) -> None:
-        model = ControllerModel(scene, digital=True).forces if roles(scene, digital=True) else None
+        model = ControllerModel(scene).forces if roles(scene, digital=True) else None
         self._controllers = {law.key: law.controller_of(scene.control, model) for law in scene.sampled}
 
     def sample(self, due: tuple[HeldLaw, ...], time: float, readings: Array) -> dict[str, float]:

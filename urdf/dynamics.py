@@ -18,6 +18,7 @@ import pinocchio as pin
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.dense import solve_constrained
+from newton_euler.equations.engine_control import EngineControl, servo_forces
 from newton_euler.equations.model_control import roles
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, without
 from newton_euler.equations.system import Evaluation, MassProperties, Observation
@@ -36,7 +37,6 @@ from urdf.errors import UrdfError
 from urdf.forces import BallForces, JointLaws, PointForces, Rotors
 from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, link_inertia, mass_matrix
-from urdf.model_control import ModelControl
 from urdf.proximal import ConstraintDynamics, Units
 from urdf.reactions import (
     driven,
@@ -109,7 +109,7 @@ class PinocchioSystem:
         self._measured_q, self._measured_v = on.T
         self._actuated_v = self._measured_v[: len(acting)]
         self._sensed = [keys.index(key) for key in scene.sensed]
-        self._control = ModelControl(scene, PinocchioSystem) if roles(scene) else None
+        self._control = EngineControl(scene, PinocchioSystem) if roles(scene) else None
         self._alpha = alpha
         self._eliminates = bool(len(self._rows.units)) or mobility(scene).residual > 0.0
         self._moving = bool(self._forces) or self._eliminates
@@ -191,27 +191,11 @@ class PinocchioSystem:
         return self._laws.force(self.scene.joint_forces, *measured, self.time, model)
 
     def servo_forces(self, q: Array, v: Array, keys: Sequence[Key], accelerations: Array) -> Array:
-        """Forces on joint coordinates, N or N m, for their accelerations, which are further constraints."""
-        mass, force = self.mass_and_force(q, v)
+        """Forces on joint coordinates, N or N m, for their accelerations, by Pinocchio's own matrices."""
+        terms = self.mass_and_force(q, v)
         self._move(q, v)
-        gamma = [self._closures.gamma(self._data), self._rows.gamma(self._data, self.time)]
-        unused, rows = rows_left_out(self), np.zeros((len(keys), self.nv))
-        on = [self._tree.place(*key) for key in keys]  # none is cut
-        rows[np.arange(len(keys)), [place[1] for place in on if place]] = 1.0
-        units = [self.mechanism.size if self.mechanism.is_slide(*key) else 1.0 for key in keys]
-        try:
-            _, multipliers = solve_constrained(
-                mass,
-                force,
-                np.concatenate([without(self._jacobian(), unused), rows]),
-                np.concatenate([without(np.concatenate(gamma), unused), accelerations]),
-                np.concatenate([self.phi_units, units]),
-                self.velocity_units,
-            )
-        except np.linalg.LinAlgError as error:
-            reason = "control laws cannot choose the accelerations there"
-            raise SingularityError(keys[0][0], reason) from error
-        return np.asarray(multipliers[len(self.phi_units) :])
+        gamma = np.concatenate([self._closures.gamma(self._data), self._rows.gamma(self._data, self.time)])
+        return servo_forces(self, self._tree, terms, (self._jacobian(), gamma), keys, accelerations)
 
     def _move(self, q: Array, v: Array) -> None:
         """Give Pinocchio's joints, Jacobians and frames a state, at accelerations of joints of zero."""

@@ -58,6 +58,7 @@ class Element:
             that of any. 0 where nothing is told.
         displaced: the changed joint, where the element is one that nothing acts on but its reaction.
         body: the number of the body whose "mass" or "inertia" it changes.
+        shared: True for an element that is the same code in all engines: their agreement tells nothing of it.
     """
 
     name: str
@@ -66,6 +67,7 @@ class Element:
     violated: Callable[[Moments, float, float], float] = lambda moments, length, angle: 0.0
     displaced: JointEquations | None = None
     body: tuple[int, str] | None = None
+    shared: bool = False
 
 
 def elements(scene: Scene) -> Iterator[Element]:
@@ -77,7 +79,7 @@ def elements(scene: Scene) -> Iterator[Element]:
     for field in ("control", "forces", "armatures"):
         for k, acting in enumerate(getattr(scene, field)):
             if isinstance(acting, HeldLaw):
-                yield Element(f"actuator {acting.where}", partial(_with_controller, number=k), ())
+                yield Element(f"actuator {acting.where}", partial(_with_controller, number=k), (), shared=True)
             for what, attributes in acting.strengths.items():
                 if any(np.any(getattr(acting, attribute)) for attribute in attributes):
                     yield _of_values(scene, f"{what} {acting.where}", field, k, *attributes)

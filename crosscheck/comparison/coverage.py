@@ -56,15 +56,17 @@ class Covered:
         element: kind and name, such as "mass of body 'crank'".
         share: by how much a change of 10 % changes the motion, in units of what engines may differ by: at
             least, where it shows; infinite where the scene does not run to its end with it.
+        shared: see `Element`: controllers that are called at a period, and the computers of digital laws.
     """
 
     element: str
     share: float
+    shared: bool = False
 
     @property
     def tested(self) -> bool:
-        """True if a change of 10 % would be seen."""
-        return self.share > 1.0
+        """True if a change of 10 % in one engine would be seen, and is not the same in all of them."""
+        return self.share > 1.0 and not self.shared
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ class Coverage:
 
     @cached_property
     def untested(self) -> tuple[Covered, ...]:
-        """Elements that a change of 10 % would not show of."""
+        """Elements of which engines that agree tell nothing."""
         return tuple(covered for covered in self.elements if not covered.tested)
 
     def summary(self) -> list[dict[str, object]]:
@@ -85,6 +87,7 @@ class Coverage:
                 "element": each.element,
                 "share": each.share if np.isfinite(each.share) else None,
                 "tested": each.tested,
+                "shared": each.shared,
             }
             for each in self.elements
         ]
@@ -126,7 +129,7 @@ def covered_by(scene: Scene, length: float, angle: float, end: int | None = None
     """
     found = tuple(elements(scene))
     runs = _Runs(scene, found, length, angle, end)
-    return Coverage(tuple(Covered(element.name, runs.share(element)) for element in found))
+    return Coverage(tuple(Covered(element.name, runs.share(element), element.shared) for element in found))
 
 
 class _Runs:

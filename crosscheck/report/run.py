@@ -43,6 +43,9 @@ MOST_NAMED = 12
 ALL_LISTED = "all in summary.json and on the page of `crosscheck report`"
 """Where all untested elements are."""
 
+SAME_CODE = "as all engines call the same code"
+"""Why controllers are untested, whatever the motion."""
+
 FAILS = Cell("FAILS", "fails")
 """The verdict on results that do not agree, in one word."""
 
@@ -86,8 +89,10 @@ def judged_word(result: Crosscheck) -> Cell:
 
 def _untested_table(found: Coverage) -> Table:
     """A row per element that the motion does not test, with how much of a change of it shows."""
-    rows: Rows = [[covered.element, f"{covered.share:.1e}"] for covered in found.untested]
-    title = "untested by the motion: 10 % more of these does not show"
+    rows: Rows = [
+        [each.element, SAME_CODE if each.shared else f"{each.share:.1e}"] for each in found.untested
+    ]
+    title = "untested: 10 % more of these does not show"
     return Table(title, [Column("element"), *figures("share of what would show")], rows, folded=True)
 
 
@@ -186,10 +191,11 @@ def notes(result: Crosscheck) -> Iterator[str]:
         broken = "two principal moments together less than the third"
         yield f"inertia that no mass has, {broken}: {', '.join(impossible)}"
     yield from not_compared(result.figures)
-    if result.coverage and result.coverage.untested:
-        names = [covered.element for covered in result.coverage.untested]
-        listed = f", {ALL_LISTED}" if len(names) > MOST_NAMED else ""
-        yield f"untested by the motion, 10 % more would not show: {_named(names)}{listed}"
+    untested = result.coverage.untested if result.coverage else ()
+    for why, shared in ((SAME_CODE, True), ("by the motion, 10 % more would not show", False)):
+        if names := [covered.element for covered in untested if covered.shared == shared]:
+            listed = f", {ALL_LISTED}" if len(names) > MOST_NAMED else ""
+            yield f"untested {why}: {_named(names)}{listed}"
     for title, read in _mappings(result):
         yield f"{title}: {fates_line(read)}"
         yield from sorted(read.start, key=lambda line: not line.startswith("exercised"))

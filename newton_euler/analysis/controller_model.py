@@ -1,11 +1,11 @@
-"""The controller's model of a mechanism in native code: for computers, and for engines that have none.
+"""The controller's model of a mechanism in native code, for computers.
 
 Encoders tell the pose: actuated coordinates and their rates, by forward kinematics from the pose before.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -25,7 +25,6 @@ from newton_euler.model.control import Readings
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import PrescribedMotion, Spline
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 KEPT = 8
@@ -33,61 +32,48 @@ KEPT = 8
 
 
 class ControllerModel:
-    """Inverse dynamics of the control laws of a scene that know the mechanism, in one run.
+    """Inverse dynamics of the laws of a scene's computers that know the mechanism, in one run.
 
     Attributes:
         roles: of the laws.
-        encoders: forward kinematics of the coordinates of all control laws; None where they do not determine
-            the pose.
+        encoders: forward kinematics of the coordinates of all control laws.
     """
 
-    def __init__(self, scene: Scene, digital: bool = False) -> None:
-        """Take the laws of computers if `digital`, else all others.
+    def __init__(self, scene: Scene) -> None:
+        """Compile.
 
         Raises:
-            MechanismError: naming a coordinate that its law cannot give any acceleration, and for computers
-                whose encoders do not determine the pose.
+            MechanismError: naming a coordinate that its law cannot give any acceleration, and for encoders
+                that do not determine the pose.
         """
-        self.roles, self._models, code = _compiled(scene, digital)
-        self.encoders = Encoders(code, scene) if code else None
-        if digital and self.encoders is None:
+        self.roles, self._models, code = _compiled(scene)
+        if code is None:
             problem = "coordinates of control laws do not determine its pose, which encoders are to tell"
             needed = "as many independent ones as degrees of freedom"
             raise MechanismError(f"scene {scene.name!r}", problem, needed)
+        self.encoders = Encoders(code, scene)
 
-    def forces(
-        self,
-        readings: Readings,
-        accelerations: Sequence[float],
-        time: float,
-        state: Callable[[], State] | None = None,
-    ) -> dict[Key, float]:
+    def forces(self, readings: Readings, accelerations: Sequence[float], time: float) -> dict[Key, float]:
         """Compute forces (N or N m) by coordinates.
 
         Args:
             readings: of encoders.
             accelerations: that laws of computed torque command, in order.
             time: s.
-            state: poses and velocities of the bodies, where encoders do not tell them.
 
         Raises:
             MechanismError: for readings that no pose has.
             SingularityError: where the coordinates do not determine the motion.
         """
         found: dict[Key, float] = {}
-        if self.encoders is not None:
-            own = self.encoders.coordinates(readings, time)
+        own_q, own_v = self.encoders.coordinates(readings, time)
         wanted = accelerations, [0.0] * len(self.roles.holding)
         for model, own_wanted, moves in zip(self._models, wanted, (1.0, 0.0), strict=True):
             if model is None:
                 continue
-            if self.encoders is None:
-                assert state is not None
-                q, v = model.system.coordinates(state())
-            else:
-                q, v = model.system.coordinates_from(self.encoders.system, own[0]), own[1]
+            q = model.system.coordinates_from(self.encoders.system, own_q)
             knots = pieces(model.scene, time).values()
-            values = model.forces(np.concatenate([q, moves * v, own_wanted, [time], *knots]))
+            values = model.forces(np.concatenate([q, moves * own_v, own_wanted, [time], *knots]))
             keys = model.servos.actuators
             if not (values[-2] > 0.0 and np.isfinite(values[:-2]).all()):
                 raise SingularityError(keys[0][0], "control laws cannot choose the accelerations there")
@@ -97,10 +83,10 @@ class ControllerModel:
 
 @lru_cache(maxsize=KEPT)
 def _compiled(
-    scene: Scene, digital: bool
+    scene: Scene,
 ) -> tuple[Roles, tuple[InverseDynamics | None, InverseDynamics | None], Code | None]:
     """Return roles, inverse dynamics of computed torque and of holding, and what encoders move."""
-    found = roles(scene, digital)
+    found = roles(scene, digital=True)
     known = known_scene(scene, found.model)
     still = tuple(motion.held() for motion in scene.motions)
     torque, holding = (
@@ -139,21 +125,10 @@ class Encoders:
         self.system: Formulation = code.system
         self._code, self._project = code, Projection(code)
         self._x = code.packed(*code.system.coordinates(initial_state(scene)))
-        self._scene, self._turned = scene, dict.fromkeys(keys, 0.0)
         first = len(code.scene.motions) - len(keys)
         names = [numbered("motions", first + k, "function") + PIECE for k in range(len(keys))]
         self._places = {key: code.place(name) for key, name in zip(keys, names, strict=True)}
         self._others = [name for name in code.parameters if name not in names]
-
-    def move_to(self, state: State, readings: Readings) -> None:
-        """Begin anew at a state that has these readings, angles in whatever revolution."""
-        q, v = self.system.coordinates(state)
-        self._x[: self._code.size] = np.concatenate([q, v])
-        measured = surroundings(self._scene, state).measured
-        for key in self._turned:
-            if not self._scene.mechanism.is_slide(*key):
-                revolutions = (readings[key][0] - measured[key][0]) / (2.0 * np.pi)
-                self._turned[key] = 2.0 * np.pi * float(np.round(revolutions))
 
     def coordinates(self, readings: Readings, time: float) -> tuple[Array, Array]:
         """Return q (nq,) and v (nv,) of the pose with these coordinates and rates, at a time in s.
@@ -169,7 +144,7 @@ class Encoders:
                 x[code.place(name) :][: len(values[name])] = values[name]
         for key, place in self._places.items():
             angle, rate = readings[key][:2]
-            x[place : place + 3] = time, angle - self._turned[key], rate
+            x[place : place + 3] = time, angle, rate
         if not self._project(x):
             read = ", ".join(f"{key[0]} {float(readings[key][0]):.6g}" for key in self._places)
             raise MechanismError("encoders", f"no pose is near with {read}", "coordinates within reach")

@@ -128,7 +128,8 @@ def verdict(result: Benchmark, error: float) -> str:
     for engine in ENGINES:
         m = result.cheapest(engine, error)
         if m is None:
-            said.append(f"{engine} does not reach it")
+            ran = any(one.engine == engine for one in result.measured.measurements)
+            said.append(f"{engine} {'does not reach it' if ran else 'cannot run it, see -v'}")
         else:
             longer = f", {rounded(m.ratio(own))} times as long" if own is not None and m is not own else ""
             said.append(f"{engine} takes {shown(m.median)}{longer}")

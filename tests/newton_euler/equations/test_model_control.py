@@ -166,6 +166,21 @@ def test_single_states_have_the_same_forces(build):
     assert found.actuator_force == pytest.approx(expected.actuator_force, abs=1e-11)
 
 
+def test_each_engine_has_inverse_dynamics_of_its_own(monkeypatch):
+    """A mistake in newton_euler's shows there alone."""
+    scene, own = tracker(), Relative.servo_forces
+
+    def forces(build):
+        system = build(scene)
+        return system.evaluate(*system.coordinates(initial_state(scene))).actuator_force
+
+    expected = forces(Relative)
+    monkeypatch.setattr(Relative, "servo_forces", lambda *given: (0.8 * own(*given)[0], own(*given)[1]))
+    assert forces(Relative) == pytest.approx(0.8 * expected)
+    for build in (PinocchioSystem, RigidMuJoCo, SoftMuJoCo):
+        assert forces(build) == pytest.approx(expected, abs=1e-11)  # N, of some 6
+
+
 def pendulum_on_cart(law) -> Scene:
     """A free pendulum of 0.5 kg on a driven cart of 1 kg, under gravity."""
     cart = Body("cart", 1.0, [0.0, 0.0, 0.0], 0.01 * np.eye(3))
