@@ -42,8 +42,8 @@ from newton_euler.errors import NewtonEulerError, OptionError
 from newton_euler.exercise import HIGHEST, LOWEST, moving
 from newton_euler.model.forces import Armature, BallArmature
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.motions import Sine
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Sine
 from newton_euler.model.source_file import ReadOptions, Request, path_text
 from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.model.state import State

@@ -39,8 +39,10 @@ from newton_euler.model.joint_kinds import (
     Universal,
 )
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Spline, Steps, Sum
+from newton_euler.model.motions import PrescribedMotion, Sum
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial, Sine
+from newton_euler.model.splines import Spline, Steps
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.model.wind import WindLoad, wind_gust, wind_turbulence

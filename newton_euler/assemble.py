@@ -20,8 +20,9 @@ from newton_euler.errors import AssemblyError, MechanismError, check_type, finit
 from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
-from newton_euler.model.motions import Polynomial, PrescribedMotion
+from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
 from newton_euler.scalars import Floats
 

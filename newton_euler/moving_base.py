@@ -28,9 +28,10 @@ from newton_euler.model.compound_joint import Compound
 from newton_euler.model.euler_parameters import from_rotation, from_rotation_vector, product, rotation
 from newton_euler.model.joint_kinds import Free
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import PrescribedMotion, Spline, TimeFunction
+from newton_euler.model.motions import PrescribedMotion, TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import SourceError, path_text, read_text
+from newton_euler.model.splines import Spline
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Floats
 

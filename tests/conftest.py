@@ -19,8 +19,9 @@ import mjcf.reading.source
 import newton_euler
 from crosscheck.scenes import load
 from newton_euler.exercise import random_states
-from newton_euler.model.motions import Polynomial, PrescribedMotion
+from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 

@@ -334,9 +334,9 @@ MISTAKES = {
         "newton_euler/equations/test_forces.py::test_a_mass_on_a_spring_oscillates_about_where_it_would_hang",
     ),
     "splines held for a piece too long": (
-        "newton_euler/model/motions.py",
-        "return self._pieces[bisect_right(self.knots, time)]",
-        "return self._pieces[max(bisect_right(self.knots, time) - 1, 0)]",
+        "newton_euler/model/splines.py",
+        "return self._pieces[bisect_right(self.knots, time + ROUND_OFF * abs(time))]",
+        "return self._pieces[max(bisect_right(self.knots, time + ROUND_OFF * abs(time)) - 1, 0)]",
         "newton_euler/integrators/test_knots.py::test_a_spline_is_the_one_of_scipy_and_smooth_at_its_knots",
     ),
     "set-points that jump an interval early": (

@@ -27,8 +27,9 @@ from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint import Joint, JointEquations
 from newton_euler.model.joint_kinds import Fixed, Screw
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion, Sum, scaled
+from newton_euler.model.motions import PrescribedMotion, Sum, scaled
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array
 
@@ -79,7 +80,9 @@ def elements(scene: Scene) -> Iterator[Element]:
     for field in ("control", "forces", "armatures"):
         for k, acting in enumerate(getattr(scene, field)):
             if isinstance(acting, HeldLaw):
-                yield Element(f"actuator {acting.where}", partial(_with_controller, number=k), (), shared=True)
+                yield Element(
+                    f"actuator {acting.where}", partial(_with_controller, number=k), (), shared=True
+                )
             for what, attributes in acting.strengths.items():
                 if any(np.any(getattr(acting, attribute)) for attribute in attributes):
                     yield _of_values(scene, f"{what} {acting.where}", field, k, *attributes)

@@ -43,9 +43,11 @@ from newton_euler.model.geometry import Box, Capsule, Cylinder, Sphere
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Spline, Steps, Sum
+from newton_euler.model.motions import PrescribedMotion, Sum
 from newton_euler.model.scene import OUTPUTS, REDUNDANCY_TOLERANCE, Scene
+from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.source_file import SourceError, read_text, shortened
+from newton_euler.model.splines import Spline, Steps
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import atomic_file
 from newton_euler.model.wind import WindLoad

@@ -22,8 +22,9 @@ from newton_euler.model.geometry import Box, Capsule, Mesh, Shape
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Sine, TimeFunction
+from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Sine
 from newton_euler.moving_base import base_motion_from_csv, on_moving_base
 from newton_euler.scalars import Array
 

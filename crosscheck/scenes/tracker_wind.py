@@ -9,8 +9,9 @@ import numpy as np
 
 from crosscheck.scenes.tracker import PANEL, tracker_gravity
 from newton_euler.model.control import PD
-from newton_euler.model.motions import Sine, TimeFunction
+from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Sine
 from newton_euler.model.wind import WindLoad, wind_gust, wind_turbulence
 
 STIFFNESS, DAMPING = 5000.0, 100.0

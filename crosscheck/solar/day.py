@@ -17,8 +17,8 @@ from newton_euler.analysis.configurations import smallest_turns
 from newton_euler.analysis.envelope import work_and_energy
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotations
-from newton_euler.model.motions import Steps
 from newton_euler.model.scene import Scene
+from newton_euler.model.splines import Steps
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 

@@ -28,8 +28,9 @@ from newton_euler.model.forces import BallArmature, BallSpring, Force, JointSpri
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion
+from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
 from newton_euler.model.wind import STANDARD_AIR, WindLoad
 from newton_euler.scalars import Array, cross

@@ -31,7 +31,7 @@ from mjcf.reading.start import Start
 from newton_euler.model.control import PD
 from newton_euler.model.forces import Wrench
 from newton_euler.model.joint import Key
-from newton_euler.model.motions import Sine
+from newton_euler.model.smooth_functions import Sine
 from newton_euler.scalars import Array
 from newton_euler.verification.activity import Bounds
 from newton_euler.verification.import_report import CONTROL, FORCE, ROTOR, ImportReport

@@ -12,8 +12,9 @@ import numpy as np
 from newton_euler.exercise import HIGHEST, swings
 from newton_euler.model.control import PD
 from newton_euler.model.joint import Key
-from newton_euler.model.motions import Sine, Sum
+from newton_euler.model.motions import Sum
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Sine
 from newton_euler.scalars import Array
 
 

@@ -12,7 +12,8 @@ from mjcf.reading.start import TORQUE_SCALE, Start
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Fixed, Rod, Spherical
-from newton_euler.model.motions import Polynomial, PrescribedMotion
+from newton_euler.model.motions import PrescribedMotion
+from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.scalars import Array
 from newton_euler.verification.activity import Tangent
 from newton_euler.verification.import_report import ImportReport, unique_name

@@ -26,8 +26,9 @@ from newton_euler.integrators.compiled import NEUTRAL
 from newton_euler.integrators.outputs import Rows, loops, map_rows
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.joint import Key
-from newton_euler.model.motions import Polynomial, PrescribedMotion
+from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 

@@ -23,8 +23,9 @@ from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.run import Projection
 from newton_euler.model.control import Readings
 from newton_euler.model.joint import Key
-from newton_euler.model.motions import PrescribedMotion, Spline
+from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
+from newton_euler.model.splines import Spline
 from newton_euler.scalars import Array
 
 KEPT = 8

@@ -140,7 +140,8 @@ def inverse_dynamics(
     given = States(scene, states)
     wanted = [given.column(f"acceleration of {name!r}", value) for name, value in accelerations.items()]
     times = given.column("time", getattr(states, "time", 0.0) if time is None else time)
-    compiled.scene.check_functions(float(times.max(initial=0.0)), "the time asked for")
+    if times.size:
+        compiled.scene.check_functions(float(times.min()), float(times.max()), "the times asked for")
     q, v = given.coordinates(compiled.system)
     if rates is not None:
         moving = {mechanism.coordinate(name): (name, value) for name, value in rates.items()}

@@ -134,7 +134,7 @@ def linearize(
     scene.check_numbers(state, f"state of scene {scene.name!r}")
     if not is_finite_number(time):
         raise OptionError("time", time, "a finite number of seconds")
-    scene.check_functions(time, "the time asked for")
+    scene.check_functions(time, time, "the time asked for")
     if closed_loop and scene.sampled:
         problem = "has no derivative, being sampled"
         raise MechanismError(scene.sampled[0].element, problem, "closed_loop=False, or a law as PD")

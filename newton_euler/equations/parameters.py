@@ -42,8 +42,10 @@ from newton_euler.equations.redundancy import inherit_mobility
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.digital_control import Law
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Piecewise, Sine, Sum, TimeFunction, functions_of
+from newton_euler.model.motions import Sum, TimeFunction, functions_of
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Sine
+from newton_euler.model.splines import Piecewise
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import NUMBERS, Array
 

@@ -12,7 +12,8 @@ from newton_euler.errors import MechanismError, check_key, finite_array, set_num
 from newton_euler.model.elements import CoordinateForce, Surroundings
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism, check_coordinate
-from newton_euler.model.motions import Sine, TimeFunction, functions_of, terms
+from newton_euler.model.motions import TimeFunction, functions_of, terms
+from newton_euler.model.smooth_functions import Sine
 from newton_euler.scalars import Array, Scalar
 
 DRIVEN = ("target", "feedforward")

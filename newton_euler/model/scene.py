@@ -18,7 +18,8 @@ from newton_euler.model.forces import Armature, BallArmature, Force, JointSpring
 from newton_euler.model.geometry import UNIT_TOLERANCE
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism
-from newton_euler.model.motions import ROUND_OFF, PrescribedMotion, Spline, TimeFunction, functions_of, terms
+from newton_euler.model.motions import PrescribedMotion, TimeFunction, functions_of, terms
+from newton_euler.model.splines import ROUND_OFF, Spline
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
@@ -136,7 +137,7 @@ class Scene:
             elements = elements_of(where, field, getattr(self, field), *kinds)
             check_elements(elements, self.mechanism)
             object.__setattr__(self, field, elements)
-        self.check_functions(self.duration, "the end of the run")
+        self.check_functions(0.0, self.duration, "the end of the run")
         if self.initial_state is not None:
             self._check_state(self.initial_state)
 
@@ -154,18 +155,19 @@ class Scene:
                 f"scene {name!r}", f"description is {description!r:.150}", "one line of printable text"
             )
 
-    def check_functions(self, end: float, noun: str) -> None:
-        """Raise `MechanismError` for a function of time that is not known from 0 to an end in s, by name."""
+    def check_functions(self, begin: float, end: float, noun: str) -> None:
+        """Raise `MechanismError` for a function of time that is not known from one time to another, s.
+
+        `noun` says what the times are.
+        """
         for element in (*self.motions, *self.control, *self.forces):
             given = element.law if isinstance(element, Digital) else element
-            for attribute in given.functions:
-                for function in functions_of(getattr(given, attribute)):
-                    for term in terms(function):
-                        if isinstance(term, Spline) and not term.covers(end):
-                            span = f"{attribute} is known from {term.times[0]:.9g} to {term.times[-1]:.9g} s"
-                            raise MechanismError(
-                                element.element, span, f"samples from 0 to {noun}, {end:g} s"
-                            )
+            functions = [(name, f) for name in given.functions for f in functions_of(getattr(given, name))]
+            for name, term in ((name, term) for name, f in functions for term in terms(f)):
+                if isinstance(term, Spline) and not term.covers(begin, end):
+                    span = f"{name} is known from {term.times[0]:.9g} to {term.times[-1]:.9g} s"
+                    needed = f"samples from {begin:g} to {end:g} s, {noun}"
+                    raise MechanismError(element.element, span, needed)
 
     @np.errstate(all="ignore")  # a norm may overflow
     def check_numbers(self, state: object, where: str) -> None:

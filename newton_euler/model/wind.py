@@ -20,7 +20,8 @@ from newton_euler.errors import (
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.elements import OnPoint, Surroundings
 from newton_euler.model.mechanism import check_name
-from newton_euler.model.motions import Polynomial, Sine, Sum, TimeFunction
+from newton_euler.model.motions import Sum, TimeFunction
+from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.scalars import Array, Floats, arctan2, cross, sqrt
 
 FACE_ON = 1.98

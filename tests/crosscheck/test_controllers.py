@@ -16,7 +16,7 @@ from crosscheck.scenes import load
 from newton_euler import simulate
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.digital_control import Digital
-from newton_euler.model.motions import Sine
+from newton_euler.model.smooth_functions import Sine
 
 
 def test_figures_of_a_mass_that_follows_a_sine():

@@ -14,7 +14,8 @@ from newton_euler.equations.parameters import parameter_values
 from newton_euler.errors import MechanismError, OptionError, UnknownNameError
 from newton_euler.model.control import PD
 from newton_euler.model.forces import Armature
-from newton_euler.model.motions import Polynomial, Sine, Sum
+from newton_euler.model.motions import Sum
+from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.trajectory import IntegrationError
 
 

@@ -25,8 +25,9 @@ from newton_euler.equations.system import System
 from newton_euler.errors import OptionError
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.forces import Wrench
-from newton_euler.model.motions import Polynomial, PrescribedMotion
+from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.trajectory import Trajectory
 from urdf import tight as urdf_tight
 from urdf.dynamics import PinocchioSystem

@@ -18,8 +18,10 @@ from newton_euler.model.control import ComputedTorque
 from newton_euler.model.euler_parameters import from_rotation_vector, product, rotations
 from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Spline
+from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial, Sine
+from newton_euler.model.splines import Spline
 from newton_euler.moving_base import base_motion_from_csv, on_moving_base
 
 WAVES = {

@@ -11,7 +11,8 @@ from newton_euler.equations.parameters import parameter_values, unambiguous
 from newton_euler.errors import MechanismError, OptionError, UnknownNameError
 from newton_euler.model.control import PD
 from newton_euler.model.forces import Armature, JointSpring
-from newton_euler.model.motions import Polynomial, Sine, Sum
+from newton_euler.model.motions import Sum
+from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.wind import WindLoad
 from newton_euler.variation import run_values
 

@@ -26,8 +26,9 @@ from newton_euler.model.joint_kinds import (
     Universal,
 )
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum
+from newton_euler.model.motions import PrescribedMotion, Sum
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.wind import WindLoad, wind_turbulence
 
 

@@ -29,8 +29,9 @@ from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.model.joint import Joint
-from newton_euler.model.motions import Polynomial, Sine, Sum, TimeFunction
+from newton_euler.model.motions import Sum, TimeFunction
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array
 

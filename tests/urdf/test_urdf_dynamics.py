@@ -23,8 +23,9 @@ from newton_euler.model.couplings import Gear
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Cylindrical, Revolute, Spherical, Universal
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion
+from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial
 from urdf.dynamics import PinocchioSystem
 
 

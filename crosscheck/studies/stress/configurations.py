@@ -30,8 +30,9 @@ from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import from_rotation_vector, product
 from newton_euler.model.joint_kinds import Prismatic, Revolute, Spherical, Universal
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Body, Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion
+from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import OutputName, Scene
+from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 

@@ -33,7 +33,7 @@ from newton_euler.model.control import ComputedTorque
 from newton_euler.model.couplings import Gear
 from newton_euler.model.forces import Armature, PointSpring, Wrench
 from newton_euler.model.joint_kinds import Fixed, Revolute, Spherical
-from newton_euler.model.motions import Polynomial
+from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.trajectory import IntegrationError, Trajectory
 
 LINKAGE = Path(__file__).parents[3] / "examples" / "linkage.xml"

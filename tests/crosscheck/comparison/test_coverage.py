@@ -26,8 +26,9 @@ from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.forces import Armature, JointSpring
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine
+from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial, Sine
 
 TOLERANCE = 2e-9
 """m and rad: of runs of two engines at rtol 1e-10."""

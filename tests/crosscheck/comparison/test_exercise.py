@@ -22,8 +22,9 @@ from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import constraint_rate
 from newton_euler.exercise import SHIFT, SPEED, SPIN, moving, swings
 from newton_euler.model.control import PD
-from newton_euler.model.motions import Sine, Sum
+from newton_euler.model.motions import Sum
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Sine
 from newton_euler.verification.activity import Bounds, Course
 
 ACTUATORS = (

@@ -21,8 +21,9 @@ from newton_euler.model.digital_control import Digital, Sampled
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint_kinds import Cylindrical
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum
+from newton_euler.model.motions import PrescribedMotion, Sum
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial, Sine
 
 
 def changed(content, path, value):

@@ -13,7 +13,8 @@ from crosscheck.scenes.size import check_functions, check_scene
 from newton_euler import PD, Body, JointSpring, Mechanism, PrescribedMotion, Scene
 from newton_euler.limits import changed
 from newton_euler.model.joint_kinds import Fixed
-from newton_euler.model.motions import Polynomial, Sine, Sum
+from newton_euler.model.motions import Sum
+from newton_euler.model.smooth_functions import Polynomial, Sine
 
 RAIL = mass_on_rail(duration=1.0)
 

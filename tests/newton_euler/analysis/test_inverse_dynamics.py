@@ -26,8 +26,10 @@ from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.forces import JointSpring, PointSpring, Wrench
 from newton_euler.model.joint_kinds import Prismatic, Revolute
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion, Spline
+from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial
+from newton_euler.model.splines import Spline
 from newton_euler.model.state import State
 from newton_euler.simulate import simulate
 from urdf.dynamics import PinocchioSystem

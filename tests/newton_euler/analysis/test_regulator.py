@@ -14,8 +14,8 @@ from crosscheck.scenes import load
 from newton_euler.errors import MechanismError, OptionError
 from newton_euler.model.joint_kinds import Revolute, Translational
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Sine
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Sine
 
 Q, R = np.diag([4.0, 9.0, 0.1, 0.2]), np.array([[0.5]])
 """Of rail, pole and their rates, and of the force."""

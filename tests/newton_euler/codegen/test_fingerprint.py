@@ -19,7 +19,8 @@ from newton_euler.codegen.fingerprint import PACKAGE, fingerprint
 from newton_euler.integrators.compiled import NEUTRAL, Code
 from newton_euler.model.digital_control import Sampled
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.motions import PrescribedMotion, Sine
+from newton_euler.model.motions import PrescribedMotion
+from newton_euler.model.smooth_functions import Sine
 
 HEAVIER = 1.0 + 2.0**-52
 

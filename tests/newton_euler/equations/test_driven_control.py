@@ -25,7 +25,8 @@ from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import at_time
 from newton_euler.errors import MechanismError
 from newton_euler.model.control import PD
-from newton_euler.model.motions import Polynomial, Sine, Sum
+from newton_euler.model.motions import Sum
+from newton_euler.model.smooth_functions import Polynomial, Sine
 from urdf.dynamics import PinocchioSystem
 
 MASS, STIFFNESS, DAMPING, TARGET = 2.0, 50.0, 4.0, 0.1

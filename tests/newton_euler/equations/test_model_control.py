@@ -25,8 +25,10 @@ from newton_euler.model.control import PD, ComputedTorque
 from newton_euler.model.digital_control import Digital
 from newton_euler.model.joint_kinds import Revolute, Translational
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Polynomial, Sine, Steps, Sum
+from newton_euler.model.motions import Sum
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial, Sine
+from newton_euler.model.splines import Steps
 from newton_euler.model.wind import WindLoad
 from urdf.dynamics import PinocchioSystem
 

@@ -25,8 +25,8 @@ from newton_euler.errors import MechanismError
 from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.joint_kinds import Revolute, Translational
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Sine
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Sine
 from urdf.dynamics import PinocchioSystem
 
 GAINS = {"rail": (-2.0, -4.0), "pole": (-60.0, -16.0)}

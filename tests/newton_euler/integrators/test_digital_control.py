@@ -17,8 +17,8 @@ from newton_euler.errors import MechanismError
 from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.digital_control import Digital
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.motions import Polynomial, Sine
 from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.trajectory import Trajectory
 
 ENGINES: dict[str, Callable[[Scene], Trajectory]] = {

@@ -21,7 +21,8 @@ from crosscheck.scenes import load
 from newton_euler import PD, Body, JointSpring, Mechanism, Scene
 from newton_euler.integrators.compiled import FORMULATIONS
 from newton_euler.model.joint_kinds import Prismatic
-from newton_euler.model.motions import PrescribedMotion, Sine
+from newton_euler.model.motions import PrescribedMotion
+from newton_euler.model.smooth_functions import Sine
 
 EXAMPLE = str(Path(__file__).parents[3] / "examples" / "four_bar.yaml")
 

@@ -1,0 +1,161 @@
+"""Functions of time that are smooth at all times, with their exact derivatives, over generic scalars."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+from newton_euler.errors import MechanismError, is_finite_number, set_numbers
+from newton_euler.scalars import Scalar, cos, sin
+
+HIGHEST = 1e15
+"""rad/s, or rad: a double holds no part of a turn beyond."""
+
+
+class Smooth:
+    """A function of time that has all derivatives at all times.
+
+    Attributes:
+        knots: s, the times at which a function has other derivatives after than before.
+        jumps: the knots at which its value jumps.
+        numbers: how many numbers say what it is between two knots.
+        is_constant: True if it has one value between two knots.
+    """
+
+    knots: ClassVar[tuple[float, ...]] = ()
+    jumps: ClassVar[tuple[float, ...]] = ()
+    numbers: ClassVar[int] = 0
+    is_constant: ClassVar[bool] = False
+
+    def covers(self, begin: float, end: float) -> bool:
+        """Return True if the function is known from one time to another, s."""
+        return True
+
+    def piece(self, time: float) -> tuple[float, ...]:
+        """Return the numbers of what the function is between the knots around a time in s."""
+        return ()
+
+    def on_piece(self, numbers: Sequence[Scalar]) -> Self:
+        """Return the smooth function of such numbers, scalars of any kind, which are not checked."""
+        return self
+
+
+@dataclass(frozen=True)
+class Polynomial(Smooth):
+    """c_0 + c_1 t + c_2 t^2 + ...
+
+    Attributes:
+        coefficients: c_k in m/s^k or rad/s^k.
+
+    Raises:
+        MechanismError: for coefficients that are no finite numbers.
+
+    Examples:
+        >>> Polynomial((0.1, 2.0)).value(3.0)
+        6.1
+    """
+
+    coefficients: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        given: Any = self.coefficients
+        if not isinstance(given, Iterable) or isinstance(given, str):
+            given = ()
+        given = tuple(given)
+        if not given or not all(
+            is_finite_number(c) and is_finite_number(k * k * c) for k, c in enumerate(given)
+        ):
+            needed = "one finite number or more, lowest power first"
+            raise MechanismError("polynomial", f"coefficients is {self.coefficients!r:.100}", needed)
+        object.__setattr__(self, "coefficients", tuple(float(c) for c in given))
+
+    def value(self, time: Scalar) -> Scalar:
+        """At a time in s: m or rad."""
+        return _horner(self.coefficients, self._since(time))
+
+    def rate(self, time: Scalar) -> Scalar:
+        """First derivative, m/s or rad/s."""
+        return _horner(_derived(self.coefficients), self._since(time))
+
+    def acceleration(self, time: Scalar) -> Scalar:
+        """Second derivative, m/s^2 or rad/s^2."""
+        return _horner(_derived(_derived(self.coefficients)), self._since(time))
+
+    def _since(self, time: Scalar) -> Scalar:
+        """Compute t, s, at a time in s."""
+        return time
+
+
+@dataclass(frozen=True)
+class Piece(Polynomial):
+    """A polynomial with t counted from a start in s: what a function with knots is between two of them.
+
+    Its numbers may be scalars of any kind, and are not checked.
+    """
+
+    start: Scalar
+
+    def __post_init__(self) -> None:
+        """Take the numbers as they are."""
+
+    def _since(self, time: Scalar) -> Scalar:
+        return time - self.start
+
+
+def _horner(coefficients: tuple[float, ...], time: Scalar) -> Scalar:
+    total: Scalar = 0.0
+    for c in reversed(coefficients):
+        total = total * time + c
+    return total
+
+
+def _derived(coefficients: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(k * c for k, c in enumerate(coefficients))[1:]
+
+
+@dataclass(frozen=True)
+class Sine(Smooth):
+    """offset + amplitude sin(angular_frequency t + phase).
+
+    Attributes:
+        amplitude, offset: m or rad.
+        angular_frequency: rad/s.
+        phase: rad.
+
+    Raises:
+        MechanismError: for a value that is no finite number.
+
+    Examples:
+        >>> float(Sine(amplitude=0.5, angular_frequency=2.0).rate(0.0))
+        1.0
+    """
+
+    amplitude: float
+    angular_frequency: float
+    phase: float = 0.0
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        set_numbers(self, "sine", ("amplitude", "angular_frequency", "phase", "offset"))
+        w = self.angular_frequency
+        if not is_finite_number(self.amplitude * w * w) or abs(w) > HIGHEST or abs(self.phase) > HIGHEST:
+            problem = (
+                f"amplitude is {self.amplitude:g}, angular_frequency {w:g} rad/s, phase {self.phase:g} rad"
+            )
+            needed = f"an acceleration that a double holds, and phases of at most {HIGHEST:g} rad"
+            raise MechanismError("sine", problem, needed)
+
+    def value(self, time: Scalar) -> Scalar:
+        """At a time in s: m or rad."""
+        return self.offset + self.amplitude * sin(self.angular_frequency * time + self.phase)
+
+    def rate(self, time: Scalar) -> Scalar:
+        """First derivative, m/s or rad/s."""
+        w = self.angular_frequency
+        return self.amplitude * w * cos(w * time + self.phase)
+
+    def acceleration(self, time: Scalar) -> Scalar:
+        """Second derivative, m/s^2 or rad/s^2."""
+        w = self.angular_frequency
+        return -(self.amplitude * w * w) * sin(w * time + self.phase)
