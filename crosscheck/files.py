@@ -12,7 +12,7 @@ from itertools import product
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.workers import tidied_up
+from crosscheck.limit import tidied_up
 from newton_euler.model.trajectory import atomic_file
 
 ABANDONED = 60.0

@@ -87,3 +87,20 @@ def limited(what: str, advice: str, progress: Callable[[str], None]) -> Iterator
     except TooLongError:
         message = f"{what}: given up after {most:g} s of processor time; {advice}; {too_small('time')}"
         raise TooLongError(message) from None
+
+
+@contextmanager
+def tidied_up() -> Iterator[None]:
+    """A block that a request to end interrupts as Ctrl-C does, so that it tidies up behind itself.
+
+    Elsewhere there is nothing to tidy up, and Python would hear of the request only after what runs in
+    native code.
+    """
+    if threading.current_thread() is not threading.main_thread():  # the only one that hears of signals
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

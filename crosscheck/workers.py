@@ -6,14 +6,14 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, as_completed
-from contextlib import contextmanager
 from typing import TypeVar
 
 from pebble import ProcessExpired, ProcessPool
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.limit import tidied_up
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -76,23 +76,6 @@ def _run(function: Callable[[Task], Result], task: Task, limit: float) -> Result
         return function(task)
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
-
-
-@contextmanager
-def tidied_up() -> Iterator[None]:
-    """A block that a request to end interrupts as Ctrl-C does, so that it tidies up behind itself.
-
-    Elsewhere there is nothing to tidy up, and Python would hear of the request only after what runs in
-    native code.
-    """
-    if threading.current_thread() is not threading.main_thread():  # the only one that hears of signals
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _end_with_parent() -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from mjcf.errors import ModelError
 from mjcf.forces import WIND_MOTORS, wind_loads, wind_site
 from mjcf.layout import Layout
+from mjcf.loops import body_velocity
 from mjcf.write import controls, welded_to_xml
 from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.engine_control import EngineControl
@@ -212,28 +213,3 @@ class CompiledScene:
             linear,
             angular,
         )
-
-    def joint_point(self, joint: int) -> Array:
-        """(3,) the point, in the world now, that reactions of a welded joint are reduced to."""
-        mechanism = self.welded.mechanism
-        point = mechanism.joints[joint].reaction_point
-        second = mechanism.equations[joint].second
-        if second == 0:  # the world body, whose origin is not the ground's center of mass
-            return point
-        index = self.body_id[second]
-        arm = mechanism.bodies[second].pose.point_to_body(point)
-        return np.asarray(self.data.xpos[index] + self.data.xmat[index].reshape(3, 3) @ arm)
-
-
-def body_velocity(model: Any, data: Any, body: int) -> tuple[Array, Array]:
-    """(3,) of the center of mass, m/s, and (3,) angular, rad/s, after `mj_fwdVelocity`."""
-    out = np.zeros(6)
-    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, body, out, 0)
-    return out[3:], out[:3]
-
-
-def body_acceleration(model: Any, data: Any, body: int) -> tuple[Array, Array]:
-    """(3,) of the center of mass, m/s^2, and (3,) angular, rad/s^2, after `mj_rnePostConstraint`."""
-    out = np.zeros(6)
-    mujoco.mj_objectAcceleration(model, data, mujoco.mjtObj.mjOBJ_BODY, body, out, 0)
-    return out[3:] + model.opt.gravity, out[:3]  # without gravity it is what an accelerometer reads

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from mjcf.evaluate import all_loops, closes, constraint_jacobian, evaluation, loops, mass_and_force
-from mjcf.model import CompiledScene
+from mjcf.evaluate import EvaluatedScene, constraint_jacobian, mass_and_force
+from mjcf.loops import all_loops, closes, loops
 from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.engine_control import EngineControl, servo_forces
 from newton_euler.equations.redundancy import rows_left_out, without
@@ -29,7 +29,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
 
-class RigidMuJoCo(CompiledScene):
+class RigidMuJoCo(EvaluatedScene):
     """A `newton_euler.equations.system.System` in tree coordinates q (nq,), v (nv,)."""
 
     name = "mujoco_rigid"
@@ -142,7 +142,7 @@ class RigidMuJoCo(CompiledScene):
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Accelerations, reactions and energies at a state."""
         acceleration, multipliers = self._solve(q, v)
-        return evaluation(self, self.layout.to_qvel @ acceleration, multipliers[self._present()])
+        return self.evaluation(self.layout.to_qvel @ acceleration, multipliers[self._present()])
 
     def _solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """vdot (nv,) and the multipliers (k,) of MuJoCo's constraint rows."""

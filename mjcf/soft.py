@@ -25,9 +25,8 @@ import mujoco
 import numpy as np
 from scipy.integrate import simpson
 
-from mjcf.evaluate import evaluation
+from mjcf.evaluate import EvaluatedScene
 from mjcf.forces import wind_loads
-from mjcf.model import CompiledScene
 from mjcf.rigid import RigidMuJoCo
 from mjcf.write import control
 from newton_euler.equations.engine_control import EngineControl
@@ -45,7 +44,7 @@ def stiffest(step: float, damping_ratio: float = 1.0) -> tuple[float, float]:
 RK4_WEIGHTS = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
 
 
-class SoftMuJoCo(CompiledScene):
+class SoftMuJoCo(EvaluatedScene):
     """Equations by `mj_forward`: accelerations and constraint forces of soft constraints.
 
     Attributes:
@@ -87,7 +86,7 @@ class SoftMuJoCo(CompiledScene):
         self.data.qacc_warmstart[:] = 0.0  # so that the answer does not depend on the state before
         with self.following():
             mujoco.mj_forward(self.model, self.data)
-        return evaluation(self, np.array(self.data.qacc), np.array(self.data.efc_force))
+        return self.evaluation(np.array(self.data.qacc), np.array(self.data.efc_force))
 
     @contextmanager
     def following(self) -> Iterator[None]:
@@ -154,12 +153,15 @@ class SoftMuJoCo(CompiledScene):
         """
         model, data, size = self.model, self.data, self.model.opt.timestep
         runge_kutta = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
-        powers, work = [self._power()] if runge_kutta else [], 0.0
+        powers, work = list[float](), 0.0
         for _ in range(number):
             start = np.array(data.qvel)
             self._asked.clear()
             self._stages.clear()
-            mujoco.mj_step(model, data)
+            if runge_kutta:
+                powers.append(self._runge_kutta_step())
+            else:
+                mujoco.mj_step(model, data)
             if warnings:
                 return work
             mean = 0.5 * size * (start + data.qvel)
@@ -168,16 +170,27 @@ class SoftMuJoCo(CompiledScene):
                 multipliers = np.array([*self._stages, data.efc_force[self._rows_of_motions(data)]])
                 weights = RK4_WEIGHTS if runge_kutta else np.ones(1)
                 work += float(weights @ multipliers @ mean[self.moved])
-            if runge_kutta:
-                powers.append(self._power())
-            else:
+            if not runge_kutta:
                 work += float(self._applied(start) @ mean)
-        return work + (float(simpson(powers, dx=size)) if runge_kutta else 0.0)
+        if runge_kutta:
+            mujoco.mj_forward(model, data)
+            work += float(simpson([*powers, self._power()], dx=size))
+        return work
+
+    def _runge_kutta_step(self) -> float:
+        """Make a step of RK4 as `mj_step` does; the power, W, of actuators and dampers before it."""
+        model, data = self.model, self.data
+        mujoco.mj_checkPos(model, data)
+        mujoco.mj_checkVel(model, data)
+        mujoco.mj_forward(model, data)
+        mujoco.mj_checkAcc(model, data)
+        power = self._power()
+        mujoco.mj_RungeKutta(model, data, len(RK4_WEIGHTS))
+        return power
 
     def _power(self) -> float:
-        """Power, W, of actuators and dampers at the state that `data` holds."""
+        """Power, W, of actuators and dampers, worked out for the state that `data` holds."""
         data = self.data
-        mujoco.mj_forward(self.model, data)
         return float(data.actuator_force @ data.actuator_velocity + data.qfrc_damper @ data.qvel)
 
     def _applied(self, start: Array) -> Array:

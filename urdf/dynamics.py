@@ -23,6 +23,7 @@ from newton_euler.equations.model_control import roles
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, without
 from newton_euler.equations.system import Evaluation, MassProperties, Observation
 from newton_euler.errors import SingularityError
+from newton_euler.model.constraints import Frame
 from newton_euler.model.control import NO_FORCES
 from newton_euler.model.euler_parameters import from_rotation
 from newton_euler.model.joint import Key
@@ -359,19 +360,17 @@ class PinocchioSystem:
     def state(self, q: Array, v: Array) -> State:
         """Body poses and velocities by Pinocchio's forward kinematics."""
         pin.forwardKinematics(self._model, self._data, self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v))
-        return self._state()
+        return _state(self._frames())
 
-    def _state(self) -> State:
-        """The state that the last forward kinematics left."""
+    def _frames(self) -> list[Frame]:
+        """Of the bodies, as the last forward kinematics left them."""
         pin.updateFramePlacements(self._model, self._data)
-        poses = [self._data.oMf[frame] for frame in self._bodies]
+        poses = [self._data.oMf[frame].copy() for frame in self._bodies]
         velocities = self._frame_motions(pin.getFrameVelocity)
-        return State(
-            np.array([pose.translation for pose in poses]),
-            np.array([from_rotation(pose.rotation) for pose in poses]),
-            velocities[:, :3],
-            velocities[:, 3:],
-        )
+        return [
+            Frame(pose.translation, pose.rotation, velocity[:3], velocity[3:])
+            for pose, velocity in zip(poses, velocities, strict=True)
+        ]
 
     def _frame_motions(self, of: Any) -> Array:
         """(b, 6) linear and angular velocities or accelerations of the bodies, world frame."""
@@ -395,7 +394,7 @@ class PinocchioSystem:
         pin_q, pin_v = self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
         pin_a = self.map.v_to_pinocchio(qddot)
         pin.forwardKinematics(self._model, self._data, pin_q, pin_v, pin_a)
-        state = self._state()
+        frames = self._frames()
         closure_wrenches = self._closure_wrenches(multipliers)
         cut_wrenches = [
             (self._model.getFrameId(name, pin.FrameType.BODY), sign * wrench)
@@ -414,7 +413,7 @@ class PinocchioSystem:
             self._data,
             [wrench.vector for wrench in closure_wrenches],
             [wrench.vector for wrench in applied],
-            state,
+            frames,
             accelerations,
         )
         actuation = self.actuation(q, v)
@@ -422,12 +421,12 @@ class PinocchioSystem:
         columns = self.map.v_from_pinocchio(np.reshape(self._data.J, (6, self.nv)))
         forces_on = -self._rotors.single * qddot
         np.add.at(forces_on, self._actuated_v, actuation)
-        points = joint_points(self.scene, state)
+        points = joint_points(self.mechanism, frames)
         forces, torques = reactions(wrenches, points, driven(self._tree, columns, points, forces_on))
-        for joint, torque in self._rotors.torques(state.frames(), accelerations[:, 3:]):
+        for joint, torque in self._rotors.torques(frames, accelerations[:, 3:]):
             torques[joint] -= torque
         return Evaluation(
-            **vars(self._observation(state, q, v)),
+            **vars(self._observation(_state(frames), q, v)),
             linear_acceleration=accelerations[:, :3],
             angular_acceleration=accelerations[:, 3:],
             reaction_force=forces,
@@ -461,3 +460,13 @@ class PinocchioSystem:
         for body, wrench in (*self._balls.wrenches(q, v, rotations), *on_points):
             found[body] += wrench
         return found
+
+
+def _state(frames: Sequence[Frame]) -> State:
+    """The state of bodies."""
+    return State(
+        np.array([frame.position for frame in frames]),
+        np.array([from_rotation(frame.rotation) for frame in frames]),
+        np.array([frame.velocity for frame in frames]),
+        np.array([frame.angular_velocity for frame in frames]),
+    )

@@ -5,17 +5,17 @@ A wrench here is (6,): force and torque about the world's origin, world frame.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.constraints import Frame
 from newton_euler.model.hinge_angles import dual_axes
+from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree, WeldedMechanism, motion_names
-from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 
@@ -48,14 +48,12 @@ def driven(tree: SpanningTree, columns: Array, points: Array, forces: Array) -> 
     return found
 
 
-def joint_points(scene: Scene, state: State) -> Array:
+def joint_points(mechanism: Mechanism, frames: Sequence[Frame]) -> Array:
     """(j, 3) the joint points on the second bodies, world frame."""
-    mechanism = scene.mechanism
     points = np.zeros((len(mechanism.joints), 3))
-    for index, joint in enumerate(mechanism.joints):
-        second = mechanism.body_index(joint.second)
-        local = mechanism.bodies[second].pose.point_to_body(joint.reaction_point)
-        points[index] = state.position[second] + rotation(state.quaternion[second]) @ local
+    for index, equations in enumerate(mechanism.equations):
+        body = frames[equations.second]
+        points[index] = body.position + body.rotation @ mechanism.reaction_arms[index]
     return points
 
 
@@ -80,7 +78,7 @@ def joint_wrenches(
     data: Any,
     closure_wrenches: list[Array],
     applied: list[Array],
-    state: State,
+    frames: Sequence[Frame],
     accelerations: Array,
 ) -> Array:
     """Compute the wrench of each joint of the welded mechanism on its second body, forces included.
@@ -91,7 +89,7 @@ def joint_wrenches(
         model, data: Pinocchio's, after `rnea` under the wrenches below.
         closure_wrenches: (6,) for each cut, on its second body.
         applied: (6,) for each body of that mechanism, of springs of balls and between points and of wrenches.
-        state: of the bodies.
+        frames: of the bodies.
         accelerations: (b, 6) of the bodies, linear and angular.
 
     Returns:
@@ -110,7 +108,7 @@ def joint_wrenches(
         else:
             # Pinocchio merges links that a fixed joint connects: what is left of the child's balance
             child = welded.mechanism.bodies[kept.child].name
-            on_child = _needed_wrench(scene, welded, kept.child, state, accelerations)
+            on_child = _needed_wrench(scene, welded, kept.child, frames, accelerations)
             on_child -= applied[kept.child]
             for index, joint in enumerate(joints):
                 if index != kept.joint and child in (joint.first, joint.second):
@@ -120,16 +118,15 @@ def joint_wrenches(
 
 
 def _needed_wrench(
-    scene: Scene, welded: WeldedMechanism, index: int, state: State, accelerations: Array
+    scene: Scene, welded: WeldedMechanism, index: int, frames: Sequence[Frame], accelerations: Array
 ) -> Array:
     """Compute the wrench of all joints of a body together: Newton's and Euler's equations."""
     body, whole = welded.mechanism.bodies[index], welded.origin[index]
-    a = rotation(state.quaternion[whole])
-    omega = state.angular_velocity[whole]
+    position, a, _, omega = frames[whole]
     inertia = a @ body.inertia @ a.T
     force = body.mass * (accelerations[whole, :3] - scene.gravity)
     torque = inertia @ accelerations[whole, 3:] + np.cross(omega, inertia @ omega)
-    return np.concatenate([force, torque + np.cross(state.position[whole], force)])
+    return np.concatenate([force, torque + np.cross(position, force)])
 
 
 def reactions(wrenches: Array, points: Array, actuation: list[tuple[int, Array]]) -> tuple[Array, Array]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-
-from pydantic import BaseModel
 
 from crosscheck.comparison.figure import OF_RUNS, Figure
 from crosscheck.engines import ENGINES
@@ -16,9 +15,9 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.files import write_files
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.table import Report
-from crosscheck.results import read_json
 from crosscheck.run import Crosscheck
 from newton_euler.model.scene import Scene
+from newton_euler.model.source_file import SourceError, read_content
 from newton_euler.model.trajectory import Trajectory
 
 PLAIN = re.compile(r"[\w:/.-]+", re.ASCII)
@@ -121,18 +120,13 @@ def check_own(folder: Path, sources: Sequence[str], results: str = "crosscheck")
             )
 
 
-class _Source(BaseModel):
-    source: str = ""
-
-
-class _Told(_Source):
-    models: list[_Source] | None = None
-
-
 def _sources(path: Path) -> list[str]:
     """The models that results are of; none if the file is none of results, or is too large to be."""
     try:
-        found = read_json(path, _Told)
-    except CrosscheckError:
+        found = json.loads(read_content(path, "result_size"))
+    except (SourceError, ValueError, RecursionError):
         return []
-    return [model.source for model in found.models or [found]]
+    models = [found] if isinstance(found, dict) else []
+    if models and isinstance(found.get("models"), list):
+        models = [model for model in found["models"] if isinstance(model, dict)]
+    return [str(model.get("source", "")) for model in models]

@@ -15,6 +15,7 @@ import numpy as np
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable
+from crosscheck.limit import tidied_up
 from crosscheck.load import load_scene
 from crosscheck.sweeps.distributions import Vary
 from crosscheck.sweeps.execute import Pace, Workers, in_any_order, probed, workers
@@ -22,7 +23,6 @@ from crosscheck.sweeps.plan import STOPPED, Plan, run_all, run_chunk
 from crosscheck.sweeps.reductions import Keep, reductions
 from crosscheck.sweeps.sampling import SamplingName, samples_of
 from crosscheck.sweeps.store import ERROR, NAME, STATUS, Store, libraries, store_chunk
-from crosscheck.workers import tidied_up
 from newton_euler.integrators.options import IntegratorName, StepControl
 from newton_euler.model.scene import Scene
 

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from mjcf.layout import element_name
-from mjcf.model import body_velocity
+from mjcf.loops import body_velocity
 from mjcf.reading.source import SourceError
 from mjcf.reading.start import Start
 from newton_euler.model.euler_parameters import rotation

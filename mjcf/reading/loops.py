@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjcf.evaluate import ends
+from mjcf.loops import ends
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.joints import Joints
 from mjcf.reading.start import TORQUE_SCALE, Start

@@ -7,8 +7,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjcf.evaluate import constraint_jacobian, ends
+from mjcf.evaluate import constraint_jacobian
 from mjcf.layout import element_name
+from mjcf.loops import ends
 from mjcf.reading.source import SourceError
 from newton_euler.equations.loop_closure import FileStart, Units, reach
 from newton_euler.errors import choices

@@ -397,6 +397,13 @@ class Mechanism:
         """The joints' equations in the frames of the bodies."""
         return self.attach([body.pose for body in self.bodies])
 
+    @cached_property
+    def reaction_arms(self) -> tuple[Array, ...]:
+        """The joint points on the second bodies, (3,) m from the center of mass, in the body's frame."""
+        return tuple(
+            self.bodies[each.second].pose.point_to_body(each.joint.reaction_point) for each in self.equations
+        )
+
     def shapes(self, index: int) -> tuple[Shape, ...]:
         """Return shapes of body number `index`: its own, or bars from its center to its joints."""
         body = self.bodies[index]

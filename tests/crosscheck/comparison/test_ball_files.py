@@ -25,7 +25,7 @@ from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.catalog import catalog
 from crosscheck.studies.faults.find import Sound, find
 from crosscheck.studies.faults.plant import Plant
-from mjcf.model import body_acceleration
+from mjcf.loops import body_acceleration
 from newton_euler import BallArmature, BallSpring, JointSpring, Mechanism
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative

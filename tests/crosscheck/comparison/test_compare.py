@@ -21,7 +21,7 @@ from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from crosscheck.studies.stress.noise import sarrus
-from mjcf.evaluate import loops
+from mjcf.loops import loops
 from mjcf.rigid import RigidMuJoCo
 from newton_euler.assemble import initial_state
 from newton_euler.equations.redundancy import mobility

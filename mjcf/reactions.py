@@ -1,0 +1,118 @@
+"""Joint reactions out of the balances of bodies that MuJoCo has worked out."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from mjcf.loops import closes, loops
+from mjcf.model import CompiledScene
+from newton_euler.model.hinge_angles import dual_axes
+from newton_euler.scalars import Array
+
+
+class Reactions:
+    """Reactions of a scene's joints at the states that MuJoCo's `data` holds, once forces are known.
+
+    A joint in the tree carries cfrc_int of its child less what its actuators, springs and rotors do; a cut
+    ball or rod carries its multipliers. Welds hold no joint of the original mechanism.
+    """
+
+    def __init__(self, compiled: CompiledScene) -> None:
+        self._compiled, model, mechanism = compiled, compiled.model, compiled.welded.mechanism
+        self._count, self._laws = len(compiled.mechanism.joints), len(compiled.scene.control)
+        self._cuts = {
+            index: mechanism.joint_index(model.equality(index).name)
+            for index in range(model.neq)
+            if closes(model, index) and model.eq_type[index] != mujoco.mjtEq.mjEQ_WELD
+        }
+        # others are of bodies that only rods hold
+        kept = [kept for kept in compiled.tree.joints if kept.joint < len(mechanism.joints)]
+        self._kept = np.array([each.joint for each in kept], dtype=int)
+        self._signs = np.array([1.0 if each.forward else -1.0 for each in kept])[:, None]
+        self._children = np.array([compiled.body_id[each.child] for each in kept], dtype=int)
+        seconds = [mechanism.equations[joint].second for joint in self._kept]
+        self._seconds = np.array([compiled.body_id[second] for second in seconds], dtype=int)
+        # the origin of the world body is not the ground's center of mass
+        arms = [
+            mechanism.reaction_arms[joint] if second else mechanism.joints[joint].reaction_point
+            for joint, second in zip(self._kept, seconds, strict=True)
+        ]
+        self._arms = np.reshape(arms, (-1, 3, 1))
+        of_type, bodies = model.jnt_type, model.jnt_bodyid
+        self._balls = np.flatnonzero(of_type == mujoco.mjtJoint.mjJNT_BALL).tolist()
+        self._slides = np.flatnonzero(of_type == mujoco.mjtJoint.mjJNT_SLIDE)
+        self._hinges = np.flatnonzero(of_type == mujoco.mjtJoint.mjJNT_HINGE)
+        kinds = 4 * bodies + of_type
+        self._in_row = [np.flatnonzero(kinds == kind) for kind in np.flatnonzero(np.bincount(kinds) > 1)]
+        self._beyond_slides: list[tuple[int, Array]] = []
+        for number, child in enumerate(self._children):
+            slides, hinges = (found[bodies[found] == child] for found in (self._slides, self._hinges))
+            if len(slides) and len(hinges) > 1:
+                self._beyond_slides.append((number, hinges))
+
+    def now(self) -> tuple[Array, Array]:
+        """(j, 3) forces and torques on the second bodies at the joint points."""
+        compiled, model, data = self._compiled, self._compiled.model, self._compiled.data
+        forces, torques = np.zeros((2, len(compiled.welded.mechanism.joints), 3))
+        for loop in loops(model, data):
+            if loop.index in self._cuts:
+                forces[self._cuts[loop.index]] = loop.force_on_second()
+        points = self._points()
+        applied = self._drives(points)[self._children]
+        on_child = data.cfrc_int[self._children]
+        force, torque = on_child[:, 3:], on_child[:, :3]
+        arms = data.subtree_com[model.body_rootid[self._children]] - points
+        forces[self._kept] = self._signs * (force - applied[:, :3])
+        torques[self._kept] = self._signs * (torque + np.cross(arms, force) - applied[:, 3:])
+        return forces[: self._count], torques[: self._count]
+
+    def _points(self) -> Array:
+        """(k, 3) the points, in the world now, that reactions of joints in the tree are reduced to."""
+        data = self._compiled.data
+        turned = data.xmat[self._seconds].reshape(-1, 3, 3) @ self._arms
+        return np.asarray(data.xpos[self._seconds] + turned[:, :, 0])
+
+    def _drives(self, points: Array) -> Array:
+        """(nbody, 6) force and torque on each of MuJoCo's bodies by what drives the joint above it.
+
+        That is its actuators, springs and rotors. Of several hinges or slides, each is driven so that no work
+        is done on the others: what pushes a slide has no torque about the joint point where all hinges meet.
+        """
+        model, data = self._compiled.model, self._compiled.data
+        places, velocities = model.jnt_qposadr, model.jnt_dofadr
+        stretch = data.qpos[places] - model.qpos_spring[places]
+        forces = -model.jnt_stiffness * stretch - model.dof_damping[velocities] * data.qvel[velocities]
+        # MuJoCo's balances of bodies know nothing of armatures
+        forces -= model.dof_armature[velocities] * data.qacc[velocities]
+        laws = self._laws
+        np.add.at(forces, model.actuator_trnid[:laws, 0], data.actuator_force[:laws])
+        wrenches = np.zeros((model.nbody, 6))
+        for ball in self._balls:
+            turn = data.xmat[model.jnt_bodyid[ball]].reshape(3, 3)
+            wrenches[model.jnt_bodyid[ball], 3:] += turn @ self._ball_torque(ball)
+        duals = np.array(data.xaxis)  # one alone of its kind is of length 1, and its own
+        for row in self._in_row:
+            duals[row] = dual_axes(duals[row])
+        pushes = forces[:, None] * duals
+        np.add.at(wrenches[:, :3], model.jnt_bodyid[self._slides], pushes[self._slides])
+        np.add.at(wrenches[:, 3:], model.jnt_bodyid[self._hinges], pushes[self._hinges])
+        for number, hinges in self._beyond_slides:
+            axes, arms, child = (
+                data.xaxis[hinges],
+                points[number] - data.xanchor[hinges],
+                self._children[number],
+            )
+            work = np.sum(np.cross(axes, arms) * wrenches[child, :3], axis=1)
+            wrenches[child, 3:] -= work @ dual_axes(axes)
+        return wrenches
+
+    def _ball_torque(self, ball: int) -> Array:
+        """(3,) N m on the child of a ball by its spring, damper and rotor, in the child's frame."""
+        model, data = self._compiled.model, self._compiled.data
+        on_q = slice(model.jnt_qposadr[ball], model.jnt_qposadr[ball] + 4)
+        on_v = slice(model.jnt_dofadr[ball], model.jnt_dofadr[ball] + 3)
+        turned = np.empty(3)
+        mujoco.mju_subQuat(turned, data.qpos[on_q], model.qpos_spring[on_q])
+        torque = -model.jnt_stiffness[ball] * turned - model.dof_damping[on_v] * data.qvel[on_v]
+        return np.asarray(torque - model.dof_armature[on_v] * data.qacc[on_v])
