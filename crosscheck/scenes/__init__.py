@@ -104,4 +104,11 @@ def _read(name: str, given: dict[str, str | float]) -> dict[str, str | float]:
         if read is None:
             raise CrosscheckError(f"{option} of scene {name!r} is {value!r}; {known[option].wanted}")
         options[option] = read
+    for option in options:
+        if beside := known[option].beside:
+            default = known[beside.option].default
+            other = options.get(beside.option, default)
+            if other == default if beside.value is None else other != beside.value:
+                where = f"{option} of scene {name!r} has no effect with {beside.option}={other}"
+                raise CrosscheckError(f"{where}; needed: {beside}")
     return options

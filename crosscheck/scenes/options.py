@@ -1,7 +1,8 @@
 """The options of a scene: what each of them can be, read off the annotations of the scene's function.
 
-`Literal["a", "b"]` is a choice of texts, `Annotated[int, range(1, 10)]` a whole number, `Annotated[float,
-Between(0.0, 1.0, "m")]` a number, and `Annotated[str, Text("PATH")]` any text.
+`Literal["a", "b"]` is a choice of texts, `Annotated[int, range(1, 10), "kg"]` a whole number and its unit,
+`Annotated[float, Between(0.0, 1.0, "m")]` a number, and `Annotated[str, Text("PATH")]` any text. What has an
+effect beside another option's value alone is annotated with that, as `Beside("wind", "gust")`.
 """
 
 from __future__ import annotations
@@ -41,6 +42,18 @@ class Text(NamedTuple):
         return self.word
 
 
+class Beside(NamedTuple):
+    """Another option, and the value that it has to have; any but its default if None."""
+
+    option: str
+    value: str | None = None
+
+    def __str__(self) -> str:
+        if self.value is None:
+            return f"another {self.option}"
+        return f"{self.option}={self.value}" if self.value else f"no {self.option}"
+
+
 @dataclass(frozen=True)
 class Option:
     """An option of a scene.
@@ -48,16 +61,22 @@ class Option:
     Attributes:
         values: texts or numbers that it can be.
         default: the value unless another is given.
+        beside: what it has an effect beside alone; None for anything.
+        unit: of whole numbers.
     """
 
     values: tuple[str, ...] | range | Between | Text
     default: str | int | float
+    beside: Beside | None = None
+    unit: str = ""
 
     def __str__(self) -> str:
         values = self.values
         if isinstance(values, Between | Text):
             return str(values)
-        return f"{values[0]}..{values[-1]}" if isinstance(values, range) else "|".join(values)
+        if isinstance(values, range):
+            return f"{values[0]}..{values[-1]} {self.unit}".strip()
+        return "|".join(values)
 
     @property
     def wanted(self) -> str:
@@ -90,11 +109,14 @@ def options_of(scene: Callable[..., Any]) -> dict[str, Option]:
     """Return the options of a scene's function by name."""
     hints = get_type_hints(scene, include_extras=True)
     return {
-        name: Option(_values(hints[name]), parameter.default)
+        name: _option(hints[name], parameter.default)
         for name, parameter in inspect.signature(scene).parameters.items()
     }
 
 
-def _values(hint: Any) -> tuple[str, ...] | range | Between | Text:
+def _option(hint: Any, default: str | float) -> Option:
     arguments = get_args(hint)
-    return next((each for each in arguments if isinstance(each, range | Between | Text)), arguments)
+    numbers = next((each for each in arguments if isinstance(each, range | Between | Text)), None)
+    beside = next((each for each in arguments if isinstance(each, Beside)), None)
+    units = [each for each in arguments if isinstance(each, str)] if numbers else []
+    return Option(numbers or arguments, default, beside, "".join(units))

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from crosscheck.scenes.options import Between, Text
+from crosscheck.scenes.options import Beside, Between, Text
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import Box, Capsule, Mesh, Shape
@@ -151,11 +151,13 @@ def tracker_aligned() -> Scene:
     )
 
 
-Amplitude = Annotated[float, Between(0.0, 0.5, "rad")]
+WAVES = Beside("poses", "")
 
-Height = Annotated[float, Between(0.0, 2.0, "m")]
+Amplitude = Annotated[float, Between(0.0, 0.5, "rad"), WAVES]
 
-Period = Annotated[float, Between(1.0, 60.0, "s")]
+Height = Annotated[float, Between(0.0, 2.0, "m"), WAVES]
+
+Period = Annotated[float, Between(1.0, 60.0, "s"), WAVES]
 
 
 def tracker_on_boat(

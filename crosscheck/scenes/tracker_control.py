@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError
-from crosscheck.scenes.options import Between
+from crosscheck.scenes.options import Beside, Between
 from crosscheck.scenes.tracker import tracker_gravity
 from newton_euler.analysis.regulator import lqr
 from newton_euler.assemble import start
@@ -33,13 +32,16 @@ REFERENCE = {
 A regulator is designed about the middle."""
 
 
+COMPUTER = Beside("period")
+
+
 def tracker_computed_torque(
     controller: Literal["computed_torque", "pd", "pd_gravity", "lqr"] = "computed_torque",
     period: Annotated[float, Between(0.0, 0.05, "s")] = 0.0,
-    delay: Annotated[int, range(11)] = 0,
-    resolution: Annotated[float, Between(0.0, 0.001, "m")] = 0.0,
-    force_limit: Annotated[float, Between(0.0, 1000.0, "N")] = 0.0,
-    mass_error: Annotated[float, Between(-0.5, 0.5, "of it")] = 0.0,
+    delay: Annotated[int, range(11), "periods", COMPUTER] = 0,
+    resolution: Annotated[float, Between(0.0, 0.001, "m"), COMPUTER] = 0.0,
+    force_limit: Annotated[float, Between(0.0, 1000.0, "N"), COMPUTER] = 0.0,
+    mass_error: Annotated[float, Between(-0.5, 0.5, "of it"), Beside("controller", "computed_torque")] = 0.0,
 ) -> Scene:
     """The tracker under gravity, both sliders on a smooth reference, 2 s.
 
@@ -52,12 +54,6 @@ def tracker_computed_torque(
         mass_error: of the panel's mass in the model that computed torque has.
     """
     scene = replace(tracker_gravity(), duration=2.0)
-    effects = {"delay": delay, "resolution": resolution, "force_limit": force_limit}
-    used = [name for name, value in effects.items() if value]
-    if used and not period:
-        raise CrosscheckError(f"{used[0]} is one of a computer; needed: its period as well")
-    if mass_error and controller != "computed_torque":
-        raise CrosscheckError(f"mass_error is one of a model, which {controller} does not have")
     laws = _laws(scene, controller, mass_error)
     control: tuple[Law, ...] = laws
     if period:

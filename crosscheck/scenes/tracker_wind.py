@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from crosscheck.scenes.options import Beside, Between
 from crosscheck.scenes.tracker import PANEL, tracker_gravity
 from newton_euler.model.control import PD
 from newton_euler.model.motions import TimeFunction
@@ -42,9 +43,9 @@ SINES = 16
 
 def tracker_wind(
     wind: Literal["turbulent", "gust", "steady"] = "turbulent",
-    speed: Annotated[int, range(61)] = 10,
-    direction: Annotated[int, range(360)] = 30,
-    seed: Annotated[int, range(1000)] = 1,
+    speed: Annotated[float, Between(0.0, 60.0, "m/s")] = 10.0,
+    direction: Annotated[float, Between(0.0, 360.0, "deg")] = 30.0,
+    seed: Annotated[int, range(1000), Beside("wind", "turbulent")] = 1,
 ) -> Scene:
     """The tracker under gravity and wind, its sliders sent up and down by stiff PD laws, 5 s.
 
@@ -64,7 +65,7 @@ def tracker_wind(
         first_side=2.0 * PANEL[0] * axes[:, 0],
         second_side=2.0 * PANEL[1] * axes[:, 1],
         direction=[np.cos(angle), np.sin(angle), 0.0],
-        speed=_speed(wind, float(speed), seed),
+        speed=_speed(wind, speed, seed),
     )
     control = tuple(
         PD(law.joint, STIFFNESS, DAMPING, _up_and_down(stroke, period), feedforward=weight)

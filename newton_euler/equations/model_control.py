@@ -15,14 +15,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from newton_euler.equations.formulation import Formulation, Servos
-from newton_euler.equations.parameters import checked, with_laws, with_values, without_wind
+from newton_euler.equations.parameters import (
+    checked,
+    element_of,
+    places,
+    with_laws,
+    with_values,
+    without_wind,
+)
 from newton_euler.equations.redundancy import rows_in_use
 from newton_euler.equations.system import at_time
 from newton_euler.errors import MechanismError, SingularityError
-from newton_euler.model.control import PD, ComputedTorque, DeclaredLaw
+from newton_euler.model.control import PD, ComputedTorque, ControlLaw, DeclaredLaw
 from newton_euler.model.digital_control import Digital
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
+from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array, Scalar
 
 
@@ -70,9 +78,15 @@ def known_scene(scene: Scene, model: Mapping[str, Any]) -> Scene:
     """Return the scene with the values of the controller's model, and without wind.
 
     Raises:
-        NewtonEulerError: for an unknown parameter, or a value that it cannot have.
+        NewtonEulerError: for an unknown parameter, one of wind or of control laws, which the model does not
+            have, or a value that it cannot have.
     """
     values = checked(scene, model)
+    for name, place in places(scene, model).items():
+        element = element_of(scene, place.owner)
+        if isinstance(element, WindLoad | ControlLaw):
+            problem = f"has {name!r} of {element.element}, which it is without"
+            raise MechanismError("model of control laws", problem, "parameters of bodies and other forces")
     numbers = {name: value if value.ndim else float(value) for name, value in values.items()}
     return without_wind(with_values(scene, numbers))
 

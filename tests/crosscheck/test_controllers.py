@@ -71,7 +71,10 @@ def test_motors_without_gains_follow_nothing():
     [
         (["four_bar"], "has no control law that follows a target"),
         (["--engines", "newton"], "unknown engine 'newton'"),
-        (["--set", "delay=2"], "delay is one of a computer; needed: its period as well"),
+        (
+            ["--set", "delay=2"],
+            "delay of scene 'tracker_computed_torque' has no effect with period=0.0",
+        ),
     ],
 )
 def test_what_cannot_be_compared_is_refused(capsys, arguments, words):

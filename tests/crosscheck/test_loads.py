@@ -64,7 +64,7 @@ def test_loads_that_are_not_determined_are_told(capsys, tmp_path, scene, told):
         (("--case", "a:sped=1"), "unknown option 'sped' of scene 'tracker_wind'; did you mean 'speed'?"),
         (
             ("--case", "a:speed=99"),
-            "speed of scene 'tracker_wind' is '99'; choose a whole number from 0 to 60",
+            "speed of scene 'tracker_wind' is '99'; choose a number from 0 to 60 m/s",
         ),
     ],
 )

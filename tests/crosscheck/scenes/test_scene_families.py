@@ -156,6 +156,26 @@ def test_sizes_that_are_refused(value):
     assert str(caught.value) == message
 
 
+@pytest.mark.parametrize(
+    ("name", "options", "found", "needed"),
+    [
+        ("tracker_on_boat", {"poses": "boat.csv", "roll": 0.15}, "roll", "poses=boat.csv; needed: no poses"),
+        ("tracker_wind", {"wind": "steady", "seed": 1}, "seed", "wind=steady; needed: wind=turbulent"),
+        ("tracker_computed_torque", {"delay": 0}, "delay", "period=0.0; needed: another period"),
+        (
+            "tracker_computed_torque",
+            {"controller": "pd", "mass_error": "0.1"},
+            "mass_error",
+            "controller=pd; needed: controller=computed_torque",
+        ),
+    ],
+)
+def test_options_without_effect_are_refused(name, options, found, needed):
+    with pytest.raises(CrosscheckError) as caught:
+        load(name, **options)
+    assert str(caught.value) == f"{found} of scene {name!r} has no effect with {needed}"
+
+
 def test_sizes_from_text_and_from_python():
     assert len(load("four_bar", N="3").mechanism.bodies) == len(load("four_bar", N=3).mechanism.bodies) == 8
     assert len(load("four_bar").mechanism.bodies) == 6
@@ -174,6 +194,8 @@ def test_sizes_on_the_command_line(capsys, tmp_path):
     assert "    --set N=1..1000  [default: 2]\n" in out
     assert "    --set N=1..1000  [default: 5]\n" in out
     assert "--set panel_inertia=realisable|literal  [default: realisable]" in out
+    assert "--set speed=0..60 m/s  [default: 10]" in out
+    assert "--set delay=0..10 periods  [default: 0]" in out
 
 
 @pytest.mark.parametrize("windows", [1, 2, 10])

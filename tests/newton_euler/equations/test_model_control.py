@@ -251,6 +251,16 @@ def test_encoders_have_to_tell_the_pose():
         ([{"model": {"panel_8.mass": 1.0}}, {"model": {"panel_8.mass": 1.0}}], UnknownNameError, "panel_8"),
         ([{"model": {"panel_7.mass": -1.0}}, {"model": {"panel_7.mass": -1.0}}], MechanismError, "-1"),
         ([{"model": {"panel_7.mass": 1.0}}, {}], MechanismError, "one model of the mechanism for all laws"),
+        (
+            [{"model": {"wind.air_density": 1.0}}] * 2,
+            MechanismError,
+            "has 'wind.air_density' of",
+        ),
+        (
+            [{"model": {"slide_12.damping": 1.0}}] * 2,
+            MechanismError,
+            "has 'slide_12.damping' of",
+        ),
     ],
 )
 def test_models_that_cannot_be_are_refused(laws, error, words):
@@ -259,7 +269,7 @@ def test_models_that_cannot_be_are_refused(laws, error, words):
         for name, law in zip(REFERENCES, laws, strict=True)
     )
     with pytest.raises(error, match=words):
-        newton_euler.simulate(replace(load("tracker_gravity"), control=control))
+        newton_euler.simulate(replace(load("tracker_wind"), control=control))
 
 
 def test_what_is_no_law_is_refused():
