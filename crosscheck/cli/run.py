@@ -254,7 +254,7 @@ def list_command() -> int:
     for name, scene in SCENES.items():
         say(f"{name}: {scene().description}")
         for key, option in options_of(scene).items():
-            default = f"{option.default:g}" if isinstance(option.default, float) else option.default
+            default = f"{option.default:g}" if isinstance(option.default, float) else str(option.default)
             say(f"    --set {key}={option}  [default: {default or 'none'}]")
     for kind, options in (("MJCF, a .xml or .mjcf file", MJCF_OPTIONS), ("URDF, a .urdf file", URDF_OPTIONS)):
         say(f"{kind}:")
