@@ -44,7 +44,11 @@ class Reactions:
         self._slides = np.flatnonzero(of_type == mujoco.mjtJoint.mjJNT_SLIDE)
         self._hinges = np.flatnonzero(of_type == mujoco.mjtJoint.mjJNT_HINGE)
         kinds = 4 * bodies + of_type
-        self._in_row = [np.flatnonzero(kinds == kind) for kind in np.flatnonzero(np.bincount(kinds) > 1)]
+        counts = np.bincount(kinds)
+        self._in_row = [
+            np.array([np.flatnonzero(kinds == kind) for kind in np.flatnonzero(counts == count)])
+            for count in set(counts[counts > 1].tolist())
+        ]
         self._beyond_slides: list[tuple[int, Array]] = []
         for number, child in enumerate(self._children):
             slides, hinges = (found[bodies[found] == child] for found in (self._slides, self._hinges))

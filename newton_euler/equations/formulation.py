@@ -43,6 +43,9 @@ from newton_euler.scalars import Array, Scalar, minimum
 
 T = TypeVar("T")
 
+REMEMBERED = 64
+"""States whose kinematics are kept."""
+
 
 class Servos(NamedTuple):
     """Actuators and the joint coordinates whose accelerations they are to make."""
@@ -126,7 +129,7 @@ class Formulation(System):
         self.carried = slice(nq, nq + carried)
         self.work = slice(nq + carried, nq + carried + int(scene.tracks_work))
         self.nq, self.nv = self.work.stop, nv
-        self._last: tuple[Any, tuple[Array, Array], Any] | None = None
+        self._states: dict[Any, tuple[tuple[Array, Array], Any]] = {}
         self.model_control: list[Any] = []  # one `newton_euler.equations.model_control.ModelControl` at most
 
     def unit(self, key: Key) -> float:
@@ -220,12 +223,14 @@ class Formulation(System):
     # Coordinates
 
     def remembered(self, q: Array, v: Array, compute: Callable[[Array, Array], T]) -> T:
-        """Return compute(q, v), that of the last call if the state is the same."""
+        """Return compute(q, v), that of an earlier call if it was of one of the last `REMEMBERED` states."""
         # over generic scalars the bytes tell which objects they are, which the copies keep alive
         state = (q.dtype, q.tobytes(), v.dtype, v.tobytes())
-        if self._last is None or self._last[0] != state:
-            self._last = state, (q.copy(), v.copy()), compute(q, v)
-        found: T = self._last[2]
+        if state not in self._states:
+            if len(self._states) == REMEMBERED:
+                del self._states[next(iter(self._states))]
+            self._states[state] = (q.copy(), v.copy()), compute(q, v)
+        found: T = self._states[state][1]
         return found
 
     def coordinates(self, state: State) -> tuple[Array, Array]:

@@ -37,10 +37,10 @@ RIGHT_ANGLE = 1e-14
 
 
 def dual_axes(axes: Array) -> Array:
-    """Compute d_k (n, 3) in the span of n independent axes (n, 3) with d_k . a_m = 1 for m = k, else 0."""
-    if len(axes) == 1:  # which is most often, and much quicker
-        return axes / np.sum(axes * axes)
-    return np.asarray(np.linalg.pinv(axes).T)
+    """Compute d_k in the span of n independent axes (..., n, 3) with d_k . a_m = 1 for m = k, else 0."""
+    if axes.shape[-2] == 1:  # which is most often, and much quicker
+        return axes / np.sum(axes * axes, axis=-1, keepdims=True)
+    return np.swapaxes(np.linalg.pinv(axes), -1, -2)
 
 
 class Axis(NamedTuple):
