@@ -11,7 +11,6 @@ from command_line import run
 from mechanisms import mass_on_rail
 
 from crosscheck.controllers import performance
-from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from newton_euler import simulate
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
@@ -97,5 +96,3 @@ def test_the_scene_has_the_controller_that_is_asked_for():
         assert (law.period, law.delay, law.resolution, law.force_limit) == (0.01, 2, 1e-5, 30.0)
     heavier = load("tracker_computed_torque", mass_error=0.1)
     assert heavier.control[0].model == {"panel_7.mass": pytest.approx(1.1 * 0.8905)}
-    with pytest.raises(CrosscheckError, match="a model, which pd does not have"):
-        load("tracker_computed_torque", controller="pd", mass_error=0.1)
