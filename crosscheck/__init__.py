@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from crosscheck.sweeps.sweep import Sweep, sweep
     from crosscheck.verdict import Verdict, check
 else:
 
@@ -13,9 +14,12 @@ else:
         """
         if name not in __all__:
             raise AttributeError(f"module 'crosscheck' has no attribute {name!r}")
-        from crosscheck import verdict
+        if name in ("Sweep", "sweep"):
+            from crosscheck.sweeps import sweep as module
+        else:
+            from crosscheck import verdict as module
 
-        return getattr(verdict, name)
+        return getattr(module, name)
 
 
-__all__ = ["Verdict", "check"]
+__all__ = ["Sweep", "Verdict", "check", "sweep"]

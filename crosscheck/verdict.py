@@ -103,9 +103,11 @@ class Verdict:
 
     def show(self) -> None:
         """Open the recording in the Rerun viewer, in a notebook below the cell."""
+        from crosscheck.recording.log import log_run
         from crosscheck.recording.show import show
 
-        show(*to_record(self.crosscheck, self.report))
+        told = to_record(self.crosscheck, self.report)
+        show(self.crosscheck.scene, lambda recording: log_run(recording, *told))
 
 
 def check(

@@ -160,7 +160,7 @@ def log_run(
     recording.log("/verdict", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
     if moments:
         times, lines = zip(*moments, strict=True)
-        _send(recording, "/worst", np.array(times), rr.TextLog.columns, text=lines)
+        send_columns(recording, "/worst", np.array(times), rr.TextLog.columns, text=lines)
     log_shapes(recording, "/ground", mechanism, 0, Style(GROUND_COLOR))
     send_pose(recording, "/ground", first.time[:1], first.position[:1, 0], first.quaternion[:1, 0])
     for engine, run in trajectories.items():
@@ -232,7 +232,7 @@ def _heading(title: str, engines: list[str], apart: dict[str, float], near: list
     return f"{title}: {'; '.join(parts)}"
 
 
-def _send(
+def send_columns(
     recording: rr.RecordingStream,
     path: str,
     time: Array,
@@ -249,7 +249,7 @@ def send_pose(
 ) -> None:
     """Log poses (n, 3) and (n, 4) at times (n,), s."""
     pose = rr.Transform3D.columns
-    _send(recording, path, time, pose, translation=position, quaternion=xyzw(quaternion))
+    send_columns(recording, path, time, pose, translation=position, quaternion=xyzw(quaternion))
 
 
 def _log_bodies(
@@ -294,7 +294,7 @@ def _log_tilt(
         look = rr.Arrows3D.from_fields(labels=[name], colors=DIRECTION_COLOR, radii=0.02 * size)
         recording.log(f"/tilt/{name}", look, static=True)
         ends = {"origins": position, "vectors": 1.2 * size * vectors}
-        _send(recording, f"/tilt/{name}", run.time, rr.Arrows3D.columns, **ends)
+        send_columns(recording, f"/tilt/{name}", run.time, rr.Arrows3D.columns, **ends)
 
 
 def _log_wind(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory, load: WindLoad) -> None:
@@ -309,7 +309,9 @@ def _log_wind(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajecto
     look = rr.Arrows3D.from_fields(colors=WIND_COLOR, radii=0.01 * mechanism.size, labels=load.name)
     recording.log(path, look, static=True)
     before = 0.5 * np.linalg.norm(load.lengths) * load.direction / np.linalg.norm(load.direction)
-    _send(recording, path, run.time, rr.Arrows3D.columns, origins=centers - before - vectors, vectors=vectors)
+    send_columns(
+        recording, path, run.time, rr.Arrows3D.columns, origins=centers - before - vectors, vectors=vectors
+    )
 
 
 def _arrow_scale(mechanism: Mechanism, trajectories: dict[str, Trajectory]) -> float | None:
@@ -335,14 +337,14 @@ def _log_joints(
         path = rr.new_entity_path(["joints", engine, joint.name])
         look = rr.Points3D.from_fields(colors=PLAIN_COLOR, radii=0.03 * mechanism.size)
         recording.log(path, look, static=True)
-        _send(recording, path, run.time, rr.Points3D.columns, positions=points)
+        send_columns(recording, path, run.time, rr.Points3D.columns, positions=points)
         if run.reaction_force is not None and arrow_scale is not None:
             path = rr.new_entity_path(["reactions", engine, joint.name])
             arrow_look = rr.Arrows3D.from_fields(colors=ARROW_COLOR, radii=0.02 * mechanism.size)
             recording.log(path, arrow_look, static=True)
             vectors = arrow_scale * run.reaction_force[:, j]
             arrows = rr.Arrows3D.columns
-            _send(recording, path, run.time, arrows, origins=points, vectors=vectors)
+            send_columns(recording, path, run.time, arrows, origins=points, vectors=vectors)
 
 
 def _log_plot(
@@ -354,7 +356,7 @@ def _log_plot(
     def log(name: str, look: rr.SeriesLines, time: Array, values: Array) -> None:
         path = rr.new_entity_path(["plots", *plot.path, name])
         recording.log(path, look, static=True)
-        _send(recording, path, time, rr.Scalars.columns, scalars=values)
+        send_columns(recording, path, time, rr.Scalars.columns, scalars=values)
 
     for engine, values in plot.lines.items():
         style = styles[engine]

@@ -4,24 +4,17 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable
+
+import rerun as rr
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.recording.log import log_run, new_recording
-from crosscheck.recording.plots import Tolerances
+from crosscheck.recording.log import new_recording
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import Trajectory
 
 
-def show(
-    scene: Scene,
-    trajectories: dict[str, Trajectory],
-    verdict: str,
-    title: str,
-    tolerances: Tolerances,
-    moments: Sequence[tuple[float, str]],
-) -> None:
-    """Show a recording; arguments as of `log_run`.
+def show(scene: Scene, log: Callable[[rr.RecordingStream], None]) -> None:
+    """Show a recording of a scene that a function logs to.
 
     Raises:
         CrosscheckError: where no viewer can be opened.
@@ -32,11 +25,11 @@ def show(
     recording = new_recording(scene)
     try:
         if notebook:
-            log_run(recording, scene, trajectories, verdict, title, tolerances, moments)
+            log(recording)
             recording.notebook_show()
         else:
             recording.spawn()
-            log_run(recording, scene, trajectories, verdict, title, tolerances, moments)
+            log(recording)
     except (ImportError, RuntimeError) as error:
         raise CrosscheckError(f"no viewer: {' '.join(str(error).split())}") from error
 

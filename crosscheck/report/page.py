@@ -33,6 +33,7 @@ RESULTS = (
     "bench.json",
     "rhs.json",
     "batch.json",
+    "sweep.json",
 )
 """Files of results, each with a report."""
 

@@ -19,6 +19,7 @@ from newton_euler.codegen.fingerprint import SOURCE, fingerprint
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
+from newton_euler.variation import with_parameters
 
 ROOM = 48_000_000
 """Bytes of the outputs of runs that are in memory together."""
@@ -109,6 +110,15 @@ class Plan:
         runs = ROOM // (8 * numbers * len(self.lean.times))
         return max(LANES, runs // LANES * LANES)
 
+    def scene_of(self, run: int) -> Scene:
+        """Return the scene of one run, for any engine.
+
+        Raises:
+            NewtonEulerError: for values that a scene cannot have.
+        """
+        values = self.parameters(run, run + 1)
+        return with_parameters(self.scene, {name: float(value[0]) for name, value in values.items()})
+
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what is worked out again where it is needed."""
         fields = ("scene", "samples", "keep", "control", "chunk")
@@ -168,7 +178,8 @@ def _parts(plan: Plan, parameters: Parameters) -> Iterator[Chunk]:
         batch = plan.batch(own, plan.lean)
         outputs = Outputs(plan.scene, plan.lean.times, batch.stacked)
         values = dict(own) | {each.name: each.of(outputs) for each in plan.kept}
-        errors = [str(batch.errors.get(run, "")) for run in range(len(batch))]
+        # which are numbered within the batch
+        errors = [str(batch.errors.get(k, "")).removeprefix(f"run {k}: ") for k in range(len(batch))]
         for run in batch.errors:
             for each in plan.kept:
                 values[each.name][run] = np.nan

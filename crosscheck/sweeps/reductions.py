@@ -29,7 +29,7 @@ SAME_TIME = 1e-9
 """Share of the output period by which a time may differ from that of an output."""
 
 
-def _magnitude(value: Value) -> Value:
+def magnitude(value: Value) -> Value:
     """Return lengths of vectors and magnitudes of numbers."""
     if value.dimensions[-1:] == ("axis",):
         return norm(value)
@@ -111,7 +111,7 @@ class Reduction:
         if self.kind == WHEN:
             return _first_above(array, times)
         value = replace(value, array=array)
-        return KINDS[self.kind](_magnitude(value) if self.kind in OF_MAGNITUDES else value, times)
+        return KINDS[self.kind](magnitude(value) if self.kind in OF_MAGNITUDES else value, times)
 
 
 def _first_above(excess: Array, times: Array) -> Array:
@@ -189,7 +189,7 @@ def _reduction(text: str, scene: Scene) -> Reduction:
     dimensions, unit = example.dimensions, example.unit
     try:
         if kind in OF_MAGNITUDES:
-            dimensions = _magnitude(example).dimensions
+            dimensions = magnitude(example).dimensions
     except CrosscheckError as error:
         raise CrosscheckError(f"--keep {text!r:.200}: {error}") from None
     if kind == WHEN:

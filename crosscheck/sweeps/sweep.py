@@ -1,44 +1,36 @@
-"""Sweeps: many runs of a scene, made, reduced and kept, from the first call to the results."""
+"""Sweeps from Python: `crosscheck.sweep(scene, vary, runs, keep)` and what it found."""
 
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-import numpy as np
-
-from crosscheck.errors import CrosscheckError
-from crosscheck.files import check_writable
-from crosscheck.limit import tidied_up
+from crosscheck.engines import ENGINES, choose
 from crosscheck.load import load_scene
+from crosscheck.report.page import rendered
+from crosscheck.report.render import terminal
+from crosscheck.report.table import Report
+from crosscheck.sweeps.analysis import scalars, telling
+from crosscheck.sweeps.checks import Checked, check_runs, chosen
 from crosscheck.sweeps.distributions import Vary
-from crosscheck.sweeps.execute import Pace, Workers, in_any_order, probed, workers
-from crosscheck.sweeps.plan import STOPPED, Plan, run_all, run_chunk
+from crosscheck.sweeps.execute import workers
+from crosscheck.sweeps.plan import Plan
 from crosscheck.sweeps.reductions import Keep, reductions
+from crosscheck.sweeps.report import Findings, findings, report, to_record, write
+from crosscheck.sweeps.results import Results, results_of
 from crosscheck.sweeps.sampling import SamplingName, samples_of
-from crosscheck.sweeps.store import ERROR, NAME, STATUS, Store, libraries, store_chunk
+from crosscheck.sweeps.store import libraries
 from newton_euler.integrators.options import IntegratorName, StepControl
-from newton_euler.model.scene import Scene
 
 if TYPE_CHECKING:
     from distributed import Client
 
     from crosscheck.load import Model
-
-TASK = 1.0
-"""s that a task takes about: its overhead is small beside it, and little is lost with one."""
-
-LARGEST_CHUNK = 2**16
-"""Runs of a task."""
-
-TASKS_PER_WORKER = 4
-"""At least, if there are runs enough: so that all have work to the end."""
 
 
 class Execution(StepControl, total=False):
@@ -51,39 +43,97 @@ class Execution(StepControl, total=False):
     progress: Callable[[str], None]
 
 
+def _quiet(stage: str) -> None:
+    """Tell nobody."""
+
+
 @dataclass(frozen=True, eq=False)
 class Sweep:
     """The results of a sweep.
 
     Attributes:
-        plan: all that its runs depend on.
-        dataset: an xarray Dataset of what varied and what was kept, by runs; on disk where there is a path.
-        path: of its Zarr store; None in memory.
-        made: runs that were made now; the others were there.
-        wall_time: s that they took.
+        results: its plan, its runs, and where they are.
+        checks: runs of it that all engines made.
+
+    Examples:
+        >>> swept = sweep("pendulum", {"dumbbell.mass": "normal(1, 0.1)"}, 100, "peak:reaction_force")
+        >>> float(swept.dataset["peak:reaction_force"].sel(joint="pivot").mean()) > 9.0
+        True
+        >>> def agreed(of: Sweep) -> bool:
+        ...     return all(not each.differs for each in of.check(1).checks)
+        >>> agreed(swept)
+        True
     """
 
-    plan: Plan
-    dataset: Any
-    path: Path | None
-    made: int
-    wall_time: float
+    results: Results
+    checks: tuple[Checked, ...] = ()
 
     def __repr__(self) -> str:
-        samples, names = self.plan.samples, ", ".join(each.name for each in self.plan.kept)
-        varied = f"{len(samples.names)} varied by {samples.sampling}"
-        return f"<Sweep of {self.scene.name!r}: {samples.runs} runs, {varied}; kept: {names}>"
+        plan = self.results.plan
+        varied = f"{len(plan.samples.names)} varied by {plan.samples.sampling}"
+        kept = ", ".join(each.name for each in plan.kept)
+        return f"<Sweep of {plan.scene.name!r}: {plan.samples.runs} runs, {varied}; kept: {kept}>"
+
+    def __str__(self) -> str:
+        return f"{self.report.title}\n{self.report.verdict}\n\n{terminal(self.report.summary)}"
+
+    def _repr_html_(self) -> str:
+        return rendered("summary.html", report=self.report)
 
     @property
-    def scene(self) -> Scene:
-        """The scene with its nominal values."""
-        return self.plan.scene
+    def dataset(self) -> Any:
+        """An xarray Dataset of what varied and what was kept, by runs; read from disk if it is there."""
+        return self.results.dataset
 
     @property
-    def errors(self) -> dict[int, str]:
+    def errors(self) -> Mapping[int, str]:
         """Why runs could not go on, by their number."""
-        stopped = np.flatnonzero(self.dataset[STATUS].values == STOPPED)
-        return {int(run): str(self.dataset[ERROR][run].values) for run in stopped}
+        return self.results.errors
+
+    @cached_property
+    def findings(self) -> Findings:
+        """Quantiles of what was kept, and shares of what varied in its variance."""
+        return findings(self.results, self.checks)
+
+    @cached_property
+    def report(self) -> Report:
+        """Tables of the findings."""
+        return report(self.findings)
+
+    def check(
+        self,
+        random: int = 2,
+        engines: Sequence[str] = tuple(ENGINES),
+        progress: Callable[[str], None] = _quiet,
+    ) -> Sweep:
+        """Crosscheck some runs, at random and extreme ones; returns the sweep with these checks.
+
+        Raises:
+            CrosscheckError: for an unknown engine.
+        """
+        found = list(scalars(self.results))
+        runs = chosen(self.results, telling(found), random)
+        checked = check_runs(self.results, found, runs, choose(list(engines)), progress)
+        return replace(self, checks=tuple(checked))
+
+    def save(self, folder: str | os.PathLike[str]) -> list[Path]:
+        """Write figures, pictures and the recording, as `crosscheck sweep --output FOLDER`.
+
+        Returns:
+            The files.
+
+        Raises:
+            CrosscheckError: naming a path that cannot be written.
+        """
+        return write(self.findings, self.report, Path(folder))
+
+    def show(self) -> None:
+        """Open the envelope and the extreme runs in the Rerun viewer, in a notebook below the cell."""
+        from crosscheck.recording.show import show
+        from crosscheck.recording.sweep import log_sweep
+
+        scene, told = self.results.scene, to_record(self.findings, self.report)
+        show(scene, lambda recording: log_sweep(recording, scene, *told))
 
 
 def sweep(
@@ -125,68 +175,10 @@ def sweep(
     """
     libraries()
     loaded, _ = load_scene(scene, {})
-    places = {name: options.pop(name, None) for name in ("threads", "executor", "cluster")}  # type: ignore[misc]
-    progress = options.pop("progress", lambda stage: None)
+    threads, executor = options.pop("threads", None), options.pop("executor", None)
+    cluster, progress = options.pop("cluster", None), options.pop("progress", _quiet)
     kept = reductions(keep, loaded)
     texts = tuple(each.text if each.name == each.text else f"{each.name}={each.text}" for each in kept)
     plan = Plan(loaded, samples_of(vary, sampling, runs, seed), texts, dict(options), 1)
-    _check_names(plan)
-    path = None if output is None else Path(output) / NAME
-    start = time.perf_counter()
-    with workers(**places) as at, tidied_up():
-        progress("compiling")
-        run_all(plan, plan.parameters(0, 1))
-        store, plan = _opened(plan, path, at)
-        made = _make(plan, store, at, progress)
-    dataset = store.dataset()
-    return Sweep(plan, dataset.load() if path is None else dataset, path, made, time.perf_counter() - start)
-
-
-def _check_names(plan: Plan) -> None:
-    """Raise `CrosscheckError` for a thing that is kept by the name of another one."""
-    taken = {
-        *plan.samples.names,
-        STATUS,
-        ERROR,
-        "run",
-        "time",
-        "body",
-        "joint",
-        "actuator",
-        "axis",
-        "component",
-    }
-    for each in plan.kept:
-        if each.name in taken:
-            raise CrosscheckError(f"{each.name!r} is the name of something else; keep it by another one")
-
-
-def _opened(plan: Plan, path: Path | None, at: Workers) -> tuple[Store, Plan]:
-    """Open the store of a sweep, or make one; returns it and the plan with its chunks."""
-    if path is not None:
-        if path.exists():
-            store = Store.at(path)
-            store.tidy()
-            return store, store.check_same(plan)
-        check_writable(path)
-    runs = plan.samples.runs
-    rate = probed(lambda count: run_all(plan, plan.parameters(0, count)), runs)
-    most = -(-runs // (TASKS_PER_WORKER * at.count()))
-    about = max(1, min(int(TASK * rate), most, LARGEST_CHUNK))
-    plan = replace(plan, chunk=1 << (about.bit_length() - 1))
-    return Store.make(plan, path) if path else Store.in_memory(plan), plan
-
-
-def _make(plan: Plan, store: Store, at: Workers, progress: Callable[[str], None]) -> int:
-    """Make the chunks that are not there; returns how many runs these are."""
-    left = store.missing(plan)
-    counts = {k: last - first for k in left for first, last in [plan.bounds(k)]}
-    pace = Pace(plan.samples.runs, plan.samples.runs - sum(counts.values()), progress)
-    if store.path is not None:
-        for k, _ in in_any_order(partial(store_chunk, plan, store.path.absolute()), left, at):
-            pace.add(counts[k])
-    else:
-        for k, chunk in in_any_order(partial(run_chunk, plan), left, at):
-            store.write(plan, k, chunk)
-            pace.add(counts[k])
-    return pace.made
+    with workers(threads, executor, cluster) as at:
+        return Sweep(results_of(plan, None if output is None else Path(output), at, progress))

@@ -16,11 +16,11 @@ from random import Random
 import numpy as np
 import pytest
 
-import crosscheck.sweeps.sweep
+import crosscheck.sweeps.results
+from crosscheck import Sweep, sweep
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from crosscheck.sweeps.store import NAME, Store
-from crosscheck.sweeps.sweep import Sweep, sweep
 from newton_euler import simulate_batch
 from newton_euler.errors import NewtonEulerError
 
@@ -37,8 +37,8 @@ KEPT = ("peak:reaction_force", "at(1;2):dumbbell.position", "dumbbell.mass", "st
 @pytest.fixture(autouse=True)
 def short_tasks(monkeypatch):
     """Tasks of few runs, so that a small sweep has several of them."""
-    monkeypatch.setattr(crosscheck.sweeps.sweep, "TASK", 1e-6)
-    monkeypatch.setattr(crosscheck.sweeps.sweep, "replace", lambda plan, chunk: replace(plan, chunk=7))
+    monkeypatch.setattr(crosscheck.sweeps.results, "TASK", 1e-6)
+    monkeypatch.setattr(crosscheck.sweeps.results, "replace", lambda plan, chunk: replace(plan, chunk=7))
 
 
 @pytest.fixture(scope="module")
@@ -72,17 +72,16 @@ def test_a_sweep_has_what_batches_have(reference):
 @pytest.mark.parametrize("on_disk", [False, True])
 def test_results_depend_on_no_thread_chunk_or_disk(reference, tmp_path, threads, on_disk):
     found = sweep(*ARGUMENTS, threads=threads, output=tmp_path if on_disk else None)
-    assert found.plan.chunk == 7
+    assert found.results.plan.chunk == 7
     assert_equal(found, reference)
 
 
-@pytest.mark.parametrize("on_disk", [False, True])
-def test_executors_give_the_same(reference, tmp_path, on_disk):
-    output = tmp_path if on_disk else None
+def test_executors_give_the_same(reference, tmp_path):
     with ThreadPoolExecutor(2) as threads:
         assert_equal(sweep(*ARGUMENTS, executor=threads), reference)
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as processes:
-        assert_equal(sweep(*ARGUMENTS, executor=processes, output=output), reference)
+        assert_equal(sweep(*ARGUMENTS, executor=processes), reference)
+        assert_equal(sweep(*ARGUMENTS, executor=processes, output=tmp_path), reference)
 
 
 def test_an_interrupted_sweep_goes_on(reference, tmp_path):
@@ -99,9 +98,9 @@ def test_an_interrupted_sweep_goes_on(reference, tmp_path):
     there = int(np.sum(store.group["status"][:] > 0))
     assert 0 < there < 60
     found = sweep(*ARGUMENTS, output=tmp_path)
-    assert found.made == 60 - there
+    assert found.results.made == 60 - there
     assert_equal(found, reference)
-    assert sweep(*ARGUMENTS, output=tmp_path).made == 0
+    assert sweep(*ARGUMENTS, output=tmp_path).results.made == 0
 
 
 def test_a_full_disk_is_one_line_and_loses_nothing(reference, tmp_path, monkeypatch):
@@ -121,7 +120,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(reference, tmp_path, monkeypa
         ):
             sweep(*ARGUMENTS, output=tmp_path)
     found = sweep(*ARGUMENTS, output=tmp_path)
-    assert 0 < found.made < 60
+    assert 0 < found.results.made < 60
     assert_equal(found, reference)
 
 

@@ -1,0 +1,99 @@
+"""`crosscheck sweep`: many runs of a scene with parameters from distributions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from shlex import quote
+from typing import Any
+
+import click
+
+from crosscheck.cli.shared import (
+    AGREE,
+    DISAGREE,
+    UNFINISHED,
+    cli,
+    load_and_tell,
+    progress_shown,
+    scene_options,
+    setting_options,
+    show,
+    verbose_option,
+    without_exercise,
+)
+
+ATOL = 0.01
+"""Absolute tolerance of steps by the relative one, SI, as `newton_euler.simulate` has it."""
+
+SAMPLINGS = ("random", "latin_hypercube", "sobol", "saltelli", "grid")
+
+
+@cli.command("sweep")
+@click.argument("scene")
+@setting_options
+@click.option(
+    "--vary",
+    "varied",
+    multiple=True,
+    required=True,
+    metavar="NAME=DISTRIBUTION",
+    help="Parameter and its distribution, as normal(14, 0.5), uniform(LOW, HIGH), truncated_normal(MEAN, "
+    "DEVIATION, LOW, HIGH), values(A, B, ...), grid(LOW, HIGH, COUNT); repeatable.",
+)
+@click.option("--runs", type=int, default=None, help="How many.  [default: all of a grid]")
+@click.option(
+    "--keep",
+    multiple=True,
+    required=True,
+    metavar="KIND:OUTPUT,...",
+    help="Numbers to keep of each run, as peak:reaction_force,final:panel_7.quaternion; repeatable.",
+)
+@click.option("--sampling", type=click.Choice(SAMPLINGS), default="random", show_default=True, help="Plan.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of all random numbers.")
+@click.option("--rtol", type=float, default=1e-10, show_default=True, help="Relative tolerance of steps.")
+@click.option(
+    "--check",
+    type=click.IntRange(0, 100),
+    default=2,
+    show_default=True,
+    help="Runs at random to cross-check beside the extreme ones; 0 for none of either.",
+)
+@click.option("--cluster", metavar="ADDRESS", help="Scheduler of a Dask cluster, as tcp://10.0.0.1:8786.")
+@click.option(
+    "--output", type=click.Path(path_type=Path), default=None, help="Folder.  [default: output/sweep/SCENE]"
+)
+@verbose_option
+def sweep_command(
+    scene: str,
+    settings: tuple[str, ...],
+    varied: tuple[str, ...],
+    keep: tuple[str, ...],
+    check: int,
+    output: Path | None,
+    rtol: float,
+    **options: Any,
+) -> int:
+    """Run a scene many times with other numbers, and tell what comes of it and what matters.
+
+    SCENE is a name or a file, as of run. A sweep that was interrupted goes on where it was.
+    """
+    from crosscheck.sweeps.distributions import parse_vary
+    from crosscheck.sweeps.sweep import sweep
+
+    vary = parse_vary(varied)
+    loaded = load_and_tell(scene, without_exercise(scene_options(settings), "runs are those of the scene"))
+    folder = output or Path("output/sweep") / loaded.name
+    with progress_shown() as progress:
+        options |= {"rtol": rtol, "atol": ATOL * rtol, "progress": progress}
+        swept = sweep(loaded, vary, keep=keep, output=folder, **options)
+        if check:
+            swept = swept.check(check, progress=progress)
+        progress("analysis, pictures and recording")
+        written = swept.save(folder)
+    look = f"look  crosscheck view {quote(str(written[-1]))}"
+    show(
+        swept.report,
+        look,
+        f"more  -v; crosscheck report {quote(str(folder))}; numbers in {swept.results.path}",
+    )
+    return {"fails": DISAGREE, "doubtful": UNFINISHED}.get(swept.report.judged.verdict, AGREE)

@@ -1,0 +1,126 @@
+"""A sweep as a Rerun recording: its nominal run, its extreme ones as ghosts, and envelopes of many over time.
+
+Entities:
+    /ground                 shapes of the fixed body
+    /mechanism/RUN/BODY     shapes, and the body's pose over time, of the nominal run and of each extreme one
+    /plots/K/LINE           envelope K: `least`, `5 %`, `median`, `95 %` and `most` of a sample, and each run
+    /sweep                  the tables, as text
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from crosscheck.palette import palette, rgb
+from crosscheck.recording.blueprint import laid_out, sight
+from crosscheck.recording.log import GROUND_COLOR, PLAIN_COLOR, new_recording, send_columns, send_pose
+from crosscheck.recording.shapes import Style, log_shapes
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.scalars import Array
+
+LEVELS = {"least": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "most": 1.0}
+"""Lines of envelopes, and the share of the runs below each."""
+
+THIN, THICK = 1.0, 2.0
+"""Widths of lines, points: of envelopes, and of runs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Envelope:
+    """A number of many runs over time.
+
+    Attributes:
+        title: the number and its unit.
+        times: (n,) s.
+        sample: (runs, n) of a sample of runs; not a number where a run could not go on.
+        lines: (n,) of some runs by name.
+    """
+
+    title: str
+    times: Array
+    sample: Array
+    lines: Mapping[str, Array]
+
+
+def log_sweep(
+    recording: rr.RecordingStream,
+    scene: Scene,
+    runs: Mapping[str, Trajectory],
+    envelopes: Sequence[Envelope],
+    text: str,
+    title: str,
+) -> None:
+    """Log all there is to see of a sweep, and how the viewer lays it out.
+
+    Args:
+        scene: with its nominal values, by which bodies are drawn.
+        runs: by name, the nominal one first.
+        envelopes: drawn beside them.
+        text: Markdown.
+        title: of the recording.
+    """
+    mechanism = scene.mechanism
+    recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    recording.log("/sweep", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+    first, colors = next(iter(runs.values())), palette(list(runs))
+    log_shapes(recording, "/ground", mechanism, 0, Style(GROUND_COLOR))
+    send_pose(recording, "/ground", first.time[:1], first.position[:1, 0], first.quaternion[:1, 0])
+    for name, run in runs.items():
+        style = Style(rgb(colors[name]), THICK, ghost=run is not first)
+        for k in range(1, len(mechanism.bodies)):
+            path = rr.new_entity_path(["mechanism", name, mechanism.body_names[k]])
+            log_shapes(recording, path, mechanism, k, style)
+            send_pose(recording, path, run.time, run.position[:, k], run.quaternion[:, k])
+    for number, envelope in enumerate(envelopes):
+        _log_envelope(recording, f"{number}", envelope, colors)
+    eye, grid = sight(mechanism, first)
+    heading = f"{title}: {next(iter(runs))} solid, extreme runs as ghosts"
+    view = rrb.Spatial3DView(
+        origin="/",
+        contents=["+ /ground/**", "+ /mechanism/**"],
+        name=heading,
+        eye_controls=eye,
+        line_grid=grid,
+    )
+    plots = [
+        rrb.TimeSeriesView(origin=f"/plots/{number}", name=envelope.title)
+        for number, envelope in enumerate(envelopes)
+    ]
+    told = rrb.TextDocumentView(origin="/sweep", name="Sweep")
+    left = rrb.Vertical(view, told, row_shares=[1.6, 1.0])
+    whole = rrb.Horizontal(left, rrb.Vertical(*plots)) if plots else left
+    recording.send_blueprint(laid_out(whole, float(first.time[-1])))
+    recording.send_recording_name(title)
+
+
+def recorded(
+    scene: Scene, runs: Mapping[str, Trajectory], envelopes: Sequence[Envelope], text: str, title: str
+) -> bytes:
+    """The content of an .rrd; arguments as of `log_sweep`."""
+    recording = new_recording(scene)
+    memory = recording.memory_recording()
+    log_sweep(recording, scene, runs, envelopes, text, title)
+    return bytes(memory.drain_as_bytes())
+
+
+def _log_envelope(
+    recording: rr.RecordingStream, number: str, envelope: Envelope, colors: Mapping[str, str]
+) -> None:
+    known = envelope.sample[np.isfinite(envelope.sample).all(axis=1)]
+    lines: dict[str, tuple[Array, rr.SeriesLines]] = {}
+    for name, level in LEVELS.items():
+        if len(known):
+            look = rr.SeriesLines(colors=PLAIN_COLOR, names=name, widths=THIN)
+            lines[name] = np.quantile(known, level, axis=0), look
+    for name, values in envelope.lines.items():
+        lines[name] = values, rr.SeriesLines(colors=rgb(colors[name]), names=name, widths=THICK)
+    for name, (values, look) in lines.items():
+        path = rr.new_entity_path(["plots", number, name])
+        recording.log(path, look, static=True)
+        send_columns(recording, path, envelope.times[: len(values)], rr.Scalars.columns, scalars=values)

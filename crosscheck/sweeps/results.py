@@ -1,0 +1,129 @@
+"""Results of sweeps: made chunk by chunk wherever they run, and taken up where they ended."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from crosscheck.errors import CrosscheckError
+from crosscheck.files import check_writable
+from crosscheck.limit import tidied_up
+from crosscheck.sweeps.execute import Pace, Workers, in_any_order, probed
+from crosscheck.sweeps.plan import STOPPED, Plan, run_all, run_chunk
+from crosscheck.sweeps.store import ERROR, NAME, STATUS, Store, store_chunk
+from newton_euler.model.scene import Scene
+
+TASK = 1.0
+"""s that a task takes about: its overhead is small beside it, and little is lost with one."""
+
+LARGEST_CHUNK = 2**16
+"""Runs of a task."""
+
+TASKS_PER_WORKER = 4
+"""At least, if there are runs enough: so that all have work to the end."""
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """The runs of a sweep.
+
+    Attributes:
+        plan: all that its runs depend on.
+        dataset: an xarray Dataset of what varied and what was kept, by runs; on disk where there is a path.
+        path: of its Zarr store; None in memory.
+        made: runs that were made now; the others were there.
+        wall_time: s that they took.
+    """
+
+    plan: Plan
+    dataset: Any
+    path: Path | None
+    made: int
+    wall_time: float
+
+    @property
+    def scene(self) -> Scene:
+        """The scene with its nominal values."""
+        return self.plan.scene
+
+    @cached_property
+    def errors(self) -> dict[int, str]:
+        """Why runs could not go on, by their number."""
+        stopped = np.flatnonzero(self.dataset[STATUS].values == STOPPED)
+        return {int(run): str(self.dataset[ERROR][run].values) for run in stopped}
+
+
+def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[[str], None]) -> Results:
+    """Make the runs of a plan that are not in a folder yet; in memory if that is None.
+
+    Raises:
+        CrosscheckError: for a folder with another plan, a disk that is full, and workers that fail.
+        NewtonEulerError: for a scene that cannot be run, and an unknown parameter.
+    """
+    _check_names(plan)
+    path = None if folder is None else folder / NAME
+    start = time.perf_counter()
+    with tidied_up():
+        progress("compiling")
+        run_all(plan, plan.parameters(0, 1))
+        store, plan = _opened(plan, path, at)
+        made = _make(plan, store, at, progress)
+    dataset = store.dataset()
+    wall_time = time.perf_counter() - start
+    return Results(plan, dataset.load() if path is None else dataset, path, made, wall_time)
+
+
+def _check_names(plan: Plan) -> None:
+    """Raise `CrosscheckError` for a thing that is kept by the name of another one."""
+    taken = {
+        *plan.samples.names,
+        STATUS,
+        ERROR,
+        "run",
+        "time",
+        "body",
+        "joint",
+        "actuator",
+        "axis",
+        "component",
+    }
+    for each in plan.kept:
+        if each.name in taken:
+            raise CrosscheckError(f"{each.name!r} is the name of something else; keep it by another one")
+
+
+def _opened(plan: Plan, path: Path | None, at: Workers) -> tuple[Store, Plan]:
+    """Open the store of a sweep, or make one; returns it and the plan with its chunks."""
+    if path is not None:
+        if path.exists():
+            store = Store.at(path)
+            store.tidy()
+            return store, store.check_same(plan)
+        check_writable(path)
+    runs = plan.samples.runs
+    rate = probed(lambda count: run_all(plan, plan.parameters(0, count)), runs)
+    most = -(-runs // (TASKS_PER_WORKER * at.count()))
+    about = max(1, min(int(TASK * rate), most, LARGEST_CHUNK))
+    plan = replace(plan, chunk=1 << (about.bit_length() - 1))
+    return Store.make(plan, path) if path else Store.in_memory(plan), plan
+
+
+def _make(plan: Plan, store: Store, at: Workers, progress: Callable[[str], None]) -> int:
+    """Make the chunks that are not there; returns how many runs these are."""
+    left = store.missing(plan)
+    counts = {k: last - first for k in left for first, last in [plan.bounds(k)]}
+    pace = Pace(plan.samples.runs, plan.samples.runs - sum(counts.values()), progress)
+    if store.path is not None:
+        for k, _ in in_any_order(partial(store_chunk, plan, store.path.absolute()), left, at):
+            pace.add(counts[k])
+    else:
+        for k, chunk in in_any_order(partial(run_chunk, plan), left, at):
+            store.write(plan, k, chunk)
+            pace.add(counts[k])
+    return pace.made

@@ -1,0 +1,112 @@
+"""`crosscheck sweep`: its tables and files, its page, crosschecks, and bad input in one line each."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+
+import pytest
+from command_line import run
+from rerun.chunk import RrdReader
+
+import crosscheck.sweeps.checks
+import crosscheck.sweeps.execute
+from crosscheck import sweep
+from crosscheck.comparison.figure import Figure
+from crosscheck.run import Crosscheck
+from crosscheck.scenes import load
+
+VARY = "dumbbell.mass=uniform(1, 2)"
+
+KEEP = "peak:reaction_force,final:dumbbell.position.y"
+
+ARGUMENTS = ("--vary", VARY, "--vary", "gravity.y=normal(-9.81, 0.1)", "--runs", "64", "--keep", KEEP)
+
+
+def test_a_sweep_prints_what_matters_and_writes_files(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    status, out, _ = run(capsys, "sweep", "pendulum", *ARGUMENTS, "--check", "0", "--output", tmp_path)
+    assert status == 0
+    lines = out.splitlines()
+    assert len(lines) <= 25
+    assert max(map(len, lines)) <= 80
+    assert "pendulum: 64 runs, random, seed 0" in lines[0]
+    assert "64 of 64 runs came to their end; none was cross-checked" in out
+    assert "peak:reaction_force pivot, N" in out
+    names = {"sweep.zarr", "sweep.json", "sweep.rrd", "tornado.png", "histograms.png", "scatter.png"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    content = json.loads((tmp_path / "sweep.json").read_text())
+    shares = {each["name"]: each["share"] for each in content["effects"]["peak:reaction_force pivot"]}
+    assert shares["dumbbell.mass"] > 0.8  # and the rest is within bins of 20 runs
+    entities = {chunk.entity_path for chunk in RrdReader(str(tmp_path / "sweep.rrd")).stream()}
+    assert "/mechanism/nominal/dumbbell" in entities
+    assert any(str(path).startswith("/plots/0/") for path in entities)
+    # the same again makes no run
+    status, again, _ = run(capsys, "sweep", "pendulum", *ARGUMENTS, "--check", "0", "--output", tmp_path)
+    assert status == 0
+    assert "made at" not in again
+
+
+def test_extreme_runs_and_some_at_random_are_cross_checked():
+    short = replace(load("pendulum"), duration=1.0)
+    swept = sweep(short, {"dumbbell.mass": "uniform(1, 2)"}, 40, "peak:reaction_force").check(1)
+    why = {each.run: each.why for each in swept.checks}
+    forces = swept.dataset["peak:reaction_force"].values[:, 0]
+    assert why[int(forces.argmax())] == "most peak:reaction_force pivot"
+    assert why[int(forces.argmin())] == "least peak:reaction_force pivot"
+    assert list(why.values()).count("at random") == 1
+    # forces of MuJoCo's soft joints are some per mille off
+    assert all(each.complete and not each.differs and each.apart < 0.05 for each in swept.checks)
+    assert swept.report.verdict.startswith(
+        "AGREE: all engines, 3 runs cross-checked, 1 at random and 2 extreme"
+    )
+
+
+def test_a_run_on_which_engines_differ_is_named(monkeypatch):
+    wrong = Figure("dynamics", "a fault", ("newton_euler", "mujoco"), 2.0, 1.0, "dumbbell")
+
+    def planted(*arguments):
+        result = Crosscheck.__new__(Crosscheck)
+        result.__dict__.update(figures=(wrong,), measured=(), left_out={}, unfinished=(), trajectories={})
+        result.__dict__["verdict"] = "DISAGREE: mujoco differs"
+        return result
+
+    monkeypatch.setattr(Crosscheck, "verdict", "DISAGREE: mujoco differs")
+    monkeypatch.setattr(crosscheck.sweeps.checks, "crosscheck", planted)
+    swept = sweep("pendulum", {"dumbbell.mass": "uniform(1, 2)"}, 8, "peak:reaction_force").check(1)
+    assert swept.report.judged.verdict == "fails"
+    assert swept.report.verdict.startswith("DISAGREE: run ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--vary", "dumbbell.mass", "--runs", "3", "--keep", KEEP), "not of the form NAME=DISTRIBUTION"),
+        (("--vary", VARY, "--vary", VARY, "--runs", "3", "--keep", KEEP), "given twice"),
+        (("--vary", VARY, "--keep", KEEP), "needs a number of runs (--runs N)"),
+        (("--vary", VARY, "--runs", "-3", "--keep", KEEP), "runs is -3"),
+        (("--vary", "dumbell.mass=uniform(1, 2)", "--runs", "3", "--keep", KEEP), "unknown parameter"),
+        (("--vary", "gravity=uniform(1, 2)", "--runs", "3", "--keep", KEEP), "parameter 'gravity'"),
+        (("--vary", VARY, "--runs", "3", "--keep", "peak:forces"), "unknown output 'forces'"),
+        (("--vary", VARY, "--runs", "3", "--keep", KEEP, "--rtol", "0"), "rtol is 0.0"),
+        (("--vary", VARY, "--runs", "4", "--keep", KEEP, "--sampling", "saltelli"), "3 or 6"),
+        (("--vary", VARY, "--runs", "3", "--keep", KEEP, "--cluster", "tcp://127.0.0.1:1"), "cannot reach"),
+        (("--vary", VARY, "--runs", "3", "--keep", KEEP, "--cluster", "nowhere"), "cannot reach"),
+    ],
+)
+def test_bad_input_is_one_line(capsys, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.setattr(crosscheck.sweeps.execute, "PATIENCE", "1s")
+    status, out, err = run(capsys, "sweep", "pendulum", *arguments, "--output", tmp_path / "out")
+    assert (status, out) == (2, "")
+    assert words in " ".join(err.split())
+    assert len(err.splitlines()) == 1
+    assert not list(tmp_path.rglob("*.zarr"))
+
+
+@pytest.mark.parametrize("missing", ["xarray", "zarr"])
+def test_a_missing_group_is_named(capsys, tmp_path, monkeypatch, missing):
+    monkeypatch.setitem(sys.modules, missing, None)
+    status, _, err = run(capsys, "sweep", "pendulum", *ARGUMENTS, "--output", tmp_path / "out")
+    assert status == 2
+    assert f'{missing} is not installed; pip install "crosscheck[sweep]"' in err
