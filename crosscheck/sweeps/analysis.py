@@ -38,7 +38,7 @@ CONSTANT = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Effect:
-    """What one parameter, or several that are correlated, does to a number.
+    """The effect of one parameter, or of several that are correlated, on a number.
 
     Attributes:
         name: of the parameter.

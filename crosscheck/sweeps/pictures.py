@@ -26,7 +26,7 @@ SIDE_BY_SIDE = 3
 LOW, HIGH, PLAIN = ENGINE_COLORS["newton_euler"], ENGINE_COLORS["mujoco"], ENGINE_COLORS["pinocchio"]
 
 Effects = Sequence[tuple[Scalar, Sequence[Effect]]]
-"""What parameters do to numbers that vary."""
+"""Numbers that vary, and the effects of parameters on each."""
 
 
 def heading(scalar: Scalar) -> str:

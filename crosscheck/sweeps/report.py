@@ -48,7 +48,7 @@ MOST_GHOSTS = 4
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What is found of a sweep.
+    """The analysis of a sweep, and crosschecks of some of its runs.
 
     Attributes:
         swept: the sweep.
