@@ -35,30 +35,37 @@ class Inertia(NamedTuple):
     center_of_mass: Floats
     inertia: Floats
 
+    def checked(self, shape: str) -> Inertia:
+        """Return itself; raises `MechanismError` unless mass and moments are positive, and all is finite."""
+        needed = "lengths and a density of a positive, finite"
+        if not 0.0 < self.mass < math.inf:
+            raise MechanismError(shape, f"mass is {self.mass:.6g} kg", f"{needed} mass")
+        moments = [value if np.isfinite(self.inertia).all() else math.inf for value in np.diag(self.inertia)]
+        for value in moments:
+            if not 0.0 < value < math.inf:
+                raise MechanismError(shape, f"moment of inertia is {value:.6g} kg m^2", f"{needed} one")
+        if not np.all(np.isfinite(self.center_of_mass)):
+            found = f"center of mass is {self.center_of_mass.tolist()}"
+            raise MechanismError(shape, found, "a place that a double holds")
+        return self
+
+    def scaled(self, factor: float) -> Inertia:
+        """Return the same of a body that is so many times as dense."""
+        with np.errstate(all="ignore"):  # numbers are checked
+            return Inertia(factor * self.mass, self.center_of_mass, factor * self.inertia).checked("solids")
+
 
 def total(parts: Sequence[Inertia]) -> Inertia:
     """Add up the mass properties of parts that move together."""
     masses, centers = np.array([part.mass for part in parts]), [part.center_of_mass for part in parts]
-    mass = float(masses.sum())
-    center, inertia = masses @ centers / mass, np.zeros((3, 3))
-    for part in parts:
-        arm = part.center_of_mass - center
-        inertia += part.inertia
-        inertia += part.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    return Inertia(mass, center, inertia)
-
-
-def _checked(shape: str, mass: float) -> float:
-    """Return a mass in kg; raises `MechanismError` unless it is positive and finite."""
-    if not 0.0 < mass < math.inf:
-        needed = "lengths and a density of a positive, finite mass"
-        raise MechanismError(shape, f"mass is {mass:.6g} kg", needed)
-    return mass
-
-
-def _check_density(shape: str, density: float) -> None:
-    if not is_finite_number(density) or density <= 0.0:
-        raise MechanismError(shape, f"density is {density!r:.100}", "a positive number of kg/m^3")
+    with np.errstate(all="ignore"):  # numbers are checked
+        mass = float(masses.sum())
+        center, inertia = masses @ centers / mass, np.zeros((3, 3))
+        for part in parts:
+            arm = part.center_of_mass - center
+            inertia += part.inertia
+            inertia += part.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return Inertia(mass, center, inertia).checked("solids")
 
 
 def _check_radius(shape: str, radius: float) -> None:
@@ -66,8 +73,32 @@ def _check_radius(shape: str, radius: float) -> None:
         raise MechanismError(shape, f"radius is {radius}", "a positive length")
 
 
+class Homogeneous:
+    """A homogeneous solid."""
+
+    @property
+    def noun(self) -> str:
+        """Its kind, in messages."""
+        return type(self).__name__.lower()
+
+    def inertia(self, density: float) -> Inertia:
+        """Compute the mass properties of the solid of a density, kg/m^3.
+
+        Raises:
+            MechanismError: for a density that is not positive, and what doubles do not hold.
+        """
+        if not is_finite_number(density) or density <= 0.0:
+            raise MechanismError(self.noun, f"density is {density!r:.100}", "a positive number of kg/m^3")
+        with np.errstate(all="ignore"):  # numbers are checked
+            return self._of_density(density).checked(self.noun)
+
+    def _of_density(self, density: float) -> Inertia:
+        """Compute the same of a density that is one."""
+        raise NotImplementedError
+
+
 @description
-class Box:
+class Box(Homogeneous):
     """A box of half sizes (3,) along the axes of a frame with the given center and quaternion w-x-y-z.
 
     Raises:
@@ -90,17 +121,15 @@ class Box:
         if abs(norm - 1.0) > UNIT_TOLERANCE:
             raise MechanismError("box", f"quaternion has norm {norm:.9g}", "a unit quaternion, w-x-y-z")
 
-    def inertia(self, density: float) -> Inertia:
-        """Compute the mass properties of the solid of a density, kg/m^3."""
-        _check_density("box", density)
-        mass = _checked("box", 8.0 * density * math.prod(self.half_sizes.tolist()))
+    def _of_density(self, density: float) -> Inertia:
+        mass = 8.0 * density * math.prod(self.half_sizes.tolist())
         squares, axes = self.half_sizes**2, rotation(self.quaternion)
         moments = mass / 3.0 * (squares.sum() - squares)
         return Inertia(mass, self.center, axes @ np.diag(moments) @ axes.T)
 
 
 @description
-class Sphere:
+class Sphere(Homogeneous):
     """A ball of the given center (3,) and radius.
 
     Raises:
@@ -118,16 +147,14 @@ class Sphere:
         set_arrays(self, "sphere", center=(3,), radius=())
         _check_radius("sphere", self.radius)
 
-    def inertia(self, density: float) -> Inertia:
-        """Compute the mass properties of the solid of a density, kg/m^3."""
-        _check_density("sphere", density)
+    def _of_density(self, density: float) -> Inertia:
         square = self.radius * self.radius
-        mass = _checked("sphere", 4.0 / 3.0 * math.pi * density * square * self.radius)
+        mass = 4.0 / 3.0 * math.pi * density * square * self.radius
         return Inertia(mass, self.center, 0.4 * mass * square * np.eye(3))
 
 
 @description
-class _Bar:
+class _Bar(Homogeneous):
     """A round bar of the given radius from `start` to `end`, (3,) each."""
 
     start: ArrayField
@@ -135,12 +162,8 @@ class _Bar:
     radius: float
 
     def __post_init__(self) -> None:
-        set_arrays(self, self._noun, start=(3,), end=(3,), radius=())
-        _check_radius(self._noun, self.radius)
-
-    @property
-    def _noun(self) -> str:
-        return type(self).__name__.lower()
+        set_arrays(self, self.noun, start=(3,), end=(3,), radius=())
+        _check_radius(self.noun, self.radius)
 
     @property
     def length(self) -> float:
@@ -172,11 +195,9 @@ class Cylinder(_Bar):
         if self.length == 0.0:
             raise MechanismError("cylinder", "start and end are one point", "two ends")
 
-    def inertia(self, density: float) -> Inertia:
-        """Compute the mass properties of the solid of a density, kg/m^3."""
-        _check_density("cylinder", density)
+    def _of_density(self, density: float) -> Inertia:
         square = self.radius * self.radius
-        mass = _checked("cylinder", math.pi * density * square * self.length)
+        mass = math.pi * density * square * self.length
         return self._about(
             mass, 0.5 * mass * square, mass * (3.0 * square + self.length * self.length) / 12.0
         )
@@ -195,23 +216,20 @@ class Capsule(_Bar):
         2.483115
     """
 
-    def inertia(self, density: float) -> Inertia:
-        """Compute the mass properties of the solid of a density, kg/m^3."""
-        _check_density("capsule", density)
+    def _of_density(self, density: float) -> Inertia:
         square, length = self.radius * self.radius, self.length
         bar, ball = math.pi * density * square * length, 4.0 / 3.0 * math.pi * density * square * self.radius
-        mass = _checked("capsule", bar + ball)
         axial = (0.5 * bar + 0.4 * ball) * square
         transverse = bar * (3.0 * square + length * length) / 12.0
         transverse += ball * (0.4 * square + 0.25 * length * length + 0.375 * length * self.radius)
-        return self._about(mass, axial, transverse)
+        return self._about(bar + ball, axial, transverse)
 
 
 Shape = Box | Capsule | Cylinder | Sphere
 
 
 @description
-class Mesh:
+class Mesh(Homogeneous):
     """Triangles between points.
 
     Attributes:
@@ -248,8 +266,8 @@ class Mesh:
             value.flags.writeable = False
             object.__setattr__(self, name, value)
 
-    def inertia(self, density: float) -> Inertia:
-        """Compute the mass properties of the solid of a density, kg/m^3, that the triangles enclose.
+    def _of_density(self, density: float) -> Inertia:
+        """Compute the mass properties of the solid that the triangles enclose.
 
         By the divergence theorem integrals over the solid are sums of those over tetrahedra between an origin
         and the triangles, negative ones where a triangle is seen from inside. With a, b, c its corners and
@@ -260,7 +278,6 @@ class Mesh:
         Raises:
             MechanismError: for triangles that leave holes, or that are clockwise seen from outside.
         """
-        _check_density("mesh", density)
         self._check_closed()
         origin = self.vertices.mean(axis=0)  # near to the solid, so that little cancels
         corners = (self.vertices - origin)[self.triangles]

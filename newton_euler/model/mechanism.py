@@ -144,14 +144,12 @@ class Body:
             raise MechanismError(where, "has no solids", "one or more")
         try:
             found = total([solid.inertia(1.0 if density is None else density) for solid in solids])
+            found = found if mass is None else found.scaled(mass / found.mass)
         except MechanismError as error:
             raise MechanismError(f"{where}: {error.element}", error.problem, error.needed) from error
-        scale = 1.0 if mass is None else mass / found.mass
         return cls(
             name,
-            scale * found.mass,
-            found.center_of_mass,
-            scale * found.inertia,
+            *found,
             shapes=tuple(solid for solid in solids if not isinstance(solid, Mesh)),
             meshes=tuple(solid for solid in solids if isinstance(solid, Mesh)),
         )

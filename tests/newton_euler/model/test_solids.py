@@ -183,6 +183,11 @@ def test_solids_are_drawn_as_they_are_in_model_files(tmp_path):
         (Box([1e-200] * 3, [0.0] * 3), {"mass": 1.0}, "body 'a': box: mass is 0 kg; needed: lengths"),
         (Cylinder([0.0] * 3, [1.0, 0.0, 0.0], 1e200), {"mass": 1.0}, "body 'a': cylinder: mass is inf kg"),
         (Capsule([0.0] * 3, [1.0, 0.0, 0.0], 1e200), {"mass": 1.0}, "body 'a': capsule: mass is inf kg"),
+        (Sphere([0.0] * 3, 1e90), {"mass": 1.0}, "body 'a': sphere: moment of inertia is inf kg m.2; needed"),
+        (Box([1e-90] * 3, [0.0] * 3), {"mass": 1.0}, "body 'a': box: moment of inertia is 0 kg m.2"),
+        (Mesh(1e110 * MESH.vertices, FACES), {"mass": 1.0}, "body 'a': mesh: mass is inf kg"),
+        (Mesh(1e-200 * MESH.vertices, FACES), {"mass": 1.0}, "body 'a': mesh: encloses 0 m.3"),
+        (Sphere([0.0] * 3, 1e-10), {"mass": 1e300}, "body 'a': solids: mass is inf kg"),
     ],
 )
 def test_what_is_no_solid_is_named(solid, given, message):
