@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ThreadPoolExecutor,
+    wait,
+)
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -96,6 +105,8 @@ def _client(cluster: Client | str) -> Iterator[Client]:
         return
     if not isinstance(cluster, str):
         raise OptionError("cluster", cluster, "a Client of Dask or an address such as tcp://10.0.0.1:8786")
+    # what goes wrong is raised; its log on standard error would be a second voice
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
         client = distributed.Client(cluster, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TypeError, RuntimeError) as error:
@@ -130,6 +141,8 @@ def in_any_order(
                 yield number, _result(future)
     except BrokenExecutor as error:
         raise CrosscheckError(f"a process of the executor died; {KEPT_GOES_ON}") from error
+    except (OSError, CancelledError) as error:  # of a scheduler that does not answer any more
+        raise CrosscheckError(f"the cluster was lost; {KEPT_GOES_ON}") from error
     finally:
         for future in running:
             future.cancel()
@@ -138,7 +151,7 @@ def in_any_order(
 def _result(future: Future[Result]) -> Result:
     try:
         return future.result()
-    except (CrosscheckError, BrokenExecutor):
+    except (CrosscheckError, BrokenExecutor, CancelledError):
         raise
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
