@@ -14,6 +14,7 @@ from newton_euler.analysis.linear_model import LinearModel, Modes
 from newton_euler.analysis.linearization import linearize
 from newton_euler.analysis.poses import Poses, solve_poses
 from newton_euler.analysis.regulator import lqr
+from newton_euler.analysis.sensitivity import Sensitivities, sensitivities
 from newton_euler.analysis.workspace import Workspace, singular_poses, workspace
 from newton_euler.assemble import assemble, initial_state, start
 from newton_euler.batch import simulate_batch
@@ -91,6 +92,7 @@ __all__ = [
     "Sampled",
     "Scene",
     "Screw",
+    "Sensitivities",
     "Sine",
     "Sphere",
     "Spherical",
@@ -117,6 +119,7 @@ __all__ = [
     "lqr",
     "on_moving_base",
     "rest_case",
+    "sensitivities",
     "simulate",
     "simulate_batch",
     "singular_poses",

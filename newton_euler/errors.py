@@ -201,6 +201,14 @@ class SingularityError(NewtonEulerError):
         super().__init__(f"equations of motion are singular at joint {joint!r}: {reason}")
 
 
+class SensitivityError(NewtonEulerError):
+    """A run that has no derivatives, or whose derivatives are not known."""
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        super().__init__(f"no sensitivities: {reason}")
+
+
 class VerificationError(NewtonEulerError):
     """A scene that is not what the file says: the first figure that differs, and where."""
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import copy
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -48,7 +48,7 @@ class Interval(NamedTuple):
         return float(0.5 * (self.times[0] + self.times[-1]))
 
 
-def intervals(scene: Scene, knots: Sequence[float]) -> Iterator[Interval]:
+def intervals(scene: Scene, knots: Sequence[float], times: Array | None = None) -> Iterator[Interval]:
     """Divide a run of the scene at sampling instants and knots; a single interval if there are none.
 
     Controllers are called at multiples of their periods from 0 on, but not at the end of the run.
@@ -56,8 +56,9 @@ def intervals(scene: Scene, knots: Sequence[float]) -> Iterator[Interval]:
     Args:
         scene: what is run.
         knots: s, ascending.
+        times: of outputs, s, from 0 on; the scene's if not given.
     """
-    outputs, laws = scene.times, scene.sampled
+    outputs, laws = scene.times if times is None else times, scene.sampled
     end = float(outputs[-1])
     slack = SAME * float(np.min(np.diff(knots), initial=scene.output_period))
     ahead = [_met(knot, slack, outputs) for knot in reversed(knots) if slack < knot < end - slack]
@@ -139,6 +140,10 @@ def holding(system: S, values: Mapping[str, Any]) -> S:
     return changed
 
 
+Carry = Callable[[Integrator, Array, Interval], None]
+"""What goes on beside the intervals of a run: the integrator after one, x (inputs,) before, the interval."""
+
+
 class NativeRun(NamedTuple):
     """A run in native code.
 
@@ -156,15 +161,29 @@ class NativeRun(NamedTuple):
     wall_time: float
 
 
-def integrate_intervals(code: Code, x: Array, options: Options, stopped: Sequence[bool] = ()) -> NativeRun:
-    """Run a scene from x (inputs,), which is changed; `stopped` is as of `Integrator`."""
+def integrate_intervals(
+    code: Code,
+    x: Array,
+    options: Options,
+    stopped: Sequence[bool] = (),
+    times: Array | None = None,
+    carry: Carry | None = None,
+    room: int = 0,
+) -> NativeRun:
+    """Run a scene from x (inputs,), which is changed.
+
+    Args:
+        stopped, room: as of `Integrator`.
+        times: of outputs, s; the scene's if not given.
+        carry: called after each interval that was run to its end.
+    """
     start = time.perf_counter()
     scene = code.parametrized(x)
     parts: list[Array] = []
     total: Counter[str] = Counter()
     error: IntegrationError | None = None
     controllers, integrators = Controllers(scene), dict[int, Integrator]()
-    for interval in intervals(scene, scene.knots):
+    for interval in intervals(scene, scene.knots, times):
         values: dict[str, Any] = pieces(scene, interval.middle)
         if interval.due:
             readings = code.function("measured")(x).reshape(2, -1).T
@@ -177,7 +196,7 @@ def integrate_intervals(code: Code, x: Array, options: Options, stopped: Sequenc
             place = code.place(name)
             x[place : place + np.size(value)] = value
         if len(interval.times) not in integrators:
-            integrators[len(interval.times)] = Integrator(code, interval.times, options, stopped)
+            integrators[len(interval.times)] = Integrator(code, interval.times, options, stopped, room)
         integrator = integrators[len(interval.times)]
         integrator.times[:] = interval.times
         if not values:  # one integrator for all of the run, which others make once for many
@@ -188,6 +207,8 @@ def integrate_intervals(code: Code, x: Array, options: Options, stopped: Sequenc
         parts.append(results if wanted.all() else results[wanted])
         if error:
             break
+        if carry:
+            carry(integrator, x, interval)
         x[:] = integrator.x
     if len(parts) != 1:
         results = np.concatenate([np.zeros((0, code.function("output").outputs)), *parts])

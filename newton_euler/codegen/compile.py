@@ -123,7 +123,7 @@ class Traced(NamedTuple):
 
     Attributes:
         program: its operations.
-        many: True for straight-line code that takes several x at once.
+        many: True for straight-line code that takes several x at once, whatever its size.
         layout: where the program has its results, for callers: anything that JSON can hold.
     """
 
@@ -155,8 +155,8 @@ class NativeFunction:
         @cache
         def text() -> tuple[str, int]:
             program, many, layout = trace()
-            straight = program.operations < LARGE
-            lanes = LANES if many and straight else 1
+            straight = many or program.operations < LARGE
+            lanes = LANES if many else 1
             body = emit_straight(program, "f", lanes) if straight else emit_rolled(program, "f")
             description = program.inputs, len(program.outputs), lanes, program.operations, layout
             written = declarations(lanes) + body + _constant(DESCRIPTION, json.dumps(description))

@@ -26,7 +26,7 @@ from newton_euler.equations.model_control import share_model_control
 from newton_euler.equations.parameters import parameter_values, pieces, with_values
 from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual, rows_in_use
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.sparse import RowsInUse, least_squares
+from newton_euler.equations.sparse import Rows, RowsInUse, least_squares
 from newton_euler.equations.system import Observation, at_time
 from newton_euler.errors import OptionError, UnknownNameError, check_choice, is_finite_number
 from newton_euler.integrators.options import FormulationName, StabilizationName
@@ -332,13 +332,21 @@ class Code:
         graph = Graph()
         names = self._of_motions if name in KINEMATIC else tuple(self.parameters)
         x = graph.variables(self.size + 1 + sum(int(np.prod(self.parameters[each])) for each in names))
+        return graph.prune(self._scalars(name, self._system_of(x, names), x))
+
+    def _system_of(self, x: Array, names: Iterable[str]) -> Formulation:
+        """Return the equations over scalars x (inputs,), which end with these parameters."""
         scene = with_values(self.scene, self._values(x, names))
         system = at_time(self._formulated(scene), x[self.size])
         if self.scene.motions:
             system.in_use = self.rows
+        return system
+
+    def _scalars(self, name: str, system: Formulation, x: Array) -> list[Scalar]:
+        """Evaluate a program at x (inputs,)."""
         q, v = x[: system.nq], x[system.nq : self.size]
-        scalars = getattr(self, f"_trace_{name}")(system, q, v)
-        return graph.prune(scalars)
+        scalars: list[Scalar] = getattr(self, f"_trace_{name}")(system, q, v)
+        return scalars
 
     def _trace_derivative(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace (qdot, vdot, pivot ratio)."""
@@ -385,10 +393,7 @@ class Code:
         """
         units = system.velocity_units
         phi, jacobian = system.phi_and_jacobian(q)
-        rows = [
-            {k: x * (units[k] / system.phi_units[i]) for k, x in jacobian[i].items()}
-            for i in self.rows.numbers
-        ]
+        rows = self._dimensionless(system, jacobian)
         phi = phi / system.phi_units
         right = phi[self.rows.numbers]
         if v is not None:
@@ -397,6 +402,14 @@ class Code:
         step, pivot_ratio = least_squares(rows, right)
         least = np.array([units[k] * step.get(k, 0.0) for k in range(system.nv)])
         return phi, least, minimum(pivot_ratio, 1.0)
+
+    def _dimensionless(self, system: Formulation, jacobian: Rows) -> Rows:
+        """Return the rows of Phi_q that are in use, dimensionless."""
+        units = system.velocity_units
+        return [
+            {k: x * (units[k] / system.phi_units[i]) for k, x in jacobian[i].items()}
+            for i in self.rows.numbers
+        ]
 
     def _trace_surface(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace (Phi, dPhi/dt, nonzeros of Phi_q, nonzeros of M); the layout has their rows and columns."""

@@ -125,6 +125,8 @@ class Dop853(Record):
         now, at, end: states with time and parameters: where a step begins, of a stage, where it ends.
         k: (16, n + 1) derivatives of the stages.
         terms: (7, n) of the dense output.
+        room: number of steps that are kept, the first ones.
+        steps: (room, n + 2) states and times where steps begin, and their sizes.
     """
 
     rtol: float
@@ -138,6 +140,18 @@ class Dop853(Record):
     end: Vector
     k: Vector
     terms: Vector
+    room: int
+    steps: Vector
+
+
+@native
+def keep_step(n: int, h: float, method: Dop853, number: int) -> None:
+    """Keep a step of size h if there is room for it."""
+    if number < method.room:
+        kept = method.steps[(n + 2) * number :]
+        for i in range(n + 1):
+            kept[i] = method.now[i]
+        kept[n + 1] = h
 
 
 @native
@@ -394,6 +408,7 @@ def integrate_dop853(system: Equations, table: Table, method: Dop853) -> int:
             h = h * max(SMALLEST, SAFETY * error**EXPONENT)
             growing = 1.0
             continue
+        keep_step(n, h, method, int(counts[STEPS]))
         counts[STEPS] += 1.0
         hops = 0
         if times[due] <= now[n] + h:

@@ -168,9 +168,12 @@ class Integrator:
         table: (n, size) the states at all times after a run, as far as `outputs` needs them.
         outputs: the arrays that the scene asks for.
         counts: (COUNTS,) of the run, see `newton_euler.integrators.stepper`.
+        steps: (room, size + 2) the first steps of DOP853, see `newton_euler.integrators.dop853.Dop853`.
     """
 
-    def __init__(self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = ()) -> None:
+    def __init__(
+        self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = (), room: int = 0
+    ) -> None:
         """Make everything ready; a run stops if `stopped`, which other threads may fill, holds something."""
         functions = (f for each in code.scene.functions.values() for f in each)
         if options.rest and not all(f.is_constant for f in functions):
@@ -178,11 +181,11 @@ class Integrator:
         self._code, self._python, self._integrator = code, Fallback(code, stopped), options.integrator
         self.times, self._most = times.copy(), min(options.most_steps or MOST_STEPS, COUNTED)
         self.x, self.counts = np.zeros(code.inputs), np.zeros(m.COUNTS)
-        self.table = np.zeros((len(times), code.size))
+        self.table, self.steps = np.zeros((len(times), code.size)), np.zeros((room, code.size + 2))
         marked = marks(code, options.integrator)
         system = equations(code, self._python, code.function("derivative"), marked, self.counts)
         table = m.Table(len(times), code.kept, self.times, self.table)
-        method = _method(code, self.x, options, self._most)
+        method = _method(code, self.x, options, self._most, self.steps)
         self._copies = [getattr(method, name) for name in ("at", "end") if hasattr(method, name)]
         self.outputs = Outputs(code, self.times, self.x, self.table)
         integrate = METHODS[options.integrator]
@@ -262,8 +265,8 @@ def equations(
     )
 
 
-def _method(code: Code, x: Array, options: Options, most: int) -> Record:
-    """Return a method that begins at x (inputs,), with its scratch."""
+def _method(code: Code, x: Array, options: Options, most: int, steps: Array) -> Record:
+    """Return a method that begins at x (inputs,), with its scratch and room for steps."""
     n, like = code.size, np.zeros_like
     if options.step is not None:
         euler = options.integrator == "Euler"
@@ -279,7 +282,21 @@ def _method(code: Code, x: Array, options: Options, most: int) -> Record:
     if options.integrator == "DOP853":
         near = options.near(code.noise, code.scene.mechanism.size)
         k, terms = np.empty(16 * (n + 1) + 1), np.empty((7, n))
-        return Dop853(options.rtol, options.atol, *near, most, options.rest, x, like(x), like(x), k, terms)
+        return Dop853(
+            rtol=options.rtol,
+            atol=options.atol,
+            near_rtol=near[0],
+            near_atol=near[1],
+            most=most,
+            rest=options.rest,
+            now=x,
+            at=like(x),
+            end=like(x),
+            k=k,
+            terms=terms,
+            room=len(steps),
+            steps=steps,
+        )
     return Radau(
         rtol=options.rtol,
         atol=options.atol,

@@ -162,7 +162,7 @@ class Trajectory:
                 expected = np.diff(self.time) * 0.5 * (rates[1:, k] + rates[:-1, k])
                 revolutions = np.round((expected - np.diff(x[:, k])) / (2.0 * np.pi))
                 x[1:, k] += 2.0 * np.pi * np.cumsum(np.nan_to_num(revolutions))
-        return JointMotion(_coordinate_names(equations.joint), x, rates if has_rates else None)
+        return JointMotion(coordinate_names(equations.joint), x, rates if has_rates else None)
 
     def to_dataframe(self) -> Any:
         """Return a table with a row per output time, of pandas, or of polars if that alone is installed.
@@ -215,7 +215,8 @@ class Trajectory:
         return content.getvalue()
 
 
-def _coordinate_names(joint: Joint) -> tuple[str, ...]:
+def coordinate_names(joint: Joint) -> tuple[str, ...]:
+    """Name the coordinates of a joint, numbered from 1 where it has several of a kind."""
     kinds = ["position" if kind == "slide" else "angle" for kind in joint.coordinate_kinds]
     return tuple(
         kind if kinds.count(kind) == 1 else f"{kind}_{kinds[:k].count(kind) + 1}"

@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from finite_difference import derivative
 from mechanisms import bar, pendulum, seven_hinges
 from scipy.integrate import solve_ivp
 
 import newton_euler
 from newton_euler.assemble import initial_state
 from newton_euler.equations.system import MassProperties
+from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.compiled import OPEN_TOLERANCE
 from newton_euler.integrators.projection import NATIVE_STEPS, check_still_closed, project
 from newton_euler.integrators.stepper import COUNTS, DONE, OPEN, Equations
@@ -298,3 +300,19 @@ def test_a_flat_start_without_projection_is_refused(options, stabilization):
     ) as caught:
         newton_euler.simulate(parallelogram(0.0, 2.0), stabilization=stabilization, **options)
     assert caught.value.time == 0.0
+
+
+def test_derivatives_near_singular_configurations_are_right_or_refused():
+    """Passing one at a distance loses digits alone; a run that starts in one has no derivatives."""
+    scene = replace(parallelogram(*STARTS[0]), duration=1.0)
+    options = {"rtol": 1e-12, "atol": 1e-14}
+    found = newton_euler.sensitivities(scene, ["gravity.z"], **options)
+
+    def moved(s):
+        batch = newton_euler.simulate_batch(scene, parameters={"gravity.z": [s - 9.81]}, **options)
+        return batch[0].position
+
+    # of the two runs' error, 1e-10 near the singular configuration, over a difference of 1e-2
+    assert np.abs(found.position[..., 0] - derivative(moved, 1e-2)).max() < 1e-7
+    with pytest.raises(NewtonEulerError, match="too near to a singular configuration"):
+        newton_euler.sensitivities(parallelogram(0.0, 2.0), ["gravity.z"])

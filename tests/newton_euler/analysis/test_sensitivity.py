@@ -1,0 +1,291 @@
+"""Sensitivities against finite differences, and against equations written by hand with a complex step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from armed_scenes import COMPOUNDS, armed
+from ball_scenes import with_balls
+from elements import driven_loop, forced, planar_loop, windy
+from finite_difference import derivative
+from mechanisms import ball_loop, carts, pendulum, planar_four_bar
+from scipy.integrate import solve_ivp
+
+from crosscheck.scenes import load
+from newton_euler import compile_scene, sensitivities, simulate_batch
+from newton_euler.analysis.sensitivity import FollowedRun, TangentCode, unit_directions
+from newton_euler.equations.parameters import parameter_values
+from newton_euler.errors import NewtonEulerError
+from newton_euler.integrators.options import Options
+from newton_euler.model.control import PD, StateFeedback
+from newton_euler.model.digital_control import Sampled
+from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.motions import Polynomial, Sine, Spline, Steps, Sum
+
+TIGHT = {"rtol": 1e-13, "atol": 1e-15}
+
+STEPS = (1e-2, 3e-3, 1e-3)
+"""Of finite differences, as shares of the values; the best of them counts."""
+
+ARRAYS = (
+    "position",
+    "quaternion",
+    "linear_velocity",
+    "angular_velocity",
+    "reaction_force",
+    "reaction_torque",
+    "actuator_force",
+    "kinetic_energy",
+    "potential_energy",
+    "work",
+)
+
+
+def short(scene, duration=0.3):
+    return replace(scene, duration=duration, output_period=duration / 3)
+
+
+def carts_along_functions():
+    """Targets that jump, splines and feedback, on rails that nothing else connects."""
+    rng = np.random.default_rng(2)
+    jumps = Steps(times=(0.0, 0.07, 0.13), values=(0.1, 0.4, -0.2))
+    spline = Spline(times=tuple(np.linspace(0.0, 0.3, 9)), values=tuple(rng.normal(size=9)))
+    moving = Sum((Sine(0.3, 9.0, offset=0.1), Polynomial((0.2, 1.0))))
+    feedback = StateFeedback(
+        "rail_0", {"rail_0": (30.0, 4.0), "rail_1": (5.0, 2.0)}, target=jumps, feedforward=moving
+    )
+    return carts(feedback, PD("rail_1", 40.0, 3.0, spline, feedforward=jumps), duration=0.3)
+
+
+SCENES = {
+    "tracker": (short(load("tracker_gravity"), 1.0), ()),
+    "slider crank": (short(load("slider_crank")), ()),
+    "springs and wrenches": (short(forced(planar_loop())), ()),
+    "rotors": (short(armed(ball_loop())), ()),
+    "balls": (short(with_balls(ball_loop())), ()),
+    "compound joints": (short(armed(COMPOUNDS["compound, cut"])), ()),
+    "wind": (short(windy(pendulum())), ("wind.speed", "wind.air_density", "wind.direction")),
+    "functions of time": (short(carts_along_functions()), ()),
+    "prescribed motion": (short(forced(driven_loop())), ()),
+}
+
+
+def by_differences(scene, formulation, values, direction, step):
+    """Differentiate the arrays of a run along a direction of parameters, all of them as one vector each."""
+
+    def arrays(s):
+        moved = {name: [value + s * direction[name]] for name, value in values.items()}
+        run = simulate_batch(scene, parameters=moved, formulation=formulation, threads=1, **TIGHT)[0]
+        return [getattr(run, name) for name in ARRAYS]
+
+    def flat(s):
+        return np.concatenate([np.ravel(array) for array in arrays(s) if array is not None])
+
+    sizes = [0 if array is None else array.size for array in arrays(0.0)]
+    return np.split(derivative(flat, step), np.cumsum(sizes)[:-1])
+
+
+QUICK = ("slider crank", "springs and wrenches", "functions of time")
+"""Scenes whose Cartesian form compiles in a second or two."""
+
+CASES = [
+    *((name, "relative") for name in SCENES),
+    *((name, "cartesian") for name in QUICK),
+    *(pytest.param(name, "cartesian", marks=pytest.mark.slow) for name in SCENES if name not in QUICK),
+]
+
+
+@pytest.mark.parametrize(("name", "formulation"), CASES)
+def test_derivatives_are_those_of_finite_differences(name, formulation):
+    """Along a random direction of all parameters of the scene, to 1e-7 of each array's largest."""
+    scene, chosen = SCENES[name]
+    rng = np.random.default_rng(4)
+    values = parameter_values(scene, chosen or None)
+    direction = {}
+    for each, value in values.items():
+        share = rng.uniform(0.2, 1.0, value.shape)
+        is_inertia = value.ndim == 2 and each.endswith("inertia")  # of which thin rods allow no other
+        direction[each] = share[0, 0] * value if is_inertia else share * (np.abs(value).max() or 1.0)
+    found = sensitivities(scene, list(values), formulation, **TIGHT)
+    code = TangentCode(scene, formulation, parameters=tuple(values))
+    labels, columns = unit_directions(code, values)
+    assert labels == found.parameters
+    whole = np.zeros(code.inputs)
+    for each, along in direction.items():
+        whole[code.place(each) : code.place(each) + along.size] = along.ravel()
+    weights = np.linalg.lstsq(columns, whole, rcond=None)[0]
+    best = dict.fromkeys(ARRAYS, np.inf)
+    for step in STEPS:
+        for array, expected in zip(
+            ARRAYS, by_differences(scene, formulation, values, direction, step), strict=True
+        ):
+            derived = getattr(found, array)
+            if derived is None or not derived.size:
+                best.pop(array, None)
+                continue
+            largest = max(np.abs(expected).max(), 1e-3 * np.abs(getattr(found.run, array)).max())
+            error = np.abs((derived @ weights).ravel() - expected).max() / max(largest, 1e-12)
+            best[array] = min(best[array], error)
+    assert {array: error for array, error in best.items() if not error < 1e-7} == {}
+
+
+@pytest.mark.parametrize("formulation", ["relative", "cartesian"])
+def test_tangents_stay_on_the_linearized_constraints(formulation):
+    """After each step and at outputs: Phi_q S + Phi_p = 0 and its rate, to round-off."""
+    scene = short(load("slider_crank"), 1.0)
+    code = TangentCode(scene, formulation, parameters=("rod.mass", "gravity"))
+    _, directions = unit_directions(code, code.parameters)
+    found = FollowedRun(code, Options(rtol=1e-6, atol=1e-8), ("surface",))(code.start.copy(), directions)
+    rows = 2 * len(code.system.phi_units)
+    open_by = np.abs(found.derivatives["surface"][:, :rows])
+    # round-off of tangents of order 1 times entries of the Jacobian and its rate, up to 10
+    assert np.abs(directions[: code.size]).max() > 0.01
+    assert open_by.max() < 1e-13
+
+
+def test_the_run_is_a_plain_one():
+    """To the last bit, and rooms of steps that are too small change nothing."""
+    scene = short(load("slider_crank"), 1.0)
+    found = sensitivities(scene, ["crank.mass"])
+    plain = compile_scene(scene, parameters=["crank.mass"]).simulate()
+    assert found.run.arrays().keys() == plain.arrays().keys()
+    assert all(np.array_equal(array, plain.arrays()[name]) for name, array in found.run.arrays().items())
+
+
+def test_long_runs_are_followed_twice(monkeypatch):
+    """Steps beyond the room at first are taken once more."""
+    scene = short(load("slider_crank"), 1.0)
+    found = sensitivities(scene, ["crank.mass"])
+    monkeypatch.setattr("newton_euler.analysis.sensitivity.ROOM", 3)
+    assert found.run.settings["steps"] > 3
+    assert np.array_equal(found.position, sensitivities(scene, ["crank.mass"]).position)
+
+
+def test_joint_coordinates_have_derivatives():
+    """Those of coordinates and rates of the joint that the pendulum hangs on."""
+    scene = short(pendulum())
+    found = sensitivities(scene, ["gravity.z"], **TIGHT)
+
+    def motion(s):
+        moved = [-9.81 + s]
+        return simulate_batch(scene, parameters={"gravity.z": moved}, **TIGHT)[0].joint("pivot")
+
+    coordinates = derivative(lambda s: motion(s).coordinates, 1e-2)
+    rates = derivative(lambda s: motion(s).rates, 1e-2)
+    # see finite_difference.derivative; runs are to 1e-13
+    assert np.abs(found.joint("pivot").coordinates[..., 0] - coordinates).max() < 1e-10
+    assert np.abs(found.joint("pivot").rates[..., 0] - rates).max() < 1e-10
+
+
+def bar_pendulum(t, state, gravity, length, mass, moment):
+    """Rates of angle and rate of a bar on a hinge, from horizontal."""
+    return [state[1], mass * gravity * 0.5 * length * np.cos(state[0]) / (moment + mass * 0.25 * length**2)]
+
+
+def complex_step(rates, start, end, values, k):
+    """Differentiate the state at the end by value k, by a complex step: no difference is taken.
+
+    Error control sees the real part alone, for the imaginary one is below what doubles hold beside it.
+    """
+    h = 1e-30
+    moved = [value + 1j * h * (number == k) for number, value in enumerate(values)]
+    found = solve_ivp(rates, (0.0, end), np.array(start, dtype=complex), "DOP853", args=moved, **LOOSER)
+    return found.y[:, -1].imag / h
+
+
+LOOSER = {"rtol": 1e-13, "atol": 1e-14}
+"""Of scipy, which refuses less."""
+
+
+def test_a_pendulum_against_complex_steps():
+    """Gravity, mass and moment of inertia, from equations written by hand."""
+    scene = short(pendulum(), 2.0)
+    rod = scene.mechanism.bodies[1]
+    values = [9.81, 1.0, rod.mass, moment_about_y(rod)]
+    found = sensitivities(scene, ["gravity", "rod.mass", "rod.inertia"], **TIGHT).joint("pivot")
+    row = rotation(rod.quaternion)[1]  # of the frame that the body's inertia is in
+    on_moment = [row[i] * row[j] for i in range(3) for j in range(i, 3)]
+    for k, weights in ((0, [0, 0, -1.0]), (2, [0, 0, 0, 1.0]), (3, [0, 0, 0, 0, *on_moment])):
+        angle, rate = complex_step(bar_pendulum, [0.0, 0.0], 2.0, values, k)
+        weights = np.array([*weights, *np.zeros(10 - len(weights))])
+        assert found.rates is not None
+        # both are integrated to 1e-13, over one swing
+        assert found.coordinates[-1, 0] @ weights == pytest.approx(angle, rel=1e-10)
+        assert found.rates[-1, 0] @ weights == pytest.approx(rate, rel=1e-10)
+
+
+def moment_about_y(body):
+    a = rotation(body.quaternion)
+    return (a @ body.inertia @ a.T)[1, 1]
+
+
+def four_bar_rates(t, state, gravity, m1, m2, m3):
+    """Rates of the three angles of `planar_four_bar` by Newton and Euler with multipliers; any scalars.
+
+    Bars from a to b, b to c and d to c, at angles from x towards z.
+    """
+    angles, speeds = state[:3], state[3:]
+    lengths = np.array([np.hypot(0.1, 0.4), np.hypot(0.8, 0.3), np.hypot(0.1, 0.7)])
+    masses = np.array([m1, m2, m3])
+    cosines, sines = lengths * np.cos(angles), lengths * np.sin(angles)
+    # centers of mass: half of bar 1; bar 1 and half of bar 2; half of bar 3
+    shares = np.array([[0.5, 0.0, 0.0], [1.0, 0.5, 0.0], [0.0, 0.0, 0.5]])
+    closing = np.array([1.0, 1.0, -1.0])
+    matrix, right = np.zeros((5, 5), dtype=state.dtype), np.zeros(5, dtype=state.dtype)
+    for mass, share in zip(masses, shares, strict=True):
+        on_x, on_z = -share * sines, share * cosines
+        drift_x, drift_z = -(share * cosines) @ speeds**2, -(share * sines) @ speeds**2
+        matrix[:3, :3] += mass * (np.outer(on_x, on_x) + np.outer(on_z, on_z))
+        right[:3] -= mass * (on_x * drift_x + on_z * (drift_z + gravity))
+    matrix[range(3), range(3)] += MOMENTS
+    matrix[3, :3], matrix[4, :3] = -closing * sines, closing * cosines
+    matrix[:3, 3:] = matrix[3:, :3].T
+    right[3:] = (closing * cosines) @ speeds**2, (closing * sines) @ speeds**2
+    return np.concatenate([speeds, np.linalg.solve(matrix, right)[:3]])
+
+
+MOMENTS = np.array([moment_about_y(body) for body in planar_four_bar().mechanism.bodies[1:]])
+
+
+def test_a_four_bar_against_complex_steps():
+    """Gravity and masses, from equations of three angles with multipliers, written by hand."""
+    scene = short(planar_four_bar(), 0.5)
+    start = [np.arctan2(0.4, 0.1), np.arctan2(0.3, 0.8), np.arctan2(0.7, -0.1), 0.0, 0.0, 0.0]
+    values = [-scene.gravity[2], *(body.mass for body in scene.mechanism.bodies[1:])]
+    names = ["gravity", "crank.mass", "coupler.mass", "rocker.mass"]
+    found = sensitivities(scene, names, **TIGHT)
+    joints = [found.joint(name) for name in ("at_a", "at_d")]
+    for label, k, sign in ((2, 0, -1.0), (3, 1, 1.0), (4, 2, 1.0), (5, 3, 1.0)):
+        expected = complex_step(four_bar_rates, start, 0.5, values, k)
+        for motion, bar in zip(joints, (0, 2), strict=True):
+            assert motion.rates is not None
+            # y is towards the back, so that angles about it are the other way round; both to 1e-13
+            angle, rate = -sign * expected[[bar, 3 + bar]]
+            assert motion.coordinates[-1, 0, label] == pytest.approx(angle, rel=1e-9, abs=1e-11)
+            assert motion.rates[-1, 0, label] == pytest.approx(rate, rel=1e-9, abs=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"parameters": []}, "parameters is []"),
+        ({"parameters": ["rod.mass", "rod.mass"]}, "each once"),
+        ({"parameters": "rod.mass"}, "parameters is 'rod.mass'"),
+        ({"parameters": ["rod.color"]}, "unknown parameter 'rod.color'"),
+        ({"parameters": ["rod.mass"], "rest": 1e-6}, "rest is 1e-06; needed: 0"),
+        ({"parameters": ["rod.mass"], "rtol": 2.0}, "rtol is 2.0"),
+        ({"parameters": ["rod.mass"], "formulation": "lagrange"}, "unknown formulation 'lagrange'"),
+    ],
+)
+def test_impossible_requests_are_refused(arguments, message):
+    with pytest.raises(NewtonEulerError) as caught:
+        sensitivities(pendulum(), **arguments)
+    assert message in str(caught.value)
+
+
+def test_sampled_controllers_have_no_derivatives():
+    scene = carts(Sampled("rail_0", lambda t, x, v: -x[0], 0.1))
+    with pytest.raises(NewtonEulerError, match="sampled controller of joint 'rail_0' has none"):
+        sensitivities(scene, ["cart_0.mass"])
