@@ -9,7 +9,8 @@ def test_arm(crosscheck):
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,22 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the option that stores baselines."""
     group = parser.getgroup("crosscheck")
     group.addoption(UPDATE, metavar="REASON", help="Store the baselines of assert_unchanged() anew, and why.")
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """A block whose errors are told in one line, as of a file that is missing or an unknown engine."""
+    from crosscheck.errors import CrosscheckError
+    from newton_euler.errors import NewtonEulerError
+
+    __tracebackhide__ = True
+    problem = ""
+    try:
+        yield
+    except (CrosscheckError, NewtonEulerError) as error:
+        problem = str(error)
+    if problem:  # out of the block above, whose error would be told as well
+        pytest.fail(problem, pytrace=False)
 
 
 class Checked:
@@ -60,7 +77,8 @@ class Checked:
         __tracebackhide__ = True
         found = self.verdict.crosscheck
         if found.source:
-            guarded = guard(found.source, dict(found.options))
+            with _told():
+                guarded = guard(found.source, dict(found.options))
         else:
             scene, path = found.scene, self.home / f"{found.scene.name}.baseline.json"
             guarded = Guarded(scene.name, dict(found.options), scene, path, found.mapping)
@@ -69,7 +87,8 @@ class Checked:
         elif not guarded.path.exists():
             pytest.fail(f"no baseline {guarded.path}; pytest {UPDATE} REASON stores it", pytrace=False)
         else:
-            comparison = compare(guarded.scene, guarded.baseline(), lambda stage: None, guarded.mapping)
+            with _told():
+                comparison = compare(guarded.scene, guarded.baseline(), lambda stage: None, guarded.mapping)
             if comparison.moved:
                 pytest.fail(f"{terminal(tables([comparison]))}{comparison.verdict}", pytrace=False)
 
@@ -85,9 +104,11 @@ def crosscheck(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[..., 
     reason = request.config.getoption(UPDATE)
 
     def checked(model: Any, *engines: Any, **options: Any) -> Checked:
+        __tracebackhide__ = True
         if isinstance(model, str | os.PathLike) and (beside := request.path.parent / model).is_file():
             model = beside
-        verdict = check(model, *engines, **options)
+        with _told():
+            verdict = check(model, *engines, **options)
         return Checked(verdict, tmp_path / "crosscheck", reason, request.path.parent)
 
     return checked

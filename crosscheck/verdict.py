@@ -18,7 +18,7 @@ from crosscheck.files import check_writable
 from crosscheck.load import exercised, load_scene
 from crosscheck.report.output import own_name, to_record, write
 from crosscheck.report.page import rendered
-from crosscheck.report.render import terminal
+from crosscheck.report.render import terminal, wrapped
 from crosscheck.report.run import report
 from crosscheck.report.table import Report
 from crosscheck.run import Crosscheck, crosscheck
@@ -77,7 +77,8 @@ class Verdict:
         return f"<{self.crosscheck.verdict}>"
 
     def __str__(self) -> str:
-        return f"{self.report.title}\n{self.report.verdict}\n\n{terminal(self.report.summary)}"
+        head = f"{wrapped(self.report.title)}\n{wrapped(self.report.verdict)}"
+        return f"{head}\n\n{terminal(self.report.summary)}"
 
     def _repr_html_(self) -> str:
         return rendered("summary.html", report=self.report)

@@ -167,7 +167,8 @@ class OptionError(NewtonEulerError):
 def check_type(option: str, value: object, kind: type) -> None:
     """Raise `OptionError` for a value that is not of a kind."""
     if not isinstance(value, kind):
-        raise OptionError(option, value, f"a {kind.__name__}")
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise OptionError(option, value, f"{article} {kind.__name__}")
 
 
 class AssemblyError(NewtonEulerError):

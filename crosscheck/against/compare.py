@@ -128,9 +128,12 @@ class Against(Crosscheck):
                 return f"UNFINISHED: {'; '.join(map(str, self.unfinished))}; as far as compared {agree}"
             return f"SAME: {agree}"
         row = failed[0]
+        worst = max((each for each in failed if each.level == row.level), key=lambda each: each.share)
+        beside = "" if worst is row else f", {worst.quantity.rpartition(', ')[0] or worst.quantity} most"
         return (
             f"DIFFERENT: {names} part at level '{row.level}': {row.quantity}: {row.value:.3g} > "
-            f"{row.tolerance:.3g}, worst at {row.place} ({len(failed)} of {len(judged)} figures fail){ending}"
+            f"{row.tolerance:.3g}, worst at {row.place} "
+            f"({len(failed)} of {len(judged)} figures fail{beside}){ending}"
         )
 
     def summary(self) -> dict[str, Any]:

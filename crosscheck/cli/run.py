@@ -320,7 +320,7 @@ def view_command(files: tuple[Path, ...], web: bool) -> int:
         pages, data = _free_port(9090), _free_port(9876)  # Rerun's own defaults, if they are free
         serve = ["--serve-web", "--web-viewer-port", str(pages), "--port", str(data)]
         source = quote_plus(f"rerun+http://localhost:{data}/proxy")
-        say(f"open http://{HERE}:{pages}?url={source}; Ctrl+C ends it")
+        say(f"Ctrl+C ends it; open http://{HERE}:{pages}?url={source}")
         sys.stdout.flush()
     # by itself it would listen to all of the network
     viewer = [sys.executable, "-m", "rerun", "--bind", HERE, *serve, *map(str, files)]

@@ -12,7 +12,7 @@ from crosscheck.errors import CrosscheckError
 from newton_euler.errors import choices, plain_number
 from newton_euler.model.scene import Scene
 from newton_euler.model.xml_source import LARGEST
-from newton_euler.verification.import_report import FATES, ImportedElement, ImportReport
+from newton_euler.verification.import_report import ACTING, FATES, ImportedElement, ImportReport
 
 if TYPE_CHECKING:
     from mjcf.reader import MujocoModel
@@ -153,13 +153,22 @@ def _kind(model: object) -> tuple[str, dict[str, Option]]:
 
 def fates_line(report: ImportReport) -> str:
     """Count the elements of a file by what became of them, those that are not exact by what they are."""
-    found = [f"{len({entry.element for entry in report.of('exactly')})} elements exactly"]
+    exact = len({entry.element for entry in report.of("exactly")})
+    found = [f"{exact} element{'' if exact == 1 else 's'} exactly"]
     for fate in FATES[1:]:
         names = {entry.element for entry in report.of(fate) if not entry.inert}
-        kinds = Counter(name.split(" ")[0].rstrip(",") for name in sorted(names))
-        if kinds:
-            found.append(f"{len(names)} {fate} ({', '.join(f'{n} {kind}' for kind, n in kinds.items())})")
+        if names:
+            found.append(f"{len(names)} {fate} ({_counted(names)})")
     return ", ".join(found)
+
+
+def _counted(names: set[str]) -> str:
+    """Word elements: those with names by the number of their kind, others as they are."""
+    kinds, plurals = Counter(name.partition(" '")[0] for name in sorted(names)), dict(ACTING)
+    return ", ".join(
+        kind if kind in names else f"{n} {kind if n == 1 else plurals.get(kind, f'{kind}s')}"
+        for kind, n in kinds.items()
+    )
 
 
 def report_lines(report: ImportReport, exact: bool = True) -> Iterator[str]:
@@ -173,7 +182,7 @@ def report_lines(report: ImportReport, exact: bool = True) -> Iterator[str]:
     yield f"elements of the file: {fates_line(report)}"
 
     def how(entry: ImportedElement) -> tuple[str, str]:
-        return entry.element.split(" ")[0], entry.how
+        return entry.element.split(" ")[0], entry.told
 
     for fate in FATES if exact else FATES[1:]:
         entries = report.of(fate)

@@ -59,9 +59,13 @@ def terminal(parts: Iterable[Part]) -> str:
     console = Console()
     console.width = max(NARROWEST, console.width)
     with console.capture() as capture:
+        before: Part | None = None
         for part in parts:
             if part.folded:
                 continue
+            if part.title and isinstance(before, Lines):
+                console.print()
+            before = part
             if part.title:
                 console.print(Text(wrapped(part.title), style="bold"), soft_wrap=True)
             if isinstance(part, Table):
@@ -167,6 +171,7 @@ def _rich_table(table: Table, width: int) -> RichTable:
     drawn = RichTable(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
     if not table.title:
         drawn.box, drawn.padding = None, (0, GUTTER, 0, 0)
+    drawn.show_header = any(column.heading for column in table.columns)
     least = [_least(table, number) for number in range(len(table.columns))]
     room = width - sum(least) - GUTTER * (len(least) - 1)
     for number, column in enumerate(table.columns):

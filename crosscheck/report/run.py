@@ -66,7 +66,7 @@ def report(result: Crosscheck) -> Report:
     named = ("scene", "source", "options", "models", "left_out", "versions")
     found = result.summary()
     parts.append(
-        entries("scene and versions", {name: found[name] for name in named if name in found}, folded=True)
+        entries("scene and versions", {name: found[name] for name in named if found.get(name)}, folded=True)
     )
     title = ": ".join(filter(None, [result.title, result.scene.description]))
     return Report(title, result.verdict, judged_word(result), parts, result.wall_time, summary(result, said))
@@ -239,11 +239,12 @@ def _activity_lines(mapping: ImportReport) -> tuple[list[str], list[str]]:
     watched = [entry for entry in entries if entry.fate != "approximated"]
     active = []
     for entry in entries:
+        found = "; ".join(filter(None, [entry.seen, entry.how]))  # lines are cut in the summary
         if entry.fate == "approximated":
-            active.append(f"approximated: {entry.element}: {entry.how}")
+            active.append(f"approximated: {entry.element}: {found}")
         elif entry.fate != "inactive":
-            active.append(f"active, and left out: {entry.element}: {entry.how}")
-    idle = [f"{entry.element}: {entry.how}" for entry in watched if entry.fate == "inactive"]
+            active.append(f"active, and left out: {entry.element}: {found}")
+    idle = [f"{entry.element}: {entry.told}" for entry in watched if entry.fate == "inactive"]
     counted = f"inactive in this run, {len(idle)} of {len(watched)} watched"
     return active, [f"{counted}: {'; '.join(idle)}"] if idle else []
 

@@ -48,7 +48,7 @@ ROTOR = {"rotor": ("inertia",)}
 class JointSpring(CoordinateForce):
     """A spring and damper on a joint's hinge or slide: -(k (x - rest) + d dx/dt), N or N m.
 
-    The joint need not be actuated; damping alone is viscous friction.
+    It is named by its joint, which need not be actuated; damping alone is viscous friction.
 
     Attributes:
         joint: name of the joint it acts on.

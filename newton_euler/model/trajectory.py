@@ -285,7 +285,7 @@ def _check_arrays(arrays: Mapping[str, Array]) -> None:
             raise ValueError(f"no array {name!r}")
     for name, array in arrays.items():
         if name not in SHAPES:
-            raise ValueError(f"{name!r:.100} is none of its arrays")
+            raise ValueError(f"unknown array {name!r:.100}")
         kind = "U" if name.endswith("_names") else "f"
         if array.dtype.kind != kind or array.ndim != len(SHAPES[name]):
             raise ValueError(f"{name} is an array of {array.dtype}, shape {array.shape}")

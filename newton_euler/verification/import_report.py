@@ -37,6 +37,7 @@ class ImportedElement:
         became: `CONTROL`, `FORCE`, `ROTOR`, or "" for anything else.
         topic: which of the things that a file can say of the element it is about, "" for all that it says.
         inert: whether nothing would move otherwise with the element as the file has it.
+        seen: what a run shows of it.
     """
 
     element: str
@@ -45,9 +46,15 @@ class ImportedElement:
     became: str = ""
     topic: str = ""
     inert: bool = False
+    seen: str = ""
+
+    @property
+    def told(self) -> str:
+        """The fate in words, then what a run shows."""
+        return "; ".join(filter(None, [self.how, self.seen]))
 
     def __str__(self) -> str:
-        return f"{self.element}: {self.fate}: {self.how}"
+        return f"{self.element}: {self.fate}: {self.told}"
 
 
 class ImportReport:
@@ -100,7 +107,7 @@ class ImportReport:
         for number, watches in self.watches.items():
             seen, entry = judged(watches, course), self.entries[number]
             fate: Fate = entry.fate if entry.fate == "approximated" or seen.active else "inactive"
-            found.entries[number] = replace(entry, fate=fate, how=f"{entry.how}; {seen.words}")
+            found.entries[number] = replace(entry, fate=fate, seen=seen.words)
         return found
 
     def of(self, fate: Fate) -> list[ImportedElement]:

@@ -37,6 +37,12 @@ SUITE = """
 
     def test_guarded(crosscheck):
         crosscheck("arm.xml", ["newton_euler"], key="go", duration=0.05).assert_unchanged()
+
+    def test_missing(crosscheck):
+        crosscheck("leg.xml")
+
+    def test_misspelt(crosscheck):
+        crosscheck("arm.xml", ["mujuco"])
 """
 
 
@@ -57,6 +63,15 @@ def test_models_that_agree_pass_and_others_name_the_engine_and_keep_the_recordin
     recording = re.search(r"look: crosscheck view (\S+)", text)
     assert recording is not None
     assert Path(recording[1]).is_file()
+
+
+def test_what_cannot_be_checked_fails_in_one_line(suite):
+    done = suite.runpytest_subprocess("-k", "missing or misspelt")
+    done.assert_outcomes(failed=2)
+    text = done.stdout.str()
+    assert "\nleg.xml: cannot be read: No such file or directory\n" in text
+    assert "\nunknown engine 'mujuco'; did you mean 'mujoco'? " in text
+    assert "crosscheck/verdict.py" not in text
 
 
 def test_a_baseline_is_stored_on_demand_and_compared_with(suite):

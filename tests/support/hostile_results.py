@@ -200,7 +200,7 @@ def array_cases(run: Path) -> Iterator[Refused]:
                 f"no array {name!r}",
                 lambda x, name=name: {k: v for k, v in x.items() if k != name},
             )
-    yield case("another array", "'more' is none of its arrays", lambda x: x | {"more": np.zeros(3)})
+    yield case("another array", "unknown array 'more'", lambda x: x | {"more": np.zeros(3)})
     yield case(
         "time backwards", "no bodies, or no times that increase", lambda x: x | {"time": x["time"][::-1]}
     )

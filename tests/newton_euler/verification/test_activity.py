@@ -30,8 +30,8 @@ def after(path: Path, duration: float) -> ImportReport:
 
 
 def told(report: ImportReport, start: str) -> tuple[str, str]:
-    (entry,) = (e for e in report.entries if f"{e.element}: {e.how}".startswith(start))
-    return entry.fate, entry.how
+    (entry,) = (e for e in report.entries if f"{e.element}: {e.told}".startswith(start))
+    return entry.fate, entry.told
 
 
 def mjcf(folder: Path, text: str) -> Path:
