@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,11 +13,17 @@ from crosscheck.sweeps.sampling import Samples
 from crosscheck.sweeps.store import missing
 from newton_euler.scalars import Array
 
-MOST_RUNS = 2**20
-"""Runs that are analyzed, the first; quantiles and shares of more are no other."""
+MOST_NUMBERS = 2**25
+"""That are analyzed, 270 MB: of more runs than these are in, the first."""
 
 MOST_SCALARS = 200
 """Numbers of a run that are analyzed, the first."""
+
+MOST_SHARED = 2**17
+"""Runs that shares are estimated from, the first: to half a per cent."""
+
+BLOCK = 2**14
+"""Runs that are read at a time."""
 
 LEVELS = (0.0, 0.05, 0.5, 0.95, 1.0)
 """Of quantiles."""
@@ -103,18 +108,28 @@ class Scalar:
         return int(np.nanargmax(self.values) if largest else np.nanargmin(self.values))
 
 
-def scalars(swept: Results) -> Iterator[Scalar]:
-    """Yield the numbers that are kept of each run, in the order in which they are asked for."""
-    count = 0
+def analyzed(swept: Results) -> int:
+    """Return the number of runs that are analyzed, the first."""
+    kept = [swept.dataset[each.name] for each in swept.plan.kept]
+    count = min(MOST_SCALARS, sum(int(np.prod(variable.shape[1:])) for variable in kept))
+    return min(swept.plan.samples.runs, MOST_NUMBERS // max(1, count))
+
+
+def scalars(swept: Results) -> list[Scalar]:
+    """Return the numbers that are kept of each run, in the order in which they are asked for."""
+    found: list[Scalar] = []
+    runs = analyzed(swept)
     for each in swept.plan.kept:
         variable = swept.dataset[each.name]
-        array = variable[:MOST_RUNS].values
-        for place in np.ndindex(array.shape[1:]):
-            if count == MOST_SCALARS:
-                return
-            count += 1
+        places = list(np.ndindex(variable.shape[1:]))[: MOST_SCALARS - len(found)]
+        columns = np.empty((len(places), runs))
+        for first in range(0, runs, BLOCK):
+            part = variable[first : min(first + BLOCK, runs)].values
+            columns[:, first : first + len(part)] = part.reshape(len(part), -1)[:, : len(places)].T
+        for place, values in zip(places, columns, strict=True):
             names = (_label(variable, d, k) for d, k in zip(variable.dims[1:], place, strict=True))
-            yield Scalar(each.name, place, tuple(names), each.unit, array[:, *place])
+            found.append(Scalar(each.name, place, tuple(names), each.unit, values))
+    return found
 
 
 def _label(variable: object, dimension: str, place: int) -> str:
@@ -132,30 +147,28 @@ class Analysis:
     def __init__(self, samples: Samples) -> None:
         self._samples = samples
         self.names = [", ".join(names) for names, _ in self._samples.groups]
-        count = min(self._samples.runs, MOST_RUNS)
-        inputs = self._samples.values(0, count)
+        inputs = self._samples.values(0, min(self._samples.runs, MOST_SHARED))
         places = {name: k for k, name in enumerate(self._samples.names)}
         self._inputs = [inputs[:, [places[name] for name in names]] for names, _ in self._samples.groups]
 
     def effects(self, scalar: Scalar) -> list[Effect]:
         """Return the effects on a number, the largest share first; empty if the number does not vary."""
-        known = np.isfinite(scalar.values)
+        values = scalar.values[: len(self._inputs[0])]
+        known = np.isfinite(values)
         if not scalar.varies or np.sum(known) < PER_BIN:
             return []
-        y = scalar.values[known]
+        y = values[known]
         shares: list[tuple[float, float | None, float | None]]
-        if self._samples.sampling == "saltelli" and known.all() and len(known) == self._samples.runs:
-            shares = self._sobol(y)
+        if self._samples.sampling == "saltelli" and np.isfinite(scalar.values).sum() == self._samples.runs:
+            shares = self._sobol(scalar.values)
         else:
             shares = [(max(_share(column[known], y) for column in x.T), None, None) for x in self._inputs]
         found = []
         ranks = rankdata(y)
         for name, x, (share, total, error) in zip(self.names, self._inputs, shares, strict=True):
             column = x[known, 0]
-            alone = x.shape[1] == 1
-            rank = (
-                float(np.corrcoef(rankdata(column), ranks)[0, 1]) if alone and np.ptp(column) > 0.0 else None
-            )
+            alone = x.shape[1] == 1 and np.ptp(column) > 0.0
+            rank = float(np.corrcoef(rankdata(column), ranks)[0, 1]) if alone else None
             found.append(Effect(name, share, total, error, rank, *_tenths(column, y)))
         return sorted(found, key=lambda effect: -max(effect.share, effect.total or 0.0))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -118,7 +118,7 @@ def _client(cluster: Client | str) -> Iterator[Client]:
 
 def in_any_order(
     task: Callable[[int], Result], numbers: Iterable[int], at: Workers
-) -> Iterator[tuple[int, Result]]:
+) -> Generator[tuple[int, Result]]:
     """Execute a task for each number; yields numbers and results as they come.
 
     No more than `AHEAD` tasks per worker are given out at a time, so that a million of them are no burden.

@@ -106,4 +106,4 @@ def _scatter(axes: Array, effects: Effects, inputs: Mapping[str, Array]) -> None
             ax.tick_params(labelsize="small")
         for ax in row[len(names) :]:
             ax.set_visible(False)
-        row[0].set_ylabel(heading(scalar), fontsize="small")
+        row[0].set_title(heading(scalar), fontsize="small", loc="left")

@@ -12,10 +12,10 @@ import numpy as np
 from crosscheck.files import check_writable, write_files
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
-from crosscheck.sweeps.analysis import LEVELS, MOST_RUNS, Analysis, Effect, Scalar, scalars, telling
+from crosscheck.sweeps.analysis import LEVELS, Analysis, Effect, Scalar, analyzed, scalars, telling
 from crosscheck.sweeps.checks import Checked
 from crosscheck.sweeps.expressions import Outputs
-from crosscheck.sweeps.pictures import heading, pictures, share_of
+from crosscheck.sweeps.pictures import MOST_POINTS, heading, pictures, share_of
 from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.reductions import AT, OF_MAGNITUDES, Reduction, magnitude
 from crosscheck.sweeps.results import Results
@@ -34,7 +34,10 @@ MOST_ROWS, MOST_CHARTS, MOST_BARS = 6, 2, 4
 """Of tables that are printed, so that all fits 25 lines."""
 
 BAR = 10
-"""Characters of a bar of 100 %."""
+"""Characters of a bar of 100 %; Rerun's viewer has no blocks among its glyphs."""
+
+LEAST_DIGITS, MOST_DIGITS = 4, 6
+"""Of quantiles."""
 
 LEAST_SHARE = 0.005
 """Of the variance; parameters with less are not printed."""
@@ -99,7 +102,7 @@ class Findings:
 
 def findings(swept: Results, checked: Sequence[Checked] = ()) -> Findings:
     """Analyze a sweep of which some runs have been crosschecked."""
-    found, analysis = list(scalars(swept)), Analysis(swept.plan.samples)
+    found, analysis = scalars(swept), Analysis(swept.plan.samples)
     effects = [(scalar, analysis.effects(scalar)) for scalar in telling(found)]
     return Findings(swept, found, _nominal(swept.plan, found), effects, list(checked))
 
@@ -119,7 +122,7 @@ def report(found: Findings) -> Report:
     errors = [f"run {run}: {reason}" for run, reason in swept.errors.items()]
     parts: list[Part] = [_quantiles(found, found.scalars, True), _effects(found.effects, None)]
     if found.checked:
-        parts.append(_checks(found.checked))
+        parts.extend(_checks(found.checked))
     parts.append(_varied(swept.plan))
     if errors:
         parts.append(Lines("runs that could not go on", errors[:MOST_ROWS] + _more(errors), folded=True))
@@ -129,6 +132,10 @@ def report(found: Findings) -> Report:
         (first + [each for each in varying if each not in first])[:MOST_ROWS], key=found.scalars.index
     )
     summary: list[Part] = [_quantiles(found, rows, False), _effects(found.effects[:MOST_CHARTS], MOST_BARS)]
+    if analyzed(swept) < samples.runs:
+        part = f"of the first {analyzed(swept):,} runs"
+        parts = [replace(each, title=f"{each.title} {part}") for each in parts[:1]] + parts[1:]
+        summary.append(Lines("", [f"quantiles and extremes are {part}"], brief=True))
     if errors:
         summary.append(Lines("", [f"{len(errors)} runs could not go on, {errors[0]}"], brief=True))
     return Report(title, found.verdict, found.judged, parts, swept.wall_time, summary)
@@ -141,12 +148,21 @@ def _more(errors: Sequence[str]) -> list[str]:
 def _quantiles(found: Findings, rows: Sequence[Scalar], full: bool) -> Table:
     names = ["least", "5 %", "median", "95 %", "most"]
     wanted = range(len(LEVELS)) if full else (1, 2, 3, 4)
-    columns = [Column("of each run", brief=not full), *figures("nominal", *(names[k] for k in wanted))]
-    content: Rows = [
-        [heading(each), f"{found.nominal[each.label]:.4g}", *(f"{each.quantiles[k]:.4g}" for k in wanted)]
-        for each in rows
-    ]
+    columns = [Column("of each run", brief=True), *figures("nominal", *(names[k] for k in wanted))]
+    content: Rows = []
+    for each in rows:
+        values = [found.nominal[each.label], *(each.quantiles[k] for k in wanted)]
+        content.append([heading(each), *(f"{value:.{_digits(each)}g}" for value in values)])
     return Table("quantiles" if full else "", columns, content)
+
+
+def _digits(scalar: Scalar) -> int:
+    """Return the digits that show how a number varies, if that are not too many."""
+    low, high = scalar.quantiles[[0, -1]]
+    if not scalar.varies:
+        return LEAST_DIGITS
+    hidden = int(np.ceil(np.log10(max(abs(low), abs(high)) / (high - low))))
+    return max(LEAST_DIGITS, hidden + 2) if hidden + 2 <= MOST_DIGITS else LEAST_DIGITS
 
 
 def _effects(effects: Sequence[tuple[Scalar, Sequence[Effect]]], most: int | None) -> Table:
@@ -157,7 +173,7 @@ def _effects(effects: Sequence[tuple[Scalar, Sequence[Effect]]], most: int | Non
         for effect in found[:most]:
             if most is None or of or max(effect.share, effect.total or 0.0) > LEAST_SHARE:
                 rank = "" if effect.rank is None else f"{effect.rank:+.2f}"
-                bar = "█" * round(BAR * min(1.0, effect.share))
+                bar = "=" * round(BAR * min(1.0, effect.share))
                 rows.append([of, effect.name, share_of(effect), rank, bar])
                 of = ""
     columns = [
@@ -168,20 +184,18 @@ def _effects(effects: Sequence[tuple[Scalar, Sequence[Effect]]], most: int | Non
     return Table("" if most else "what matters", [*columns, Column("")], rows)
 
 
-def _checks(checked: Sequence[Checked]) -> Table:
+def _checks(checked: Sequence[Checked]) -> list[Part]:
+    """Make the table of runs that were cross-checked, and the verdicts of those that are not in order."""
     rows: Rows = []
     for each in checked:
         judged = Cell("differ", "fails") if each.differs else Cell("agree", "holds")
         if not each.complete:
             judged = Cell("not all", "doubtful")
-        rows.append([str(each.run), each.why, judged, f"{100.0 * each.apart:.2g}", each.where, each.verdict])
-    columns = [
-        *figures("run"),
-        *texts("chosen", "engines"),
-        *figures("apart, % of spread"),
-        *texts("at", "verdict"),
-    ]
-    return Table("runs that were cross-checked", columns, rows, folded=True)
+        rows.append([str(each.run), each.why, judged, f"{100.0 * each.apart:.2g}", each.where])
+    columns = [*figures("run"), *texts("chosen", "engines"), *figures("apart, % of spread"), *texts("at")]
+    parts: list[Part] = [Table("runs that were cross-checked", columns, rows, folded=True)]
+    wrong = [f"run {each.run}: {each.verdict}" for each in checked if each.differs or not each.complete]
+    return [*parts, Lines("", wrong)] if wrong else parts
 
 
 def _varied(plan: Plan) -> Table:
@@ -203,8 +217,7 @@ def write(found: Findings, made: Report, folder: Path) -> list[Path]:
 
     paths = [folder / name for name in FILES]
     check_writable(*paths)
-    samples = found.swept.plan.samples
-    inputs = found.swept.plan.parameters(0, min(samples.runs, MOST_RUNS))
+    inputs = found.swept.plan.parameters(0, min(found.swept.plan.samples.runs, MOST_POINTS))
     drawn = pictures(found.effects, inputs, found.nominal)
     files = {folder / name: content for name, content in drawn.items()}
     files[folder / FILES[1]] = recorded(found.swept.scene, *to_record(found, made))

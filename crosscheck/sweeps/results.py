@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -56,7 +57,10 @@ class Results:
     def errors(self) -> dict[int, str]:
         """Why runs could not go on, by their number."""
         stopped = np.flatnonzero(self.dataset[STATUS].values == STOPPED)
-        return {int(run): str(self.dataset[ERROR][run].values) for run in stopped}
+        if not len(stopped):
+            return {}
+        reasons = self.dataset[ERROR].values
+        return {int(run): str(reasons[run]) for run in stopped}
 
 
 def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[[str], None]) -> Results:
@@ -120,10 +124,13 @@ def _make(plan: Plan, store: Store, at: Workers, progress: Callable[[str], None]
     counts = {k: last - first for k in left for first, last in [plan.bounds(k)]}
     pace = Pace(plan.samples.runs, plan.samples.runs - sum(counts.values()), progress)
     if store.path is not None:
-        for k, _ in in_any_order(partial(store_chunk, plan, store.path.absolute()), left, at):
-            pace.add(counts[k])
+        written = partial(store_chunk, plan, store.path.absolute())
+        with closing(in_any_order(written, left, at)) as there:
+            for k, _ in there:
+                pace.add(counts[k])
     else:
-        for k, chunk in in_any_order(partial(run_chunk, plan), left, at):
-            store.write(plan, k, chunk)
-            pace.add(counts[k])
+        with closing(in_any_order(partial(run_chunk, plan), left, at)) as made:
+            for k, chunk in made:
+                store.write(plan, k, chunk)
+                pace.add(counts[k])
     return pace.made

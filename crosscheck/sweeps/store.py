@@ -76,11 +76,6 @@ def missing(error: ImportError) -> CrosscheckError:
     return CrosscheckError(f'{error.name} is not installed; pip install "crosscheck[sweep]"')
 
 
-def on_disk(name: str) -> str:
-    """Return the name of a variable in a file, where a slash would begin a folder."""
-    return name.replace("/", "|")
-
-
 class Store:
     """Results of a sweep.
 
@@ -180,7 +175,7 @@ class Store:
         attributes = {"units": unit} if unit else {}
         attributes |= {"long_name": about} if about else {}
         return self.group.create_array(
-            on_disk(name),
+            name,
             shape=shape,
             chunks=(min(chunk, shape[0]), *shape[1:]),
             dtype=kind,
@@ -233,7 +228,7 @@ class Store:
         stopped = chunk.errors != ""
         with told(self.path):
             for name, values in chunk.values.items():
-                self.group[on_disk(name)][first:last] = values
+                self.group[name][first:last] = values
             if stopped.any():
                 self.group[ERROR][first:last] = chunk.errors
             self.group[STATUS][first:last] = np.where(stopped, STOPPED, DONE).astype("u1")

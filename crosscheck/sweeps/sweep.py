@@ -111,7 +111,7 @@ class Sweep:
         Raises:
             CrosscheckError: for an unknown engine.
         """
-        found = list(scalars(self.results))
+        found = scalars(self.results)
         runs = chosen(self.results, telling(found), random)
         checked = check_runs(self.results, found, runs, choose(list(engines)), progress)
         return replace(self, checks=tuple(checked))
