@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from crosscheck.comparison.runs import stays
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable, write_files
 from crosscheck.limit import limited
@@ -44,11 +45,17 @@ MOST_DRAWN = 12
 ADVICE = "a shorter duration, or fewer cases"
 """What to do about one that takes too long."""
 
-ROUND_OFF = 1e-9
-"""Share of the largest load of a table below which loads are printed as 0."""
+NO_LOAD = 1e-9
+"""Share of the largest load, or of the mechanism's weight on Earth, below which loads are printed as 0."""
+
+EARTH = 9.81
+"""m/s^2"""
 
 SHARED = "stiffness decides how these joints share loads, which is not known here: the tables have one way"
 """About joints whose reactions are not unique."""
+
+MOVE = "; --set exercise=on moves joints of model files and drives their actuators"
+"""What to do about loads at rest."""
 
 GOVERNS = Column("governed by", brief=True)
 
@@ -103,22 +110,32 @@ def loads(
             runs[name] = rest_case(scene) if at_rest else simulate(complete)
     first = next(iter(scenes.values()))
     envelope = load_envelope(first, runs)
-    report = _report(first, envelope, at_rest)
+    still = [] if at_rest else [name for name, run in runs.items() if stays({name: run}, first)]
+    report = _report(first, envelope, at_rest, still)
     progress("plot and recording")
     drawn = recorded(first, runs, markdown(report), report.title)
     write_files({table: envelope.to_csv().encode(), plot: png(_figure(first, runs)), recording: drawn})
     return report, [table, plot, recording]
 
 
-def _report(scene: Scene, envelope: LoadEnvelope, at_rest: bool) -> Report:
+def _report(scene: Scene, envelope: LoadEnvelope, at_rest: bool, still: list[str]) -> Report:
+    """Report on loads; nothing moves in the cases that are `still`."""
     named = envelope.cases != (ALONE,)
     cases = f"cases {', '.join(envelope.cases)}" if named else "initial pose" if at_rest else "its run"
     title = f"{scene.name}: loads {'at rest,' if at_rest else 'over'} {cases}"
-    most = max(_of(envelope, "force"), key=lambda each: each.peak)
+    most, least = max(_of(envelope, "force"), key=lambda each: each.peak), _least(scene, envelope)
     verdict = f"largest force {most.peak:.3g} N at joint {most.element!r}, {_when(most)}"
-    parts: list[Part] = [_of_joints(envelope, "force", "N"), _of_joints(envelope, "torque", "N m")]
+    if most.peak <= least:
+        verdict = "no joint carries a force"
+    parts: list[Part] = [
+        _of_joints(envelope, "force", "N", least),
+        _of_joints(envelope, "torque", "N m", least * scene.mechanism.size),
+    ]
     if envelope.actuators:
         parts.append(_of_actuators(envelope))
+    if still:
+        where = f"cases {', '.join(still)}" if named else "the run"
+        parts.append(Lines("", [f"nothing moves in {where}: these are loads at rest{MOVE}"]))
     parts.extend(Lines("", [line, SHARED]) for line in undetermined_lines(scene))
     return Report(title, verdict, Cell(""), parts, summary=parts)
 
@@ -132,12 +149,19 @@ def _when(load: LoadRange) -> str:
     return f"{case} at {time:.4g} s"
 
 
-def _of_joints(envelope: LoadEnvelope, quantity: str, unit: str) -> Table:
-    """The peaks of forces or torques, and of their parts along and across axes."""
+def _least(scene: Scene, envelope: LoadEnvelope) -> float:
+    """Compute the force, N, below which there is none but round-off."""
+    size, weight = scene.mechanism.size, EARTH * sum(body.mass for body in scene.mechanism.bodies[1:])
+    peaks = [each.peak for each in _of(envelope, "force")]
+    peaks += [each.peak / size for each in _of(envelope, "torque")]
+    return NO_LOAD * max(weight, *peaks)
+
+
+def _of_joints(envelope: LoadEnvelope, quantity: str, unit: str, least: float) -> Table:
+    """The peaks of forces or torques, and of their parts along and across axes; 0 up to the least."""
     names = [part.removesuffix(f" {quantity}") for part in PARTS[quantity]]
     columns = [*texts("joint"), *figures(f"{quantity}, {unit}", *names, "rms"), GOVERNS]
     known, loads = {(each.element, each.quantity): each for each in envelope.joints}, _of(envelope, quantity)
-    least = ROUND_OFF * max(load.peak for load in loads)
     rows: Rows = []
     for load in loads:
         parts = [known.get((load.element, part)) for part in PARTS[quantity]]

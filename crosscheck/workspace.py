@@ -14,7 +14,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.files import write_files
 from crosscheck.palette import ENGINE_COLORS
 from crosscheck.report.plots import png
-from crosscheck.report.table import Cell, Column, Rows, Table
+from crosscheck.report.table import Cell, Column, Rows, Table, figures
 from mjcf.clearance import clearances
 from newton_euler import Axis, Poses, Scene, Workspace, singular_poses, workspace
 from newton_euler.errors import is_count, plain_number
@@ -95,14 +95,24 @@ def table(found: Mapped) -> Table:
     columns = [
         Column("points"),
         Column("number", "", True),
-        *(Column(str(name), _unit(found, name), True) for name in space.grid),
+        *(Column(f"{name}\n{_unit(found, name)}", "", True) for name in space.grid),
     ]
     if space.elevation is not None:
-        columns += [Column("elevation", "deg", True), Column("azimuth", "deg", True)]
-    columns.append(Column("least distance\nfrom singular", "", True))
+        columns += figures("elevation\ndeg", "azimuth\ndeg")
+    columns.append(Column("least to\nsingular", "", True))
     if has_shapes:
-        columns.append(Column("least\nclearance", "mm", True))
+        columns.append(Column("clearance\nmm", "", True))
     return Table("", columns, rows)
+
+
+def statement(found: Mapped) -> str:
+    """Say in a sentence that no point is reachable, or none without collision; empty if some are."""
+    if not len(found.clearance):
+        points = f"none of {found.space.reachable.size} points is reachable"
+        return f"{points} on the branch of the initial pose, from which --vary counts, in m and rad"
+    if not np.any(found.clearance > 0.0):
+        return f"bodies collide at all {len(found.clearance)} reachable points"
+    return ""
 
 
 def _row(found: Mapped, name: str, which: Array) -> list[str | Cell]:
@@ -115,7 +125,8 @@ def _row(found: Mapped, name: str, which: Array) -> list[str | Cell]:
     digits = [4] * len(space.grid) + [1, 1]
     for values, places in zip(quantities, digits, strict=False):
         chosen = values[which]
-        row.append(f"{np.min(chosen):.{places}f} .. {np.max(chosen):.{places}f}" if len(chosen) else "-")
+        ends = [np.min(chosen), np.max(chosen)] if len(chosen) else []
+        row.append(" .. ".join(f"{round(float(end), places) + 0.0:.{places}f}" for end in ends) or "-")
     driving = space.driving[space.reachable][which]
     row.append(f"{np.min(driving):.3f}" if len(driving) else "-")
     if np.isfinite(found.clearance).any():
@@ -158,6 +169,8 @@ def _csv(found: Mapped) -> str:
 def _picture(found: Mapped) -> bytes:
     """Draw the distance from singular configurations and their curves, beside the elevation of the axis."""
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
     space = found.space
     (first, x), (second, y) = space.grid.items()
@@ -167,13 +180,22 @@ def _picture(found: Mapped) -> bytes:
     figure = Figure(figsize=(5.2 * len(maps), 4.6), layout="constrained")
     clear = np.full(space.reachable.shape, np.nan)
     clear[space.reachable] = found.clearance
+    collide = bool(np.nanmin(clear, initial=np.inf) < 0.0)
     for k, (title, values) in enumerate(maps):
         ax = figure.add_subplot(1, len(maps), k + 1)
         figure.colorbar(ax.contourf(x, y, values.T, 16, cmap="cividis"), ax=ax)
         curves = (found.singular.coordinates[name] for name in (first, second))
         ax.plot(*curves, linestyle="", marker=".", markersize=2.0, color=ENGINE_COLORS["mujoco"])
-        if np.isfinite(clear).any() and np.nanmin(clear) < 0.0 < np.nanmax(clear):
+        if collide:
+            ax.contourf(x, y, clear.T, [-np.inf, 0.0], colors="none", hatches=["////"])
             ax.contour(x, y, clear.T, [0.0], colors=[ENGINE_COLORS["newton_euler"]], linewidths=2.0)
         ax.set(title=title, xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
         ax.set(xlabel=f"{first}, {_unit(found, first)}", ylabel=f"{second}, {_unit(found, second)}")
+    dot, edge = ENGINE_COLORS["mujoco"], ENGINE_COLORS["newton_euler"]
+    dots = Line2D(
+        [], [], linestyle="", marker=".", color=dot, label="singular configurations, of all branches"
+    )
+    hatched = Patch(facecolor="none", edgecolor=edge, hatch="////", label="bodies collide")
+    named = [dots, hatched] if collide else [dots]
+    figure.legend(handles=named, loc="outside lower center", ncols=2, frameon=False)
     return png(figure, dpi=110)

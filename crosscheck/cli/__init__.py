@@ -12,6 +12,7 @@ import os
 import sys
 import warnings
 from contextlib import suppress
+from difflib import get_close_matches
 from typing import NoReturn, TextIO
 
 import click
@@ -23,6 +24,9 @@ from crosscheck.report.render import wrapped
 
 NOT_READ = 128 + 13
 """Exit status, as shells have it, of what ends by SIGPIPE."""
+
+NEAR = 0.8
+"""Similarity, at most 1, from which another option may be meant; Click's 0.6 takes `--city` for `--pitch`."""
 
 LEAST_MEMORY = 2_000_000_000
 """Bytes of addresses; most of them are of libraries, and never used."""
@@ -134,6 +138,9 @@ def _check_cache() -> None:
 
 def _reason(error: Exception) -> str:
     """Word an error, click's own among them."""
+    if isinstance(error, click.NoSuchOption):
+        near = get_close_matches(error.option_name, error.possibilities or (), 1, NEAR)
+        error = click.NoSuchOption(error.option_name, error.message, near, error.ctx)
     if isinstance(error, click.ClickException):
         return error.format_message()
     return reason_of(error)

@@ -157,6 +157,7 @@ def loads_command(
     default=None,
     help="Recording.  [default: output/modes/SCENE.rrd]",
 )
+@verbose_option
 def modes_command(
     scene: str, settings: tuple[str, ...], at_start: bool, open_loop: bool, save: Path | None
 ) -> int:
@@ -165,7 +166,7 @@ def modes_command(
     SCENE is a name or a file, as of run.
     """
     from crosscheck.files import check_no_source, check_writable, write_files
-    from crosscheck.recording.modes import recorded, table
+    from crosscheck.recording.modes import recorded, report
     from newton_euler.analysis.equilibrium import at_rest, equilibrium
     from newton_euler.analysis.linearization import linearize
 
@@ -183,11 +184,7 @@ def modes_command(
         modes = model.modes()
         progress("recording")
         write_files({path: recorded(loaded, model, modes)})
-    where = "an equilibrium" if model.is_equilibrium else "a state that is no equilibrium"
-    count = len(model.coordinates)
-    say(f"{loaded.name} about {where}: {count} degree{'s' * (count != 1)} of freedom", bold=True)
-    click.echo(terminal([table(loaded.mechanism, modes)]), nl=False)
-    say(f"wrote {path}")
+    show(report(loaded, model, modes), f"wrote {path}", "more  -v")
     return AGREE
 
 
@@ -230,7 +227,7 @@ def workspace_command(
         progress("writing")
         written = workspace.write(found, folder)
     click.echo(terminal([workspace.table(found)]), nl=False)
-    say("wrote " + ", ".join(str(path) for path in written))
+    say(*filter(None, [workspace.statement(found)]), "wrote " + ", ".join(str(path) for path in written))
     return AGREE
 
 

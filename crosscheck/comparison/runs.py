@@ -121,9 +121,13 @@ def rests(scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory
     """
     ran = [engine for engine in engines if engine.name in runs]
     asked = [engine for engine in ran if engine.soft_start is None] or ran
-    moved = displacements(runs)
-    reaches = {engine.name: max(1.0, reach(scene, runs[engine.name].position)) for engine in asked}
-    return bool(asked) and all(moved[name] <= ROUND_OFF * length for name, length in reaches.items())
+    return bool(asked) and stays({engine.name: runs[engine.name] for engine in asked}, scene)
+
+
+def stays(runs: Mapping[str, Trajectory], scene: Scene) -> bool:
+    """Return True if nothing moves in runs but by round-off of the reach, or of 1 m and 1 rad."""
+    reaches = {name: max(1.0, reach(scene, run.position)) for name, run in runs.items()}
+    return all(far <= ROUND_OFF * reaches[name] for name, far in displacements(runs).items())
 
 
 def compare_runs(

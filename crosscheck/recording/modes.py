@@ -8,6 +8,8 @@ Entities:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
@@ -17,8 +19,8 @@ from crosscheck.recording.blueprint import laid_out, sight
 from crosscheck.recording.log import GROUND_COLOR, new_recording, send_pose
 from crosscheck.recording.shapes import Style, log_shapes
 from crosscheck.report.render import markdown_table
-from crosscheck.report.table import Column, Rows, Table
-from newton_euler.analysis.linear_model import LinearModel, Modes
+from crosscheck.report.table import Cell, Column, Part, Report, Rows, Table, figures, texts
+from newton_euler.analysis.linear_model import LinearModel, Modes, label
 from newton_euler.model.euler_parameters import from_rotation_vector, product
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -46,6 +48,77 @@ COLUMNS = [
 ]
 
 
+RIGID = "rigid"
+"""Instead of the frequency of a mode that nothing drives back."""
+
+MOST_NAMED = 4
+"""Coordinates of a pose in one sentence."""
+
+
+def report(scene: Scene, model: LinearModel, modes: Modes) -> Report:
+    """Report on modes: the pose that they are about, whether it is stable, and a table."""
+    about = "an equilibrium" if model.is_equilibrium else "a state that is no equilibrium"
+    count = len(model.coordinates)
+    title = f"{scene.name} about {about}: {count} degree{'s' * (count != 1)} of freedom"
+    rows = pose(scene, model)
+    at = ", ".join(f"{name} {value} {unit}" for name, value, unit in rows[:MOST_NAMED])
+    more = f" and {len(rows) - MOST_NAMED} more" if len(rows) > MOST_NAMED else ""
+    verdict = f"{stability(modes)}; at {at}{more}" if rows else stability(modes)
+    parts: list[Part] = [
+        Table(
+            "pose, from the initial one", texts("coordinate", "value", "unit"), [list(row) for row in rows]
+        ),
+        _eigenvalues(modes),
+    ]
+    return Report(title, verdict, Cell(""), parts, summary=[table(scene.mechanism, modes)])
+
+
+def pose(scene: Scene, model: LinearModel) -> list[tuple[str, str, str]]:
+    """List the independent coordinates of a linear model with values, from the initial pose, and units.
+
+    Without those of balls, whose orientation has none.
+    """
+    mechanism, frames = scene.mechanism, model.state.frames()
+    found = []
+    for name in model.coordinates:
+        if isinstance(name, str) and name not in mechanism.joint_names:
+            continue
+        key = mechanism.coordinate(name)
+        ends = mechanism.joint_equations(key[0])
+        x = float(ends.coordinates[key[1]].phi(frames[ends.first], frames[ends.second])[0])
+        unit = "m" if mechanism.is_slide(*key) else "rad"
+        found.append((label(name), f"{x if abs(x) > STEADY else 0.0:.4g}", unit))
+    return found
+
+
+def stability(modes: Modes) -> str:
+    """Say if motions die out, grow, or do neither; damping below `STEADY` is none."""
+    growing = [k for k, ratio in enumerate(modes.damping_ratios, start=1) if ratio < -STEADY]
+    if growing:
+        return f"unstable: {_listed(growing)} grow{'s' * (len(growing) == 1)}"
+    rigid = [k for k, value in enumerate(modes.eigenvalues, start=1) if value == 0.0]
+    if rigid:
+        verb, them = ("is", "it") if len(rigid) == 1 else ("are", "them")
+        return f"neutral: {_listed(rigid)} {verb} {RIGID}, nothing drives {them} back"
+    if np.all(modes.damping_ratios > STEADY):
+        return "stable: all motions die out"
+    return "neutral: undamped motions neither die out nor grow"
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    return f"mode{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers))}"
+
+
+def _eigenvalues(modes: Modes) -> Table:
+    """Tabulate eigenvalues, 1/s, of a pair the one with the positive imaginary part."""
+    columns = figures("mode", "real, 1/s", "imaginary, rad/s")
+    rows: Rows = [
+        [str(k), f"{value.real:.9g}", f"{value.imag:.9g}"]
+        for k, value in enumerate(modes.eigenvalues, start=1)
+    ]
+    return Table("eigenvalues", columns, rows)
+
+
 def table(mechanism: Mechanism, modes: Modes) -> Table:
     """Tabulate modes, the slowest first: frequency, damping, time in which they die out, largest movement."""
     rows: Rows = []
@@ -55,7 +128,7 @@ def table(mechanism: Mechanism, modes: Modes) -> Table:
         rows.append(
             [
                 str(number),
-                f"{frequency:.6g}" if swings else "-",
+                f"{frequency:.6g}" if swings else "-" if fades else RIGID,
                 f"{damping:.3g}" if fades else "0",
                 f"{abs(1.0 / rate):.4g}{', grows' if rate > 0.0 else ''}" if fades else "-",
                 largest_movement(mechanism, twist),

@@ -92,7 +92,7 @@ def _untested_table(found: Coverage) -> Table:
     rows: Rows = [
         [each.element, SAME_CODE if each.shared else f"{each.share:.1e}"] for each in found.untested
     ]
-    title = "untested: 10 % more of these does not show"
+    title = "untested by the motion: 10 % more of these does not show"
     return Table(title, [Column("element"), *figures("share of what would show")], rows, folded=True)
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 MOST_ROWS = 9
 """Of the table of a day, so that all fits 25 lines."""
 
-SURVEYED = ("faces\nsun, h", "off\ndeg", "fixed\nkWh/m^2", "this\n%", "1 axis\n%", "facing\n%", "work\nmWh")
+SURVEYED = ("on sun\nh", "off\ndeg", "fixed\nkWh/m^2", "this\n%", "1 axis\n%", "facing\n%", "work\nmWh")
 """Columns of several days."""
 
 FILES = ("commands.csv", "day.png", "day.rrd")

@@ -65,7 +65,7 @@ class Poses:
     Examples:
         >>> poses = solve_poses(load("slider_crank"), {"guide": [0.0, 1.0]}, measure=["pivot"])
         >>> print(*poses.report())
-        pose 1: out of reach, nearest pose, misses 'guide' by -0.90984
+        pose 1: out of reach, nearest pose, misses 'guide' by -0.90984 m
         >>> def out_of_reach(poses: Poses) -> int:
         ...     return len(poses) - int(poses.reached.sum())
         >>> out_of_reach(poses)
@@ -93,9 +93,11 @@ class Poses:
 
     def report(self) -> list[str]:
         """Describe each pose that does not meet its goals on the branch of the start in one line."""
-        lines = []
+        lines, mechanism = [], self._at.chain.driven.mechanism
+        keys = {name: mechanism.coordinate(name) for name in self.missing}
+        units = {name: "m" if mechanism.is_slide(*key) else "rad" for name, key in keys.items()}
         for k in np.flatnonzero(~self.reached):
-            off = [f"{name!r} by {values[k]:.6g}" for name, values in self.missing.items()]
+            off = [f"{name!r} by {values[k]:.6g} {units[name]}" for name, values in self.missing.items()]
             off += [f"axis by {self.angle[k]:.6g} rad"] if self.angle.any() else []
             found = "nearest pose" if self.slope[k] < STATIONARY else "nearest pose not found, the last one"
             where = ", beyond a singular configuration" if self.beyond[k] else ""
@@ -159,7 +161,7 @@ def solve_poses(
     coordinates: Mapping[str | Key, Any] | None = None,
     axis: Axis | None = None,
     towards: Any = None,
-    measure: Sequence[str | Key] = (),
+    measure: Sequence[str | Key] | None = None,
     start: State | None = None,
 ) -> Poses:
     """Solve forward or inverse kinematics for many goals at once, by compiled equations.
@@ -176,7 +178,8 @@ def solve_poses(
             (name, number) for joints of several coordinates.
         axis: of a body.
         towards: (n, 3) or (3,), world frame, where the axis is to point; None to have its direction only.
-        measure: other joint coordinates that are asked for.
+        measure: other joint coordinates that are asked for; None for those of control laws if `coordinates`
+            has none.
         start: pose to begin at, on the assembly branch that is wanted; the scene's own if None.
 
     Raises:
@@ -185,11 +188,14 @@ def solve_poses(
         OptionError: for numbers of values that differ, and where there is no goal.
 
     Examples:
-        >>> normal, sliders = Axis("panel_7", [0, 0, 1]), ("slide_12", "slide_13")
-        >>> up = solve_poses(load("tracker"), axis=normal, towards=[0, 0, 1], measure=sliders)
+        >>> up = solve_poses(load("tracker"), axis=Axis("panel_7", [0, 0, 1]), towards=[0, 0, 1])
         >>> print(up.reached, up.coordinates["slide_12"].round(6))
         [ True] [0.0214]
     """
+    check_type("scene", scene, Scene)
+    if measure is None:
+        keys = () if coordinates else dict.fromkeys(law.key for law in scene.control)
+        measure = [scene.mechanism.coordinate_name(key) for key in keys]
     chain, names, goal = goals_of(scene, coordinates, axis, towards, measure, start)
     begin = chain.at(chain.start[None])
     at, reached = follow(begin, goal)

@@ -106,6 +106,13 @@ def test_bad_usage(capsys, tmp_path, arguments, message):
     check_refused(capsys, tmp_path, *arguments, message=message)
 
 
+def test_options_that_are_misspelt_are_told_their_neighbors_alone(capsys):
+    for option, told in (("--latitud", " Did you mean '--latitude'?"), ("--city", "")):
+        status, _, err = run(capsys, "sun", option, "1", "--date", "2026-03-21")
+        assert status == 2
+        assert err == f"crosscheck: error: No such option '{option}'.{told}\n"
+
+
 def test_unknown_command(capsys):
     status, _, err = run(capsys, "simulate")
     assert status == 2

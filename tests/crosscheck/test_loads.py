@@ -35,6 +35,25 @@ def test_cases_of_a_scene(capsys, monkeypatch, tmp_path):
     assert (tmp_path / "loads.rrd").stat().st_size > 10_000
 
 
+def test_round_off_is_no_load_and_rest_is_told(capsys, tmp_path):
+    """A planar linkage, whose torques across its plane are 1e-15 N m, and one that nothing moves."""
+    linkage = Path(EXAMPLE).with_name("linkage.xml")
+    _, out, _ = run(capsys, "loads", linkage, "--set", "duration=0.1", "--output", tmp_path)
+    assert "nothing moves" not in out
+    (line,) = [line.split() for line in out.splitlines() if line.startswith("elbow") and "e-" not in line][1:]
+    assert line == ["elbow", "0", "0", "0", "0"]
+    still = tmp_path / "still.xml"
+    still.write_text(
+        '<mujoco><option gravity="0 0 0"/><worldbody><body name="a"><joint name="j" axis="0 1 0"/>'
+        '<geom size="0.1" pos="0.5 0 0"/></body></worldbody></mujoco>'
+    )
+    _, out, _ = run(capsys, "loads", still, "--output", tmp_path)
+    assert "no joint carries a force" in out
+    assert "nothing moves in the run: these are loads at rest; --set exercise=on moves" in " ".join(
+        out.split()
+    )
+
+
 def test_a_file_at_rest_has_one_case(capsys, tmp_path):
     status, out, _ = run(capsys, "loads", EXAMPLE, "--at-rest", "--output", tmp_path)
     assert status == 0
