@@ -27,7 +27,7 @@ from newton_euler.model.constraints import Frame
 from newton_euler.model.control import NO_FORCES
 from newton_euler.model.euler_parameters import from_rotation
 from newton_euler.model.joint import Key
-from newton_euler.model.joint_geometry import NOWHERE, JointGeometry, closing, in_tree
+from newton_euler.model.joint_geometry import JointGeometry
 from newton_euler.model.joint_kinds import Rod
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import weld_loops
@@ -36,8 +36,9 @@ from newton_euler.scalars import Array, Scalar
 from urdf.constraints import Closures, Rows, frame_jacobian
 from urdf.errors import UrdfError
 from urdf.forces import BallForces, JointLaws, PointForces, Rotors
+from urdf.initial_pose import joint_geometry, mass_properties
 from urdf.loops import parse_loops
-from urdf.model import CoordinateMap, build, link_inertia, mass_matrix
+from urdf.model import CoordinateMap, build, mass_matrix
 from urdf.proximal import ConstraintDynamics, Units
 from urdf.reactions import (
     driven,
@@ -310,52 +311,11 @@ class PinocchioSystem:
 
     def mass_properties(self) -> MassProperties:
         """Return masses and inertias in Pinocchio's model; halves of a body are put together."""
-        pin.framesForwardKinematics(self._model, self._data, pin.neutral(self._model))
-        found = MassProperties.of(self.mechanism)  # of the ground, which has no inertia in a URDF
-        names = self._welded.mechanism.body_names
-        for body in range(1, len(self.mechanism.bodies)):
-            total = pin.Inertia.Zero()
-            for name, whole in zip(names, self._welded.origin, strict=True):
-                if whole == body:
-                    index = self._model.getFrameId(name, pin.FrameType.BODY)
-                    total += self._data.oMf[index].act(link_inertia(self._model, index))
-            found.mass[body] = total.mass
-            found.center_of_mass[body] = total.lever
-            found.inertia[body] = total.inertia
-        return found
+        return mass_properties(self.mechanism, self._model, self._welded)
 
     def joint_geometry(self) -> dict[str, JointGeometry]:
         """Return the joints of the model at its initial pose."""
-        closed, model, welded = self.closed, self._model, self._welded
-        data = model.createData()
-        pin.computeJointJacobians(model, data, pin.neutral(model))
-        pin.updateFramePlacements(model, data)
-        columns = np.reshape(data.J, (6, model.nv))
-
-        def read(name: str) -> tuple[str, Array, Array]:
-            index = model.getJointId(name)
-            joint, point = model.joints[index], data.oMi[index].translation.copy()
-            if joint.nv == 3:
-                return "ball", NOWHERE, point
-            linear, angular = columns[:3, joint.idx_v], columns[3:, joint.idx_v]
-            return ("hinge", angular, point) if np.any(angular) else ("slide", linear, point)
-
-        found = in_tree(welded, read)
-        constraints, rods = iter(closed.constraints), iter(closed.rods)
-        for cut in welded.tree.cuts:
-            joint = welded.tree.joint(cut)
-            if joint.only_closes:
-                first, second = (data.oMf[frame].translation.copy() for frame in next(rods))
-                found[joint.name] = closing("rod", (first, second))
-                continue
-            constraint = next(constraints)
-            ends = (
-                data.oMi[constraint.joint1_id].act(constraint.joint1_placement).translation,
-                data.oMi[constraint.joint2_id].act(constraint.joint2_placement).translation,
-            )
-            if constraint.type == pin.ContactType.CONTACT_3D:
-                found[joint.name] = closing("ball", ends)
-        return found
+        return joint_geometry(self.closed, self._welded)
 
     def state(self, q: Array, v: Array) -> State:
         """Body poses and velocities by Pinocchio's forward kinematics."""

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.results import read_json
-from crosscheck.scenes.scene_file import Number, Quaternion, Vector
+from crosscheck.scenes.entries import Number, Quaternion, Vector
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
