@@ -117,7 +117,7 @@ def start(scene: Scene, /, **joints: Sequence[float] | Sequence[Sequence[float] 
     check_type("scene", scene, Scene)
     wanted = _wanted(scene, joints)
     state = initial_state(scene)
-    begin, begun = {key: _measured(scene, state, key)[0] for key in wanted}, _speed(scene, state)
+    begin, begun = {key: measured_coordinate(scene, state, key)[0] for key in wanted}, _speed(scene, state)
     way = {key: (begin[key], x - begin[key]) for key, (x, _) in wanted.items()}
     size = scene.mechanism.size
     longest = max(abs(d) / (size if scene.mechanism.is_slide(*key) else 1.0) for key, (_, d) in way.items())
@@ -139,7 +139,7 @@ def start(scene: Scene, /, **joints: Sequence[float] | Sequence[Sequence[float] 
         reason = f"joint {error.joint!r} stays open by {error.violation:.3g} m or rad"
         raise _unreachable(wanted, reason) from error
     for key, (x, rate) in wanted.items():
-        found = _measured(scene, state, key)
+        found = measured_coordinate(scene, state, key)
         off = found[0] - x if scene.mechanism.is_slide(*key) else math.remainder(found[0] - x, 2.0 * math.pi)
         allowed = VELOCITY_TOLERANCE * max(abs(rate), _speed(scene, state))
         if not (abs(off) <= CLOSURE_TOLERANCE and abs(found[1] - rate) <= allowed):
@@ -177,7 +177,7 @@ def _motions(coefficients: Mapping[Key, tuple[float, float]]) -> list[Prescribed
     return [PrescribedMotion(joint, Polynomial(c), k) for (joint, k), c in coefficients.items()]
 
 
-def _measured(scene: Scene, state: State, key: Key) -> tuple[float, float]:
+def measured_coordinate(scene: Scene, state: State, key: Key) -> tuple[float, float]:
     """Measure a joint coordinate and its rate, m or rad."""
     equations = scene.mechanism.joint_equations(key[0])
     measure, frames = equations.coordinates[key[1]], state.frames()

@@ -37,6 +37,7 @@ from newton_euler.model.trajectory import IntegrationError, Trajectory
 from newton_euler.sampling import integrate_intervals
 from newton_euler.scalars import Array, Floats
 from newton_euler.simulate import CompiledScene, native_trajectory
+from newton_euler.starts import Assembly, initial_numbers
 from newton_euler.variation import run_values
 
 PIECES = 8
@@ -118,7 +119,8 @@ def simulate_batch(
     Args:
         scene: the scene of all runs.
         states: initial states, one per run; the scene's own for all if not given.
-        parameters: values, one per run, by name; see `newton_euler.equations.parameters`.
+        parameters: values, one per run, by name; see `newton_euler.equations.parameters`, and
+            `newton_euler.starts` for initial coordinates.
         threads: their number; that of the processors if not given.
 
     The other arguments are those of `simulate`.
@@ -141,7 +143,9 @@ def simulate_batch(
     if scene.sampled:
         raise OptionError("control", scene.sampled[0], "no sampled controller: Python would run in every run")
     workers = _threads(threads)
-    compiled = CompiledScene(scene, formulation, stabilization, alpha, tuple(parameters))
+    initial = initial_numbers(scene, parameters)
+    names = tuple(name for name in parameters if name not in initial)
+    compiled = CompiledScene(scene, formulation, stabilization, alpha, names)
     load(compiled, integrator)
     count = _count(states, parameters)
     times = scene.times
@@ -236,19 +240,27 @@ def _set(
     parameters: Mapping[str, Any],
 ) -> dict[int, NewtonEulerError]:
     """Set the states and parameters of all runs in their x (runs, inputs); returns errors by runs."""
-    errors: dict[int, NewtonEulerError] = {}
+    scene, errors, closed = compiled.scene, dict[int, NewtonEulerError](), list[State]()
     for k, state in enumerate(states or ()):
         try:
-            consistent = _consistent(compiled.scene, state, f"run {k}")
+            closed.append(_consistent(scene, state, f"run {k}"))
         except MechanismError as error:
             errors[k] = error
-            continue
-        starts[k, : compiled.size] = np.concatenate(compiled.system.coordinates(consistent))
-    values = run_values(compiled.scene, parameters)
+            closed.append(initial_state(scene))
+    values = run_values(scene, parameters)
     for name, array in values.arrays.items():
-        place, flat = compiled.place(name), array.reshape(len(array), -1)
-        starts[:, place : place + flat.shape[1]] = flat
-    return {**values.errors, **errors}
+        if name in compiled.parameters:
+            place, flat = compiled.place(name), array.reshape(len(array), -1)
+            starts[:, place : place + flat.shape[1]] = flat
+    errors = {**values.errors, **errors}
+    assembly = Assembly(scene, tuple(parameters))
+    if assembly.is_needed:
+        x, lost = assembly(values.arrays, closed or None)
+        starts[:, : compiled.size] = assembly.starts(compiled, x)
+        return {**lost, **errors}
+    for row, state in zip(starts, closed, strict=bool(closed)):
+        row[: compiled.size] = np.concatenate(compiled.system.coordinates(state))
+    return errors
 
 
 def _consistent(scene: Scene, state: State, run: str) -> State:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,6 @@ import numpy as np
 from newton_euler.equations.parameters import (
     Owner,
     Place,
-    checked,
     element_of,
     own_value,
     parameter_values,
@@ -28,9 +28,16 @@ from newton_euler.errors import MechanismError, OptionError, check_type
 from newton_euler.model.mechanism import LEAST, REALISABLE_TOLERANCE
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
+from newton_euler.starts import Assembly, initial_numbers, own_initial
 
-DIRECTIONS = frozenset({"direction"})
+TURNING = frozenset({"axis_on_first", "axis_on_second"})
+"""Axes that others restrict."""
+
+DIRECTIONS = TURNING | {"direction", "axis"}
 """Attributes that are vectors of any length but 0."""
+
+NONZERO = frozenset({"ratio", "pitch", "terms"})
+"""Attributes whose numbers are not 0."""
 
 SHORT, LONG = 1e-100, 1e100
 """Lengths of directions beyond which their constructors are asked."""
@@ -49,15 +56,18 @@ class RunValues(NamedTuple):
 
 
 def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
-    """Return the scene with other values of some parameters, all of it checked.
+    """Return the scene with other values of some parameters, all of it checked, its loops closed again.
+
+    It is what a run of `simulate_batch` with these values is a run of.
 
     Args:
         scene: the scene to change.
-        values: by name, see `newton_euler.equations.parameters`.
+        values: by name, see `newton_euler.equations.parameters`, and initial coordinates, see
+            `newton_euler.starts`.
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
-        MechanismError: for a value that the scene cannot have.
+        MechanismError: for a value that the scene cannot have, and values with which a loop stays open.
 
     Examples:
         >>> heavy = with_parameters(load("pendulum"), {"dumbbell.mass": 3.0})
@@ -67,7 +77,17 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
     check_type("scene", scene, Scene)
     if not isinstance(values, Mapping):
         raise OptionError("values", f"{values!r:.100}", "values by names of parameters")
-    return rebuilt(scene, checked(scene, values))
+    found = run_values(scene, {name: [value] for name, value in values.items()})
+    assembly = Assembly(scene, tuple(values))
+    errors = dict(found.errors)
+    if assembly.is_needed and not errors:
+        (x,), errors = assembly(found.arrays)
+    for error in errors.values():
+        element = error.element.removeprefix("run 0").removeprefix(": ") or f"scene {scene.name!r}"
+        raise MechanismError(element, error.problem, error.needed)
+    numbers = {name: array[0] for name, array in found.arrays.items() if name not in assembly.initial}
+    changed = rebuilt(scene, numbers)
+    return replace(changed, initial_state=assembly.state(x)) if assembly.is_needed else changed
 
 
 def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunValues:
@@ -77,14 +97,16 @@ def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunV
         UnknownNameError: for a name that is no parameter of the scene.
         MechanismError: for a name that stands for two, and for values of another shape in all runs.
     """
-    own, found = parameter_values(scene, given), RunValues({}, {})
+    initial, found = initial_numbers(scene, given), RunValues({}, {})
+    own = parameter_values(scene, [name for name in given if name not in initial])
+    own |= {name: np.array(own_initial(scene, number)) for name, number in initial.items()}
     for name, values in given.items():
         array, unusable = _numbers(name, values, own[name])
         found.arrays[name] = array
         for k in unusable:
             _refuse(found, k, name, f"is {values[k]!r:.100}", f"finite numbers of shape {own[name].shape}")
     by_element: dict[tuple[str, int], dict[str, Place]] = {}
-    for name, place in places(scene, given).items():
+    for name, place in places(scene, [name for name in given if name not in initial]).items():
         by_element.setdefault(place.owner[:2], {})[name] = place
     for places_of in by_element.values():
         _check_element(scene, places_of, found)
@@ -143,15 +165,16 @@ def _check_element(scene: Scene, places_of: Mapping[str, Place], found: RunValue
     for owner, stack in stacks.items():
         bad = np.union1d(bad, _suspicious(scene, owner, stack))
     for k in bad.tolist():
-        for name, (owner, component) in places_of.items():
-            error = refusal(scene, {owner: stacks[owner][k]})
-            if error:
-                value = found.arrays[name][k]
-                problem = f"is {value.tolist()!r:.100}"
-                if component is not None or value.ndim:
-                    problem += f": {error.problem}"
-                _refuse(found, k, name, problem, error.needed)
-                break
+        error = refusal(scene, {owner: stack[k] for owner, stack in stacks.items()})
+        if error is None:
+            continue
+        alone = [name for name, (owner, _) in places_of.items() if refusal(scene, {owner: stacks[owner][k]})]
+        name = next(iter([*alone, *places_of]))
+        value = found.arrays[name][k]
+        problem = f"is {value.tolist()!r:.100}"
+        if places_of[name].component is not None or value.ndim:
+            problem += f": {error.problem}"
+        _refuse(found, k, name, problem, error.needed)
 
 
 def _suspicious(scene: Scene, owner: Owner, stack: Array) -> Array:
@@ -159,10 +182,13 @@ def _suspicious(scene: Scene, owner: Owner, stack: Array) -> Array:
     what, _, attribute = owner
     if what == "bodies" and attribute == "inertia":
         return np.flatnonzero(~_realisable(stack, element_of(scene, owner).allow_unrealisable_inertia))
+    own, outside = own_value(scene, owner), np.zeros(len(stack), dtype=bool)
     if attribute in DIRECTIONS:
         lengths = np.max(np.abs(stack), axis=1)
-        return np.flatnonzero((lengths < SHORT) | (lengths > LONG))
-    own, outside = own_value(scene, owner), np.zeros(len(stack), dtype=bool)
+        turned = np.any(stack != own, axis=1) if attribute in TURNING else outside
+        return np.flatnonzero(turned | (lengths < SHORT) | (lengths > LONG))
+    if attribute in NONZERO:
+        outside |= np.any(stack.reshape(len(stack), -1) == 0.0, axis=1)
     for component in np.ndindex(own.shape):
         column = np.moveaxis(stack, 0, -1)[component]
         low, high = _interval(scene, owner, own, component, np.unique(column))

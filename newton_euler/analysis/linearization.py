@@ -30,6 +30,7 @@ from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.equations.dense import largest, orthonormal_null, singular_values
 from newton_euler.equations.model_control import share_model_control
 from newton_euler.equations.parameters import (
+    check_dynamic,
     numbered,
     parameter_values,
     pieces,
@@ -164,6 +165,7 @@ def _inputs(scene: Scene, names: Sequence[str | Key]) -> list[Key | str]:
             found.append(scene.mechanism.coordinate(name))
             continue
         try:
+            check_dynamic(scene, [str(name)], "input of a linear model")
             found.append(unambiguous(scene, str(name)))
         except UnknownNameError as error:
             raise UnknownNameError("input", name, (*scene.mechanism.joint_names, *error.valid)) from error

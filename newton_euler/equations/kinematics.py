@@ -82,7 +82,8 @@ def _child(
         acceleration = acceleration + cross(alpha, s) + cross(omega, turning)
 
     here = joint.points[0] if joint.motions else tree.joint(joint.joint).reaction_point
-    move(a @ (here - mechanism.bodies[joint.parent].center_of_mass))
+    apart = tree.joint(joint.joint).apart  # the points are those of the joint's second body
+    move(a @ (here - (apart if joint.forward else 0.0) - mechanism.bodies[joint.parent].center_of_mass))
     columns: list[tuple[Array, Array | None]] = []  # an axis, and the point that it passes through
     iq = iv = 0
     for motion, point in zip(joint.motions, joint.points, strict=True):
@@ -114,7 +115,7 @@ def _child(
             omega = omega + relative
             columns.extend((a[:, k], r) for k in range(3))
             iq, iv = iq + 4, iv + 3
-    move(a @ (mechanism.bodies[joint.child].center_of_mass - here))
+    move(a @ (mechanism.bodies[joint.child].center_of_mass - (here - (0.0 if joint.forward else apart))))
 
     arm = (r - parent.frame.position).tolist()
     angular: list[Any] = parent.angular.T.tolist()

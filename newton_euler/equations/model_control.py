@@ -16,6 +16,7 @@ import numpy as np
 
 from newton_euler.equations.formulation import Formulation, Servos
 from newton_euler.equations.parameters import (
+    check_dynamic,
     checked,
     element_of,
     places,
@@ -81,6 +82,7 @@ def known_scene(scene: Scene, model: Mapping[str, Any]) -> Scene:
         NewtonEulerError: for an unknown parameter, one of wind or of control laws, which the model does not
             have, or a value that it cannot have.
     """
+    check_dynamic(scene, model, "the model of control laws")
     values = checked(scene, model)
     for name, place in places(scene, model).items():
         element = element_of(scene, place.owner)

@@ -2,27 +2,46 @@
 
 A parameter has a name and a value of the shape that the scene has there:
 
-- `gravity`, `BODY.mass`, `BODY.inertia`;
+- `gravity`, `BODY.mass`, `BODY.inertia` about the center of mass, in the body's frame;
+- `BODY.center_of_mass`, in the world at the initial pose: it moves in the body, and joint points stay where
+  they are on the body;
+- `JOINT.point`, a displacement in the world at the initial pose, m: the joint is elsewhere on both of its
+  bodies; `JOINT.point_on_first` and `JOINT.point_on_second` displace the point on one body alone, as holes
+  that are not where the drawing has them. Displacements add up, and the scene's own value is 0;
+- `JOINT.axis`, `JOINT.axis_on_first`, `JOINT.axis_on_second`, of any length, in the world at the initial
+  pose, of both bodies as the description has them; those of compound joints are none;
+- `JOINT.pitch` of a screw, `JOINT.length` of a rod, whose points stay on their bodies;
+- `GEAR.ratio`, and `COUPLING.terms`, the factors of a coupling's terms in their order;
+- `JOINT.motion.function` of a prescribed motion without knots;
 - `JOINT.stiffness`, `JOINT.damping`, `JOINT.target`, `JOINT.feedforward` of the control law at a joint,
   `JOINT.1.target` for its second coordinate; of a target or a feedforward that is a function of time, all
   that it is linear in: coefficients of polynomials, amplitude and offset of sines, values of splines and
   steps, one after the other;
-- `JOINT.gains` of the state feedback at a joint, (K_p, K_d) of each coordinate that it reads, in their order;
+- `JOINT.gains` of the state feedback at a joint, (K_p, K_d) of each coordinate that it reads, in their
+  order;
 - `JOINT.spring.stiffness`, `JOINT.spring.damping`, `JOINT.spring.rest` of the spring at a joint,
   `JOINT.1.spring.rest` for its second coordinate;
 - `JOINT.ball.stiffness`, `JOINT.ball.damping`, `JOINT.ball.rest` of the spring of a joint's ball;
-- `NAME.stiffness`, `NAME.damping`, `NAME.rest_length` of a spring between points;
-- `NAME.force`, `NAME.torque` of a wrench;
-- `NAME.direction`, `NAME.speed`, `NAME.air_density` of a wind load;
+- `NAME.stiffness`, `NAME.damping`, `NAME.rest_length` of a spring between points, and the displacements
+  `NAME.point_on_first`, `NAME.point_on_second` of these;
+- `NAME.force`, `NAME.torque` of a wrench, and `NAME.point`, a displacement;
+- `NAME.direction`, `NAME.speed`, `NAME.air_density` of a wind load, and `NAME.point`, a displacement;
 - `JOINT.rotor.inertia`, `JOINT.1.rotor.inertia`, `JOINT.ball.rotor.inertia` of the armatures of a joint.
 
+Joint coordinates stay zero where the bodies are oriented as in the initial pose, and a joint's points as
+far apart as they are described. Parameters of bodies' centers, joints, couplings and motions move the
+closed configurations: `newton_euler.starts` assembles a start for each run, and has initial coordinates as
+further parameters. The mechanism has the constraints that the description has: where its own numbers make
+some of them redundant, values with which they would lock it leave a loop open.
+
 A name may go on with one component of the value, which is then a number: `gravity.z`, `BODY.inertia.xy`,
-which is `yx` as well, and places from 0 in other values, as in `JOINT.target.0` and `JOINT.gains.1.0`.
+which is `yx` as well, `JOINT.point.z`, and places from 0 in other values, as in `JOINT.target.0` and
+`JOINT.gains.1.0`.
 
 A name that stands for two of these cannot be used; numbers say which is meant, as in `bodies[2].mass`,
-`control[0].target`, `forces[1].stiffness` and `armatures[0].inertia`. How near a configuration is to a
-singular one is judged by the scene's own values: masses that are many orders away from them make runs slower,
-not wrong.
+`joints[3].point`, `couplings[0].ratio`, `control[0].target`, `forces[1].stiffness`, `armatures[0].inertia`
+and `motions[0].function`. How near a configuration is to a singular one is judged by the scene's own
+values: masses that are many orders away from them make runs slower, not wrong.
 
 Functions of time with knots are parameters of the code that runs from one knot to the next: the numbers of
 the piece between them are, as `motions[0].function.piece`.
@@ -41,6 +60,7 @@ import numpy as np
 from newton_euler.equations.redundancy import inherit_mobility
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.digital_control import Law
+from newton_euler.model.joint import POINTS, Joint
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import Sum, TimeFunction, functions_of
 from newton_euler.model.scene import Scene
@@ -58,6 +78,9 @@ PIECE = ".piece"
 Owner = tuple[str, int, str]
 """A parameter: the field of the scene or its mechanism, the number of the element there, and the
 attribute."""
+
+MECHANICAL = ("bodies", "joints", "couplings")
+"""Fields of mechanisms; the others are those of scenes."""
 
 GRAVITY: Owner = ("scene", 0, "gravity")
 
@@ -80,6 +103,8 @@ def _parts(scene: Scene) -> dict[str, list[Any]]:
     return {
         "scene": [scene],
         "bodies": list(scene.mechanism.bodies),
+        "joints": list(scene.mechanism.joints),
+        "couplings": list(scene.mechanism.couplings),
         "control": list(scene.control),
         "forces": list(scene.forces),
         "armatures": list(scene.armatures),
@@ -92,14 +117,44 @@ def _owners(scene: Scene) -> dict[str, list[Owner]]:
     found: dict[str, list[Owner]] = {"gravity": [GRAVITY]}
     for what, elements in _parts(scene).items():
         for k, element in enumerate(elements):
-            if what in ("scene", "motions") or (what == "bodies" and k == 0):
-                continue  # motions have none, and nor has the ground
-            place = element.name if what == "bodies" else element.prefix
-            for attribute in ("mass", "inertia") if what == "bodies" else element.parameters or ("held",):
+            if what == "scene" or (what == "bodies" and k == 0):
+                continue  # the ground has none
+            place = element.name if what in MECHANICAL else element.prefix
+            for attribute in _attributes(what, element):
                 found.setdefault(f"{place}.{attribute}", []).append((what, k, attribute))
                 found[numbered(what, k, attribute)] = [(what, k, attribute)]
     with_pieces = (owner for owner, functions in scene.functions.items() if any(f.numbers for f in functions))
     return found | {numbered(*owner) + PIECE: [owner] for owner in with_pieces}
+
+
+def _attributes(what: str, element: Any) -> tuple[str, ...]:
+    """Return the attributes of an element that are parameters."""
+    if what == "bodies":
+        return ("mass", "center_of_mass", "inertia")
+    if what in MECHANICAL:
+        return tuple(element.parameters)
+    if what == "motions" and element.function.numbers:
+        return ()
+    return (*(element.parameters or ("held",)), *element.points)
+
+
+def _is_displacement(what: str, element: Any, attribute: str) -> bool:
+    """Tell if an attribute is a point, whose parameter is its displacement."""
+    return attribute in (POINTS if what == "joints" else getattr(element, "points", ()))
+
+
+def is_kinematic(place: Place) -> bool:
+    """Tell if a parameter moves the closed configurations, or how coordinates stand for poses."""
+    what, _, attribute = place.owner
+    return what in ("joints", "couplings", "motions") or attribute == "center_of_mass"
+
+
+def check_dynamic(scene: Scene, names: Iterable[str], where: str) -> None:
+    """Raise `MechanismError` for a parameter that moves the closed configurations."""
+    for name, place in places(scene, names).items():
+        if is_kinematic(place):
+            needed = "one that leaves the closed configurations where they are"
+            raise MechanismError(where, f"has the parameter {name!r}", needed)
 
 
 def pieces(scene: Scene, time: float, smooth: bool = True) -> dict[str, Array]:
@@ -211,7 +266,11 @@ def _nearest(owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
 def _own(parts: dict[str, list[Any]], owner: Owner, piece: bool = False) -> Array:
     """Return the value that a scene has of its own: of functions their numbers, or those of their piece."""
     what, k, attribute = owner
+    if _is_displacement(what, parts[what][k], attribute):
+        return np.zeros(3)
     value = getattr(parts[what][k], attribute)
+    if attribute == "terms":
+        value = [factor for _, _, factor in value]
     if piece:
         value = _piece(functions_of(value), 0.0)
     elif isinstance(value, TimeFunction):
@@ -275,7 +334,8 @@ def refusal(scene: Scene, values: Mapping[Owner, Array]) -> MechanismError | Non
     """Return what is wrong with values of attributes of one element, None if it takes them."""
     try:
         element = element_of(scene, next(iter(values)))
-        written(element, {attribute: value for (_, _, attribute), value in values.items()}, _rebuilt)
+        attributes = {attribute: value for (_, _, attribute), value in values.items()}
+        written(next(iter(values))[0], element, attributes, _rebuilt)
     except MechanismError as error:
         return error
     return None
@@ -285,7 +345,7 @@ def rebuilt(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """The scene made anew with other values of some parameters, all of it checked."""
     parts = _substituted(scene, values, _rebuilt)
     (changed,) = parts.pop("scene")
-    mechanism = Mechanism(parts.pop("bodies"), scene.mechanism.joints, scene.mechanism.couplings)
+    mechanism = Mechanism(*(parts.pop(field) for field in MECHANICAL))
     return replace(changed, mechanism=mechanism, **{what: tuple(each) for what, each in parts.items()})
 
 
@@ -293,7 +353,10 @@ def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """The scene with other values of some parameters, scalars of any kind, which are not checked."""
     parts = _substituted(scene, values, _altered)
     (changed,) = parts.pop("scene")
-    mechanism = _altered(scene.mechanism, bodies=tuple(parts.pop("bodies")))
+    _ = scene.mechanism.size  # the description's own makes residuals dimensionless
+    mechanism = _altered(scene.mechanism, **{field: tuple(parts.pop(field)) for field in MECHANICAL})
+    if any(is_kinematic(place) for place in places(scene, values).values()):
+        vars(mechanism).pop("equations", None)
     changed = _altered(changed, mechanism=mechanism, **{what: tuple(each) for what, each in parts.items()})
     vars(changed).pop("joint_forces", None)  # kept of the elements that have changed
     inherit_mobility(changed, scene)
@@ -326,7 +389,7 @@ def _substituted(scene: Scene, values: Mapping[str, Any], change: Callable[..., 
     for (what, k, attribute), value in assigned(scene, values).items():
         fields.setdefault((what, k), {})[attribute] = value
     for (what, k), attributes in fields.items():
-        parts[what][k] = written(parts[what][k], attributes, change)
+        parts[what][k] = written(what, parts[what][k], attributes, change)
     for name in values:
         if name.endswith(PIECE):
             what, k, attribute = found[name].owner
@@ -367,12 +430,18 @@ def _number(value: Any) -> Any:
     return float(value) if isinstance(value, np.ndarray) else value
 
 
-def written(element: T, attributes: Mapping[str, Any], change: Callable[..., T]) -> T:
+def written(what: str, element: T, attributes: Mapping[str, Any], change: Callable[..., T]) -> T:
     """Return an element with other values of its attributes."""
+    if isinstance(element, Joint):
+        return change(element, **attributes)
     fields: dict[str, Any] = {}
     for attribute, value in attributes.items():
         own = getattr(element, attribute)
-        if isinstance(own, TimeFunction):
+        if _is_displacement(what, element, attribute):
+            value = own + value
+        elif attribute == "terms":
+            value = tuple((joint, k, x) for (joint, k, _), x in zip(own, value, strict=True))
+        elif isinstance(own, TimeFunction):
             value = _with_linear(own, list(value), change)
         elif isinstance(own, Mapping):
             value = dict(zip(own, value, strict=True))
@@ -411,6 +480,8 @@ def _with_linear(function: TimeFunction, values: list[Any], change: Callable[...
 
 def _altered(thing: T, **fields: Any) -> T:
     """A copy of a frozen object with other values, whatever they are."""
+    if isinstance(thing, Joint):
+        return thing.varied(fields)
     changed = copy.copy(thing)
     for name, value in fields.items():
         object.__setattr__(changed, name, value)
@@ -419,6 +490,8 @@ def _altered(thing: T, **fields: Any) -> T:
 
 def _rebuilt(thing: T, **fields: Any) -> T:
     """A copy of a body, control law, force or scene that has checked its new values."""
+    if isinstance(thing, Joint):
+        return thing.rebuilt(fields)
     made = replace(thing, **fields)  # type: ignore[type-var]
     if isinstance(made, Body):
         made.check()

@@ -23,7 +23,7 @@ from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.model_control import share_model_control
-from newton_euler.equations.parameters import parameter_values, pieces, with_values
+from newton_euler.equations.parameters import is_kinematic, parameter_values, pieces, places, with_values
 from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual, rows_in_use
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import Rows, RowsInUse, least_squares
@@ -52,7 +52,7 @@ NEUTRAL = frozenset(
 """Fields of scenes, control laws, bodies and functions with knots that no equation sees."""
 
 KINEMATIC = ("position", "velocity")
-"""Programs that no parameter enters but the pieces of motions; coverage takes those of the run."""
+"""Programs that no parameter enters but those of geometry and motions; coverage takes those of the run."""
 
 STABILIZATIONS: tuple[StabilizationName, ...] = get_args(StabilizationName)
 
@@ -107,7 +107,8 @@ class Code:
         formulation: "relative" or "cartesian".
         stabilization, alpha: as asked for.
         parameters: names of the parameters that are inputs of the code, with their shapes: pieces of motions
-            first, then those asked for, pieces of control laws and what sampled controllers hold.
+            first, then those asked for, of geometry and motions before others, pieces of control laws and
+            what sampled controllers hold.
         piecewise: True if functions of time have pieces.
         size: length of (q, v).
         inputs: length of (q, v, time, parameters).
@@ -135,10 +136,13 @@ class Code:
         self.alpha = baumgarte_alpha(stabilization, alpha)
         self.system = formulate(scene, formulation, self.alpha)
         of_functions = list(pieces(scene, 0.0))
-        self._of_motions = tuple(name for name in of_functions if name.startswith("motions"))
+        of_motions = [name for name in of_functions if name.startswith("motions")]
         self.piecewise = len(of_functions) > 0
-        of_laws = of_functions[len(self._of_motions) :]
-        names = [*self._of_motions, *parameters, *of_laws, *(f"{law.prefix}.held" for law in scene.sampled)]
+        kinematic = [name for name, place in places(scene, parameters).items() if is_kinematic(place)]
+        self._kinematic = (*of_motions, *kinematic)
+        others = [name for name in parameters if name not in kinematic]
+        held = [f"{law.prefix}.held" for law in scene.sampled]
+        names = [*self._kinematic, *others, *of_functions[len(of_motions) :], *held]
         self.parameters = {name: value.shape for name, value in parameter_values(scene, names).items()}
         self.size = self.system.nq + self.system.nv
         self.inputs = self.size + 1 + sum(int(np.prod(shape)) for shape in self.parameters.values())
@@ -200,7 +204,7 @@ class Code:
 
     def _identity_of(self, name: str) -> str | None:
         """Fingerprint of everything that a program, or the choice of "rows", depends on."""
-        parameters = self._of_motions if name in KINEMATIC else tuple(self.parameters)
+        parameters = self._kinematic if name in KINEMATIC else tuple(self.parameters)
         neutral = NEUTRAL if name == "output" else NEUTRAL | {"outputs"}
         return self._fingerprint(parameters, neutral)
 
@@ -274,7 +278,7 @@ class Code:
         """Return the float form at the time and the parameters in x (inputs,)."""
         system = self.system
         if self.parameters:
-            system = self._formulated(with_values(self.scene, self._values(x)))
+            system = self._formulated(with_values(self.scene, self.values(x)))
         system.omitted = self.omitted
         return at_time(system, x[self.size])
 
@@ -286,7 +290,7 @@ class Code:
 
     def parametrized(self, x: Array) -> Scene:
         """Return the scene with the values in x (inputs,) of the parameters that were asked for."""
-        return with_values(self.scene, self._values(x, self._named)) if self._named else self.scene
+        return with_values(self.scene, self.values(x, self._named)) if self._named else self.scene
 
     def place(self, parameter: str) -> int:
         """Return the place where a parameter begins in x (inputs,)."""
@@ -301,7 +305,7 @@ class Code:
         starts = accumulate(sizes, initial=self.size + 1)
         return dict(zip(self.parameters, starts, strict=False))
 
-    def _values(self, x: Array, names: Iterable[str] | None = None) -> dict[str, Any]:
+    def values(self, x: Array, names: Iterable[str] | None = None) -> dict[str, Any]:
         """Return these parameters, or all, in x (inputs,), by name."""
         values = {}
         for name in self.parameters if names is None else names:
@@ -330,13 +334,13 @@ class Code:
     def _trace(self, name: str) -> Program:
         """Trace a program; those whose results have names leave their layout in `_layouts`."""
         graph = Graph()
-        names = self._of_motions if name in KINEMATIC else tuple(self.parameters)
+        names = self._kinematic if name in KINEMATIC else tuple(self.parameters)
         x = graph.variables(self.size + 1 + sum(int(np.prod(self.parameters[each])) for each in names))
         return graph.prune(self._scalars(name, self._system_of(x, names), x))
 
     def _system_of(self, x: Array, names: Iterable[str]) -> Formulation:
         """Return the equations over scalars x (inputs,), which end with these parameters."""
-        scene = with_values(self.scene, self._values(x, names))
+        scene = with_values(self.scene, self.values(x, names))
         system = at_time(self._formulated(scene), x[self.size])
         if self.scene.motions:
             system.in_use = self.rows

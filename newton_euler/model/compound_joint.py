@@ -132,7 +132,8 @@ class Compound(Joint):
             ends = first.vector_to_body(a), second.vector_to_body(b)
             return (Perpendicular(*ends, cosine=float(a @ b)),)
         if len(self.hinges) == 1:
-            return self._parallel(self.hinges[0], first, second)
+            axis = self.hinges[0]
+            return self._parallel(axis, perpendicular_pair(axis), first, second)
         x, y, z = np.eye(3)
         return tuple(
             Perpendicular(first.vector_to_body(a), second.vector_to_body(b))
@@ -140,7 +141,7 @@ class Compound(Joint):
         )
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        beyond = self.reaction_point - self.point - self.offsets.sum(axis=0)
+        beyond = self.span - self.offsets.sum(axis=0)
         slides = []
         for dual in dual_axes(self.slides):
             slide = self._displacement(dual, float(dual @ beyond), first, second)

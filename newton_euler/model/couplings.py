@@ -14,10 +14,12 @@ class JointCoupling:
     Attributes:
         name: unique among the joints and couplings of a mechanism.
         kind: what errors call it.
+        parameters: attributes that may change from run to run without a new compilation.
     """
 
     name: str
     kind: ClassVar[str]
+    parameters: ClassVar[tuple[str, ...]]
 
     def factors(self) -> dict[tuple[str, int], float]:
         """The factor of each coordinate; violations are those of the first, m or rad."""
@@ -52,6 +54,7 @@ class Gear(JointCoupling):
     driver_coordinate: int = 0
     follower_coordinate: int = 0
     kind: ClassVar[str] = "gear"
+    parameters = ("ratio",)
 
     def factors(self) -> dict[tuple[str, int], float]:
         follower = self.follower, self.follower_coordinate
@@ -89,6 +92,7 @@ class LinearCoupling(JointCoupling):
     name: str
     terms: tuple[tuple[str, int, float], ...]
     kind: ClassVar[str] = "coupling"
+    parameters = ("terms",)
 
     def factors(self) -> dict[tuple[str, int], float]:
         return {(joint, coordinate): factor for joint, coordinate, factor in self.terms}

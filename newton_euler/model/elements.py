@@ -52,6 +52,7 @@ class Element:
         parameters: attributes that may change from run to run without a new compilation.
         strengths: attributes that the element is proportional to, by what they are the strength of.
         body_fields: attributes that are names of bodies.
+        points: attributes that are points of bodies, whose displacements may change, too.
         functions: attributes that may be functions of time, or mappings to some.
     """
 
@@ -59,6 +60,7 @@ class Element:
     parameters: ClassVar[tuple[str, ...]]
     strengths: ClassVar[Mapping[str, tuple[str, ...]]]
     body_fields: ClassVar[tuple[str, ...]] = ()
+    points: ClassVar[tuple[str, ...]] = ()
     functions: ClassVar[tuple[str, ...]] = ()
 
     @property
@@ -235,6 +237,7 @@ class OnPoint(OnBodies, AppliedForce):
     body: str
     point: Array
     body_fields = ("body",)
+    points = ("point",)
 
     def check(self, mechanism: Mechanism) -> None:
         """Raise `MechanismError` unless the mechanism has its body, a moving one."""

@@ -209,6 +209,7 @@ class PointSpring(OnBodies, AppliedForce):
     parameters = ("stiffness", "rest_length", "damping")
     strengths = SPRING_AND_DAMPER
     body_fields = ("first", "second")
+    points = ("point_on_first", "point_on_second")
 
     def __post_init__(self) -> None:
         check_name("point spring", self.name)

@@ -11,8 +11,10 @@ the first.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import ClassVar, Literal, NamedTuple
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -27,7 +29,10 @@ from newton_euler.model.constraints import (
     Perpendicular,
 )
 from newton_euler.model.description import ArrayField, DefaultArrayField, description
-from newton_euler.scalars import Array, cross
+from newton_euler.scalars import Array, cross, sqrt
+
+POINTS = ("point", "point_on_first", "point_on_second")
+"""Displacements of joint points: of both bodies' own, of the first's, and of the second's."""
 
 Key = tuple[str, int]
 """A joint coordinate: the name of its joint, and which of the joint's coordinates it is, from 0."""
@@ -96,11 +101,15 @@ class JointEquations:
         )
 
 
-def perpendicular_pair(axis: Array) -> tuple[Array, Array]:
-    """Compute unit vectors u and w that make (u, w, axis) right-handed and orthonormal; axis (3,) unit."""
+def perpendicular_pair(axis: Array, described: Array | None = None) -> tuple[Array, Array]:
+    """Compute unit vectors u and w that make (u, w, axis) right-handed and orthonormal; axis (3,) unit.
+
+    They are chosen by the description's own axis where that is given, and another one varies from it.
+    """
+    own = axis if described is None else described
     helper = np.zeros(3)
     # the first of the smallest components: their last digits, which processors differ in, choose nothing
-    helper[int(np.argmin(np.abs(axis).round(6)))] = 1.0
+    helper[int(np.argmin(np.abs(own).round(6)))] = 1.0
     w = cross(axis, helper)
     w /= np.linalg.norm(w)
     return cross(w, axis), w
@@ -142,6 +151,8 @@ class Joint:
     axis_names: ClassVar[tuple[str, ...]] = ()
     only_closes: ClassVar[bool] = False
     """True for a joint that no `motions` describe, so that it can only close loops of a tree."""
+    apart = np.zeros(3)
+    """(3,) by which the second body's point is displaced more than the first's, where points vary."""
 
     def __post_init__(self) -> None:
         check_texts(f"joint {self.name!r:.100}", self, "name", "first", "second")
@@ -154,6 +165,55 @@ class Joint:
         set_arrays(self, f"joint {self.name!r}", point=(3,), point_on_second=(3,))
         for name in self.axis_names:
             object.__setattr__(self, name, unit_vector(self.name, name, getattr(self, name)))
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Numbers that may change from run to run without a new compilation, see `varied`."""
+        return (*POINTS, *self.axis_names)
+
+    @property
+    def described(self) -> Self:
+        """The joint as it is described, of one whose points and axes vary, see `varied`."""
+        own: Self = vars(self).get("_described", self)
+        return own
+
+    @property
+    def span(self) -> Array:
+        """(3,) from the first body's point to the second's where the coordinates are zero."""
+        return vars(self).get("_span", self.reaction_point - self.point)
+
+    def varied(self, values: Mapping[str, Any]) -> Self:
+        """Return the joint with other numbers, scalars of any kind, which are not checked.
+
+        Its coordinates stay zero where those of the described joint are: they measure how the bodies are
+        rotated against each other, and how far its points are from where they are described.
+
+        Args:
+            values: `point`, `point_on_first` and `point_on_second`, displacements (3,) of both points or of
+                one alone, and other attributes by their names; axes of any length.
+        """
+        changed, none = copy.copy(self), np.zeros(3)
+        both, first, second = (values.get(name, none) for name in POINTS)
+        fields = {name: value for name, value in values.items() if name not in POINTS}
+        for name in self.axis_names:
+            if name in fields:
+                fields[name] = fields[name] / sqrt(fields[name] @ fields[name])
+        if not values.keys().isdisjoint(POINTS):
+            fields["point"] = self.point + both + first
+            fields["point_on_second"] = self.reaction_point + both + second
+            fields["apart"] = second - first
+        for name, value in fields.items():
+            object.__setattr__(changed, name, value)
+        object.__setattr__(changed, "_described", self.described)
+        object.__setattr__(changed, "_span", self.span)
+        return changed
+
+    def rebuilt(self, values: Mapping[str, Any]) -> Self:
+        """Return the joint made anew with these numbers, as of `varied`, checked."""
+        fields: dict[str, Any] = {name: value for name, value in values.items() if name not in POINTS}
+        replace(self, **fields)
+        moved = self.varied(values)
+        return replace(self, point=moved.point, point_on_second=moved.point_on_second, **fields)
 
     @property
     def reaction_point(self) -> Array:
@@ -200,18 +260,20 @@ class Joint:
         """Phi^(s,3), eq. (25)."""
         return (Coincidence(first.point_to_body(self.point), second.point_to_body(self.reaction_point)),)
 
-    def _parallel(self, axis: Array, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+    def _parallel(
+        self, axis: Array, pair: tuple[Array, Array], first: Pose, second: Pose
+    ) -> tuple[Constraint, ...]:
         """Phi^(p1,2), eq. (27): tilde(s_i) s_j = 0.
 
-        Of its three components the two along u and w of body i are kept (-w.s_j and u.s_j); the
+        Of its three components the two along u and w of body i, the pair, are kept (-w.s_j and u.s_j); the
         third, along the axis itself, is zero whatever the bodies do.
         """
         s_j = second.vector_to_body(axis)
-        return tuple(Perpendicular(first.vector_to_body(a), s_j) for a in perpendicular_pair(axis))
+        return tuple(Perpendicular(first.vector_to_body(a), s_j) for a in pair)
 
-    def _on_line(self, axis: Array, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+    def _on_line(self, pair: tuple[Array, Array], first: Pose, second: Pose) -> tuple[Constraint, ...]:
         """Phi^(p2,2), eq. (28): tilde(s_i) d = 0, again its two components across the axis."""
-        return tuple(self._across(a, first, second) for a in perpendicular_pair(axis))
+        return tuple(self._across(a, first, second) for a in pair)
 
     def _across(self, normal: Array, first: Pose, second: Pose) -> Constraint:
         """Keep the second body's point in a plane through the first's, fixed in the first."""
@@ -222,11 +284,12 @@ class Joint:
         )
 
     def _slide(self, axis: Array, first: Pose, second: Pose) -> Constraint:
+        offset: Any = axis @ self.span
         return Displacement(
             first.vector_to_body(axis),
             first.point_to_body(self.point),
             second.point_to_body(self.reaction_point),
-            offset=float(axis @ (self.reaction_point - self.point)),
+            offset=offset,
         )
 
     def _turn(self, axis: Array, pointer: Array, first: Pose, second: Pose) -> Constraint:

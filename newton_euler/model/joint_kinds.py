@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import field
-from typing import ClassVar
+from collections.abc import Mapping
+from dataclasses import field, replace
+from functools import cached_property
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -13,6 +15,7 @@ from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Constraint, Distance, Perpendicular, Reversed
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.joint import Joint, Motion, Pose, perpendicular_pair
+from newton_euler.scalars import Array
 
 AXIS_TOLERANCE = 1e-9
 """How far from perpendicular (radians) a universal joint's axes may be at the initial pose."""
@@ -91,6 +94,21 @@ class _AxisJoint(Joint):
     axis: ArrayField = field(kw_only=True)
     axis_names: ClassVar[tuple[str, ...]] = ("axis",)
 
+    @property
+    def pair(self) -> tuple[Array, Array]:
+        """Unit vectors (3,) across the axis, see `perpendicular_pair`."""
+        return perpendicular_pair(self.axis, self.described.axis)
+
+    def varied(self, values: Mapping[str, Any]) -> Self:
+        """See `Joint.varied`; the second body's point stays on the axis, or plane, of the first."""
+        changed, span = super().varied(values), self.span
+        if "axis" in values and np.any(span):
+            turned = np.column_stack([*changed.pair, changed.axis])
+            turned = turned @ (np.column_stack([*self.pair, self.axis]).T @ span)
+            object.__setattr__(changed, "point_on_second", changed.point_on_second + (turned - span))
+            object.__setattr__(changed, "_span", turned)
+        return changed
+
 
 @description
 class Revolute(_AxisJoint):
@@ -109,10 +127,10 @@ class Revolute(_AxisJoint):
         return (Motion("hinge", self.axis),)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return self._coincident(first, second) + self._parallel(self.axis, first, second)
+        return self._coincident(first, second) + self._parallel(self.axis, self.pair, first, second)
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return (self._turn(self.axis, perpendicular_pair(self.axis)[0], first, second),)
+        return (self._turn(self.axis, self.pair[0], first, second),)
 
 
 @description
@@ -134,10 +152,11 @@ class Cylindrical(_AxisJoint):
         return (Motion("slide", self.axis), Motion("hinge", self.axis))
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return self._parallel(self.axis, first, second) + self._on_line(self.axis, first, second)
+        pair = self.pair
+        return self._parallel(self.axis, pair, first, second) + self._on_line(pair, first, second)
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        turn = self._turn(self.axis, perpendicular_pair(self.axis)[0], first, second)
+        turn = self._turn(self.axis, self.pair[0], first, second)
         return self._slide(self.axis, first, second), turn
 
 
@@ -158,10 +177,10 @@ class Translational(_AxisJoint):
         return (Motion("slide", self.axis),)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        h_i, h_j = perpendicular_pair(self.axis)
+        h_i, h_j = pair = self.pair
         return (
-            *self._parallel(self.axis, first, second),
-            *self._on_line(self.axis, first, second),
+            *self._parallel(self.axis, pair, first, second),
+            *self._on_line(pair, first, second),
             Perpendicular(first.vector_to_body(h_i), second.vector_to_body(h_j)),
         )
 
@@ -208,6 +227,10 @@ class Screw(Cylindrical):
             raise MechanismError(f"joint {self.name!r}", f"pitch is {self.pitch!r}", needed)
         object.__setattr__(self, "pitch", float(self.pitch))
 
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        return (*super().parameters, "pitch")
+
 
 @description
 class Planar(_AxisJoint):
@@ -226,14 +249,15 @@ class Planar(_AxisJoint):
 
     @property
     def motions(self) -> tuple[Motion, ...]:
-        slides = (Motion("slide", a) for a in perpendicular_pair(self.axis))
+        slides = (Motion("slide", a) for a in self.pair)
         return (*slides, Motion("hinge", self.axis))
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return (*self._parallel(self.axis, first, second), self._across(self.axis, first, second))
+        parallel = self._parallel(self.axis, self.pair, first, second)
+        return (*parallel, self._across(self.axis, first, second))
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        u, w = perpendicular_pair(self.axis)
+        u, w = self.pair
         turn = self._turn(self.axis, u, first, second)
         return self._slide(u, first, second), self._slide(w, first, second), turn
 
@@ -257,7 +281,7 @@ class PointOnLine(_AxisJoint):
         return (Motion("slide", self.axis), Motion("ball", np.zeros(3)))
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return self._on_line(self.axis, first, second)
+        return self._on_line(self.pair, first, second)
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         return (self._slide(self.axis, first, second),)
@@ -280,15 +304,35 @@ class Rod(Joint):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not LEAST_LENGTH <= self.length < math.inf:
-            problem = f"its two points are {self.length:.3g} m apart"
+        self._check(self.length)
+
+    def _check(self, length: float) -> None:
+        """Raise `MechanismError` for a length that no rod has."""
+        if not LEAST_LENGTH <= length < math.inf:
+            problem = f"its two points are {length:.3g} m apart"
             needed = f"point_on_second at least {LEAST_LENGTH:g} m from point, a ball joint otherwise"
             raise MechanismError(f"joint {self.name!r}", problem, needed)
 
-    @property
+    @cached_property
     def length(self) -> float:
-        """m."""
+        """m, which stays where points vary."""
         return math.dist(self.reaction_point, self.point)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        return (*super().parameters, "length")
+
+    def varied(self, values: Mapping[str, Any]) -> Self:
+        return super().varied({"length": self.length, **values})
+
+    def rebuilt(self, values: Mapping[str, Any]) -> Self:
+        others = {name: value for name, value in values.items() if name != "length"}
+        changed, along = super().rebuilt(others), self.reaction_point - self.point
+        if "length" not in values:
+            return changed
+        self._check(float(values["length"]))
+        along = along * (float(values["length"]) / self.length)
+        return replace(changed, point_on_second=changed.point + along)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         s_i, s_j = first.point_to_body(self.point), second.point_to_body(self.reaction_point)

@@ -136,6 +136,8 @@ class PrescribedMotion(OnCoordinate):
     coordinate: int = 0
 
     noun = "motion"
+    parameters = ("function",)
+    kind_of_parameters = ".motion"
     functions = ("function",)
 
     def __post_init__(self) -> None:

@@ -165,7 +165,9 @@ class SpanningTree:
     def _float(self, body: int) -> int:
         """Add a free joint between the ground and a body; returns its number."""
         ground, name = self.mechanism.body_names[0], self.mechanism.body_names[body]
-        free = Free(f"{name}_floats", ground, name, self.mechanism.bodies[body].center_of_mass)
+        free = Free(f"{name}_floats", ground, name, np.zeros(3))
+        for point in ("point", "point_on_second"):  # which may be generic scalars
+            object.__setattr__(free, point, self.mechanism.bodies[body].center_of_mass)
         self.floating = (*self.floating, free)
         self._equations.append(free.attach(0, self.poses[0], body, self.poses[body]))
         return len(self._equations) - 1

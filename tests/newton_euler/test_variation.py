@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from elements import COUPLED, ELEMENTS, JOINTS, MOTIONS
 from mechanisms import line_spring, mass_on_rail
 
-from newton_euler import simulate, simulate_batch, with_parameters
-from newton_euler.equations.parameters import parameter_values, unambiguous
+from crosscheck.scenes import load
+from newton_euler import simulate, simulate_batch, start, with_parameters
+from newton_euler.equations.parameters import parameter_values, unambiguous, with_values
+from newton_euler.equations.redundancy import inherit_mobility, mobility
 from newton_euler.errors import MechanismError, OptionError, UnknownNameError
+from newton_euler.integrators.compiled import formulate
 from newton_euler.model.control import PD
 from newton_euler.model.forces import Armature, JointSpring
+from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import Sum
 from newton_euler.model.smooth_functions import Polynomial, Sine
+from newton_euler.model.state import State
 from newton_euler.model.wind import WindLoad
 from newton_euler.variation import run_values
 
@@ -103,6 +111,27 @@ def test_a_bad_value_is_an_error_of_its_run_alone(scene, name):
     assert found.arrays["line.damping"].tolist() == [0.1, 0.2, 0.0, 0.4]
 
 
+GEOMETRY_BAD = {
+    "spindle.pitch": (0.0, "parameter 'spindle.pitch': is 0.0; needed: a finite number of meters per radian"),
+    "pin.axis": ([0.0, 0.0, 0.0], "a non-zero axis"),
+    "elbow.axis_on_first": ([1.0, 0.1, 0.0], "perpendicular axes"),
+    "mesh.ratio": (0.0, "parameter 'mesh.ratio': is 0.0; needed: a finite number, not 0"),
+    "coupler.length": (-0.5, "parameter 'coupler.length': is -0.5; needed: "),
+}
+"""The same of geometry."""
+
+
+@pytest.mark.parametrize("name", GEOMETRY_BAD)
+def test_bad_geometry_is_an_error_of_its_run_alone(name):
+    value, message = GEOMETRY_BAD[name]
+    titles = {"spindle": "screw", "pin": "screw", "elbow": "planar", "mesh": "gears", "coupler": "rods"}
+    scene = JOINTS[titles[name.partition(".")[0]]]
+    own = parameter_values(scene, [name])[name]
+    found = run_values(scene, {name: [own, value, own + 0.0]})
+    assert list(found.errors) == [1]
+    assert message in str(found.errors[1])
+
+
 def test_bad_values_are_found_among_many(scene):
     values = np.random.default_rng(0).normal(0.5, 1.0, 2000)
     found = run_values(scene, {"mass.mass": values, "rail.target": values})
@@ -133,3 +162,199 @@ def test_a_batch_goes_on_without_its_bad_runs(scene):
 def test_values_of_one_scene_are_checked(scene, values, message):
     with pytest.raises((MechanismError, OptionError), match=message):
         with_parameters(scene, values)
+
+
+# Geometry: the equations with varied numbers are those of a scene that is made with these numbers
+
+GEOMETRY = {
+    "center_of_mass",
+    *("point", "point_on_first", "point_on_second"),
+    *("axis", "axis_on_first", "axis_on_second"),
+    *("pitch", "ratio", "terms", "function"),
+}
+
+
+def remade(scene, element, attribute, value):
+    """Make a scene with another number by hand."""
+    mechanism, forces, motions = scene.mechanism, list(scene.forces), list(scene.motions)
+    parts = {name: list(getattr(mechanism, name)) for name in ("bodies", "joints", "couplings")}
+    for each in parts.values():
+        for k, part in enumerate(each):
+            if part.name == element and attribute == "point":
+                points = {name: getattr(part, name) + value for name in ("point", "point_on_second")}
+                each[k] = replace(part, **points)
+            elif part.name == element and attribute == "terms":
+                terms = zip(part.terms, value, strict=True)
+                each[k] = replace(part, terms=tuple((joint, n, x) for (joint, n, _), x in terms))
+            elif part.name == element:
+                fields = {attribute: value}
+                if attribute == "axis" and np.any(part.point != part.point_on_second):  # along the axis
+                    apart = np.linalg.norm(part.point_on_second - part.point)
+                    fields["point_on_second"] = part.point + apart * np.array(value) / np.linalg.norm(value)
+                each[k] = replace(part, **fields)
+    for k, force in enumerate(forces):
+        if force.prefix == element:
+            forces[k] = replace(force, **{attribute: getattr(force, attribute) + value})
+    for k, motion in enumerate(motions):
+        if motion.prefix == element:
+            sine, polynomial = Sine(value[0], 7.0, offset=value[1]), Polynomial(tuple(value[2:] or [0.0]))
+            if isinstance(motion.function, Polynomial):
+                sine, polynomial = Sine(0.0, 1.0), Polynomial(tuple(value))
+            elif isinstance(motion.function, Sine):
+                sine = replace(motion.function, amplitude=value[0], offset=value[1])
+            motions[k] = replace(motion, function=Sum((sine, polynomial)))
+    return replace(scene, mechanism=Mechanism(**parts), forces=tuple(forces), motions=tuple(motions))
+
+
+def another(scene, name, own):
+    """Choose another value of a parameter, one with which universal joints stay perpendicular."""
+    element, _, attribute = name.rpartition(".")
+    step = 0.03 * np.random.default_rng(len(name)).uniform(-1.0, 1.0, own.shape)
+    if attribute.startswith("axis_on"):
+        joint = scene.mechanism.joint(element)
+        step = 0.03 * np.cross(joint.axis_on_first, joint.axis_on_second)
+    return own + step
+
+
+def varied_numbers(scene):
+    """Yield the names of geometric parameters with other values, but for those that open the initial pose."""
+    for name, own in parameter_values(scene).items():
+        element, _, attribute = name.rpartition(".")
+        ends = ("point_on_first", "point_on_second") if element in scene.mechanism.joint_names else ()
+        if attribute in GEOMETRY and attribute not in ends:
+            yield name, another(scene, name, own)
+
+
+def moving_state(system):
+    """Find a closed configuration next to the initial pose, and velocities, by plain Newton steps."""
+    rng = np.random.default_rng(1)
+    q, _ = system.coordinates(State.initial(system.mechanism))
+    q = system.retract(q, 0.1 * rng.uniform(-1.0, 1.0, system.nv))
+    for _ in range(20):
+        q = system.retract(q, -np.linalg.lstsq(system.phi_jacobian(q), system.phi(q), rcond=1e-9)[0])
+    jacobian, v = system.phi_jacobian(q), rng.uniform(-1.0, 1.0, system.nv)
+    return q, v - np.linalg.lstsq(jacobian, jacobian @ v + system.phi_t(), rcond=1e-9)[0]
+
+
+REDUNDANT = {"motion of a loop, redundant"}
+"""Scenes that axes askew would lock, and whose reactions are not unique."""
+
+
+@pytest.mark.parametrize("formulation", ["relative", "cartesian"])
+@pytest.mark.parametrize("title", [*JOINTS, *MOTIONS, *COUPLED, "forces, rods", "wind, cut at a ball"])
+def test_equations_of_varied_geometry_are_those_of_a_scene_made_with_it(title, formulation):
+    scene = (ELEMENTS | COUPLED)[title]
+    for name, value in varied_numbers(scene):
+        element, _, attribute = name.rpartition(".")
+        if title in REDUNDANT and attribute == "axis":
+            continue
+        other = remade(scene, element, attribute, value.tolist())
+        mobility(scene)
+        inherit_mobility(other, scene)
+        varied = formulate(with_values(scene, {name: value}), formulation)
+        expected = formulate(other, formulation)
+        q, v = moving_state(expected)
+        # round-off of a closed configuration
+        assert np.abs(varied.phi(q) - expected.phi(q)).max(initial=0.0) < 1e-13, name
+        one, two = varied.evaluate(q, v), expected.evaluate(q, v)
+        unique = ("reaction_force",) if title not in REDUNDANT else ()
+        for quantity in ("linear_acceleration", "angular_acceleration", *unique):
+            found, needed = getattr(one, quantity), getattr(two, quantity)
+            # dense linear algebra of matrices of condition 1e4
+            assert np.abs(found - needed).max() < 1e-11 * max(1.0, np.abs(needed).max()), (name, quantity)
+
+
+# Runs whose geometry and start vary
+
+
+@pytest.fixture(scope="module", params=["relative", "cartesian"])
+def formulation(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def crank():
+    """A spatial loop of one freedom, on the move."""
+    return replace(start(load("slider_crank"), pivot=(0.4, 2.0)), duration=0.3, output_period=0.1)
+
+
+def test_runs_of_varied_geometry_are_those_of_scenes_made_with_it(crank, formulation):
+    """The scene that is made by hand starts from its only freedom, which both know."""
+    center, moved = crank.mechanism.body("rod").center_of_mass, np.array([0.01, 0.02, -0.03])
+    other = remade(replace(crank, initial_state=None), "ball", "point", np.array([0.01, -0.02, 0.005]))
+    other = start(remade(other, "rod", "center_of_mass", center + moved), pivot=(0.5, 2.5))
+    parameters = {
+        "ball.point.x": [0.0, 0.01],
+        "ball.point.y": [0.1, -0.02],
+        "ball.point.z": [0.0, 0.005],
+        "rod.center_of_mass": [center, center + moved],
+        "start.pivot": [0.1, 0.5],
+        "start.pivot.rate": [1.0, 2.5],
+    }
+    batch = simulate_batch(crank, parameters=parameters, formulation=formulation, threads=1)
+    assert not batch.errors
+    alone = with_parameters(crank, {name: given[0] for name, given in parameters.items()})
+    for run, scene in zip(batch, (alone, other), strict=True):
+        expected = simulate(scene, formulation)
+        # both are integrated to 1e-10 from starts that differ by round-off
+        assert np.abs(run.position - expected.position).max() < 1e-10
+        assert np.abs(run.reaction_force - expected.reaction_force).max() < 1e-8
+
+
+def test_starts_do_not_depend_on_grouping(tracker):
+    rng = np.random.default_rng(0)
+    short = replace(tracker, duration=0.02, output_period=0.01)
+    values = {
+        "ball_57.point_on_first": 1e-3 * rng.uniform(-1.0, 1.0, (6, 3)),
+        "start.slide_12": 0.1 * rng.random(6),
+    }
+    together = simulate_batch(short, parameters=values, threads=2)
+    for k in (0, 5):
+        alone = simulate_batch(short, parameters={name: given[k : k + 1] for name, given in values.items()})
+        assert np.array_equal(together.stacked("position")[k], alone.stacked("position")[0])
+        assert together[k].joint("slide_12").coordinates[0] == pytest.approx(
+            values["start.slide_12"][k], abs=1e-15
+        )
+
+
+def test_a_given_state_begins_at_its_own_coordinates(tracker, tracker_states):
+    """Coordinates that are not given stay those of the state, not of the scene."""
+    short = replace(tracker, duration=0.02, output_period=0.01)
+    values = {"start.slide_12.rate": [0.3, 0.3], "panel_7.center_of_mass.z": [2.0, 2.1]}
+    batch = simulate_batch(short, tracker_states[:2], parameters=values)
+    for run, state in zip(batch, tracker_states, strict=False):
+        own = simulate(replace(short, initial_state=state)).joint("slide_12")
+        found = run.joint("slide_12")
+        assert found.coordinates[0] == pytest.approx(own.coordinates[0], abs=1e-14)
+        assert found.rates[0] == pytest.approx(0.3, abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"ball.point_on_first.y": [0.0, 5.0]}, "stays open by .* with ball.point_on_first.y = 5.0"),
+        ({"start.pivot": [0.4, np.inf]}, "run 1: parameter 'start.pivot': is inf"),
+        ({"start.pivot": [0.4, 0.4], "start.guide": [0.0, 3.0]}, "joint '.*' stays open by"),
+    ],
+)
+def test_a_start_that_cannot_be_is_an_error_of_its_run_alone(crank, values, message):
+    if "start.guide" in values:
+        values["start.guide"][0] = simulate(crank).joint("guide").coordinates[0, 0]
+    batch = simulate_batch(crank, parameters=values)
+    assert list(batch.errors) == [1]
+    with pytest.raises(MechanismError, match=message):
+        batch[1]
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "message"),
+    [
+        ("start.pivott", UnknownNameError, "did you mean 'pivot'?"),
+        ("start.ball", MechanismError, "joint 'ball'"),
+        ("start.wrist.2", MechanismError, "joint 'wrist'"),
+    ],
+)
+def test_initial_coordinates_are_checked(crank, name, error, message):
+    with pytest.raises(error) as caught:
+        simulate_batch(crank, parameters={name: [0.0]})
+    assert message in str(caught.value)

@@ -1,0 +1,321 @@
+"""Starts of many runs whose geometry, prescribed motions or initial coordinates vary, in native code.
+
+Each run begins at the start that the scene has of its own, closed with its own numbers, and goes from these
+to the run's in small steps, each followed by Newton's steps of least length in the coordinates of the
+spanning tree (`newton_euler.integrators.projection`). Velocities follow at the end: of all that the
+constraints let, the nearest to the own ones. Runs know nothing of each other: it does not matter how they are
+grouped.
+
+Names of initial coordinates are `start.JOINT`, m or rad from the initial pose, and `start.JOINT.rate`, m/s or
+rad/s; `start.JOINT.1` and `start.JOINT.1.rate` are those of a joint's second coordinate. A joint with one of
+the two given has both, the other one as the scene's own start has it. Angles are within half a revolution.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from newton_euler.assemble import MOST_STEPS, STEP, initial_state, measured_coordinate
+from newton_euler.codegen.compile import NativeFunction, Traced
+from newton_euler.codegen.expression import Graph
+from newton_euler.codegen.fingerprint import fingerprint
+from newton_euler.codegen.native import Record, Vector, native
+from newton_euler.equations.kinematics import TreeKinematics
+from newton_euler.equations.parameters import is_kinematic, numbered, places, unambiguous, with_values
+from newton_euler.errors import MechanismError
+from newton_euler.integrators import stepper as m
+from newton_euler.integrators.compiled import NEUTRAL, Code, formulate
+from newton_euler.integrators.outputs import at_rows
+from newton_euler.integrators.projection import project, worst_joint
+from newton_euler.integrators.run import Fallback, equations, native_method
+from newton_euler.integrators.stepper import DONE, Equations
+from newton_euler.model.joint import POINTS, Key
+from newton_euler.model.motions import PrescribedMotion
+from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial
+from newton_euler.model.state import State
+from newton_euler.scalars import Array
+
+PREFIX, RATE = "start.", ".rate"
+"""Parts of names of initial coordinates and their rates."""
+
+FINER = 16
+"""More steps for runs that few ones have lost."""
+
+LENGTHS = frozenset({*POINTS, "length", "center_of_mass"})
+"""Parameters in m."""
+
+NAMED = 3
+"""Values of a run that messages show."""
+
+
+class Initial(NamedTuple):
+    """A number of the start.
+
+    Attributes:
+        key: the joint coordinate.
+        order: 0 for the coordinate, 1 for its rate.
+    """
+
+    key: Key
+    order: int
+
+
+def initial_numbers(scene: Scene, names: Iterable[str]) -> dict[str, Initial]:
+    """Find the initial coordinates and rates among names of parameters.
+
+    Raises:
+        UnknownNameError: for an unknown joint.
+        MechanismError: for a joint that has no such coordinate, and one that follows a prescribed motion.
+    """
+    found: dict[str, Initial] = {}
+    for name in names:
+        if not name.startswith(PREFIX) or _is_element(scene, name):
+            continue
+        place = name.removeprefix(PREFIX).removesuffix(RATE)
+        joint, _, number = place.rpartition(".")
+        key = (joint, int(number)) if joint and number.isdecimal() else (place, 0)
+        mechanism = scene.mechanism
+        key = mechanism.coordinate(key if place not in mechanism.joint_names else (place, 0))
+        if key in {motion.key for motion in scene.motions}:
+            where = f"joint {key[0]!r}"
+            raise MechanismError(where, "follows a prescribed motion", "a joint that none prescribes")
+        found[name] = Initial(key, int(name.endswith(RATE)))
+    return found
+
+
+def _is_element(scene: Scene, name: str) -> bool:
+    """Tell if a name begins with that of an element, and so is none of an initial coordinate."""
+    mechanism = scene.mechanism
+    named = (*mechanism.body_names, *mechanism.joint_names, *(force.where for force in scene.forces))
+    return any(name.startswith(f"{element}.") for element in named)
+
+
+def own_initial(scene: Scene, number: Initial) -> float:
+    """Return the scene's own value of an initial coordinate or rate."""
+    return measured_coordinate(scene, initial_state(scene), number.key)[number.order]
+
+
+@dataclass(frozen=True, eq=False)
+class Course(Record):
+    """The ways of n runs from the scene's own numbers to theirs.
+
+    Attributes:
+        count: n.
+        steps: (n,) numbers of steps.
+        own, states: (n, inputs) states with their parameters, at the beginning and at the end of the way;
+            states are replaced by those that the parameters at the end let.
+        x: (inputs,) scratch.
+        statuses: (n,) of projections.
+    """
+
+    count: int
+    steps: Vector
+    own: Vector
+    states: Vector
+    x: Vector
+    statuses: Vector
+
+
+@native
+def assemble_all(system: Equations, course: Course) -> None:
+    """Move the states of all runs to where their parameters let them be."""
+    n = system.n
+    inputs = system.inputs
+    x = course.x
+    for run in range(course.count):
+        own = course.own[inputs * run :]
+        target = course.states[inputs * run :]
+        steps = int(course.steps[run])
+        status = DONE
+        for i in range(n + 1):
+            x[i] = own[i]
+        for step in range(steps):
+            last = 1 if step + 1 == steps else 0
+            for i in range(n + 1, inputs):
+                x[i] = target[i]
+                if last == 0:
+                    x[i] = own[i] + (target[i] - own[i]) * (float(step + 1) / float(steps))
+            if system.projecting == 1:
+                status = project(system, last, x)
+            if status != DONE:
+                break
+        for i in range(n):
+            target[i] = x[i]
+        course.statuses[run] = float(status)
+
+
+class Assembly:
+    """Assembly of a scene's starts for other values of some of its parameters.
+
+    Attributes:
+        scene: whose start it is.
+        initial: initial coordinates among the parameters, by name.
+        code: equations of the constraints, with prescribed motions for the initial coordinates.
+    """
+
+    def __init__(self, scene: Scene, names: Sequence[str]) -> None:
+        """`names` are of parameters; those that move no start are left out."""
+        self.scene, self.initial = scene, initial_numbers(scene, names)
+        others = [name for name in names if name not in self.initial]
+        self.kinematic = [name for name, place in places(scene, others).items() if is_kinematic(place)]
+        self._names = {name: unambiguous(scene, name) for name in self.kinematic}
+        self._motions: dict[Key, str] = {}
+        motions = list(scene.motions)
+        for key in dict.fromkeys(number.key for number in self.initial.values()):
+            self._motions[key] = numbered("motions", len(motions), "function")
+            motions.append(PrescribedMotion(key[0], self._held(initial_state(scene), key), key[1]))
+        held = replace(
+            scene,
+            motions=tuple(motions),
+            control=(),
+            forces=(),
+            armatures=(),
+            outputs=frozenset(),
+            initial_state=initial_state(scene),
+        )
+        self.code = Code(held, "relative", parameters=(*self._names.values(), *self._motions.values()))
+
+    @property
+    def is_needed(self) -> bool:
+        """True if one of the parameters moves the start."""
+        return bool(self.initial or self.kinematic)
+
+    def _held(self, state: State, key: Key) -> Polynomial:
+        return Polynomial(measured_coordinate(self.scene, state, key))
+
+    def __call__(
+        self, values: Mapping[str, Array], states: Sequence[State] | None = None
+    ) -> tuple[Array, dict[int, MechanismError]]:
+        """Assemble the starts of n runs.
+
+        Args:
+            values: (n, ...) by name; those of other parameters are left alone.
+            states: of the runs, closed with the scene's own numbers; the scene's own start if None.
+
+        Returns:
+            x (n, inputs) of `code`, and what cannot be assembled by number of the run.
+        """
+        own = self._own(values, states)
+        targets = self._targets(own, values)
+        steps = self._steps(own, targets)
+        found, statuses = self._assembled(own, targets, steps)
+        lost = np.flatnonzero(statuses != DONE)
+        if lost.size:
+            again = self._assembled(own[lost], targets[lost], np.minimum(FINER * steps[lost], MOST_STEPS))
+            found[lost], statuses[lost] = again
+        lost = np.flatnonzero(statuses != DONE)
+        return found, {run: self._error(run, found[run], values) for run in lost.tolist()}
+
+    def _own(self, values: Mapping[str, Array], states: Sequence[State] | None) -> Array:
+        """Return the states (n, inputs) that runs begin at, with the scene's own parameters."""
+        code = self.code
+        count = len(next(iter(values.values())))
+        own = np.tile(code.packed(*code.system.coordinates(initial_state(self.scene))), (count, 1))
+        for row, state in zip(own, states or (), strict=states is not None):
+            row[: code.size] = np.concatenate(code.system.coordinates(state))
+            for key, name in self._motions.items():
+                row[code.place(name) :][:2] = self._held(state, key).coefficients
+        return own
+
+    def _targets(self, own: Array, values: Mapping[str, Array]) -> Array:
+        """Return the same states with the parameters of the runs."""
+        targets = own.copy()
+        for name, place in self._names.items():
+            flat = values[name].reshape(len(own), -1)
+            targets[:, self.code.place(place) :][:, : flat.shape[1]] = flat
+        for name, (key, order) in self.initial.items():
+            column = self.code.place(self._motions[key]) + order
+            targets[:, column] = values[name]
+            if order == 0 and not self.scene.mechanism.is_slide(*key):
+                revolutions = np.round((values[name] - own[:, column]) / (2.0 * np.pi))
+                targets[:, column] -= 2.0 * np.pi * revolutions  # the shorter way
+        return targets
+
+    def _steps(self, own: Array, targets: Array) -> Array:
+        """Return how many steps (n,) each run takes."""
+        code, size = self.code, self.scene.mechanism.size
+        units = np.ones(code.inputs)
+        for name in self._names.values():
+            count = max(1, math.prod(code.parameters[name]))
+            attribute = name.partition("].")[2].partition(".")[0]
+            units[code.place(name) :][:count] = size if attribute in LENGTHS else 1.0
+        for key, name in self._motions.items():
+            units[code.place(name)] = size if self.scene.mechanism.is_slide(*key) else 1.0
+            units[code.place(name) + 1] = np.inf  # rates move nothing
+        longest = np.max(np.abs(targets - own) / units, axis=1)
+        return np.clip(np.ceil(longest / STEP), 1, MOST_STEPS)
+
+    def _assembled(self, own: Array, targets: Array, steps: Array) -> tuple[Array, Array]:
+        """Return the states that are reached, and statuses (n,)."""
+        code, python = self.code, Fallback(self.code)
+        # nothing here calls derivatives, and compiling them takes time
+        system = equations(code, python, python.derivative, np.zeros(code.size), np.zeros(m.COUNTS))
+        found, statuses, x = targets.copy(), np.zeros(len(own)), np.zeros(code.inputs)
+        course = Course(len(own), np.ascontiguousarray(steps), np.ascontiguousarray(own), found, x, statuses)
+        native_method(assemble_all).bind(assemble_all, system, course)()
+        return found, statuses
+
+    def _error(self, run: int, x: Array, values: Mapping[str, Array]) -> MechanismError:
+        """Say which joint stays open in a run."""
+        system = self.code.float_system(x)
+        q, v = x[: system.nq], x[system.nq : self.code.size]
+        with np.errstate(all="ignore"):
+            joint, residual = worst_joint(system, system.state(q, v))
+        moving = [name for name in values if name in self._names or name in self.initial]
+        shown = ", ".join(f"{name} = {values[name][run].tolist()!r:.60}" for name in moving[:NAMED])
+        shown += ", ..." if len(moving) > NAMED else ""
+        problem = f"joint {joint!r} stays open by {residual:.3g} (m or rad) with {shown}"
+        return MechanismError(f"run {run}", problem, "values with which all loops close")
+
+    def state(self, x: Array) -> State:
+        """Return the state of the bodies at x (inputs,)."""
+        system = self.code.float_system(x)
+        return system.state(x[: system.nq], x[system.nq : self.code.size])
+
+    def starts(self, compiled: Code, x: Array) -> Array:
+        """Return the states (n, size) of a formulation of the scene at x (n, inputs)."""
+        found, system = at_rows(self._begin(compiled), x), compiled.system
+        if isinstance(system, TreeKinematics):
+            coupled = {key for coupling in system.couplings for key in coupling.factors}
+            counted = {system.angles.get(key) for key in coupled}
+            hinges = [on_q.start for motion, on_q, _ in system.tree.motions if motion.kind == "hinge"]
+            free = [place for place in hinges if place not in counted]
+            found[:, free] -= 2.0 * np.pi * np.round(found[:, free] / (2.0 * np.pi))
+        return found
+
+    def _begin(self, compiled: Code) -> NativeFunction:
+        """Return the function that gives (q, v) of a formulation at x (inputs,) of the assembly's."""
+        code = self.code
+        chosen = compiled.formulation, tuple(self._names), code.scene.motions, tuple(code.parameters)
+        known = fingerprint(self.scene, *chosen, neutral=NEUTRAL | {"outputs"})
+
+        def traced() -> Traced:
+            graph = Graph()
+            x = graph.variables(code.inputs)
+            values = code.values(x)
+            system = formulate(with_values(code.scene, values), code.formulation)
+            q, v = x[: system.nq], x[system.nq : code.size]
+            inputs = {name: values[place] for name, place in self._names.items()}
+            other = formulate(with_values(self.scene, inputs), compiled.formulation)
+            if isinstance(other, TreeKinematics):
+                own, rates = q[: other.tree.nq], v
+            else:
+                own, rates = other.own_coordinates(system.state(q, v))
+            coupled = {key for coupling in other.couplings for key in coupling.factors}
+            seen, angles = system.measured(q, v), []
+            frames = other.frames(np.concatenate([own, np.zeros(other.nq - len(own))]), rates)
+            for key, coordinate in other.between.items():
+                if coordinate.carried is not None:
+                    first, second = frames[coordinate.first], frames[coordinate.second]
+                    turned = coordinate.constraint.phi(first, second)[0]
+                    angles.append(seen[key].x if key in coupled else turned)
+            work = [0.0] * (other.nq - len(own) - len(angles))
+            return Traced(graph.prune([*own, *angles, *work, *rates]))
+
+        return NativeFunction(traced, known and f"{known} starts")
