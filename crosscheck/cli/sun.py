@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from crosscheck.cli.shared import AGREE, cli, progress_shown, say, show, verbose_option
+from crosscheck.errors import CrosscheckError
 
 
 @cli.command("sun")
@@ -26,6 +27,8 @@ from crosscheck.cli.shared import AGREE, cli, progress_shown, say, show, verbose
 @click.option("--deadband", type=float, default=0.0, show_default=True, help="Degrees off before it moves.")
 @click.option("--most-tilt", type=float, default=30.0, show_default=True, help="Degrees from the horizontal.")
 @click.option("--pitch", type=float, default=float("inf"), help="Distance of rows in lengths of the panel.")
+@click.option("--stow", type=float, help="Wind, m/s, from which the panel lies flat.")
+@click.option("--wind", metavar="SPEED|CSV", help="Wind over the day: m/s, or time (s) and speed in a CSV.")
 @click.option(
     "--output", type=click.Path(path_type=Path), default=Path("output/sun"), show_default=True, help="Folder."
 )
@@ -35,6 +38,8 @@ def sun_command(
     dates: tuple[str, ...],
     zone: str | None,
     period: float,
+    stow: float | None,
+    wind: str | None,
     output: Path,
     **numbers: float,
 ) -> int:
@@ -43,18 +48,26 @@ def sun_command(
     Of several latitudes or dates a table compares the days.
     """
     from crosscheck.scenes.tracker_sun import PANEL_NORMAL, sun_tracker
-    from crosscheck.solar.day import tracker_day
-    from crosscheck.solar.place import Place
+    from crosscheck.solar.day import check_period, tracker_day
+    from crosscheck.solar.place import Place, seconds_of_day
     from crosscheck.solar.report import day_report, survey_report, write, write_survey
     from crosscheck.solar.tracking import Tracking
+    from crosscheck.solar.wind import wind_over_day
 
-    tracking = Tracking(numbers["deadband"], numbers["most_tilt"], numbers["pitch"])
+    if (stow is None) != (wind is None):
+        raise CrosscheckError("--stow and --wind have an effect together alone; give both or none")
+    calm = float("inf")
+    tracking = Tracking(
+        numbers["deadband"], numbers["most_tilt"], numbers["pitch"], calm if stow is None else stow
+    )
+    check_period(period)
+    speeds = None if wind is None else wind_over_day(wind, seconds_of_day(period))
     places = [Place(latitude, numbers["longitude"], numbers["altitude"]) for latitude in latitudes]
     scene, days = sun_tracker(), []
     with progress_shown() as progress:
         for place, date in product(places, dates):
             progress(f"{place}, {date}")
-            days.append(tracker_day(scene, PANEL_NORMAL, place, date, zone, tracking, period))
+            days.append(tracker_day(scene, PANEL_NORMAL, place, date, zone, tracking, period, speeds))
         report = survey_report(days) if days[1:] else day_report(days[0])
         written = write_survey(report, output) if days[1:] else write(days[0], report, output)
     show(report)

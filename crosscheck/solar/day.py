@@ -43,6 +43,7 @@ class Day:
         scene: the tracker with these set-points.
         run: its motion, with an output at each set-point, just before the next.
         axis: the panel's normal.
+        wind: (n,) m/s at the set-points; None for calm.
     """
 
     place: Place
@@ -54,6 +55,7 @@ class Day:
     scene: Scene
     run: Trajectory
     axis: Axis
+    wind: Array | None = None
 
     @cached_property
     def seconds(self) -> Array:
@@ -87,9 +89,14 @@ class Day:
         return np.asarray(np.linalg.norm(smallest_turns(self.normals, self.sun.direction), axis=1))
 
     @property
+    def stowed(self) -> Array:
+        """(n,) True where the panel is to lie flat in the wind."""
+        return self.tracking.stows(self.wind, len(self.seconds))
+
+    @property
     def faces(self) -> Array:
-        """(n,) True where the sun is up, and neither tilt, shadow nor reach keep the panel from facing it."""
-        return self.tracking.can_face(self.sun) & self.poses.reached
+        """(n,) True where the sun is up, and neither tilt, shadow, reach nor wind keep the panel off it."""
+        return self.tracking.can_face(self.sun) & self.poses.reached & ~self.stowed
 
     @property
     def sun_seen(self) -> Array:
@@ -153,6 +160,12 @@ def following(scene: Scene, axis: Axis, wanted: Array, period: float) -> tuple[S
     return driven, poses, loads
 
 
+def check_period(period: float) -> None:
+    """Raise `CrosscheckError` for a time between set-points, s, that days are not made with."""
+    if not 1.0 <= period <= 43200.0:
+        raise CrosscheckError(f"period is {period:g} s: from 1 s to half a day")
+
+
 def tracker_day(
     scene: Scene,
     axis: Axis,
@@ -180,10 +193,10 @@ def tracker_day(
         CrosscheckError: for a scene without PD laws, a date, a zone or a period that is none.
         NewtonEulerError: for a run that cannot go on.
     """
-    if not 1.0 <= period <= 43200.0:
-        raise CrosscheckError(f"period is {period:g} s: from 1 s to half a day")
+    check_period(period)
     sun = sun_over(place, day_times(date, zone or place.zone, period))
     wanted = tracking.normals(sun, wind)
     driven, poses, loads = following(scene, axis, wanted, period)
     driven = replace(driven, outputs=frozenset({"velocities", "actuation"}))
-    return Day(place, sun, wanted, poses, loads, tracking, driven, simulate(driven, rest=REST), axis)
+    run = simulate(driven, rest=REST)
+    return Day(place, sun, wanted, poses, loads, tracking, driven, run, axis, wind)

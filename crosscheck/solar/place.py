@@ -89,8 +89,12 @@ def day_times(date: str, zone: str, period: float) -> pd.DatetimeIndex:
         raise CrosscheckError(
             f"time zone {zone!r:.100} is unknown: as Asia/Phnom_Penh or UTC+07:00"
         ) from error
-    seconds = np.arange(0.0, 86400.0 + 0.5 * period, period)
-    return begin + pd.to_timedelta(seconds, unit="s")
+    return begin + pd.to_timedelta(seconds_of_day(period), unit="s")
+
+
+def seconds_of_day(period: float) -> Array:
+    """Return the times (n,) of a day, s since midnight, every `period` s."""
+    return np.arange(0.0, 86400.0 + 0.5 * period, period)
 
 
 def tilted(tilt: Array, azimuth: Array) -> Array:

@@ -40,6 +40,7 @@ def hours(day: Day) -> Iterator[list[str | Cell]]:
             *(f"{1e3 * values[k]:.2f}" for values in day.commands.values()),
             f"{np.degrees(np.arccos(day.normals[k, 2])):.1f}",
             f"{np.degrees(day.errors[k]):.2f}",
+            *([] if day.wind is None else [f"{day.wind[k]:.1f}"]),
         ]
 
 
@@ -47,7 +48,7 @@ def day_report(day: Day) -> Report:
     """Report on one day: the sun, the set-points, what is left between panel and sun, and the light."""
     units = {"azimuth": "deg", "elevation": "deg"}
     units |= {name: "mm" if day.is_slide(name) else "mrad" for name in day.commands}
-    units |= {"tilt": "deg", "off sun": "deg"}
+    units |= {"tilt": "deg", "off sun": "deg"} | ({} if day.wind is None else {"wind": "m/s"})
     columns = [*texts("time"), *(Column(f"{name}\n{unit}", numeric=True) for name, unit in units.items())]
     rows: Rows = list(hours(day))
     few = rows[:: -(-len(rows) // MOST_ROWS) or 1]
@@ -89,9 +90,12 @@ def verdict(day: Day) -> str:
     found = f"faces the sun for {np.sum(faces) * day.period / 3600.0:.1f} h"
     if faces.any():
         found += f" to {np.degrees(np.max(day.errors[faces])):.2f} deg"
-    low = np.sum(day.sun.is_up & ~faces) * day.period / 3600.0
+    low = np.sum(day.sun.is_up & ~faces & ~day.stowed) * day.period / 3600.0
     if low > 0.0:
         found += f", for {low:.1f} h as nearly as a tilt of {day.tracking.most_tilt:g} deg allows"
+    if day.wind is not None:
+        hours = np.sum(day.sun.is_up & day.stowed) * day.period / 3600.0
+        found += f"; lies flat for {hours:.1f} h of daylight, in winds from {day.tracking.stow:g} m/s on"
     missed = int(np.sum(~day.poses.reached))
     if missed:
         found += (
@@ -108,7 +112,8 @@ def assumptions(day: Day) -> Iterator[str]:
         f"set-points every {day.period:g} s, held by PD laws with the weight fed forward; tilt at most "
         f"{day.tracking.most_tilt:g} degrees; dead band {day.tracking.deadband:g} degrees"
     )
-    yield "at night the panel waits where it faces the sun first; the base stands still, no wind"
+    wind = "no wind" if day.wind is None else "the wind has the panel lie flat, and no other effect"
+    yield f"at night the panel waits where it faces the sun first; the base stands still, {wind}"
     yield "clear sky (Ineichen, pvlib's turbidity), diffuse light of Hay and Davies, ground of albedo 0.2"
     yield "work of actuators is against weight, done slowly; what comes back is lost, friction is none"
 
@@ -152,6 +157,7 @@ def table_of_commands(day: Day) -> bytes:
         ["time", "seconds", "sun_azimuth_deg", "sun_elevation_deg"]
         + [f"{name}_{unit}" for name, unit in zip(day.commands, units, strict=True)]
         + ["off_sun_deg", "may_face_sun", "set_point_reached"]
+        + ([] if day.wind is None else ["wind_m_per_s"])
     )
     for k, time in enumerate(day.sun.times):
         angles = np.degrees([day.sun.azimuth[k], day.sun.elevation[k]])
@@ -166,6 +172,7 @@ def table_of_commands(day: Day) -> bytes:
                 off,
                 int(day.faces[k]),
                 int(day.poses.reached[k]),
+                *([] if day.wind is None else [f"{day.wind[k]:.6g}"]),
             ]
         )
     return text.getvalue().encode()

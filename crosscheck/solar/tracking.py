@@ -56,7 +56,7 @@ class Tracking:
         """Return where the panel's normal is to point (n, 3); `wind` (n,) is its speed, m/s.
 
         Raises:
-            CrosscheckError: for a sun that does not rise, and for winds at other times.
+            CrosscheckError: for a sun that does not rise, and as of `stows`.
         """
         up = sun.is_up
         if not up.any():
@@ -69,11 +69,20 @@ class Tracking:
         risen = np.flatnonzero(up)
         nearest = np.searchsorted(risen, waits)  # after sunset the first of the day, which is next morning's
         wanted[waits] = wanted[risen[nearest % len(risen)]]
-        if wind is not None:
-            if np.shape(wind) != up.shape or not np.all(np.isfinite(wind)):
-                raise CrosscheckError(f"wind has shape {np.shape(wind)}: {len(up)} speeds, m/s")
-            wanted[np.asarray(wind) >= self.stow] = UP
+        wanted[self.stows(wind, len(up))] = UP
         return self._held(wanted)
+
+    def stows(self, wind: Array | None, count: int) -> Array:
+        """Return True (n,) where the panel lies flat in winds, m/s, at n = `count` times; None for calm.
+
+        Raises:
+            CrosscheckError: for winds at other times.
+        """
+        if wind is None:
+            return np.zeros(count, dtype=bool)
+        if np.shape(wind) != (count,) or not np.all(np.isfinite(wind)):
+            raise CrosscheckError(f"wind has shape {np.shape(wind)}: {count} speeds, m/s")
+        return np.asarray(wind) >= self.stow
 
     def can_face(self, sun: Sun) -> Array:
         """Return True (n,) where the sun is up and the panel may face it."""

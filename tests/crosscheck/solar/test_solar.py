@@ -10,8 +10,10 @@ from crosscheck.scenes import load
 from crosscheck.scenes.tracker_sun import PANEL_NORMAL, sun_tracker
 from crosscheck.solar.day import following, tracker_day
 from crosscheck.solar.energy import FACING, FIXED, FLAT, ONE_AXIS, THIS, ClearSky, over_day
-from crosscheck.solar.place import Place, Sun, day_times, sun_over
+from crosscheck.solar.place import Place, Sun, day_times, seconds_of_day, sun_over
+from crosscheck.solar.report import table_of_commands, verdict
 from crosscheck.solar.tracking import Tracking
+from crosscheck.solar.wind import wind_over_day
 from newton_euler import Sampled
 
 pd = pytest.importorskip("pandas")
@@ -94,6 +96,44 @@ def test_panels_lie_flat_in_storms(sun):
     wind = np.zeros(len(sun.times))
     wind[100:110] = 25.0
     assert np.array_equal(Tracking(stow=20.0).normals(sun, wind)[100:110], np.tile([0.0, 0.0, 1.0], (10, 1)))
+
+
+def test_a_windy_day_is_told_of(tmp_path):
+    """Wind that grows from 0 at midnight to 12 m/s at noon: above 6 m/s from 6 h to 18 h."""
+    path = tmp_path / "wind.csv"
+    path.write_text("time, speed\n0, 0\n43200, 12\n86400, 0\n")
+    wind = wind_over_day(str(path), seconds_of_day(3600.0))
+    tracking = Tracking(stow=6.0, most_tilt=90.0)
+    day = tracker_day(sun_tracker(), PANEL_NORMAL, EQUATOR, "2026-03-21", None, tracking, 3600.0, wind)
+    assert np.flatnonzero(day.stowed).tolist() == list(range(6, 19))
+    assert not (day.faces & day.stowed).any()
+    assert "; lies flat for 12.0 h of daylight, in winds from 6 m/s on" in verdict(day)
+    rows = table_of_commands(day).decode().splitlines()
+    assert rows[0].endswith(",wind_m_per_s")
+    assert rows[1 + 9].endswith(",9")
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ("time,speed\n0,1\n9,x\n86400,1\n", "line 3: speed is no number of m/s, 0 or more"),
+        ("time,speed\n0,1\n9,-1\n86400,1\n", "line 3: speed is no number of m/s, 0 or more"),
+        ("time,speed\n0,1\n,2\n86400,1\n", "line 3: time is no number"),
+        ("time,speed\n0,1\n0,2\n86400,1\n", "line 3: time is not after the one before"),
+        ("time,speed\n0,1\n9,2\n", "speeds from 0 to 9 s; needed: the whole day, 0 to 86400 s"),
+        ("time,wind\n0,1\n", "has time, wind; needed: columns time, s since midnight, and speed, m/s"),
+        ("time,speed\n", "has no rows; needed: columns"),
+        ("", "No columns to parse from file; needed: columns"),
+    ],
+)
+def test_winds_that_are_none(tmp_path, rows, message):
+    path = tmp_path / "wind.csv"
+    path.write_text(rows)
+    with pytest.raises(CrosscheckError) as caught:
+        wind_over_day(str(path), seconds_of_day(60.0))
+    assert str(caught.value).startswith(f"{path}: {message}")
+    with pytest.raises(CrosscheckError, match="--wind is -3; needed: a number of m/s, 0 or more"):
+        wind_over_day("-3", seconds_of_day(60.0))
 
 
 def test_light_on_flat_panels_is_that_of_the_sky(sun):
