@@ -30,7 +30,8 @@ from newton_euler.integrators.options import (
     StepControl,
 )
 from newton_euler.integrators.outputs import named
-from newton_euler.integrators.run import Integrator, load
+from newton_euler.integrators.run import Integrator
+from newton_euler.integrators.side_by_side import IN_LANES, SideBySide, load_lanes
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import IntegrationError, Trajectory
@@ -146,7 +147,7 @@ def simulate_batch(
     initial = initial_numbers(scene, parameters)
     names = tuple(name for name in parameters if name not in initial)
     compiled = CompiledScene(scene, formulation, stabilization, alpha, names)
-    load(compiled, integrator)
+    load_lanes(compiled, integrator)
     count = _count(states, parameters)
     times = scene.times
     try:
@@ -163,6 +164,9 @@ def simulate_batch(
         if compiled.piecewise:
             run_intervals(piece)
             return
+        if integrator in IN_LANES:
+            run_in_lanes(piece)
+            return
         own = Integrator(compiled, times, options, stopped)
         for k in range(*piece):
             if stopped:
@@ -176,6 +180,19 @@ def simulate_batch(
                 errors[k] = error
                 results[k] = np.nan
             counts[k] = own.counted
+
+    def run_in_lanes(piece: tuple[int, int]) -> None:
+        own = SideBySide(compiled, times, options, stopped)
+        numbers = [k for k in range(*piece) if k not in errors]
+        for first in range(0, len(numbers), own.group):
+            if stopped:
+                return
+            group = numbers[first : first + own.group]
+            made = own(starts[group])
+            results[group] = made.results
+            for k, run_counts in zip(group, made.counts, strict=True):
+                counts[k] = run_counts
+            errors.update({group[k]: error for k, error in made.errors.items()})
 
     def run_intervals(piece: tuple[int, int]) -> None:
         for k in range(*piece):

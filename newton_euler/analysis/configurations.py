@@ -23,7 +23,7 @@ from newton_euler.equations.kinematics import TreeKinematics
 from newton_euler.equations.redundancy import inherit_mobility, mobility, rows_left_out
 from newton_euler.errors import MechanismError
 from newton_euler.integrators.compiled import NEUTRAL
-from newton_euler.integrators.outputs import Rows, loops, map_rows
+from newton_euler.integrators.outputs import at_rows
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import PrescribedMotion
@@ -218,21 +218,7 @@ class Chain:
         states[:, : system.nq] = q
         if step is not None:
             states[:, system.nq :] = step
-        results = np.empty((len(q), function.outputs))
-        rows = Rows(
-            count=len(q),
-            n=states.shape[1],
-            inputs=function.inputs,
-            m=function.outputs,
-            lanes=function.lanes,
-            function=function,
-            x=np.zeros(function.inputs),
-            times=np.zeros(len(q)),
-            states=states,
-            given=np.empty((function.inputs, function.lanes)),
-            found=np.empty((function.outputs, function.lanes)),
-        )
-        loops().bind(map_rows, rows)(results)
+        results = at_rows(function, np.column_stack([states, np.zeros(len(q))]))
         results[~np.isfinite(results).all(axis=1)] = FAR
         return Configurations(self, results)
 

@@ -211,12 +211,12 @@ class TangentCode(CompiledScene):
     are taken side by side.
     """
 
-    def _traced(self, name: str) -> Traced:
+    def _traced(self, name: str, in_lanes: bool) -> Traced:
         if not name.endswith(ALONG):
-            return super()._traced(name)
+            return super()._traced(name, in_lanes)
         program = self.program(name)
         many = program.operations < BESIDE if name == RATES else self.function(RATES).lanes > 1
-        return Traced(program, many, self._layouts.get(name))
+        return Traced(program, many, self._layouts.get(name), straight=many)
 
     def _identity_of(self, name: str) -> str | None:
         return super()._identity_of(name.removesuffix(ALONG))

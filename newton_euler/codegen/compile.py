@@ -20,10 +20,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from newton_euler.codegen.cache import cache_key, read_cache, write_cache
-from newton_euler.codegen.emit import LANES, declarations, emit_straight
+from newton_euler.codegen.emit import declarations, emit_straight
 from newton_euler.codegen.expression import Program
 from newton_euler.codegen.native import Signature
 from newton_euler.codegen.rolled import emit_rolled
+from newton_euler.codegen.trigonometry import LANES
 from newton_euler.scalars import Array
 
 LARGE = 9_500
@@ -37,8 +38,11 @@ in a sixth more time; 0 is ten times as fast as 1, and its straight-line code ta
 DESCRIPTION = "f.description"
 """Constant beside the function that a program becomes: the attributes of `NativeFunction`, as JSON."""
 
-PROGRAM = Signature({"x": "ptr", "y": "ptr"}, "void")
-"""Signature of the function `f` that a program becomes."""
+PROGRAM = Signature({"x": "ptr", "y": "ptr", "on": "i64"}, "void")
+"""Signature of the function `f` that a program becomes; `on` are the lanes whose y is wanted, as bits."""
+
+CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
+"""C's type of such a function."""
 
 
 @lru_cache
@@ -123,13 +127,15 @@ class Traced(NamedTuple):
 
     Attributes:
         program: its operations.
-        many: True for straight-line code that takes several x at once, whatever its size.
+        many: True for code that takes several x at once.
         layout: where the program has its results, for callers: anything that JSON can hold.
+        straight: True for straight-line code, whatever its size.
     """
 
     program: Program
     many: bool = False
     layout: Any = None
+    straight: bool = False
 
 
 class NativeFunction:
@@ -140,7 +146,7 @@ class NativeFunction:
         lanes: number of x that are taken at once, values of all of them side by side; as many y are made.
         operations: floating-point operations of the program.
         layout: as of `Traced`.
-        address: of `void f(double *x, double *y)`, for native callers.
+        address: of `void f(double *x, double *y, int64_t on)`, for native callers.
         module: the compiled module that it is in.
     """
 
@@ -154,10 +160,11 @@ class NativeFunction:
 
         @cache
         def text() -> tuple[str, int]:
-            program, many, layout = trace()
-            straight = many or program.operations < LARGE
+            traced = trace()
+            program, many, layout = traced.program, traced.many, traced.layout
+            straight = traced.straight or program.operations < LARGE
             lanes = LANES if many else 1
-            body = emit_straight(program, "f", lanes) if straight else emit_rolled(program, "f")
+            body = emit_straight(program, "f", lanes) if straight else emit_rolled(program, "f", lanes)
             description = program.inputs, len(program.outputs), lanes, program.operations, layout
             written = declarations(lanes) + body + _constant(DESCRIPTION, json.dumps(description))
             return written, LEVEL if straight else QUICK_LEVEL
@@ -167,7 +174,7 @@ class NativeFunction:
         description = json.loads(self.module.constant(DESCRIPTION))
         self.inputs, self.outputs, self.lanes, self.operations, self.layout = description
         self.address = self.module.addresses["f"]
-        self._call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(self.address)
+        self._call = CALLBACK(self.address)
 
     def __call__(self, x: Array) -> Array:
         """y (outputs,) for x (inputs,), which all lanes get, or y (outputs, lanes) for x (inputs, lanes)."""
@@ -177,7 +184,7 @@ class NativeFunction:
             raise ValueError(f"got inputs of shape {x.shape}; needed: {needed}")
         given = np.repeat(x, self.lanes) if x.ndim == 1 else np.ascontiguousarray(x)
         y = np.empty((self.outputs, self.lanes))
-        self._call(given.ctypes.data, y.ctypes.data)
+        self._call(given.ctypes.data, y.ctypes.data, -1)
         return y[:, 0].copy() if x.ndim == 1 else y
 
 

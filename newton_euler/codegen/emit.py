@@ -13,9 +13,6 @@ from collections.abc import Callable
 from newton_euler.codegen.expression import Program, operands
 from newton_euler.codegen.trigonometry import by_lane, constant, sincos, vector_type
 
-LANES = 4
-"""Doubles in a vector register of today's processors."""
-
 _ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _CALLS = {"sqrt": "llvm.sqrt", "minimum": "llvm.minnum"}
 _BOTH = ("sin", "cos")
@@ -82,18 +79,48 @@ class Instructions:
         self.lines.append(f"  {name} = load {self._type}, ptr {name}.at, align 8")
         return name
 
-    def store(self, name: str, value: str, pointer: str, place: int | str) -> None:
-        """Add pointer[place] = value; `name` is for the address."""
-        self.lines.append(f"  {name} = getelementptr {self._type}, ptr {pointer}, i64 {place}")
-        self.lines.append(f"  store {self._type} {value}, ptr {name}, align 8")
+    def load_shared(self, name: str, pointer: str, place: int) -> str:
+        """Add a load of pointer[place], a double for all lanes."""
+        one = name if self._lanes == 1 else f"{name}.one"
+        self.lines.append(f"  {name}.at = getelementptr double, ptr {pointer}, i64 {place}")
+        self.lines.append(f"  {one} = load double, ptr {name}.at")
+        if self._lanes > 1:
+            t, places = self._type, f"<{self._lanes} x i32> zeroinitializer"
+            self.lines.append(f"  {name}.first = insertelement {t} poison, double {one}, i32 0")
+            self.lines.append(f"  {name} = shufflevector {t} {name}.first, {t} poison, {places}")
+        return name
+
+    def store(self, name: str, value: str, pointer: str, place: int | str, mask: str = "") -> None:
+        """Add pointer[place] = value, in the lanes of a mask if given; `name` is for the address."""
+        t = self._type
+        self.lines.append(f"  {name} = getelementptr {t}, ptr {pointer}, i64 {place}")
+        if mask:
+            lanes = vector_type("i1", self._lanes)
+            self.lines.append(f"  {name}.before = load {t}, ptr {name}, align 8")
+            self.lines.append(f"  {name}.new = select {lanes} {mask}, {t} {value}, {t} {name}.before")
+            value = f"{name}.new"
+        self.lines.append(f"  store {t} {value}, ptr {name}, align 8")
+
+    def mask(self, name: str, bits: str) -> str:
+        """Add the mask of the lanes that are bits of an integer; empty for one lane, which is on."""
+        if self._lanes == 1:
+            return ""
+        self.lines.append(f"  {name}.bits = trunc i64 {bits} to i{self._lanes}")
+        self.lines.append(
+            f"  {name} = bitcast i{self._lanes} {name}.bits to {vector_type('i1', self._lanes)}"
+        )
+        return name
 
 
-Emitter = Callable[[Program, str], str]
-"""Program and name of the function to LLVM text of `void name(double *x, double *y)`: y = outputs at x."""
+Emitter = Callable[[Program, str, int], str]
+"""Program, name of the function and lanes to LLVM text of `void name(double *x, double *y, int64_t on)`: y =
+outputs at x, the values of all lanes side by side, in the lanes that are bits of `on`."""
+
+ARGUMENTS = "ptr noalias nocapture readonly %x, ptr noalias nocapture %y, i64 %on"
 
 
 def emit_straight(program: Program, name: str, lanes: int = 1) -> str:
-    """Emit the program as straight-line code; x and y hold the values of all lanes side by side."""
+    """Emit the program as straight-line code; an `Emitter`."""
     out, fused = Instructions(lanes), _fused(program)
     absorbed = set(fused.values())
     values: list[str] = []
@@ -112,10 +139,10 @@ def emit_straight(program: Program, name: str, lanes: int = 1) -> str:
             )
         else:
             values.append(out.operation(f"%n{k}", op, values[a], values[b] if b >= 0 else None))
+    mask = out.mask("%mask", "%on")
     for k, output in enumerate(program.outputs):
-        out.store(f"%y{k}", values[output], "%y", k)
-    head = f"define void @{name}(ptr noalias nocapture readonly %x, ptr noalias nocapture %y) {{"
-    return "\n".join([head, *out.lines, "  ret void\n}"])
+        out.store(f"%y{k}", values[output], "%y", k, mask)
+    return "\n".join([f"define void @{name}({ARGUMENTS}) {{", *out.lines, "  ret void\n}"])
 
 
 def _fused(program: Program) -> dict[int, int]:

@@ -5,7 +5,8 @@ functions, and runs as such. `newton_euler.codegen.translate` gives the same fun
 contain all that a method of integration needs: assignments, if, while, `for k in range(...)`, arithmetic,
 comparisons, elements `a[k]` and tails `a[k:]` of vectors, fields of records, calls of other native
 functions, of callbacks and of abs, min, max, sqrt. Arguments are annotated `float`, `int`, `Vector`,
-`Callback` or a subclass of `Record`; tables of module level (tuples of floats) become constants.
+`Shared`, `Callback` or a subclass of `Record`; tables of module level (tuples of floats) become constants.
+`newton_euler.codegen.lanes` gives the same function for several runs side by side.
 
 Integers are 64 bit; `//` and `%` round towards zero and are meant for numbers that are not negative.
 """
@@ -25,10 +26,23 @@ from newton_euler.scalars import Array
 Vector = Array
 """A vector of doubles; native code gets its address."""
 
-Callback = Any
-"""A function f(x, y) that writes the vector y; native code gets its address."""
+Shared = Array
+"""A vector that runs in all lanes share; scalar code makes no difference."""
 
-TYPES = {"float": "double", "int": "i64", "Vector": "ptr", "Callback": "fn", "None": "void"}
+Callback = Any
+"""A function f(x, y) that writes the vector y; native code gets its address.
+
+Native code passes the lanes that are on as the bits of a third argument, all of them in scalar code: y stays
+as it is in other lanes."""
+
+TYPES = {
+    "float": "double",
+    "int": "i64",
+    "Vector": "ptr",
+    "Shared": "shared",
+    "Callback": "fn",
+    "None": "void",
+}
 
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -80,7 +94,7 @@ def address_of(argument: Any) -> Any:
 
 
 Kind = str | type[Record]
-"""Type of a value: double, i64, ptr (a vector), fn (a callback), void, or a record."""
+"""Type of a value: double, i64, ptr (a vector), shared (by all lanes), fn (a callback), void, or a record."""
 
 
 class NativeError(TypeError):
@@ -95,8 +109,8 @@ class Signature(NamedTuple):
 
 
 def machine_type(kind: Kind) -> str:
-    """Return LLVM's own type of a kind: callbacks and records are pointers."""
-    return "ptr" if kind == "fn" or not isinstance(kind, str) else kind
+    """Return LLVM's own type of a kind: vectors, callbacks and records are pointers."""
+    return "ptr" if kind in ("shared", "fn") or not isinstance(kind, str) else kind
 
 
 _SIGNATURES: dict[Callable[..., Any], Signature] = {}

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from newton_euler.codegen import native, translate
+from newton_euler.codegen import lanes, native, translate
 from newton_euler.codegen.compile import LEVEL, NativeModule
 from newton_euler.codegen.native import (
     Kind,
@@ -32,11 +32,12 @@ declare double @llvm.fmuladd.f64(double, double, double)
 class NativeFunctions:
     """Native functions compiled together, to be called with numbers and arrays from Python."""
 
-    def __init__(self, functions: list[Callable[..., Any]]) -> None:
-        """Compile them."""
+    def __init__(self, functions: list[Callable[..., Any]], side_by_side: bool = False) -> None:
+        """Compile them, for one run or for several side by side, see `newton_euler.codegen.lanes`."""
+        written = lanes.text_of if side_by_side else text
         signatures = {function.__name__: signature_of(function) for function in functions}
-        identity = " ".join(signatures) + sources(functions)
-        self.module = NativeModule(identity, lambda: (text(functions), LEVEL), signatures, optimize=True)
+        identity = f"{written.__name__} {' '.join(signatures)}" + sources(functions)
+        self.module = NativeModule(identity, lambda: (written(functions), LEVEL), signatures, optimize=True)
         self._calls = {
             name: _ctypes(signature)(self.module.addresses[name]) for name, signature in signatures.items()
         }
@@ -90,7 +91,7 @@ def text(functions: list[Callable[..., Any]]) -> str:
 def sources(functions: list[Callable[..., Any]]) -> str:
     """Read all that their text depends on: the files of native functions they may call, and the
     translator."""
-    files = {__file__, str(native.__file__), str(translate.__file__)}
+    files = {__file__, *(str(module.__file__) for module in (lanes, native, translate))}
     waiting = list(functions)
     while waiting:
         function = waiting.pop()

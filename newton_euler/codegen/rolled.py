@@ -12,15 +12,16 @@ there is no memory for the table, all results are NaN, whose pivot ratio no call
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from newton_euler.codegen.emit import Instructions
+from newton_euler.codegen.emit import ARGUMENTS, Instructions
 from newton_euler.codegen.expression import LEAVES, Program, operands
-from newton_euler.codegen.trigonometry import literal
+from newton_euler.codegen.trigonometry import constant, literal, vector_type
 from newton_euler.scalars import Array
 
 WINDOW = 8
@@ -170,7 +171,7 @@ def _structure(program: Program, nodes: list[int], common: set[float]) -> tuple[
     return tuple(steps), instance
 
 
-def emit_rolled(program: Program, name: str) -> str:
+def emit_rolled(program: Program, name: str, lanes: int = 1) -> str:
     """Emit the program as loops over its pieces; an `Emitter`."""
     pieces, order = roll(program)
     place = {k: int(a) for k, (op, a, _) in enumerate(program.nodes) if op == "input"}
@@ -206,16 +207,21 @@ def emit_rolled(program: Program, name: str) -> str:
         _table("i32", f"{name}.data_starts", data_starts),
         _table("i32", f"{name}.starts", starts),
     ]
-    constants = [
-        f"  %c{k} = getelementptr double, ptr %v, i64 {place[k]}\n"
-        f"  store double {literal(program.nodes[k][1])}, ptr %c{k}"
-        for k in fixed
-    ]
-    bodies = [_emit_piece(piece, name, place) for piece in pieces]
+    constants = Instructions(lanes)
+    for k in fixed:
+        constants.store(f"%c{k}", constant(program.nodes[k][1], lanes), "%v", place[k])
+    bodies = [_emit_piece(piece, name, place, lanes) for piece in pieces]
+    begun, given = Instructions(lanes), Instructions(lanes)
+    given.store("%o.to", "%o.value", "%y", "%o", begun.mask("%mask", "%on"))
     loops = _LOOPS.format(
         name=name,
-        bytes=8 * size,
-        constants="\n".join(constants),
+        arguments=ARGUMENTS,
+        t=vector_type("double", lanes),
+        nan=constant(math.nan, lanes),
+        mask="\n".join(begun.lines),
+        give="\n".join(given.lines),
+        bytes=8 * lanes * size,
+        constants="\n".join(constants.lines),
         inputs=len(used),
         instances=len(order),
         outputs=len(program.outputs),
@@ -229,24 +235,24 @@ def _table(kind: str, name: str, entries: Sequence[object]) -> str:
     return f"@{name} = private constant [{len(entries)} x {kind}] [{content}]"
 
 
-def _emit_piece(piece: Piece, name: str, place: dict[int, int]) -> str:
+def _emit_piece(piece: Piece, name: str, place: dict[int, int], lanes: int) -> str:
     """Emit a piece as `void(values, places of its arguments, data, start of its results)`.
 
     A piece with one instance has places and data in its code; `place` holds the places of nodes.
     """
-    out = Instructions()
+    out = Instructions(lanes)
     known: dict[Operand, str] = {}
     first, *others = piece.instances
 
     def operand(key: Operand) -> str:
         kind, number = key
         if kind == "literal":
-            return literal(number)
+            return constant(number, lanes)
         if kind == "data" and not others:
-            return literal(first.data[int(number)])
+            return constant(first.data[int(number)], lanes)
         if key not in known:
             if kind == "data":
-                known[key] = out.load(f"%d{number}", "%data", int(number))
+                known[key] = out.load_shared(f"%d{number}", "%data", int(number))
             elif not others:
                 known[key] = out.load(f"%v{number}", "%v", place[first.values[int(number)]])
             else:
@@ -272,8 +278,9 @@ _LOOPS = """
 declare ptr @malloc(i64)
 declare void @free(ptr)
 
-define void @{name}(ptr noalias %x, ptr noalias %y) {{
+define void @{name}({arguments}) {{
 entry:
+{mask}
   %v = call ptr @malloc(i64 {bytes})
   %none = icmp eq ptr %v, null
   br i1 %none, label %fail, label %copy
@@ -282,8 +289,8 @@ fail:
   %f.more = icmp slt i64 %f, {outputs}
   br i1 %f.more, label %failing, label %failed
 failing:
-  %f.to = getelementptr double, ptr %y, i64 %f
-  store double 0x7FF8000000000000, ptr %f.to
+  %f.to = getelementptr {t}, ptr %y, i64 %f
+  store {t} {nan}, ptr %f.to, align 8
   %f.next = add i64 %f, 1
   br label %fail
 failed:
@@ -296,10 +303,10 @@ copying:
   %i.table = getelementptr i32, ptr @{name}.inputs, i64 %i
   %i.short = load i32, ptr %i.table
   %i.place = zext i32 %i.short to i64
-  %i.from = getelementptr double, ptr %x, i64 %i.place
-  %i.value = load double, ptr %i.from
-  %i.to = getelementptr double, ptr %v, i64 %i.place
-  store double %i.value, ptr %i.to
+  %i.from = getelementptr {t}, ptr %x, i64 %i.place
+  %i.value = load {t}, ptr %i.from, align 8
+  %i.to = getelementptr {t}, ptr %v, i64 %i.place
+  store {t} %i.value, ptr %i.to, align 8
   %i.next = add i64 %i, 1
   br label %copy
 copied:
@@ -320,7 +327,7 @@ run:
   %data = getelementptr double, ptr @{name}.data, i32 %data.start
   %start.at = getelementptr i32, ptr @{name}.starts, i64 %k
   %start = load i32, ptr %start.at
-  %results = getelementptr double, ptr %v, i32 %start
+  %results = getelementptr {t}, ptr %v, i32 %start
   call void %kind(ptr %v, ptr %places, ptr %data, ptr %results)
   %k.next = add i64 %k, 1
   br label %piece
@@ -332,10 +339,9 @@ giving:
   %o.table = getelementptr i32, ptr @{name}.outputs, i64 %o
   %o.short = load i32, ptr %o.table
   %o.place = zext i32 %o.short to i64
-  %o.from = getelementptr double, ptr %v, i64 %o.place
-  %o.value = load double, ptr %o.from
-  %o.to = getelementptr double, ptr %y, i64 %o
-  store double %o.value, ptr %o.to
+  %o.from = getelementptr {t}, ptr %v, i64 %o.place
+  %o.value = load {t}, ptr %o.from, align 8
+{give}
   %o.next = add i64 %o, 1
   br label %give
 done:

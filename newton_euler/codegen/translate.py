@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from newton_euler.codegen.native import Kind, NativeError, is_native, machine_type, signature_of
-from newton_euler.codegen.trigonometry import literal
+from newton_euler.codegen.trigonometry import LANES, literal, vector_type
 
 COMPARISONS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
 FLOAT_OPERATIONS = {ast.Add: "fadd", ast.Sub: "fsub", ast.Mult: "fmul", ast.Div: "fdiv"}
@@ -21,23 +21,38 @@ INT_OPERATIONS = {
     ast.Mod: "srem",
 }
 INTRINSICS = {
-    "abs": "llvm.fabs.f64",
-    "sqrt": "llvm.sqrt.f64",
-    "min": "llvm.minnum.f64",
-    "max": "llvm.maxnum.f64",
+    "abs": "llvm.fabs",
+    "sqrt": "llvm.sqrt",
+    "min": "llvm.minnum",
+    "max": "llvm.maxnum",
 }
 
 
+_SUFFIX = {"double": "f64", vector_type("double", LANES): f"v{LANES}f64"}
+"""Of the names of LLVM's functions, by the type of their arguments."""
+
+
 class Value(NamedTuple):
-    """An LLVM operand with its type, and its factors if it is a product of doubles."""
+    """An LLVM operand with its type.
+
+    Attributes:
+        factors: of a product of doubles.
+        offset: of a vector that begins elsewhere in each lane, in elements.
+    """
 
     type: Kind
     operand: str
     factors: tuple[str, str] | None = None
+    offset: str = ""
 
 
 class Translator:
-    """Translation of one function. Variables live in memory; LLVM moves them to registers."""
+    """Translation of one function. Variables live in memory; LLVM moves them to registers.
+
+    Attributes:
+        tables: LLVM text of the tables that it uses, by name.
+        callees: native functions that it calls.
+    """
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.function = function
@@ -56,12 +71,12 @@ class Translator:
 
     def translate(self, linkage: str = "") -> str:
         """Translate the whole function."""
-        definition = _definitions(self.function.__code__.co_filename)[self.function.__name__]
+        definition = definition_of(self.function)
         arguments = []
         for name, kind in self.signature.arguments.items():
             arguments.append(f"{machine_type(kind)} %{name}.in")
             if isinstance(kind, str):
-                self._store(name, Value(kind, f"%{name}.in"))
+                self._store(name, Value(_scalar(kind), f"%{name}.in"))
             else:
                 self._records[name] = Value(kind, f"%{name}.in")
         self._block(definition.body)
@@ -131,19 +146,7 @@ class Translator:
         self._begin(after)
 
     def _on_for(self, statement: ast.For) -> None:
-        call = statement.iter
-        if not (
-            isinstance(statement.target, ast.Name)
-            and isinstance(call, ast.Call)
-            and isinstance(call.func, ast.Name)
-            and call.func.id == "range"
-            and len(call.args) <= 2
-        ):
-            raise self._error(statement, "loops over anything but range(stop) or range(start, stop)")
-        bounds = [self._value(argument) for argument in call.args]
-        stop = bounds[-1]
-        start = bounds[0] if len(bounds) == 2 else Value("i64", "0")
-        name = statement.target.id
+        name, start, stop = self._range(statement)
         self._store(name, start)
         test, body, step, after = self._labels("for", "do", "next", "done")
         self._jump(test)
@@ -159,6 +162,20 @@ class Translator:
         self._store(name, Value("i64", self._new(f"add i64 {self._load(name).operand}, 1")))
         self._jump(test)
         self._begin(after)
+
+    def _range(self, statement: ast.For) -> tuple[str, Value, Value]:
+        """Return the variable of a loop and its bounds."""
+        call = statement.iter
+        if not (
+            isinstance(statement.target, ast.Name)
+            and isinstance(call, ast.Call)
+            and isinstance(call.func, ast.Name)
+            and call.func.id == "range"
+            and len(call.args) <= 2
+        ):
+            raise self._error(statement, "loops over anything but range(stop) or range(start, stop)")
+        bounds = [self._value(argument) for argument in call.args]
+        return statement.target.id, bounds[0] if len(bounds) == 2 else Value("i64", "0"), bounds[-1]
 
     def _on_break(self, statement: ast.Break) -> None:
         self._jump(self._loops[-1][1])
@@ -194,18 +211,19 @@ class Translator:
         elif isinstance(test, ast.UnaryOp) and isinstance(test.op, ast.Not):
             self._branch(test.operand, no, yes)
         elif isinstance(test, ast.Compare) and len(test.ops) == 1:
-            a, b = self._value(test.left), self._value(test.comparators[0])
-            word = COMPARISONS[type(test.ops[0])]
-            if a.type == b.type == "i64":
-                word = word if word in ("eq", "ne") else f"s{word}"
-                found = self._new(f"icmp {word} i64 {a.operand}, {b.operand}")
-            else:
-                word = "une" if word == "ne" else f"o{word}"
-                found = self._new(f"fcmp {word} double {self._float(a).operand}, {self._float(b).operand}")
-            self._emit(f"br i1 {found}, label %{yes}, label %{no}")
+            self._emit(f"br i1 {self._compare(test).operand}, label %{yes}, label %{no}")
             self._open = False
         else:
             raise self._error(test, "tests anything but a comparison")
+
+    def _compare(self, test: ast.Compare) -> Value:
+        a, b = self._pair(self._value(test.left), self._value(test.comparators[0]))
+        word, kind = COMPARISONS[type(test.ops[0])], str(a.type)
+        if is_whole(a):
+            found = f"icmp {word if word in ('eq', 'ne') else f's{word}'} {kind} {a.operand}, {b.operand}"
+            return Value(kind.replace("i64", "i1"), self._new(found))
+        found = f"fcmp {'une' if word == 'ne' else f'o{word}'} {kind} {a.operand}, {b.operand}"
+        return Value(kind.replace("double", "i1"), self._new(found))
 
     # Expressions
 
@@ -257,44 +275,63 @@ class Translator:
                 f"  {word}.at = getelementptr i64, ptr {record.operand}, i64 {place}",
                 f"  {word} = load {machine}, ptr {word}.at",
             ]
-            self._fields[node.value.id, name] = Value(kind, word)
+            self._fields[node.value.id, name] = Value(self._of_field(kind), word)
         return self._fields[node.value.id, name]
+
+    def _of_field(self, kind: Kind) -> Kind:
+        """Return the type of a field of a kind."""
+        return _scalar(kind)
 
     def _of_unaryop(self, node: ast.UnaryOp) -> Value:
         value = self._value(node.operand)
         if not isinstance(node.op, ast.USub):
             raise self._error(node, f"holds {type(node.op).__name__}")
-        if value.type == "i64":
-            return Value("i64", self._new(f"sub i64 0, {value.operand}"))
-        return Value("double", self._new(f"fneg double {value.operand}"))
+        if is_whole(value):
+            zero = self._alike(Value("i64", "0"), value)
+            return Value(value.type, self._new(f"sub {value.type} {zero.operand}, {value.operand}"))
+        return Value(value.type, self._new(f"fneg {value.type} {value.operand}"))
 
     def _of_binop(self, node: ast.BinOp) -> Value:
-        a, b, op = self._value(node.left), self._value(node.right), type(node.op)
-        if a.type == b.type == "i64" and op in INT_OPERATIONS:
-            return Value("i64", self._new(f"{INT_OPERATIONS[op]} i64 {a.operand}, {b.operand}"))
+        a, b = self._pair(self._value(node.left), self._value(node.right))
+        op, t = type(node.op), a.type
+        if is_whole(a) and op in INT_OPERATIONS:
+            return Value(t, self._new(f"{INT_OPERATIONS[op]} {t} {a.operand}, {b.operand}"))
         x, y = self._float(a), self._float(b)
         if op is ast.Pow:
-            return Value(
-                "double", self._new(f"call double @llvm.pow.f64(double {x.operand}, double {y.operand})")
-            )
+            return self._intrinsic("llvm.pow", [x, y])
         if op not in FLOAT_OPERATIONS:
             raise self._error(node, f"holds {op.__name__}")
         if op in (ast.Add, ast.Sub) and (x.factors or y.factors):
-            return Value("double", self._product_and_sum(op, x, y))
+            return self._product_and_sum(op, x, y)
         factors = (x.operand, y.operand) if op is ast.Mult else None
-        return Value("double", self._new(f"{FLOAT_OPERATIONS[op]} double {x.operand}, {y.operand}"), factors)
+        made = self._new(f"{FLOAT_OPERATIONS[op]} {x.type} {x.operand}, {y.operand}")
+        return Value(x.type, made, factors)
 
-    def _product_and_sum(self, op: type[ast.operator], x: Value, y: Value) -> str:
+    def _product_and_sum(self, op: type[ast.operator], x: Value, y: Value) -> Value:
         """Add or subtract a product of the same expression, rounded once on processors that can.
 
         LLVM, left to contract, would do so wherever it finds both in one block.
         """
         (first, second), term = x.factors or y.factors or ("", ""), y.operand if x.factors else x.operand
         if op is ast.Sub and x.factors:
-            term = self._new(f"fneg double {term}")
+            term = self._new(f"fneg {x.type} {term}")
         elif op is ast.Sub:
-            first = self._new(f"fneg double {first}")
-        return self._new(f"call double @llvm.fmuladd.f64(double {first}, double {second}, double {term})")
+            first = self._new(f"fneg {x.type} {first}")
+        return self._intrinsic("llvm.fmuladd", [Value(x.type, each) for each in (first, second, term)])
+
+    def _intrinsic(self, name: str, given: list[Value]) -> Value:
+        """Call one of LLVM's functions of doubles, all of one type."""
+        kind = given[0].type
+        arguments = ", ".join(f"{kind} {value.operand}" for value in given)
+        return Value(kind, self._new(f"call {kind} @{name}.{_SUFFIX[str(kind)]}({arguments})"))
+
+    def _pair(self, a: Value, b: Value) -> tuple[Value, Value]:
+        """Return two numbers of one type: doubles unless both are whole."""
+        return (a, b) if is_whole(a) and is_whole(b) else (self._float(a), self._float(b))
+
+    def _alike(self, value: Value, other: Value) -> Value:
+        """Return a value in as many lanes as another one."""
+        return value
 
     def _of_ifexp(self, node: ast.IfExp) -> Value:
         yes, no, after = self._labels("if", "else", "endif")
@@ -314,15 +351,19 @@ class Translator:
 
     def _element(self, node: ast.Subscript) -> str:
         """Compute the address of a[k], which is also the vector a[k:]."""
-        vector, place = self._value(node.value), node.slice
-        if isinstance(place, ast.Slice):
-            if place.upper is not None or place.step is not None or place.lower is None:
-                raise self._error(node, "holds a slice other than a[k:]")
-            place = place.lower
-        index = self._value(place)
+        vector, index = self._value(node.value), self._value(self._first(node))
         if vector.type != "ptr" or index.type != "i64":
             raise self._error(node, f"indexes {vector.type} with {index.type}")
         return self._new(f"getelementptr double, ptr {vector.operand}, i64 {index.operand}")
+
+    def _first(self, node: ast.Subscript) -> ast.expr:
+        """Return the expression of k in a[k] and a[k:]."""
+        place = node.slice
+        if not isinstance(place, ast.Slice):
+            return place
+        if place.upper is not None or place.step is not None or place.lower is None:
+            raise self._error(node, "holds a slice other than a[k:]")
+        return place.lower
 
     def _of_call(self, node: ast.Call) -> Value:
         if not isinstance(node.func, ast.Name | ast.Attribute) or node.keywords:
@@ -330,20 +371,28 @@ class Translator:
         arguments = [self._value(argument) for argument in node.args]
         if isinstance(node.func, ast.Attribute) or node.func.id in self._variables:
             callback, (x, y) = self._value(node.func), arguments
-            self._emit(f"call void {callback.operand}(ptr {x.operand}, ptr {y.operand})")
+            if x.offset or y.offset:
+                raise self._error(node, "calls a callback with vectors that begin elsewhere in each lane")
+            self._emit(f"call void {callback.operand}(ptr {x.operand}, ptr {y.operand}, i64 {self._bits()})")
             return Value("void", "")
         name = node.func.id
         if name == "float":
             return self._float(arguments[0])
         if name == "int":
-            return Value("i64", self._new(f"fptosi double {arguments[0].operand} to i64"))
+            kind = str(arguments[0].type)
+            whole = kind.replace("double", "i64")
+            return Value(whole, self._new(f"fptosi {kind} {arguments[0].operand} to {whole}"))
         if name in INTRINSICS:
-            given = ", ".join(f"double {self._float(argument).operand}" for argument in arguments)
-            return Value("double", self._new(f"call double @{INTRINSICS[name]}({given})"))
+            given = [self._float(argument) for argument in arguments]
+            return self._intrinsic(INTRINSICS[name], [*self._pair(*given)] if len(given) == 2 else given)
         function = self._global(node.func)
         if not is_native(function):
             raise self._error(node, f"calls {name}, which is not native")
         return self._call(node, function, arguments)
+
+    def _bits(self) -> str:
+        """Return the lanes that are on, as the bits of an integer: all, of one state or of several."""
+        return "-1"
 
     def _call(self, node: ast.Call, function: Callable[..., Any], arguments: list[Value]) -> Value:
         self.callees.append(function)
@@ -351,7 +400,7 @@ class Translator:
         given = []
         for argument, kind in zip(arguments, signature.arguments.values(), strict=True):
             converted = self._float(argument) if kind == "double" else argument
-            if converted.type != kind:
+            if converted.type != _scalar(kind):
                 raise self._error(node, f"passes {converted.type} for {kind}")
             given.append(f"{machine_type(kind)} {converted.operand}")
         call = f"call {signature.result} @{function.__name__}({', '.join(given)})"
@@ -361,9 +410,10 @@ class Translator:
         return Value(signature.result, self._new(call))
 
     def _float(self, value: Value) -> Value:
-        if value.type == "i64":
-            return Value("double", self._new(f"sitofp i64 {value.operand} to double"))
-        if value.type != "double":
+        if is_whole(value):
+            kind = str(value.type).replace("i64", "double")
+            return Value(kind, self._new(f"sitofp {value.type} {value.operand} to {kind}"))
+        if "double" not in str(value.type):
             raise NativeError(f"{self.function.__name__}: {value.type} where a number is needed")
         return value
 
@@ -413,6 +463,21 @@ class Translator:
     def _error(self, node: ast.AST | None, problem: str) -> NativeError:
         line = getattr(node, "lineno", 0)
         return NativeError(f"{self.function.__name__}, line {line}: {problem}, which native code cannot")
+
+
+def is_whole(value: Value) -> bool:
+    """Return True for an integer, or several."""
+    return "i64" in str(value.type)
+
+
+def _scalar(kind: Kind) -> Kind:
+    """Return the kind that scalar code takes for another: it makes no difference between vectors."""
+    return "ptr" if kind == "shared" else kind
+
+
+def definition_of(function: Callable[..., Any]) -> ast.FunctionDef:
+    """Parse the definition of a function."""
+    return _definitions(function.__code__.co_filename)[function.__name__]
 
 
 @lru_cache

@@ -15,6 +15,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+LANES = 4
+"""Doubles in a vector register of today's processors."""
+
 FAR = 1e5
 """rad: up to here the number of quarter revolutions times a part of pi/2 is exact."""
 

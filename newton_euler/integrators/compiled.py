@@ -20,6 +20,7 @@ from newton_euler.codegen.cache import cache_key, read_cache, write_cache
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, Program, differentiate
 from newton_euler.codegen.fingerprint import fingerprint
+from newton_euler.codegen.trigonometry import LANES
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.model_control import share_model_control
@@ -178,15 +179,18 @@ class Code:
         layout = self.function("output").layout
         return {name: (slice(start, stop), tuple(shape)) for name, (start, stop, shape) in layout.items()}
 
-    def function(self, name: str) -> NativeFunction:
-        """Return one of the functions, traced and compiled when first needed."""
-        if name not in self.functions:
+    def function(self, name: str, in_lanes: bool = False) -> NativeFunction:
+        """Return one of the functions, traced and compiled when first needed; of `LANES` states if wanted."""
+        key = f"{name} in lanes" if in_lanes else name
+        if in_lanes and name in self.functions and self.functions[name].lanes == LANES:
+            return self.functions[name]
+        if key not in self.functions:
             known = self._identity_of(name)
-            identity = known and f"{known} {name}"
+            identity = known and f"{known} {key}"
             start, traced = time.perf_counter(), self.trace_time
-            self.functions[name] = NativeFunction(lambda: self._traced(name), identity)
+            self.functions[key] = NativeFunction(lambda: self._traced(name, in_lanes), identity)
             self.compile_time += time.perf_counter() - start - (self.trace_time - traced)
-        return self.functions[name]
+        return self.functions[key]
 
     def program(self, name: str) -> Program:
         """Return one of the programs, traced when first needed."""
@@ -196,11 +200,11 @@ class Code:
             self.trace_time += time.perf_counter() - start
         return self.programs[name]
 
-    def _traced(self, name: str) -> Traced:
+    def _traced(self, name: str, in_lanes: bool) -> Traced:
         """Return one of the programs with its layout."""
         group = next((group for group in SIDE_BY_SIDE if name in group), ())
         many = len(group) > 0 and all(self.program(other).operations < LARGE for other in group)
-        return Traced(self.program(name), many, self._layouts.get(name))
+        return Traced(self.program(name), many or in_lanes, self._layouts.get(name))
 
     def _identity_of(self, name: str) -> str | None:
         """Fingerprint of everything that a program, or the choice of "rows", depends on."""

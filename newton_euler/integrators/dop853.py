@@ -16,15 +16,16 @@ from newton_euler.integrators.singular import HOP, HOPS, NEAR, UNSAFE, crossing_
 from newton_euler.integrators.stepper import (
     DONE,
     HUGE,
-    REACHED,
     REJECTED,
     SPACING,
     STEPS,
     Equations,
     Table,
     before_step,
+    finish,
     keep_norms,
     record,
+    take,
 )
 
 STAGES = 12
@@ -109,6 +110,11 @@ SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
 EXPONENT = -1.0 / 8.0
 """Of the error in the factor for the next step."""
 
+SIZE, GROWTH, HOPPED, DUE = 0, 1, 2, 3
+"""Places in the vector `control`."""
+
+CONTROLS = 4
+
 FAILED = 1e10
 """Stands for the error of a step that could not be evaluated or projected."""
 
@@ -127,6 +133,8 @@ class Dop853(Record):
         terms: (7, n) of the dense output.
         room: number of steps that are kept, the first ones.
         steps: (room, n + 2) states and times where steps begin, and their sizes.
+        control: (CONTROLS,) size of the next step, s, the largest factor for the one after it, tries to place
+            it, and the row of the table that is due.
     """
 
     rtol: float
@@ -142,6 +150,7 @@ class Dop853(Record):
     terms: Vector
     room: int
     steps: Vector
+    control: Vector
 
 
 @native
@@ -315,122 +324,151 @@ def error_on_constraints(n: int, controlled: int, h: float, closing: Callback, m
 
 
 @native
-def write_outputs(system: Equations, table: Table, method: Dop853, due: int, h: float, near: int) -> int:
-    """Write rows of the table from `due` on that a step of size h has reached; returns a status."""
+def write_outputs(system: Equations, table: Table, states: Vector, method: Dop853, near: int) -> int:
+    """Write rows of a run's states that its step has reached; returns a status."""
     n = system.n
     now = method.now
     times = table.times
+    h = method.control[SIZE]
     for s in range(STAGES + 1, 16):
         status = stage(system, method, s, h, method.at)
         if status != DONE:
             return status
     prepare_dense(n, h, method)
+    due = int(method.control[DUE])
     row = due
     while row < table.count and times[row] <= now[n] + h:
-        state = table.states[n * row :]
+        state = states[n * row :]
         interpolate(n if near == 1 else table.kept, n, (times[row] - now[n]) / h, method, state)
         keep_norms(system, state, state)
         row += 1
-    return project_rows(system, table, due, row, near, method.at)
+    method.control[DUE] = float(row)
+    return project_rows(system, table, states, due, row, near, method.at)
 
 
 @native
-def stay(system: Equations, table: Table, method: Dop853, due: int) -> int:
-    """Write `now` into the rows from `due` on if it rests, and go to their end; returns the next row that is
-    due."""
+def stay(system: Equations, table: Table, states: Vector, method: Dop853) -> None:
+    """Write `now` into the rows that are due if it rests, and go to their end."""
     n = system.n
     largest = 0.0
     for i in range(system.controlled):
         largest = max(largest, abs(method.k[i]))
-    if not largest < method.rest:
-        return due
-    for row in range(due, table.count):
-        record(system, table, row, method.now)
-    method.now[n] = table.times[table.count - 1]
-    return table.count
+    if largest < method.rest:
+        for row in range(int(method.control[DUE]), table.count):
+            record(system, states, row, method.now)
+        method.now[n] = table.times[table.count - 1]
+        method.control[DUE] = float(table.count)
 
 
 @native
-def integrate_dop853(system: Equations, table: Table, method: Dop853) -> int:
-    """Integrate `now` from the first time on and write the states at all times into the table."""
+def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853) -> int:
+    """Begin a run at `now`; returns a status."""
+    now = method.now
+    for i in range(system.inputs):
+        method.at[i] = now[i]
+        method.end[i] = now[i]
+    status = begin_adaptive(system, table, states, now, method.k)
+    if status != DONE:
+        return status
+    method.control[DUE] = 1.0
+    stay(system, table, states, method)
+    if method.control[DUE] < table.count:
+        method.control[SIZE] = first_step(system, method, table.times[table.count - 1] - now[system.n])
+    method.control[GROWTH] = LARGEST
+    method.control[HOPPED] = 0.0
+    return DONE
+
+
+@native
+def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853) -> int:
+    """Try a step, whose size is changed if it is not to be taken; returns a status."""
     n = system.n
     row = n + 1
     now = method.now
     end = method.end
     k = method.k
-    times = table.times
     counts = system.counts
-    status = begin_adaptive(system, table, now, k)
+    control = method.control
+    stop = table.times[table.count - 1]
+    status = before_step(system, table, method.most, control[SIZE], now)
     if status != DONE:
         return status
-    stop = times[table.count - 1]
-    due = stay(system, table, method, 1)
-    h = first_step(system, method, stop - now[n]) if due < table.count else 0.0
-    growing = LARGEST
-    hops = 0
-    while due < table.count:
-        status = before_step(system, table, method.most, h, now)
+    if now[n] + control[SIZE] > stop or stop - now[n] - control[SIZE] < 1e-3 * control[SIZE]:
+        control[SIZE] = stop - now[n]
+    h = control[SIZE]
+    pivot_ratio = HUGE
+    for s in range(1, STAGES + 1):
+        status = stage(system, method, s, h, end if s == STAGES else method.at)
+        if status != DONE:
+            break
+        pivot_ratio = min(pivot_ratio, k[row * s + n])
+    if pivot_ratio < UNSAFE and k[n] >= UNSAFE:
+        counts[REJECTED] += 1.0
+        control[SIZE] = HOP * h
+        return DONE
+    pivot_ratio = min(pivot_ratio, k[n])
+    error = FAILED
+    if status == DONE:
+        error = error_norm(system, h, method)
+        end[n] = now[n] + h
+    near = 0
+    if system.projecting == 1 and pivot_ratio < NEAR and status == DONE:
+        near = 1
+        error = min(error, error_on_constraints(n, system.controlled, h, system.closing, method))
+    if near == 1 and control[HOPPED] < HOPS:
+        shorter = SAFETY * error**EXPONENT if error > 1.0 else 1.0
+        wanted = crossing_factor(k[n], k[row * 9 + n], k[row * STAGES + n], shorter)
+        if wanted < 1.0:
+            counts[REJECTED] += 1.0
+            control[HOPPED] += 1.0
+            control[SIZE] = wanted * h
+            return DONE
+    if not error < 1.0:
+        counts[REJECTED] += 1.0
+        if status != DONE and h < 1e-10 * (stop - table.times[0]):
+            return status
+        control[SIZE] = h * max(SMALLEST, SAFETY * error**EXPONENT)
+        control[GROWTH] = 1.0
+        return DONE
+    keep_step(n, h, method, int(counts[STEPS]))
+    counts[STEPS] += 1.0
+    control[HOPPED] = 0.0
+    if table.times[int(control[DUE])] <= now[n] + h:
+        status = write_outputs(system, table, states, method, near)
         if status != DONE:
             return status
-        if now[n] + h > stop or stop - now[n] - h < 1e-3 * h:
-            h = stop - now[n]
-        pivot_ratio = HUGE
-        for s in range(1, STAGES + 1):
-            status = stage(system, method, s, h, end if s == STAGES else method.at)
-            if status != DONE:
-                break
-            pivot_ratio = min(pivot_ratio, k[row * s + n])
-        if pivot_ratio < UNSAFE and k[n] >= UNSAFE:
-            counts[REJECTED] += 1.0
-            h = HOP * h
-            continue
-        pivot_ratio = min(pivot_ratio, k[n])
-        error = FAILED
-        if status == DONE:
-            error = error_norm(system, h, method)
-            end[n] = now[n] + h
-        near = 0
-        if system.projecting == 1 and pivot_ratio < NEAR and status == DONE:
-            near = 1
-            error = min(error, error_on_constraints(n, system.controlled, h, system.closing, method))
-        if near == 1 and hops < HOPS:
-            shorter = SAFETY * error**EXPONENT if error > 1.0 else 1.0
-            wanted = crossing_factor(k[n], k[row * 9 + n], k[row * STAGES + n], shorter)
-            if wanted < 1.0:
-                counts[REJECTED] += 1.0
-                hops += 1
-                h = wanted * h
-                continue
-        if not error < 1.0:
-            counts[REJECTED] += 1.0
-            if status != DONE and h < 1e-10 * (stop - times[0]):
-                return status
-            h = h * max(SMALLEST, SAFETY * error**EXPONENT)
-            growing = 1.0
-            continue
-        keep_step(n, h, method, int(counts[STEPS]))
-        counts[STEPS] += 1.0
-        hops = 0
-        if times[due] <= now[n] + h:
-            status = write_outputs(system, table, method, due, h, near)
-            if status != DONE:
-                return status
-            while due < table.count and times[due] <= now[n] + h:
-                due += 1
-        for i in range(n):
-            now[i] = end[i]
-        now[n] = now[n] + h
-        status = finish_step(system, near, now, end)
-        if status == DONE and system.projecting == 1:
-            status = evaluate(system, now, k)
-        if status != DONE:
-            return status
-        if system.projecting == 0:
-            for i in range(n + 1):
-                k[i] = k[row * STAGES + i]
-        factor = LARGEST if error == 0.0 else min(growing, SAFETY * error**EXPONENT)
-        h = h * max(SMALLEST, factor)
-        growing = LARGEST
-        due = stay(system, table, method, due)
-    counts[REACHED] = now[n]
+    for i in range(n):
+        now[i] = end[i]
+    now[n] = now[n] + h
+    status = finish_step(system, near, now, end)
+    if status == DONE and system.projecting == 1:
+        status = evaluate(system, now, k)
+    if status != DONE:
+        return status
+    if system.projecting == 0:
+        for i in range(n + 1):
+            k[i] = k[row * STAGES + i]
+    factor = LARGEST if error == 0.0 else min(control[GROWTH], SAFETY * error**EXPONENT)
+    control[SIZE] = h * max(SMALLEST, factor)
+    control[GROWTH] = LARGEST
+    stay(system, table, states, method)
     return DONE
+
+
+@native
+def integrate_dop853(system: Equations, table: Table, method: Dop853) -> None:
+    """Make all runs of the table; a lane that has made one takes the next at once."""
+    run = int(table.first[0])
+    fresh = 1
+    while run < table.runs:
+        states = table.states[system.n * table.count * run :]
+        status = DONE
+        if fresh == 1:
+            take(system, table, run, method.now)
+            status = begin_dop853(system, table, states, method)
+            fresh = 0
+        if status == DONE and method.control[DUE] < table.count:
+            status = step_dop853(system, table, states, method)
+        if status != DONE or method.control[DUE] >= table.count:
+            run = finish(system, table, run, status, method.now)
+            fresh = 1

@@ -28,13 +28,18 @@ from newton_euler.integrators.stepper import (
     STRAYING,
     Equations,
     Table,
+    finish,
     interrupted,
     keep_norms,
     record,
+    take,
     unwind,
 )
 
 RK4 = FIXED.index("RK4")
+
+DUE, TAKEN = 0, 1
+"""Places in the vector `control`."""
 
 RK4_LIMIT = 2.785
 """Largest product of a gain alpha and a step of RK4 that is stable (E. Hairer, G. Wanner, Solving Ordinary
@@ -52,6 +57,7 @@ class FixedStep(Record):
         now, at: states with time and parameters: where a step begins, of a stage.
         k: (4, n + 1) derivatives of the stages.
         change: (n,) change of the state in a step of RK4, and where one of Euler began.
+        control: (2,) the row of the table that is due, and steps taken towards it.
     """
 
     number: int
@@ -61,6 +67,7 @@ class FixedStep(Record):
     at: Vector
     k: Vector
     change: Vector
+    control: Vector
 
 
 @native
@@ -146,30 +153,60 @@ def step_euler(system: Equations, method: FixedStep, h: float, end: float, span:
 
 
 @native
-def integrate_fixed(system: Equations, table: Table, method: FixedStep) -> int:
-    """Integrate `now` from the first time on and write the states at all times into the table."""
+def begin_fixed(system: Equations, states: Vector, method: FixedStep) -> int:
+    """Begin a run at `now`; returns a status."""
+    for i in range(system.inputs):
+        method.at[i] = method.now[i]
+    method.control[DUE] = 1.0
+    method.control[TAKEN] = 0.0
+    return begin(system, states, method.now)
+
+
+@native
+def step_fixed(system: Equations, table: Table, states: Vector, method: FixedStep) -> int:
+    """Take a step towards the row that is due; returns a status."""
     times = table.times
     counts = system.counts
     now = method.now
-    status = begin(system, table, now)
+    due = int(method.control[DUE])
+    taken = int(method.control[TAKEN])
+    count = divisions(times[due] - times[due - 1], method.step)
+    h = (times[due] - times[due - 1]) / count
+    counts[REACHED] = now[system.n]
+    if interrupted(system) > 0:
+        return INTERRUPTED
+    end = times[due - 1] + (taken + 1) * h
+    span = times[table.count - 1] - times[0]
+    status = DONE
+    if method.number == RK4:
+        status = step_rk4(system, method, h, end, span)
+    else:
+        status = step_euler(system, method, h, end, span)
     if status != DONE:
         return status
-    span = times[table.count - 1] - times[0]
-    for due in range(1, table.count):
-        count = divisions(times[due] - times[due - 1], method.step)
-        h = (times[due] - times[due - 1]) / count
-        for j in range(count):
-            counts[REACHED] = now[system.n]
-            if interrupted(system) == 1:
-                return INTERRUPTED
-            end = times[due - 1] + (j + 1) * h
-            if method.number == RK4:
-                status = step_rk4(system, method, h, end, span)
-            else:
-                status = step_euler(system, method, h, end, span)
-            if status != DONE:
-                return status
-            counts[STEPS] += 1.0
-        record(system, table, due, now)
-    counts[REACHED] = now[system.n]
+    counts[STEPS] += 1.0
+    method.control[TAKEN] = float(taken + 1)
+    if taken + 1 == count:
+        record(system, states, due, now)
+        method.control[DUE] = float(due + 1)
+        method.control[TAKEN] = 0.0
     return DONE
+
+
+@native
+def integrate_fixed(system: Equations, table: Table, method: FixedStep) -> None:
+    """Make all runs of the table; a lane that has made one takes the next at once."""
+    run = int(table.first[0])
+    fresh = 1
+    while run < table.runs:
+        states = table.states[system.n * table.count * run :]
+        status = DONE
+        if fresh == 1:
+            take(system, table, run, method.now)
+            status = begin_fixed(system, states, method)
+            fresh = 0
+        if status == DONE and method.control[DUE] < table.count:
+            status = step_fixed(system, table, states, method)
+        if status != DONE or method.control[DUE] >= table.count:
+            run = finish(system, table, run, status, method.now)
+            fresh = 1

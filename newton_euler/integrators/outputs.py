@@ -21,18 +21,19 @@ from newton_euler.scalars import Array
 
 @dataclass(frozen=True, eq=False)
 class Rows(Record):
-    """A function of each state of a table.
+    """A function of each state of some runs.
 
     Attributes:
-        count: of states.
+        runs, count: number of runs, and of states of each.
         n, inputs: lengths of a state, and of one with time and parameters.
         m, lanes: numbers of results of the function and of states that it takes at once.
         function: of states.
-        x: (inputs,) has the parameters.
-        times, states: (count,) and (count, n).
+        x: (runs, inputs) have the parameters.
+        times, states: (count,) and (runs, count, n).
         given, found: (inputs, lanes) and (m, lanes), scratch.
     """
 
+    runs: int
     count: int
     n: int
     inputs: int
@@ -47,21 +48,29 @@ class Rows(Record):
 
 
 @native
-def map_rows(rows: Rows, results: Vector) -> None:
-    """Evaluate results (count, m), the function of each row at its time, several rows at once."""
+def map_runs(rows: Rows, results: Vector) -> None:
+    """Evaluate results (runs, count, m), the function of each row of each run at its time."""
+    for run in range(rows.runs):
+        states = rows.states[rows.count * rows.n * run :]
+        map_rows(rows, rows.x[rows.inputs * run :], states, results[rows.count * rows.m * run :])
+
+
+@native
+def map_rows(rows: Rows, x: Vector, states: Vector, results: Vector) -> None:
+    """Evaluate results (count, m) of one run, several rows at once."""
     n = rows.n
     m = rows.m
     lanes = rows.lanes
     for i in range(n + 1, rows.inputs):
         for lane in range(lanes):
-            rows.given[lanes * i + lane] = rows.x[i]
+            rows.given[lanes * i + lane] = x[i]
     row = 0
     while row < rows.count:
         for lane in range(lanes):
             source = row + lane
             if source >= rows.count:
                 source = rows.count - 1
-            state = rows.states[n * source :]
+            state = states[n * source :]
             taken = rows.given[lane:]
             for i in range(n):
                 taken[lanes * i] = state[i]
@@ -86,13 +95,14 @@ def repeat(count: int, function: Callback, x: Vector, y: Vector) -> None:
 @lru_cache
 def loops() -> NativeFunctions:
     """Compile the loops over states, once."""
-    return NativeFunctions([map_rows, repeat])
+    return NativeFunctions([map_runs, repeat])
 
 
 def at_rows(function: NativeFunction, x: Array) -> Array:
     """Evaluate a function of each row of x (n, inputs), by native loops: (n, outputs)."""
     results = np.empty((len(x), function.outputs))
     rows = Rows(
+        runs=1,
         count=len(x),
         n=function.inputs - 1,
         inputs=function.inputs,
@@ -105,24 +115,26 @@ def at_rows(function: NativeFunction, x: Array) -> Array:
         given=np.empty((function.inputs, function.lanes)),
         found=np.empty((function.outputs, function.lanes)),
     )
-    loops().bind(map_rows, rows)(results)
+    loops().bind(map_runs, rows)(results)
     return results
 
 
 class Outputs:
-    """The arrays that a scene asks for at the output times, for as many runs as one likes.
+    """The arrays that a scene asks for at the output times of some runs, as often as one likes.
 
     Attributes:
         shape: of the results of one run, (n, outputs).
+        write: writes the results (runs, n, outputs) of all runs.
     """
 
-    def __init__(self, code: Code, times: Array, x: Array, table: Array) -> None:
-        """Of the states `table` (n, size) at `times` (n,) with the parameters in x (inputs,), by then."""
+    def __init__(self, code: Code, times: Array, x: Array, states: Array) -> None:
+        """Of states (runs, n, size) at `times` (n,) with the parameters in x (runs, inputs), by then."""
         function = code.function("output")
-        self._code, self._times, self._x, self._table = code, times, x, table
+        self._code, self._times, self._x, self._states = code, times, x, states
         self.shape = (len(times), function.outputs)
         given, found = (np.empty((size, function.lanes)) for size in (code.inputs, function.outputs))
         rows = Rows(
+            runs=len(x),
             count=len(times),
             n=code.size,
             inputs=code.inputs,
@@ -131,14 +143,19 @@ class Outputs:
             function=function,
             x=x,
             times=times,
-            states=table,
+            states=states,
             given=given,
             found=found,
         )
-        self._write = loops().bind(map_rows, rows)
+        self.write = loops().bind(map_runs, rows)
 
     def __call__(self, results: Array, rows: int | None = None) -> dict[str, Array]:
-        """Write the results (n, outputs); returns views of them, of the first `rows` if given, by name.
+        """Write the results (n, outputs) of the first run; returns views of them as `settle` does."""
+        self.write(results)
+        return self.settle(results[:rows])
+
+    def settle(self, results: Array, run: int = 0) -> dict[str, Array]:
+        """Complete the results (rows, outputs) of a run, which `write` has written; returns views by name.
 
         Reactions near singular or under redundant constraints come from the float form, which knows the
         smallest ones.
@@ -147,21 +164,22 @@ class Outputs:
             IntegrationError: for results that no double holds, where that form fails, and where joints have
                 come open.
         """
-        self._write(results)
-        results = results[:rows]
         arrays = named(self._code, results)
         if self._code.stabilization != "projection":
             check_still_closed(self._code.scene, self._times, arrays["phi"])
         if "reactions" in self._code.scene.outputs:
-            self._settle_reactions(arrays)
+            self._settle_reactions(arrays, run)
         if not np.isfinite(results).all():
             check_finite(self._times, arrays)
         return arrays
 
-    def _settle_reactions(self, arrays: dict[str, Array]) -> None:
+    def _settle_reactions(self, arrays: dict[str, Array], run: int) -> None:
         code, times, pivot_ratio = self._code, self._times, arrays["pivot_ratio"]
         for row in range(len(pivot_ratio)) if code.redundant else np.flatnonzero(~(pivot_ratio > 0.0)):
-            system, state = at_time(code.float_system(self._x), float(times[row])), self._table[row]
+            system, state = (
+                at_time(code.float_system(self._x[run]), float(times[row])),
+                self._states[run, row],
+            )
             try:
                 evaluation = system.evaluate(state[: system.nq], state[system.nq :])
             except NewtonEulerError as error:

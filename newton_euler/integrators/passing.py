@@ -162,6 +162,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
             terms=np.zeros(0),
             room=0,
             steps=np.zeros(0),
+            control=np.zeros(0),
         )
         return error_on_constraints(n, n, h, self._closing, method)
 

@@ -176,8 +176,10 @@ def project_side_by_side(system: Equations, with_velocities: int) -> int:
 
 
 @native
-def project_rows(system: Equations, table: Table, first: int, end: int, near: int, x: Vector) -> int:
-    """Put rows `first` to `end` of a table of states on the constraints, if wanted; returns a status.
+def project_rows(
+    system: Equations, table: Table, states: Vector, first: int, end: int, near: int, x: Vector
+) -> int:
+    """Put rows `first` to `end` of the states of a run on the constraints, if wanted; returns a status.
 
     Near a singular configuration (`near` is 1) they are by the dense form. x has the parameters; the rest of
     it is scratch.
@@ -189,17 +191,17 @@ def project_rows(system: Equations, table: Table, first: int, end: int, near: in
     row = first
     while system.projecting == 1 and row < end:
         together = 0
-        if near == 0 and lanes > 1:
+        if lanes > 1 and near == 0:
             for lane in range(lanes):
                 source = row + lane if row + lane < end else end - 1
                 for i in range(n):
-                    beside[lanes * i + lane] = table.states[n * source + i]
+                    beside[lanes * i + lane] = states[n * source + i]
                 beside[lanes * n + lane] = table.times[source]
                 for i in range(n + 1, system.inputs):
                     beside[lanes * i + lane] = x[i]
             together = project_side_by_side(system, with_velocities)
         for lane in range(lanes if row + lanes < end else end - row):
-            state = table.states[n * row :]
+            state = states[n * row :]
             if together == 1:
                 for i in range(n):
                     state[i] = beside[lanes * i + lane]
@@ -223,20 +225,20 @@ def project_rows(system: Equations, table: Table, first: int, end: int, near: in
 
 
 @native
-def begin(system: Equations, table: Table, now: Vector) -> int:
-    """Put the first state on the constraints if wanted, and into the table; returns a status."""
+def begin(system: Equations, states: Vector, now: Vector) -> int:
+    """Put the first state of a run on the constraints if wanted, and into its states; returns a status."""
     if system.projecting == 1:
         status = project(system, 1, now)
         if status != DONE:
             return status
-    record(system, table, 0, now)
+    record(system, states, 0, now)
     return DONE
 
 
 @native
-def begin_adaptive(system: Equations, table: Table, now: Vector, rates: Vector) -> int:
+def begin_adaptive(system: Equations, table: Table, states: Vector, now: Vector, rates: Vector) -> int:
     """Begin, and evaluate the rates (n + 1) of the first state; returns a status."""
-    status = begin(system, table, now)
+    status = begin(system, states, now)
     if status == DONE:
         status = evaluate(system, now, rates)
     if status == DONE and not rates[system.n] > DENSE_PIVOT_RATIO:

@@ -20,14 +20,15 @@ from newton_euler.integrators.singular import HOP, UNSAFE, evaluate
 from newton_euler.integrators.stepper import (
     DONE,
     HUGE,
-    REACHED,
     REJECTED,
     SPACING,
     STEPS,
     Equations,
     Table,
     before_step,
+    finish,
     keep_norms,
+    take,
 )
 from newton_euler.scalars import Array
 
@@ -287,8 +288,8 @@ def error_within(n: int, h: float, before_h: float, method: Radau) -> float:
 
 
 @native
-def integrate_radau(system: Equations, table: Table, method: Radau) -> int:
-    """Integrate `now` from the first time on and write the states at all times into the table."""
+def run_radau(system: Equations, table: Table, states: Vector, method: Radau) -> int:
+    """Integrate `now` from the first time on and write the states at all times; returns a status."""
     n = system.n
     now = method.now
     at = method.at
@@ -301,7 +302,9 @@ def integrate_radau(system: Equations, table: Table, method: Radau) -> int:
     counts = system.counts
     rtol = method.rtol
     atol = method.atol
-    status = begin_adaptive(system, table, now, slope)
+    for i in range(system.inputs):
+        at[i] = now[i]
+    status = begin_adaptive(system, table, states, now, slope)
     if status != DONE:
         return status
     stop = times[table.count - 1]
@@ -384,11 +387,11 @@ def integrate_radau(system: Equations, table: Table, method: Radau) -> int:
         prepare_dense(n, z, terms)
         first = due
         while due < table.count and times[due] <= now[n] + h:
-            state = table.states[n * due :]
+            state = states[n * due :]
             position_in(table.kept, n, (times[due] - now[n]) / h, now, terms, state)
             keep_norms(system, state, state)
             due += 1
-        status = project_rows(system, table, first, due, 0, at)
+        status = project_rows(system, table, states, first, due, 0, at)
         if status != DONE:
             return status
         for i in range(n):
@@ -410,5 +413,14 @@ def integrate_radau(system: Equations, table: Table, method: Radau) -> int:
         if fresh == 1 or factor > 1.2 or factor < 1.0:
             h = h * factor
             factored = 0
-    counts[REACHED] = now[n]
     return DONE
+
+
+@native
+def integrate_radau(system: Equations, table: Table, method: Radau) -> None:
+    """Make all runs of the table."""
+    run = int(table.first[0])
+    while run < table.runs:
+        take(system, table, run, method.now)
+        status = run_radau(system, table, table.states[system.n * table.count * run :], method)
+        run = finish(system, table, run, status, method.now)

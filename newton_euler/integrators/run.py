@@ -8,9 +8,11 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
+from typing import Any, Protocol
 
 import numpy as np
 
+from newton_euler.codegen.compile import CALLBACK
 from newton_euler.codegen.native import Callback, Record
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.equations.applied_forces import blamed
@@ -21,7 +23,7 @@ from newton_euler.equations.system import dimensionless_jacobian, fastest_joint
 from newton_euler.errors import NewtonEulerError, OptionError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.compiled import OPEN_TOLERANCE, Code
-from newton_euler.integrators.dop853 import Dop853, integrate_dop853
+from newton_euler.integrators.dop853 import CONTROLS, Dop853, integrate_dop853
 from newton_euler.integrators.fixed_step import FixedStep, integrate_fixed
 from newton_euler.integrators.options import FIXED, Options
 from newton_euler.integrators.outputs import Outputs, loops
@@ -37,10 +39,7 @@ MOST_STEPS = 1_000_000
 COUNTED = 2**53
 """Steps that doubles count one by one."""
 
-CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
-"""C's type of a callback f(x, y)."""
-
-METHODS: dict[str, Callable[..., int]] = {
+METHODS: dict[str, Callable[..., None]] = {
     "DOP853": integrate_dop853,
     "Radau": integrate_radau,
     **dict.fromkeys(FIXED, integrate_fixed),
@@ -48,9 +47,9 @@ METHODS: dict[str, Callable[..., int]] = {
 
 
 @lru_cache
-def native_method(method: Callable[..., int]) -> NativeFunctions:
-    """Compile a method, which no scene changes, once."""
-    return NativeFunctions([method])
+def native_method(method: Callable[..., Any], in_lanes: bool = False) -> NativeFunctions:
+    """Compile a method, which no scene changes, once, for one run after another or for several in lanes."""
+    return NativeFunctions([method], in_lanes)
 
 
 def load(code: Code, integrator: str) -> None:
@@ -82,6 +81,19 @@ def marks(code: Code, integrator: str) -> Array:
     return marked
 
 
+def most_steps(options: Options) -> int:
+    """Return the largest number of steps of an adaptive method."""
+    return min(options.most_steps or MOST_STEPS, COUNTED)
+
+
+class Callbacks(Protocol):
+    """Addresses of callbacks into Python, of `newton_euler.integrators.stepper.Equations`."""
+
+    derivative: int | None
+    closing: int | None
+    pause: int | None
+
+
 class Fallback:
     """Callbacks of native code into Python: states near singular, by the dense float form, and interrupts.
 
@@ -100,14 +112,14 @@ class Fallback:
             ctypes.c_void_p.from_buffer(callback).value for callback in self._callbacks
         )
 
-    def _derivative(self, x: int, y: int) -> None:
+    def _derivative(self, x: int, y: int, on: int) -> None:
         def rates(system: Formulation, state: Array) -> Array:
             q, v = state[: system.nq], state[system.nq : self._code.size]
             return np.concatenate([system.rate(q, v), system.acceleration(q, v)])
 
         self._guarded(x, y, rates)
 
-    def _closing(self, x: int, y: int) -> None:
+    def _closing(self, x: int, y: int, on: int) -> None:
         def closed(system: Formulation, state: Array) -> Array:
             return close_by(self._surface, system, state)[: self._code.size]
 
@@ -116,9 +128,10 @@ class Fallback:
     def _surface(self, x: Array) -> Surface:
         return Surface(*self._code.surface(x))
 
-    def _pause(self, counts: int, wish: int) -> None:
+    def _pause(self, counts: int, wish: int, on: int) -> None:
         """Python runs signal handlers here, between two of its own instructions."""
-        _vector(wish, 1)[0] = float(self._interrupted or len(self._stopped) > 0)
+        if self._interrupted or self._stopped:
+            vector_at(wish, 1)[0] = m.STOP
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
@@ -142,7 +155,7 @@ class Fallback:
     def _guarded(self, x: int, y: int, function: Callable[[Formulation, Array], Array]) -> None:
         """Write n results and 1.0, or anything and -1.0 if Python fails too."""
         code = self._code
-        state, results = _vector(x, code.inputs).copy(), _vector(y, code.size + 1)
+        state, results = vector_at(x, code.inputs).copy(), vector_at(y, code.size + 1)
         system = code.float_system(state)
         results[-1] = -1.0
         try:
@@ -154,7 +167,7 @@ class Fallback:
             results[-1] = 1.0
 
 
-def _vector(address: int, size: int) -> Array:
+def vector_at(address: int, size: int) -> Array:
     """Return the doubles at an address as an array."""
     return np.ctypeslib.as_array((ctypes.c_double * size).from_address(address))
 
@@ -179,15 +192,14 @@ class Integrator:
         if options.rest and not all(f.is_constant for f in functions):
             raise OptionError("rest", options.rest, "0 for a scene with functions of time other than Steps")
         self._code, self._python, self._integrator = code, Fallback(code, stopped), options.integrator
-        self.times, self._most = times.copy(), min(options.most_steps or MOST_STEPS, COUNTED)
+        self.times, self._most = times.copy(), most_steps(options)
         self.x, self.counts = np.zeros(code.inputs), np.zeros(m.COUNTS)
         self.table, self.steps = np.zeros((len(times), code.size)), np.zeros((room, code.size + 2))
         marked = marks(code, options.integrator)
         system = equations(code, self._python, code.function("derivative"), marked, self.counts)
-        table = m.Table(len(times), code.kept, self.times, self.table)
-        method = _method(code, self.x, options, self._most, self.steps)
-        self._copies = [getattr(method, name) for name in ("at", "end") if hasattr(method, name)]
-        self.outputs = Outputs(code, self.times, self.x, self.table)
+        table = runs(code, self.times, self.x[None], self.table[None], np.zeros((1, m.COUNTS)))
+        method = method_of(code, options, self._most, self.steps)
+        self.outputs = Outputs(code, self.times, self.x[None], self.table[None])
         integrate = METHODS[options.integrator]
         self._run = native_method(integrate).bind(integrate, system, table, method)
 
@@ -197,12 +209,11 @@ class Integrator:
         Raises:
             IntegrationError: with the time reached, the reason and the joint.
         """
-        for copy in (self.x, *self._copies):
-            copy[:] = x
-        self.counts[:] = 0.0
+        self.x[:] = x
         self._python.error = None
         with self._python.interruptible():
-            status = self._run()
+            self._run()
+        status = int(self.counts[m.STATUS])
         if status == m.INTERRUPTED:
             raise KeyboardInterrupt
         if status != m.DONE:
@@ -229,20 +240,18 @@ class Integrator:
     @property
     def counted(self) -> dict[str, int]:
         """Counts of the run by name."""
-        names = {
-            "steps": m.STEPS,
-            "rejected": m.REJECTED,
-            "evaluations": m.EVALUATIONS,
-            "dense": m.DENSE_CALLS,
-        }
-        return {name: int(self.counts[place]) for name, place in names.items()}
+        return m.counted(self.counts)
 
 
 def equations(
-    code: Code, python: Fallback, derivative: Callback, marked: Array, counts: Array
+    code: Code, python: Callbacks, derivative: Callback, marked: Array, counts: Array
 ) -> m.Equations:
-    """Return a scene's native functions as methods call them."""
-    position, velocity = (code.function(name) if code.projects else None for name in ("position", "velocity"))
+    """Return a scene's native functions as methods call them: in lanes, if counts (COUNTS, lanes) are of as
+    many runs."""
+    in_lanes = counts.ndim > 1
+    position, velocity = (
+        code.function(name, in_lanes) if code.projects else None for name in ("position", "velocity")
+    )
     lanes = position.lanes if position else 1
     return m.Equations(
         n=code.size,
@@ -254,7 +263,7 @@ def equations(
         projecting=int(code.projects),
         tolerance=ROUND_OFF,
         open_tolerance=OPEN_TOLERANCE,
-        lanes=lanes,
+        lanes=1 if in_lanes else lanes,
         position=position,
         velocity=velocity,
         closing=python.closing,
@@ -265,23 +274,33 @@ def equations(
     )
 
 
-def _method(code: Code, x: Array, options: Options, most: int, steps: Array) -> Record:
-    """Return a method that begins at x (inputs,), with its scratch and room for steps."""
-    n, like = code.size, np.zeros_like
+def runs(code: Code, times: Array, ends: Array, states: Array, tallies: Array, lanes: int = 1) -> m.Table:
+    """Return a table of as many runs as there are ends; each lane makes the first one that is its own."""
+    first = np.arange(float(lanes))
+    return m.Table(len(times), code.kept, len(ends), lanes, first, times, ends, states, tallies)
+
+
+def method_of(code: Code, options: Options, most: int, steps: Array, lanes: int = 1) -> Record:
+    """Return a method with its state and scratch, for a run in each lane, and room for steps of one."""
+    n = code.size
+
+    def scratch(*shape: int) -> Array:
+        return np.zeros((*shape, lanes))
+
     if options.step is not None:
         euler = options.integrator == "Euler"
         return FixedStep(
             number=FIXED.index(options.integrator),
             step=options.step,
-            rate=code.function("rate") if euler else None,
-            now=x,
-            at=like(x),
-            k=np.empty((4, n + 1)),
-            change=np.empty(n),
+            rate=code.function("rate", lanes > 1) if euler else None,
+            now=scratch(code.inputs),
+            at=scratch(code.inputs),
+            k=scratch(4, n + 1),
+            change=scratch(n),
+            control=scratch(2),
         )
     if options.integrator == "DOP853":
         near = options.near(code.noise, code.scene.mechanism.size)
-        k, terms = np.empty(16 * (n + 1) + 1), np.empty((7, n))
         return Dop853(
             rtol=options.rtol,
             atol=options.atol,
@@ -289,33 +308,34 @@ def _method(code: Code, x: Array, options: Options, most: int, steps: Array) -> 
             near_atol=near[1],
             most=most,
             rest=options.rest,
-            now=x,
-            at=like(x),
-            end=like(x),
-            k=k,
-            terms=terms,
+            now=scratch(code.inputs),
+            at=scratch(code.inputs),
+            end=scratch(code.inputs),
+            k=scratch(16 * (n + 1) + 1),
+            terms=scratch(7, n),
             room=len(steps),
             steps=steps,
+            control=scratch(CONTROLS),
         )
     return Radau(
         rtol=options.rtol,
         atol=options.atol,
         most=most,
         jacobian=code.function("jacobian"),
-        now=x,
-        at=like(x),
-        before=np.empty(n),
-        slope=np.empty(n + 2),
-        z=np.empty((3, n)),
-        w=np.empty((3, n)),
-        f=np.empty((3, n + 1)),
-        change=np.empty(3 * n + 2),
-        terms=np.empty((3, n)),
-        matrix=np.empty((n, n)),
-        real=np.empty((n, n)),
-        re=np.empty((n, n)),
-        im=np.empty((n, n)),
-        pivots=np.empty((2, n)),
+        now=scratch(code.inputs),
+        at=scratch(code.inputs),
+        before=scratch(n),
+        slope=scratch(n + 2),
+        z=scratch(3, n),
+        w=scratch(3, n),
+        f=scratch(3, n + 1),
+        change=scratch(3 * n + 2),
+        terms=scratch(3, n),
+        matrix=scratch(n, n),
+        real=scratch(n, n),
+        re=scratch(n, n),
+        im=scratch(n, n),
+        pivots=scratch(2, n),
     )
 
 

@@ -3,8 +3,10 @@
 Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
 
 A state is a vector of n numbers y = (q, v), followed by the time and the scene's parameters, which
-callbacks read and methods leave alone. A derivative callback writes n rates and, in place n, the pivot ratio
-of its elimination: a number that is not positive where the equations are too close to singular to be trusted.
+callbacks read and methods leave alone. Methods make one run after another; several at once, one in each lane,
+if they are compiled for that (`newton_euler.codegen.lanes`). A derivative callback writes n rates and, in
+place n, the pivot ratio of its elimination: a number that is not positive where the equations are too close
+to singular to be trusted.
 """
 
 from __future__ import annotations
@@ -12,7 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import pi, sqrt
 
-from newton_euler.codegen.native import Callback, Record, Vector, native
+from newton_euler.codegen.native import Callback, Record, Shared, Vector, native
+from newton_euler.scalars import Array
 
 DONE, NOT_FINITE, SINGULAR, TOO_MANY_STEPS = 0, 1, 2, 3
 STEP_TOO_SMALL, OPEN, INTERRUPTED, STRAYING = 4, 5, 6, 7
@@ -20,11 +23,14 @@ UNDETERMINED, UNPROJECTED = 8, 9
 """Statuses: how an integration ended."""
 
 STEPS, EVALUATIONS, REJECTED, DENSE_CALLS = 0, 1, 2, 3
-REACHED, WISH, WRITTEN, SHORT = 4, 5, 6, 7
-"""Places in the vector of counts; REACHED is the time, s, WISH is 1 to stop, WRITTEN are rows of the table,
-SHORT are steps in a row below the share `TINY` of the whole."""
+REACHED, WISH, WRITTEN, SHORT, STATUS = 4, 5, 6, 7, 8
+"""Places in the vector of counts; REACHED is the time, s, WISH is not 0 to stop, WRITTEN are rows of states,
+SHORT are steps in a row below the share `TINY` of the whole, STATUS is how the run ended."""
 
-COUNTS = 8
+COUNTS = 9
+
+STOP, LEAVE = 1.0, 2.0
+"""Wishes: that no more runs are made, and that this one is left, to be made by other code."""
 
 PATIENCE = 64
 """Steps after which Python is given a chance to see that the user wants to stop."""
@@ -61,12 +67,12 @@ class Equations(Record):
         projecting: 1 if states are kept on the constraints, else 0.
         tolerance: dimensionless residual below which projection has nothing to do.
         open_tolerance: dimensionless residual that a constraint may have after projection.
-        lanes: number of states that `position` and `velocity` take.
+        lanes: number of states that `position` and `velocity` take; 1 if each lane has a run of its own.
         position, velocity, closing: projection.
         beside: (inputs + n + 3, lanes) scratch.
         pause: asks whether the user wants to stop.
         marks: (n,) of angles and Euler parameters.
-        counts: (COUNTS,) of the run.
+        counts: (COUNTS,) of the current run.
     """
 
     n: int
@@ -84,30 +90,46 @@ class Equations(Record):
     closing: Callback
     beside: Vector
     pause: Callback
-    marks: Vector
+    marks: Shared
     counts: Vector
 
 
 @dataclass(frozen=True, eq=False)
 class Table(Record):
-    """The states of a run at its output times.
+    """Runs, and their states at the output times.
 
     Attributes:
         count: of output times.
         kept: number of elements of a state that outputs need, nq or n; the others are anything.
+        runs: their number.
+        apart: from a run to the next that is made after it: 1, or the number of lanes.
+        first: (1,) number of the first run.
         times: (count,) s.
-        states: (count, n).
+        ends: (runs, inputs) states with time and parameters: where runs start, and, once they are made, end.
+        states: (runs, count, n).
+        tallies: (runs, COUNTS) of the runs that are made.
     """
 
     count: int
     kept: int
-    times: Vector
-    states: Vector
+    runs: int
+    apart: int
+    first: Vector
+    times: Shared
+    ends: Shared
+    states: Shared
+    tallies: Shared
+
+
+def counted(counts: Array) -> dict[str, int]:
+    """Return the counts of a run, (COUNTS,), that are of interest to users, by name."""
+    names = {"steps": STEPS, "rejected": REJECTED, "evaluations": EVALUATIONS, "dense": DENSE_CALLS}
+    return {name: int(counts[place]) for name, place in names.items()}
 
 
 @native
 def interrupted(system: Equations) -> int:
-    """Return 1 if the user wants to stop, which is asked every `PATIENCE` steps, else 0."""
+    """Return the wish to stop, 0 if there is none; the user's is asked for every `PATIENCE` steps."""
     counts = system.counts
     if int(counts[STEPS] + counts[REJECTED]) % PATIENCE == PATIENCE - 1:
         system.pause(counts, counts[WISH:])
@@ -121,7 +143,7 @@ def before_step(system: Equations, table: Table, most: int, h: float, now: Vecto
     counts[REACHED] = now[system.n]
     if counts[STEPS] + counts[REJECTED] >= most:
         return TOO_MANY_STEPS
-    if interrupted(system) == 1:
+    if interrupted(system) > 0:
         return INTERRUPTED
     span = table.times[table.count - 1] - table.times[0]
     counts[SHORT] = counts[SHORT] + 1.0 if h < TINY * span else 0.0
@@ -131,10 +153,40 @@ def before_step(system: Equations, table: Table, most: int, h: float, now: Vecto
 
 
 @native
-def record(system: Equations, table: Table, row: int, state: Vector) -> None:
-    """Write a state into a row of the table."""
+def take(system: Equations, table: Table, run: int, now: Vector) -> None:
+    """Go to the start of a run."""
+    start = table.ends[system.inputs * run :]
+    for i in range(system.inputs):
+        now[i] = start[i]
+    for i in range(COUNTS):
+        system.counts[i] = 0.0
+    system.counts[REACHED] = now[system.n]
+
+
+@native
+def finish(system: Equations, table: Table, run: int, status: int, now: Vector) -> int:
+    """Write where and how a run ended; returns the number of the next one, if there is to be one."""
+    end = table.ends[system.inputs * run :]
+    tally = table.tallies[COUNTS * run :]
+    counts = system.counts
+    counts[STATUS] = float(status)
+    if counts[WISH] > 0.0:
+        counts[STATUS] = float(INTERRUPTED)
+    elif status == DONE:
+        counts[REACHED] = now[system.n]
+    for i in range(system.inputs):
+        end[i] = now[i]
+    for i in range(COUNTS):
+        tally[i] = counts[i]
+    return table.runs if counts[WISH] == STOP else run + table.apart
+
+
+@native
+def record(system: Equations, states: Vector, row: int, state: Vector) -> None:
+    """Write a state into a row of those of a run."""
+    here = states[system.n * row :]
     for i in range(system.n):
-        table.states[system.n * row + i] = state[i]
+        here[i] = state[i]
     system.counts[WRITTEN] = float(row + 1)
 
 
@@ -179,4 +231,4 @@ def keep_norms(system: Equations, x: Vector, before: Vector) -> None:
                 x[k] = -x[i + 1] * u - x[i + 2] * v - x[i + 3] * w
                 x[k + 1] = x[i] * u - x[i + 3] * v + x[i + 2] * w
                 x[k + 2] = x[i + 3] * u + x[i] * v - x[i + 1] * w
-                x[k + 3] = -x[i + 2] * u + x[i + 1] * v + x[i] * w
+                x[k + 3] = x[i + 1] * v - x[i + 2] * u + x[i] * w

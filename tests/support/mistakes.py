@@ -172,8 +172,8 @@ MISTAKES = {
     ),
     "stages at a singular configuration": (
         "newton_euler/integrators/dop853.py",
-        "if near == 1 and hops < HOPS:",
-        "if near == 1 and hops < 0:",
+        "if near == 1 and control[HOPPED] < HOPS:",
+        "if near == 1 and control[HOPPED] < 0:",
         "crosscheck/scenes/test_scene_families.py",
     ),
     "weak constraints that correct velocities": (

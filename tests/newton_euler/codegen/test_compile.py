@@ -21,10 +21,10 @@ from test_expression import everything, traced
 import newton_euler.codegen.cache
 from newton_euler.codegen.cache import CACHE_VARIABLE, cache_key, read_cache, write_cache
 from newton_euler.codegen.compile import LEVEL, NativeFunction, NativeModule, Traced
-from newton_euler.codegen.emit import LANES
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.native import Callback, NativeError, Record, Signature, Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions, text
+from newton_euler.codegen.trigonometry import LANES
 from newton_euler.errors import OptionError
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.run import load, native_method

@@ -13,7 +13,7 @@ from newton_euler import PD, compile_scene
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.integrators.lu import factor_complex, factor_real, solve_complex, solve_real, zero_block
 from newton_euler.integrators.radau import ALPHA, BETA, GAMMA, Radau, integrate_radau
-from newton_euler.integrators.stepper import COUNTS, DONE, Equations, Table
+from newton_euler.integrators.stepper import COUNTS, DONE, STATUS, Equations, Table
 from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
@@ -178,6 +178,7 @@ def test_outputs_between_steps_are_as_exact_as_the_steps():
     for rtol in (1e-3, 1e-6, 1e-9):
         scratch = (np.empty(size) for size in sizes)
         method = Radau(rtol, 1e-2 * rtol, 10**6, jacobian, np.zeros(2), np.zeros(2), *scratch)
-        status = integrate_radau(system, Table(len(times), n, times, table), method)
-        assert status == DONE
+        runs = Table(len(times), n, 1, 1, np.zeros(1), times, np.zeros(2), table, np.zeros(COUNTS))
+        integrate_radau(system, runs, method)
+        assert system.counts[STATUS] == DONE
         assert np.abs(table - np.sin(times)).max() < rtol  # one tolerance: stiff errors do not add up

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from crosscheck.scenes import load
-from newton_euler.codegen.compile import LANES
 from newton_euler.codegen.native_functions import NativeFunctions
+from newton_euler.codegen.trigonometry import LANES
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.projection import ROUND_OFF, project_rows
 from newton_euler.integrators.run import Fallback, Projection, equations
@@ -17,10 +17,9 @@ def recorded(code, times, table):
     assert code.function("position").lanes == code.function("velocity").lanes == LANES > 1
     counts, table = np.zeros(m.COUNTS), table.copy()
     system = equations(code, Fallback(code), code.function("derivative"), np.zeros(code.size), counts)
-    target = m.Table(len(table), code.size, times, table)
-    status = NativeFunctions([project_rows])(
-        project_rows, system, target, 1, len(table), 0, code.start.copy()
-    )
+    x = code.start.copy()
+    target = m.Table(len(table), code.size, 1, 1, np.zeros(1), times, x, table, counts)
+    status = NativeFunctions([project_rows])(project_rows, system, target, table, 1, len(table), 0, x)
     return status, table, int(counts[m.WRITTEN])
 
 
