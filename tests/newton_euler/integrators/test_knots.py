@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -12,6 +10,7 @@ import pytest
 from mechanisms import carts, mass_on_rail
 from scipy.integrate import solve_ivp
 from scipy.interpolate import make_interp_spline
+from simulations import SIMULATIONS
 
 import mjcf
 import newton_euler
@@ -20,30 +19,16 @@ from crosscheck.comparison.coverage import covered_by
 from crosscheck.comparison.energy import energy_balance
 from crosscheck.scenes import load
 from crosscheck.scenes.scene_file import content, write_scene
-from mjcf.rigid import RigidMuJoCo
-from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError, NewtonEulerError
 from newton_euler.integrators.compiled import Code
-from newton_euler.integrators.options import Options
 from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.digital_control import Digital, Sampled
 from newton_euler.model.motions import PrescribedMotion, Sum, scaled
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Spline, Steps
-from newton_euler.model.trajectory import Trajectory
-from newton_euler.simulate import run
 
-ENGINES: dict[str, Callable[[Scene], Trajectory]] = {
-    "relative": newton_euler.simulate,
-    "cartesian": partial(newton_euler.simulate, formulation="cartesian"),
-    "relative in floats": lambda scene: run(Relative(scene), "newton_euler", Options(), {}),
-    "pinocchio": urdf.simulate,
-    "mujoco_rigid": lambda scene: run(RigidMuJoCo(scene), "mujoco_rigid", Options(), {}),
-    "mujoco": mjcf.simulate,
-}
-
-QUICK = [name for name in ENGINES if name != "relative in floats"]
+QUICK = [name for name in SIMULATIONS if name != "relative in floats"]
 """Splines are the same to floats whether they are held between knots or not."""
 
 MASS, STIFFNESS, DAMPING = 2.0, 50.0, 4.0
@@ -147,7 +132,7 @@ def followed(scene: Scene) -> np.ndarray:
 def test_laws_follow_splines(engine):
     """1e-9 m: newton_euler's and Pinocchio's tolerances of 1e-10 a step, and MuJoCo's RK4 at 1 ms."""
     scene = rail(PD("rail", STIFFNESS, DAMPING, Spline(TIMES, WANTED), feedforward=Spline(TIMES, PULL)))
-    found = ENGINES[engine](scene)
+    found = SIMULATIONS[engine](scene)
     assert np.abs(found.position[:, 1, 2] - followed(scene)).max() < 1e-9
 
 
@@ -172,11 +157,11 @@ def stepped(times: np.ndarray) -> np.ndarray:
     return found
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", SIMULATIONS)
 def test_targets_jump(engine):
     """As above; forces at the jump on an output time, 1 s, are those after it."""
     scene = rail(PD("rail", STIFFNESS, DAMPING, JUMPS))
-    found = ENGINES[engine](scene)
+    found = SIMULATIONS[engine](scene)
     assert np.abs(found.position[:, 1, 2] - stepped(scene.times)).max() < 1e-9
     k = np.flatnonzero(found.time == 1.0)[0]
     x, rate = found.position[k, 1, 2], found.linear_velocity[k, 1, 2]
@@ -199,7 +184,7 @@ def test_joints_follow_splines(engine):
     """A spring softer than MuJoCo's constraint by 1e-6 of it leaves the rail where the spline is, and the
     work of the motion closes the balance of energy."""
     scene = rail(motions=(PrescribedMotion("rail", Spline(TIMES, WANTED)),))
-    found = ENGINES[engine](scene)
+    found = SIMULATIONS[engine](scene)
     wanted = make_interp_spline(TIMES, WANTED, 5)
     assert np.abs(found.position[:, 1, 2] - wanted(scene.times)).max() < (
         1e-5 if engine == "mujoco" else 1e-11
@@ -216,7 +201,7 @@ def test_targets_of_state_feedback_jump(engine):
     feedback = StateFeedback("rail_0", gains, 0.1, targets={"rail_1": JUMPS})
     law = PD("rail_0", STIFFNESS, DAMPING, 0.1, feedforward=scaled(JUMPS, 20.0))
     found, expected = (
-        ENGINES[engine](carts(each, duration=1.8, output_period=0.05)) for each in (feedback, law)
+        SIMULATIONS[engine](carts(each, duration=1.8, output_period=0.05)) for each in (feedback, law)
     )
     assert np.abs(found.position - expected.position).max() < 1e-12
 

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 from mechanisms import CART, carts, slider_tree
+from simulations import SIMULATIONS
 
 import mjcf
 import newton_euler
@@ -28,15 +29,6 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError, Trajectory
 from newton_euler.simulate import run
 from urdf.dynamics import PinocchioSystem
-
-ENGINES: dict[str, Callable[[Scene], Trajectory]] = {
-    "relative": newton_euler.simulate,
-    "cartesian": partial(newton_euler.simulate, formulation="cartesian"),
-    "relative in floats": lambda scene: run(Relative(scene), "newton_euler", Options(), {}),
-    "pinocchio": urdf.simulate,
-    "mujoco_rigid": lambda scene: run(RigidMuJoCo(scene), "mujoco_rigid", Options(), {}),
-    "mujoco": mjcf.simulate,
-}
 
 FIXED: dict[str, Callable[[Scene], Trajectory]] = {
     # 4 ms fit neither between outputs nor between samples
@@ -74,7 +66,7 @@ def exact(times: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray, np.
 
 
 @pytest.mark.parametrize(
-    "simulate", [*ENGINES.values(), *FIXED.values()], ids=[*ENGINES, *map("{} RK4".format, FIXED)]
+    "simulate", [*SIMULATIONS.values(), *FIXED.values()], ids=[*SIMULATIONS, *map("{} RK4".format, FIXED)]
 )
 @pytest.mark.parametrize("period", [0.02, 0.0075, 0.028, 0.6])
 def test_a_cart_under_held_forces(simulate, period):
@@ -91,7 +83,7 @@ def test_a_cart_under_held_forces(simulate, period):
     assert np.max(np.abs(found.position[:, 2, 0])) == 0.0
 
 
-@pytest.mark.parametrize("simulate", ENGINES.values(), ids=ENGINES)
+@pytest.mark.parametrize("simulate", SIMULATIONS.values(), ids=SIMULATIONS)
 def test_who_is_called_when_with_what(simulate):
     """3 * 0.1 is not 0.3 to the last bit: one instant all the same, and the output's own time."""
     fast, slow = Recorder(), Recorder()
@@ -125,7 +117,7 @@ def driven_tree(*recorders: Recorder) -> Scene:
 
 def test_controllers_of_a_tree_see_the_same_in_all_engines():
     seen, ends = {}, {}
-    for name, simulate in ENGINES.items():
+    for name, simulate in SIMULATIONS.items():
         recorders = [Recorder() for _ in range(3)]
         ends[name] = simulate(driven_tree(*recorders)).position[-1]
         assert [len(recorder.calls) for recorder in recorders] == [10, 5, 5], name
@@ -138,7 +130,7 @@ def test_controllers_of_a_tree_see_the_same_in_all_engines():
         assert np.max(np.abs(ends[name] - ends["relative"])) < 1e-8, name
 
 
-@pytest.mark.parametrize("simulate", ENGINES.values(), ids=ENGINES)
+@pytest.mark.parametrize("simulate", SIMULATIONS.values(), ids=SIMULATIONS)
 @pytest.mark.parametrize(
     ("result", "words"),
     [
