@@ -15,7 +15,7 @@ from crosscheck.files import check_writable, write_files
 from crosscheck.limit import limited
 from crosscheck.palette import palette
 from crosscheck.report.plots import png
-from crosscheck.report.render import markdown
+from crosscheck.report.render import as_json, markdown
 from crosscheck.report.run import undetermined_lines
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
 from newton_euler.analysis.envelope import (
@@ -89,7 +89,7 @@ def loads(
     Args:
         scenes: by the names of the cases; of one mechanism.
         at_rest: whether to hold them at rest in their initial poses instead of running them.
-        folder: of `loads.csv`, `loads.png` and `loads.rrd`.
+        folder: of `loads.csv`, `loads.json`, `loads.png` and `loads.rrd`.
         progress: is told what is going on.
 
     Returns:
@@ -101,8 +101,8 @@ def loads(
     """
     from crosscheck.recording.log import recorded
 
-    table, plot, recording = (folder / f"loads.{suffix}" for suffix in ("csv", "png", "rrd"))
-    check_writable(table, plot, recording)
+    table, results, plot, recording = (folder / f"loads.{suffix}" for suffix in ("csv", "json", "png", "rrd"))
+    check_writable(table, results, plot, recording)
     runs = {}
     for name, scene in scenes.items():
         with limited(f"case {name}", ADVICE, progress):
@@ -114,8 +114,10 @@ def loads(
     report = _report(first, envelope, at_rest, still)
     progress("plot and recording")
     drawn = recorded(first, runs, markdown(report), report.title)
-    write_files({table: envelope.to_csv().encode(), plot: png(_figure(first, runs)), recording: drawn})
-    return report, [table, plot, recording]
+    shown = {plot: png(_figure(first, runs)), recording: drawn}
+    data = {"scene": first.name, "at_rest": at_rest, "cases": list(scenes)}
+    write_files({table: envelope.to_csv().encode(), results: as_json(data, report, shown), **shown})
+    return report, [table, results, plot, recording]
 
 
 def _report(scene: Scene, envelope: LoadEnvelope, at_rest: bool, still: list[str]) -> Report:

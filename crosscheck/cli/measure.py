@@ -142,7 +142,11 @@ def loads_command(
     folder = output or Path("output/loads") / next(iter(scenes.values())).name
     with progress_shown() as progress:
         found, written = loads(scenes, at_rest, folder, progress)
-    show(found, "wrote " + ", ".join(map(str, written)), f"look  crosscheck view {quote(str(written[-1]))}")
+    after = (
+        f"look  crosscheck view {quote(str(written[-1]))}",
+        f"more  crosscheck report {quote(str(folder))}",
+    )
+    show(found, "wrote " + ", ".join(map(str, written)), *after)
     return AGREE
 
 
@@ -325,8 +329,8 @@ def report_command(folder: Path) -> int:
 
     It is about what other commands wrote to DIR.
 
-    DIR is the folder of run, run --all, regress, faults, stress or bench, with whatever options, or one
-    that holds such folders, as output does.
+    DIR is the folder of run, run --all, regress, faults, stress, bench, sweep or loads, with whatever
+    options, or one that holds such folders, as output does.
     """
     from crosscheck.report.page import write_report
 

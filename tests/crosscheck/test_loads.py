@@ -24,7 +24,7 @@ def test_cases_of_a_scene(capsys, monkeypatch, tmp_path):
     )
     assert (status, err) == (0, "")
     assert out.startswith("tracker_wind: loads over cases calm, windy\nlargest force ")
-    assert max(map(len, out.splitlines())) <= 80 + len(str(tmp_path)) * 3
+    assert max(map(len, out.splitlines())) <= 80 + len(str(tmp_path)) * 4
     found = ranges(tmp_path)
     assert {row["most_case"] for row in found.values()} == {"calm", "windy"}
     row = found["universal_47", "force"]
@@ -33,6 +33,10 @@ def test_cases_of_a_scene(capsys, monkeypatch, tmp_path):
     assert f"{row['most_case']} at {float(row['most_time']):.4g} s" in line
     assert (tmp_path / "loads.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "loads.rrd").stat().st_size > 10_000
+    assert run(capsys, "report", tmp_path)[0] == 0
+    page = (tmp_path / "report.html").read_text()
+    assert "largest force" in page
+    assert "data:image/png" in page
 
 
 def test_round_off_is_no_load_and_rest_is_told(capsys, tmp_path):
