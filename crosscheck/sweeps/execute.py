@@ -31,6 +31,9 @@ Result = TypeVar("Result")
 AHEAD = 2
 """Tasks per worker that are given out: the next is there when one ends, and few are lost with a worker."""
 
+COUNT_AFTER = 2.0
+"""s after which workers are counted again: a scheduler has other things to answer."""
+
 USUAL_WORKERS = 32
 """Of an executor that does not say how many it has."""
 
@@ -127,11 +130,13 @@ def in_any_order(
     Raises:
         CrosscheckError: of a task, and where processes that make them are lost again and again.
     """
-    left = iter(numbers)
+    left, count, counted = iter(numbers), at.count(), time.perf_counter()
     running: dict[Future[Result], int] = {}
     try:
         while True:
-            room = AHEAD * at.count() - len(running)
+            if time.perf_counter() - counted > COUNT_AFTER:
+                count, counted = at.count(), time.perf_counter()
+            room = AHEAD * count - len(running)
             for _, number in zip(range(room), left, strict=False):
                 running[at.executor.submit(task, number)] = number
             if not running:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
@@ -32,6 +33,9 @@ UNSEEN = frozenset({"description", "shapes", "meshes"})
 
 RECORDED = ("crosscheck", "numpy", "scipy", "xarray", "zarr")
 """Packages whose versions are recorded."""
+
+PLANS = 4
+"""Of which a process makes runs by turns."""
 
 DONE, STOPPED = 1, 2
 """Status of a run that came to its end, and of one that could not; 0 of one that has not been made."""
@@ -119,10 +123,13 @@ class Plan:
         values = self.parameters(run, run + 1)
         return with_parameters(self.scene, {name: float(value[0]) for name, value in values.items()})
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave out what is worked out again where it is needed."""
-        fields = ("scene", "samples", "keep", "control", "chunk")
-        return {name: getattr(self, name) for name in fields}
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Send all that makes a plan, as bytes that a process reads once for all its tasks."""
+        return _restored, (self._content,)
+
+    @cached_property
+    def _content(self) -> bytes:
+        return pickle.dumps((self.scene, self.samples, self.keep, dict(self.control), self.chunk))
 
     def record(self) -> dict[str, Any]:
         """Describe the plan for a file of results: another plan has another record.
@@ -147,6 +154,11 @@ class Plan:
             "chunk": self.chunk,
             "versions": {name: version(name) for name in RECORDED},
         }
+
+
+@lru_cache(maxsize=PLANS)
+def _restored(content: bytes) -> Plan:
+    return Plan(*pickle.loads(content))
 
 
 def run_chunk(plan: Plan, k: int) -> Chunk:

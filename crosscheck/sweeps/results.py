@@ -23,6 +23,9 @@ from newton_euler.model.scene import Scene
 TASK = 1.0
 """s that a task takes about: its overhead is small beside it, and little is lost with one."""
 
+OVERHEAD = 0.01
+"""s of processor time that a Dask scheduler takes for a task, so that tasks for many workers are longer."""
+
 LARGEST_CHUNK = 2**16
 """Runs of a task."""
 
@@ -113,7 +116,8 @@ def _opened(plan: Plan, path: Path | None, at: Workers) -> tuple[Store, Plan]:
     runs = plan.samples.runs
     rate = probed(lambda count: run_all(plan, plan.parameters(0, count)), runs)
     most = -(-runs // (TASKS_PER_WORKER * at.count()))
-    about = max(1, min(int(TASK * rate), most, LARGEST_CHUNK))
+    task = max(TASK, OVERHEAD * at.count())
+    about = max(1, min(int(task * rate), most, LARGEST_CHUNK))
     plan = replace(plan, chunk=1 << (about.bit_length() - 1))
     return Store.make(plan, path) if path else Store.in_memory(plan), plan
 
