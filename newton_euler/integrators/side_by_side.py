@@ -101,6 +101,7 @@ class SideBySide:
 
     Attributes:
         group: the number of runs of a group, at most.
+        shape: of the results of one run, (n, outputs).
     """
 
     def __init__(self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = ()) -> None:
@@ -115,7 +116,8 @@ class SideBySide:
         self._method = method_of(code, options, most_steps(options), np.zeros((0, 0)), LANES)
         self._times = times.copy()
         self._states = np.zeros((self.group, len(times), code.size))
-        self._results = np.empty((self.group, *self._alone.outputs.shape))
+        self.shape = self._alone.outputs.shape
+        self._results = np.empty((self.group, *self.shape))
         self._keep = python
 
     def __call__(self, x: Array) -> Group:

@@ -1,4 +1,6 @@
-"""Projection of several states at once."""
+"""Several states at once, and several runs: each as it is alone, to the last bit."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,9 +8,13 @@ import pytest
 from crosscheck.scenes import load
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.codegen.trigonometry import LANES
+from newton_euler.exercise import random_states
 from newton_euler.integrators import stepper as m
+from newton_euler.integrators.options import Options
 from newton_euler.integrators.projection import ROUND_OFF, project_rows
-from newton_euler.integrators.run import Fallback, Projection, equations
+from newton_euler.integrators.run import Fallback, Integrator, Projection, equations
+from newton_euler.integrators.side_by_side import SideBySide, load_lanes
+from newton_euler.model.trajectory import IntegrationError
 from newton_euler.simulate import CompiledScene
 
 
@@ -65,3 +71,103 @@ def test_states_without_constraints_are_left_as_they_are() -> None:
     before = x.copy()
     assert Projection(code)(x)
     assert np.array_equal(x, before)
+
+
+# Runs
+
+
+FIXED = {"integrator": "RK4", "step": 5e-3}
+
+
+@pytest.fixture(scope="module")
+def starts():
+    """Compiled scenes, and states of seven runs of each."""
+    known = {}
+
+    def of(name, formulation, parameters=()):
+        if (name, formulation) not in known:
+            scene = replace(load(name), duration=1.5, output_period=0.1)
+            code = CompiledScene(scene, formulation, parameters=parameters)
+            x = np.tile(code.start, (7, 1))
+            for k, state in enumerate(random_states(scene, 7)):
+                x[k, : code.size] = np.concatenate(code.system.coordinates(state))
+            known[name, formulation] = code, x
+        return known[name, formulation]
+
+    return of
+
+
+def one_by_one(code, x, options):
+    """Results of runs, counts and errors."""
+    integrator = Integrator(code, code.scene.times, options)
+    results, counts, errors = np.empty((len(x), *integrator.outputs.shape)), [], {}
+    for k, start in enumerate(x):
+        try:
+            integrator(start)
+            integrator.outputs(results[k])
+        except IntegrationError as error:
+            results[k] = np.nan
+            errors[k] = str(error)
+        counts.append(integrator.counted)
+    return results, counts, errors
+
+
+def in_groups(code, x, options, groups):
+    """The same, of runs in groups."""
+    runs = SideBySide(code, code.scene.times, options)
+    results, counts, errors = np.empty((len(x), *runs.shape)), [{}] * len(x), {}
+    for group in groups:
+        made = runs(x[group])
+        results[group] = made.results
+        for k, number in enumerate(group):
+            counts[number] = made.counts[k]
+        errors |= {group[k]: str(error) for k, error in made.errors.items()}
+    return results, counts, errors
+
+
+@pytest.mark.parametrize("groups", [[[*range(7)]], [[6, 0], [3], [5, 4, 2, 1]]], ids=["one", "three"])
+@pytest.mark.parametrize(
+    ("name", "formulation", "control"),
+    [
+        ("tracker", "relative", {"rtol": 1e-6, "atol": 1e-8}),
+        ("tracker", "relative", FIXED),
+        ("tracker", "relative", FIXED | {"integrator": "Euler"}),
+        ("four_bar", "relative", {"rtol": 1e-6, "atol": 1e-8}),  # past singular configurations
+        ("four_bar", "cartesian", FIXED),
+        ("heavy_top", "cartesian", {"rtol": 1e-9, "atol": 1e-9}),
+        ("pendulum", "relative", {"rest": 1e-3}),
+    ],
+)
+def test_runs_are_what_each_is_alone(starts, name, formulation, control, groups):
+    code, x = starts(name, formulation)
+    load_lanes(code, control.get("integrator", "DOP853"))
+    options = Options(**control)
+    results, counts, errors = one_by_one(code, x, options)
+    found = in_groups(code, x, options, groups)
+    assert found[0].tobytes() == results.tobytes()
+    assert found[1:] == (counts, errors)
+    assert options.step or any(each["rejected"] for each in counts)  # in some lanes before others
+
+
+def test_a_run_that_fails_leaves_the_others_as_they_are(starts):
+    code, x = starts("slider_crank", "relative", ("gravity",))
+    x, options = x.copy(), Options(rtol=1e-6, atol=1e-8)
+    load_lanes(code, "DOP853")
+    x[[2, 5], code.place("gravity")] = 1e200
+    results, counts, errors = one_by_one(code, x, options)
+    assert list(errors) == [2, 5]
+    found = in_groups(code, x, options, [[*range(7)]])
+    assert found[0].tobytes() == results.tobytes()
+    assert found[1:] == (counts, errors)
+
+
+def test_large_programs_run_in_lanes(starts, monkeypatch):
+    """Rolled up into loops."""
+    monkeypatch.setattr("newton_euler.codegen.compile.LARGE", 1)
+    code, x = starts("chain", "relative")
+    load_lanes(code, "DOP853")
+    options = Options(rtol=1e-6, atol=1e-8)
+    assert code.function("derivative", in_lanes=True).lanes == LANES
+    assert (
+        in_groups(code, x, options, [[*range(7)]])[0].tobytes() == one_by_one(code, x, options)[0].tobytes()
+    )
