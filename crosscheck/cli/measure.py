@@ -87,7 +87,7 @@ def bench_command(
 @cli.command("controllers")
 @click.argument("scene", default="tracker_computed_torque")
 @setting_options
-@click.option("--engines", help="Names, separated by commas.  [default: all]")
+@click.option("--engines", metavar="NAMES", help="With commas between.  [default: all]")
 def controllers_command(scene: str, settings: tuple[str, ...], engines: str | None) -> int:
     """Compare tracking error, effort and energy of controllers in all engines.
 

@@ -48,7 +48,7 @@ OUTPUT = Path("output")
 @cli.command("run")
 @click.argument("scene", required=False)
 @click.option("--all", "library", is_flag=True, help="Run all scenes of the library, a line each.")
-@click.option("--engines", help="Names, with commas between.  [default: all]")
+@click.option("--engines", metavar="NAMES", help="With commas between.  [default: all]")
 @setting_options
 @click.option("--against", metavar="MODEL", help="Compare with another model instead, by newton_euler alone.")
 @click.option(

@@ -154,7 +154,7 @@ def _kind(model: object) -> tuple[str, dict[str, Option]]:
 def fates_line(report: ImportReport) -> str:
     """Count the elements of a file by what became of them, those that are not exact by what they are."""
     exact = len({entry.element for entry in report.of("exactly")})
-    found = [f"{exact} element{'' if exact == 1 else 's'} exactly"]
+    found = [f"{exact} element{'' if exact == 1 else 's'} read exactly"]
     for fate in FATES[1:]:
         names = {entry.element for entry in report.of(fate) if not entry.inert}
         if names:
