@@ -8,7 +8,7 @@ all at once, and only those that are suspicious constructed.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -18,15 +18,19 @@ from newton_euler.equations.parameters import (
     Owner,
     Place,
     element_of,
+    is_opening,
     own_value,
     parameter_values,
     places,
     rebuilt,
     refusal,
+    with_values,
 )
 from newton_euler.errors import MechanismError, OptionError, check_type
+from newton_euler.model.initial_pose import described_at
 from newton_euler.model.mechanism import LEAST, REALISABLE_TOLERANCE
 from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 from newton_euler.scalars import Array
 from newton_euler.starts import Assembly, initial_numbers, own_initial
 
@@ -86,8 +90,35 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
         element = error.element.removeprefix("run 0").removeprefix(": ") or f"scene {scene.name!r}"
         raise MechanismError(element, error.problem, error.needed)
     numbers = {name: array[0] for name, array in found.arrays.items() if name not in assembly.initial}
-    changed = rebuilt(scene, numbers)
+    if not any(is_opening(place) for place in places(scene, numbers).values()):
+        changed = rebuilt(scene, numbers)
+    else:
+        changed = described_at(with_values(scene, numbers), _pose(scene, numbers) or assembly.state(x))
     return replace(changed, initial_state=assembly.state(x)) if assembly.is_needed else changed
+
+
+def _pose(scene: Scene, numbers: Mapping[str, Array]) -> State | None:
+    """Assemble the initial pose with other numbers; None where it is no pose that can be."""
+    still = replace(scene, motions=(), initial_state=None)
+    named = places(scene, numbers)
+    values = {name: value[None] for name, value in numbers.items() if named[name].owner[0] != "motions"}
+    assembly = Assembly(still, tuple(values))
+    (x,), errors = assembly(values)
+    return None if errors else assembly.state(x)
+
+
+def own_values(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
+    """Return the scene's own values of parameters and initial coordinates, by name.
+
+    Raises:
+        UnknownNameError: for a name that is none of these.
+        MechanismError: for a name that stands for two, and for two that stand for one number.
+    """
+    names = list(names)
+    initial = initial_numbers(scene, names)
+    own = parameter_values(scene, [name for name in names if name not in initial])
+    own |= {name: np.array(own_initial(scene, number)) for name, number in initial.items()}
+    return {name: own[name] for name in names}
 
 
 def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunValues:
@@ -97,9 +128,7 @@ def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunV
         UnknownNameError: for a name that is no parameter of the scene.
         MechanismError: for a name that stands for two, and for values of another shape in all runs.
     """
-    initial, found = initial_numbers(scene, given), RunValues({}, {})
-    own = parameter_values(scene, [name for name in given if name not in initial])
-    own |= {name: np.array(own_initial(scene, number)) for name, number in initial.items()}
+    initial, own, found = initial_numbers(scene, given), own_values(scene, given), RunValues({}, {})
     for name, values in given.items():
         array, unusable = _numbers(name, values, own[name])
         found.arrays[name] = array
@@ -185,7 +214,12 @@ def _suspicious(scene: Scene, owner: Owner, stack: Array) -> Array:
     own, outside = own_value(scene, owner), np.zeros(len(stack), dtype=bool)
     if attribute in DIRECTIONS:
         lengths = np.max(np.abs(stack), axis=1)
-        turned = np.any(stack != own, axis=1) if attribute in TURNING else outside
+        turned = outside
+        if attribute in TURNING:
+            turned = np.any(stack != own, axis=1)
+        elif attribute == "axis":  # by which components others are chosen
+            units = np.abs(stack) / np.maximum(np.linalg.norm(stack, axis=1, keepdims=True), SHORT)
+            turned = np.argmin(units.round(6), axis=1) != np.argmin(np.abs(own).round(6))
         return np.flatnonzero(turned | (lengths < SHORT) | (lengths > LONG))
     if attribute in NONZERO:
         outside |= np.any(stack.reshape(len(stack), -1) == 0.0, axis=1)

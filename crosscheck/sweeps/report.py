@@ -20,10 +20,10 @@ from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.reductions import AT, OF_MAGNITUDES, Reduction, magnitude
 from crosscheck.sweeps.results import Results
 from crosscheck.sweeps.store import unit_of
-from newton_euler.equations.parameters import parameter_values
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 from newton_euler.simulate import simulate
+from newton_euler.variation import own_values
 
 if TYPE_CHECKING:
     from crosscheck.recording.sweep import Envelope
@@ -108,7 +108,7 @@ def findings(swept: Results, checked: Sequence[Checked] = ()) -> Findings:
 
 
 def _nominal(plan: Plan, found: Sequence[Scalar]) -> dict[str, float]:
-    own = parameter_values(plan.scene, plan.samples.names)
+    own = own_values(plan.scene, plan.samples.names)
     values = run_all(plan, {name: value.reshape(1) for name, value in own.items()}).values
     return {each.label: float(values[each.variable][0][each.place]) for each in found}
 
@@ -199,7 +199,7 @@ def _checks(checked: Sequence[Checked]) -> list[Part]:
 
 
 def _varied(plan: Plan) -> Table:
-    own = parameter_values(plan.scene, plan.samples.names)
+    own = own_values(plan.scene, plan.samples.names)
     rows: Rows = []
     for names, distribution in plan.samples.groups:
         nominal = ", ".join(f"{own[name]:.6g}" for name in names)

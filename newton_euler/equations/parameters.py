@@ -149,6 +149,12 @@ def is_kinematic(place: Place) -> bool:
     return what in ("joints", "couplings", "motions") or attribute == "center_of_mass"
 
 
+def is_opening(place: Place) -> bool:
+    """Tell if a parameter opens joints at the initial pose, so that the description needs another one."""
+    what, _, attribute = place.owner
+    return what == "joints" and attribute in ("point_on_first", "point_on_second", "length")
+
+
 def check_dynamic(scene: Scene, names: Iterable[str], where: str) -> None:
     """Raise `MechanismError` for a parameter that moves the closed configurations."""
     for name, place in places(scene, names).items():

@@ -247,6 +247,15 @@ class Planar(_AxisJoint):
 
     kind: ClassVar[str] = "planar"
 
+    def rebuilt(self, values: Mapping[str, Any]) -> Self:
+        """See `Joint.rebuilt`; the axes of the slides do not jump."""
+        changed = super().rebuilt(values)
+        own = perpendicular_pair(changed.axis, self.axis)
+        if not np.array_equal(own, changed.pair):
+            problem = f"axis is {changed.axis.tolist()}, where the slides of the plane jump"
+            raise MechanismError(f"joint {self.name!r}", problem, "an axis nearer to the described one")
+        return changed
+
     @property
     def motions(self) -> tuple[Motion, ...]:
         slides = (Motion("slide", a) for a in self.pair)

@@ -113,6 +113,19 @@ def scaled(function: TimeFunction, factor: float) -> TimeFunction:
     return replace(function, coefficients=tuple(factor * c for c in function.coefficients))
 
 
+def shifted(function: TimeFunction, by: float) -> TimeFunction:
+    """Return a function of time with a number added to its values."""
+    if isinstance(function, Sum):
+        first, *others = function.terms
+        return Sum((shifted(first, by), *others))
+    if isinstance(function, Sine):
+        return replace(function, offset=function.offset + by)
+    if isinstance(function, Piecewise):
+        return replace(function, values=function.values + by)
+    first_one, *rest = function.coefficients
+    return replace(function, coefficients=(first_one + by, *rest))
+
+
 @dataclass(frozen=True)
 class PrescribedMotion(OnCoordinate):
     """A joint coordinate that follows a function of time, whatever force that takes: x = f(t).

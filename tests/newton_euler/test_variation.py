@@ -9,6 +9,7 @@ import pytest
 from elements import COUPLED, ELEMENTS, JOINTS, MOTIONS
 from mechanisms import line_spring, mass_on_rail
 
+import crosscheck
 from crosscheck.scenes import load
 from newton_euler import simulate, simulate_batch, start, with_parameters
 from newton_euler.equations.parameters import parameter_values, unambiguous, with_values
@@ -116,6 +117,7 @@ GEOMETRY_BAD = {
     "pin.axis": ([0.0, 0.0, 0.0], "a non-zero axis"),
     "elbow.axis_on_first": ([1.0, 0.1, 0.0], "perpendicular axes"),
     "mesh.ratio": (0.0, "parameter 'mesh.ratio': is 0.0; needed: a finite number, not 0"),
+    "table.axis": ([1.0, -0.3, 0.2], "slides of the plane jump"),
     "coupler.length": (-0.5, "parameter 'coupler.length': is -0.5; needed: "),
 }
 """The same of geometry."""
@@ -124,8 +126,7 @@ GEOMETRY_BAD = {
 @pytest.mark.parametrize("name", GEOMETRY_BAD)
 def test_bad_geometry_is_an_error_of_its_run_alone(name):
     value, message = GEOMETRY_BAD[name]
-    titles = {"spindle": "screw", "pin": "screw", "elbow": "planar", "mesh": "gears", "coupler": "rods"}
-    scene = JOINTS[titles[name.partition(".")[0]]]
+    scene = next(each for each in JOINTS.values() if name in parameter_values(each))
     own = parameter_values(scene, [name])[name]
     found = run_values(scene, {name: [own, value, own + 0.0]})
     assert list(found.errors) == [1]
@@ -299,6 +300,43 @@ def test_runs_of_varied_geometry_are_those_of_scenes_made_with_it(crank, formula
         # both are integrated to 1e-10 from starts that differ by round-off
         assert np.abs(run.position - expected.position).max() < 1e-10
         assert np.abs(run.reaction_force - expected.reaction_force).max() < 1e-8
+
+
+@pytest.mark.parametrize("title", ["forces, rods", "gear, cut", "screw, cut"])
+def test_points_on_one_body_and_lengths_of_rods(title):
+    """The scene is described at another initial pose, from where coordinates are counted."""
+    scene, rng = ELEMENTS[title], np.random.default_rng(1)
+    own = parameter_values(scene)
+    sided = ("point_on_first", "point_on_second", "length")
+    names = [f"{joint}.{name}" for joint in scene.mechanism.joint_names for name in sided]
+    values = {n: own[n] + 5e-3 * rng.uniform(-1.0, 1.0, own[n].shape) for n in names if n in own}
+    batch = simulate_batch(scene, parameters={name: [value] for name, value in values.items()})
+    expected = simulate(with_parameters(scene, values))
+    # both are integrated to 1e-10 from starts that differ by round-off
+    assert np.abs(batch[0].position - expected.position).max() < 1e-10
+    force = np.abs(expected.reaction_force).max()
+    assert np.abs(batch[0].reaction_force - expected.reaction_force).max() < 1e-9 * force
+
+
+@pytest.mark.slow  # compiles and runs three engines on two scenes, 8 s
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        (
+            "tracker",
+            {
+                "ball_57.point_on_first.z": 1e-3,
+                "hinge_14.axis.z": 0.01,
+                "panel_7.center_of_mass.x": 0.01,
+                "start.slide_12": 0.05,
+            },
+        ),
+        ("four_bar", {"pivot_1.point_on_second.x": 1e-3, "start.pivot_0": 0.3}),
+    ],
+)
+def test_engines_agree_on_scenes_with_other_geometry(name, values):
+    scene = replace(load(name), duration=0.3, output_period=0.1)
+    assert crosscheck.check(with_parameters(scene, values)).agrees
 
 
 def test_starts_do_not_depend_on_grouping(tracker):
