@@ -182,7 +182,7 @@ STATES = 1
 
 
 def redundancy_advice(scene: Scene) -> Iterator[Advice]:
-    """For mechanisms with rows that say nothing new, found by trying what is without them."""
+    """For mechanisms with redundant constraints, found by trying what is without them."""
     states = [initial_state(scene), *random_states(scene, STATES)]
     redundant = _redundant(scene.mechanism, states)
     if redundant == 0:
@@ -204,13 +204,13 @@ def redundancy_advice(scene: Scene) -> Iterator[Advice]:
         mechanism = best[2]
     if not steps:
         return
-    rows = "row says" if redundant == 1 else "rows say"
+    rows = "constraint" if redundant == 1 else "constraints"
     rest = f"then {left} of them {'is' if left == 1 else 'are'} left"
     if left == 0:
         rest = "then all reactions are determined"
     yield Advice(
         "redundancy",
-        f"{redundant} constraint {rows} nothing new; the motion is the same with {', '.join(steps)}: {rest}",
+        f"{redundant} redundant {rows}; the motion is the same with {', '.join(steps)}: {rest}",
     )
 
 

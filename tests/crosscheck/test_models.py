@@ -52,7 +52,7 @@ def test_a_motion_that_tests_nothing_is_no_plain_agreement(capsys, tmp_path):
     assert line.endswith(" and 8 more, all in summary.json and on the page of `crosscheck report`")
     found = json.loads((out / "summary.json").read_text())["report"]
     assert found["judged"] == {"text": "AGREE AT RANDOM STATES ONLY", "verdict": "doubtful", "about": ""}
-    (table,) = [part for part in found["parts"] if part["title"].startswith("untested: ")]
+    (table,) = [part for part in found["parts"] if part["title"].startswith("untested by the motion")]
     assert [row[0] for row in table["rows"]] == names
 
 
