@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any, Unpack, overload
 
@@ -37,7 +38,7 @@ from newton_euler.model.state import State
 from newton_euler.model.trajectory import IntegrationError, Trajectory
 from newton_euler.sampling import integrate_intervals
 from newton_euler.scalars import Array, Floats
-from newton_euler.simulate import CompiledScene, native_trajectory
+from newton_euler.simulate import KEPT, CompiledScene, native_trajectory
 from newton_euler.starts import Assembly, initial_numbers
 from newton_euler.variation import run_values
 
@@ -146,7 +147,7 @@ def simulate_batch(
     workers = _threads(threads)
     initial = initial_numbers(scene, parameters)
     names = tuple(name for name in parameters if name not in initial)
-    compiled = CompiledScene(scene, formulation, stabilization, alpha, names)
+    compiled = _compiled(scene, formulation, stabilization, alpha, names)
     load_lanes(compiled, integrator)
     count = _count(states, parameters)
     times = scene.times
@@ -223,6 +224,14 @@ def simulate_batch(
         "threads": workers,
     } | options.chosen()
     return Batch(scene, settings, wall_time, dict(sorted(errors.items())), compiled, results, counts)
+
+
+@lru_cache(maxsize=KEPT)
+def _compiled(
+    scene: Scene, formulation: str | None, stabilization: str, alpha: float | None, names: tuple[str, ...]
+) -> CompiledScene:
+    """Return the code of a scene, the same for one batch after another: LLVM keeps memory of all it makes."""
+    return CompiledScene(scene, formulation, stabilization, alpha, names)
 
 
 def _short(value: object) -> str:
