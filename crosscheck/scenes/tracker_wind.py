@@ -29,10 +29,11 @@ PERIODS = (5.0, 2.5)
 """s, of their strokes."""
 
 INTENSITY, LEAST = 0.14, 5.6
-"""Of turbulence, for a deviation of INTENSITY (0.75 speed + LEAST m/s): IEC 61400-1:2005, class B."""
+"""Of turbulence, for a deviation of INTENSITY (0.75 speed + LEAST m/s): class B of IEC 61400-1 (2005)."""
 
 LENGTH = 5.67 * 2.0
-"""m, of turbulence 2 m above the ground, where the tracker is taken to stand."""
+"""m, of turbulence 2 m above the ground, where the tracker is taken to stand: an assumption, as the standard's
+5.67 times the height is one for hubs of wind turbines."""
 
 BAND = (0.1, 5.0)
 """Hz, of turbulence: from half a period of the run to what moves the panel little."""

@@ -63,20 +63,23 @@ class WindLoad(OnPoint):
         C_N = 1.98 sin a (1 / (0.56 + 0.44 sin a) - 0.41 (1 - exp(-17 / R))),
 
     and acts ahead of the center, towards the edge that the wind meets first, by 0.175 (1 - 2 a / pi) of the
-    plate's length along the wind. R is the ratio of its longer side to the shorter one. Sources: S. F.
-    Hoerner, Fluid-Dynamic Lift, 1985, chapter 21, eq. (2), for infinite span; C. Lindenburg, Stall
-    Coefficients, ECN-RX--01-004, 2001, for R; after both, and with the center of pressure, W. Khan and
-    M. Nahon, Real-Time Modeling of Agile Fixed-Wing UAV Aerodynamics, ICUAS 2015. A square plate across the
-    wind has C_N = 1.17.
+    plate's length along the wind. R is the ratio of its longer side to the shorter one. A square plate across
+    the wind has C_N = 1.17.
+
+    Sources: for infinite span S. F. Hoerner, Fluid-Dynamic Lift, 2nd edition, 1985, chapter XXI, eq. (2);
+    with the term in R C. Lindenburg, Stall Coefficients, ECN-RX--01-004, 2001; with 1.98 and the center of
+    pressure W. Khan and M. Nahon, Real-time modeling of agile fixed-wing UAV aerodynamics, ICUAS 2015, pp.
+    1188-1195, doi:10.1109/ICUAS.2015.7152411. The originals were not at hand: the formulas were checked
+    against other programs that cite these works for them.
 
     Range: thin plates in free and steady flow of low Mach number, at Reynolds numbers above 1000, that is
     separated, at some 20 to 90 degrees; below, the same formula goes on smoothly to no force at 0.
     Assumptions beside the sources: R is that ratio for wind along either side; wind across a corner moves the
     center of pressure along each side by its component there; the flow follows w without delay, and the
     plate's rotation changes nothing but w; there is no friction along the plate, and neither the ground nor
-    anything upwind is near. Tables of wind tunnels with a boundary layer (J. A. Peterka and R. G. Derickson,
-    Wind Load Design Methods for Ground-Based Heliostats and Parabolic Dish Collectors, SAND92-7009, 1992)
-    hold peaks of gusts, which `speed` has here.
+    anything upwind is near. In the turbulence near the ground mean and peak loads of heliostats are larger
+    than in such flow; their coefficients are in J. A. Peterka and R. G. Derickson, Wind Load Design Methods
+    for Ground-Based Heliostats and Parabolic Dish Collectors, SAND92-7009, 1992. Here gusts are in `speed`.
 
     Attributes:
         name: unique among the forces of a scene; letters, digits, `_`, `.` and `-`.
@@ -179,9 +182,10 @@ class WindLoad(OnPoint):
 def wind_gust(mean: float, gust: float, period: float = 10.5) -> Sum:
     """Make the speed of an extreme operating gust: a dip, a rise by 0.74 of `gust`, and a dip again.
 
-    mean - 0.37 gust sin(3 pi t / T) (1 - cos(2 pi t / T)) for t from 0 to T, IEC 61400-1:2005, 6.3.2.2, as a
-    sum of sines, which goes on after T: end runs there. The gust is of wind turbines, smaller than 3.3
-    standard deviations of the turbulence there; for lower structures it is an assumption.
+    mean - 0.37 gust sin(3 pi t / T) (1 - cos(2 pi t / T)) for t from 0 to T, the standard IEC 61400-1 (2005)
+    of wind turbines, as a sum of sines, which goes on after T: end runs there. The standard was not at hand;
+    formula and T were checked against programs for wind turbines. Its gust is that at the hub, below 3.3
+    standard deviations of the turbulence; for structures near the ground it is an assumption.
 
     Args:
         mean: m/s before and after.
@@ -217,16 +221,21 @@ def wind_turbulence(
 ) -> Sum:
     """Make the speed of turbulent wind of Kaimal's spectrum, one of many as chosen by a seed.
 
-    S(f) = 4 s^2 (L / V) / (1 + 6 f L / V)^(5/3), of the component along the mean wind, IEC 61400-1:2005,
-    eq. (B.14), whose integral over all frequencies f is s^2. It becomes a sum of sines of random phases
-    (M. Shinozuka and G. Deodatis, Simulation of Stochastic Processes by Spectral Representation, Applied
-    Mechanics Reviews 44(4), 1991): of each part of the band one, of the part's variance, at a random
-    frequency in it. Parts are equal on a logarithmic scale. Wind beyond the band is left out.
+    S(f) = 4 s^2 (L / V) / (1 + 6 f L / V)^(5/3), of the component along the mean wind, as in an annex of
+    IEC 61400-1, whose integral over all frequencies f is s^2. It becomes a sum of sines of random phases
+    (M. Shinozuka and G. Deodatis, Simulation of stochastic processes by spectral representation, Applied
+    Mechanics Reviews 44(4), 1991, pp. 191-204): of each part of the band one, of the part's variance. That
+    parts are equal on a logarithmic scale, and frequencies random in them, is a choice made here: so the wind
+    does not repeat, and few sines span a wide band. Wind beyond the band is left out.
+
+    The standard was not at hand; spectrum, L and s were checked against programs for wind turbines. They are
+    of hubs tens of meters above the ground: near the ground, as at 2 m, L proportional to the height is an
+    assumption, and turbulence is often stronger.
 
     Args:
         mean: V in m/s.
-        deviation: s in m/s; the standard's is I (0.75 V + 5.6 m/s) with I of 0.12 to 0.16.
-        length: L in m; the standard's is 5.67 times the height above ground up to 60 m.
+        deviation: s in m/s; the standard's is I (0.75 V + 5.6 m/s), I = 0.16, 0.14, 0.12 for classes A, B, C.
+        length: L in m; the standard's is 8.1 * 0.7 = 5.67 times the height above ground up to 60 m.
         seed: 0 or more; the same seed gives the same wind.
         lowest: Hz, of the band.
         highest: Hz.
