@@ -12,6 +12,7 @@ from crosscheck.cli.shared import (
     AGREE,
     DISAGREE,
     cli,
+    folder_option,
     load_and_tell,
     progress_shown,
     say,
@@ -53,9 +54,7 @@ def figures_command(output: Path) -> int:
     metavar="RUNS",
     help="Runs per second from random states instead.",
 )
-@click.option(
-    "--output", type=click.Path(path_type=Path), default=None, help="Folder.  [default: output/bench/SCENE]"
-)
+@folder_option("output/bench/SCENE")
 @verbose_option
 def bench_command(
     scene: str,
@@ -118,9 +117,7 @@ def controllers_command(scene: str, settings: tuple[str, ...], engines: str | No
     help="A load case, and its options beside those of --set; repeatable.  [default: one, as --set has it]",
 )
 @click.option("--at-rest", is_flag=True, help="Hold cases at rest in their initial poses instead of runs.")
-@click.option(
-    "--output", type=click.Path(path_type=Path), default=None, help="Folder.  [default: output/loads/SCENE]"
-)
+@folder_option("output/loads/SCENE")
 def loads_command(
     scene: str, settings: tuple[str, ...], cases: tuple[str, ...], at_rest: bool, output: Path | None
 ) -> int:
@@ -204,12 +201,7 @@ def modes_command(
     help="Range of a joint coordinate from the initial pose, m or rad; one for each degree of freedom.",
 )
 @click.option("--axis", metavar="BODY=X,Y,Z", help="Axis in the frame of a body whose direction is mapped.")
-@click.option(
-    "--output",
-    type=click.Path(path_type=Path),
-    default=None,
-    help="Folder.  [default: output/workspace/SCENE]",
-)
+@folder_option("output/workspace/SCENE")
 def workspace_command(
     scene: str, settings: tuple[str, ...], ranges: tuple[str, ...], axis: str | None, output: Path | None
 ) -> int:
@@ -279,9 +271,7 @@ def stress_command(full: bool, output: Path, letters: str) -> int:
     help="Whose model the faults are planted in; repeatable.  [default: all, in turns]",
 )
 @click.option("--reading", is_flag=True, help="Plant them in what was read from the model file SCENE.")
-@click.option(
-    "--output", type=click.Path(path_type=Path), default=None, help="Folder.  [default: output/faults/SCENE]"
-)
+@folder_option("output/faults/SCENE")
 @verbose_option
 def faults_command(
     scene: str,

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from threading import Timer
 from typing import TYPE_CHECKING, Self
 
@@ -85,6 +86,12 @@ def scene_options(settings: tuple[str, ...], given_as: str = "--set") -> dict[st
             raise CrosscheckError(f"{given_as} {key} is given twice")
         options[key] = value
     return options
+
+
+def folder_option(default: str) -> Callable[[Callable[..., int]], Callable[..., int]]:
+    """Parse the folder of results, None for a default that depends on the scene."""
+    folder = click.Path(path_type=Path)
+    return click.option("--output", type=folder, default=None, help=f"Folder.  [default: {default}]")
 
 
 def without_exercise(options: dict[str, str], why: str) -> dict[str, str]:

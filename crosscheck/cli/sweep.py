@@ -13,6 +13,7 @@ from crosscheck.cli.shared import (
     DISAGREE,
     UNFINISHED,
     cli,
+    folder_option,
     load_and_tell,
     progress_shown,
     scene_options,
@@ -59,9 +60,7 @@ SAMPLINGS = ("random", "latin_hypercube", "sobol", "saltelli", "grid")
     help="Runs at random to cross-check beside the extreme ones; 0 for none of either.",
 )
 @click.option("--cluster", metavar="ADDRESS", help="Scheduler of a Dask cluster, as tcp://10.0.0.1:8786.")
-@click.option(
-    "--output", type=click.Path(path_type=Path), default=None, help="Folder.  [default: output/sweep/SCENE]"
-)
+@folder_option("output/sweep/SCENE")
 @verbose_option
 def sweep_command(
     scene: str,

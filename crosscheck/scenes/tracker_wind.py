@@ -32,8 +32,8 @@ INTENSITY, LEAST = 0.14, 5.6
 """Of turbulence, for a deviation of INTENSITY (0.75 speed + LEAST m/s): class B of IEC 61400-1 (2005)."""
 
 LENGTH = 5.67 * 2.0
-"""m, of turbulence 2 m above the ground, where the tracker is taken to stand: an assumption, as 5.67 times the
-height is the standard's for hubs of wind turbines."""
+"""m, of turbulence 2 m above the ground, where the tracker is taken to stand: an assumption, as 5.67 times
+the height is the standard's for hubs of wind turbines."""
 
 BAND = (0.1, 5.0)
 """Hz, of turbulence: from half a period of the run to what moves the panel little."""

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from newton_euler.analysis.freedoms import chosen_freedoms
 from newton_euler.analysis.linear_model import RIGID
-from newton_euler.analysis.linearization import chosen_freedoms, linearize
+from newton_euler.analysis.linearization import linearize
 from newton_euler.assemble import initial_state
 from newton_euler.equations.dense import largest, least_squares
 from newton_euler.equations.relative import Relative

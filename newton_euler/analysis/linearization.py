@@ -17,17 +17,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property, lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
+from newton_euler.analysis.freedoms import AXES, Freedom, chosen_freedoms, rates_of
 from newton_euler.analysis.inverse_dynamics import KEPT
 from newton_euler.analysis.linear_model import LinearModel, label
 from newton_euler.assemble import initial_state
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, differentiate_along
 from newton_euler.codegen.fingerprint import fingerprint
-from newton_euler.equations.dense import largest, orthonormal_null, singular_values
+from newton_euler.equations.dense import largest, singular_values
 from newton_euler.equations.model_control import share_model_control
 from newton_euler.equations.parameters import (
     check_dynamic,
@@ -38,9 +38,8 @@ from newton_euler.equations.parameters import (
     with_laws,
     with_values,
 )
-from newton_euler.equations.redundancy import mobility, rows_in_use
+from newton_euler.equations.redundancy import rows_in_use
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.servos import independent_rows, measuring
 from newton_euler.equations.sparse import dot
 from newton_euler.equations.system import (
     at_time,
@@ -72,22 +71,6 @@ SINGULAR = 1e-9
 OPEN = 1e-6
 """Sizes of the mechanism, or rad, that loops of a state may be open by, and open in the time of its fastest
 joint: more than engines leave."""
-
-AXES = ("x", "y", "z")
-
-
-class Freedom(NamedTuple):
-    """An independent coordinate."""
-
-    name: str | Key
-    key: Key | None
-    """The joint coordinate; None for a rotation of a ball."""
-    place: int
-    """In v, of a velocity of the tree that is the rate of none; -1 for a joint coordinate."""
-    ball: int
-    """In v, where the angular velocity begins that this is a component of; -1 for none."""
-    unit: float
-    """The size of the mechanism for slides, m, else 1."""
 
 
 def linearize(
@@ -172,79 +155,6 @@ def _inputs(scene: Scene, names: Sequence[str | Key]) -> list[Key | str]:
     return found
 
 
-def _other_freedoms(system: Relative) -> list[Freedom]:
-    """List velocities of the tree that no joint coordinate has: of balls, and of bodies on rods alone."""
-    found = []
-    for kept in system.tree.joints:
-        name = system.tree.joint(kept.joint).name
-        for number, (motion, _, on_v) in enumerate(kept.places):
-            if motion.kind == "ball":
-                each = [(f"{name}.ball.{axis}", on_v.start + k, on_v.start) for k, axis in enumerate(AXES)]
-            elif kept.joint >= len(system.mechanism.joints):
-                each = [(f"{name}.{number}", on_v.start, -1)]
-            else:
-                continue
-            found += [Freedom(n, None, place, ball, system.velocity_units[place]) for n, place, ball in each]
-    return found
-
-
-def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | None) -> tuple[Freedom, ...]:
-    """Return the coordinates of these names, or choose some that are independent at a state."""
-    mechanism, count = scene.mechanism, mobility(scene).degrees_of_freedom
-    if count == 0:
-        raise MechanismError(f"scene {scene.name!r}", "has no degree of freedom", "a mechanism that can move")
-    others = {freedom.name: freedom for freedom in _other_freedoms(Relative(scene))}
-    if names is None:
-        keys = [(joint.name, k) for joint in mechanism.joints for k in range(len(joint.coordinate_kinds))]
-    else:
-        keys = [mechanism.coordinate(name) for name in names if name not in others]
-    system = Relative(measuring(scene, keys))
-    of_joints = {key: Freedom(mechanism.coordinate_name(key), key, -1, -1, system.unit(key)) for key in keys}
-    if names is not None:
-        found = [others.get(name) or of_joints[mechanism.coordinate(name)] for name in names]
-        if not len(found) == len(set(found)) == count:
-            problem = f"coordinates are {', '.join(map(repr, names)) or 'none'}"
-            needed = f"{count} different ones for {count} degrees of freedom"
-            raise MechanismError(f"scene {scene.name!r}", problem, needed)
-        return tuple(found)
-    q, _ = system.coordinates(state)
-    candidates = [*of_joints.values(), *others.values()]
-    closed = dimensionless_jacobian(system, q)[mobility(scene).independent]
-    tangent = orthonormal_null(closed, len(closed))
-    rows = _rates(system, q, candidates) @ tangent
-    driven = [k for k, each in enumerate(candidates) if each.key in {law.key for law in scene.control}]
-    chosen: list[int] = []
-    for group in (driven, range(len(of_joints)), range(len(candidates))):
-        rest = [k for k in group if k not in chosen]
-        chosen = independent_rows(rows, chosen, rest, count)
-    if len(chosen) < count:
-        problem = f"{len(chosen)} joint coordinates are independent, of {count} degrees of freedom"
-        raise MechanismError(f"scene {scene.name!r}", problem, "a state that is not singular")
-    return tuple(candidates[k] for k in sorted(chosen))
-
-
-def _rates(system: Relative, q: Array, freedoms: Sequence[Freedom]) -> Array:
-    """Compute dimensionless rates (d, nv) of coordinates for each dimensionless velocity."""
-    rows = np.zeros((len(freedoms), system.nv))
-    measured = system.measured(q, np.zeros(system.nv))
-    for row, freedom in zip(rows, freedoms, strict=True):
-        entries = {freedom.place: 1.0} if freedom.key is None else measured[freedom.key].jacobian
-        for k, entry in entries.items():
-            row[k] = entry * system.velocity_units[k] / freedom.unit
-    return rows
-
-
-@lru_cache(maxsize=KEPT)
-def _compiled(
-    scene: Scene,
-    freedoms: tuple[Freedom, ...],
-    measured: tuple[Key, ...],
-    parameters: tuple[str, ...],
-    closed_loop: bool,
-) -> Linearization:
-    return Linearization(scene, freedoms, measured, parameters, closed_loop)
-
-
 class Linearization:
     """Derivatives of the accelerations of independent coordinates, in native code; see `linearize`.
 
@@ -324,7 +234,7 @@ class Linearization:
         """
         system = self.system
         closed = dimensionless_jacobian(system, q)[self.rows.numbers]
-        rows = np.concatenate([closed, _rates(system, q, self.freedoms)])
+        rows = np.concatenate([closed, rates_of(system, q, self.freedoms)])
         left, values, _ = singular_values(rows, full=True)
         if values[-1:] < SINGULAR:
             share = np.abs(left[len(closed) :, -1])
@@ -382,6 +292,7 @@ class Linearization:
                 row[:d] -= (tilde(v[place]) @ tangent[place])[freedom.place - freedom.ball]
         b, labels = self._columns(found[2 * d :, d : 2 * d], values, inputs, names)
         c, rows = self._outputs(q, tangent, twists, outputs)
+        rates = rates_of(self.system, q, freedoms)
         return LinearModel(
             scene=self.original.name,
             state=state,
@@ -394,7 +305,7 @@ class Linearization:
             B=np.concatenate([np.zeros_like(b), b]),
             C=np.hstack([c, np.zeros_like(c)]),
             D=np.zeros((len(c), b.shape[1])),
-            f=np.concatenate([_rates(self.system, q, freedoms) @ (v / system.velocity_units), found[0, :d]]),
+            f=np.concatenate([rates @ (v / system.velocity_units), found[0, :d]]),
             twists=twists.reshape(-1, 6, d),
         )
 
@@ -449,6 +360,9 @@ class Linearization:
                 rows.append(twists[6 * body : 6 * body + 6])
                 labels += [f"{name}.{kind}{axis}" for kind in ("", "r") for axis in AXES]
         return np.concatenate(rows), tuple(labels)
+
+
+_compiled = lru_cache(maxsize=KEPT)(Linearization)
 
 
 def held_forces(scene: Scene, state: State, time: float) -> dict[Key, float]:

@@ -224,13 +224,19 @@ def test_other_samples_have_the_same_code(tmp_path, monkeypatch):
         law = PD("rail", STIFFNESS, DAMPING, Spline(times, values), feedforward=Steps(times, values))
         return rail(law)
 
+    traced, own = [], Code._trace
+
+    def watched(self, name):
+        traced.append(name)
+        return own(self, name)
+
+    monkeypatch.setenv("NEWTON_EULER_CACHE", str(tmp_path))
+    monkeypatch.setattr(Code, "_trace", watched)
     newton_euler.simulate(scene(TIMES, WANTED))
-
-    def untraceable(self, name):
-        raise AssertionError(name)
-
-    monkeypatch.setattr(Code, "_trace", untraceable)
+    first = list(traced)
     newton_euler.simulate(scene(np.linspace(0.0, 3.0, 50), np.linspace(0.0, 1.0, 50)))
+    assert first
+    assert traced == first
 
 
 def test_samples_of_a_law_are_parameters_of_batches():

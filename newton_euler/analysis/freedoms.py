@@ -1,0 +1,97 @@
+"""Independent coordinates of a mechanism: joint coordinates, and rotations of balls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from newton_euler.equations.dense import orthonormal_null
+from newton_euler.equations.redundancy import mobility
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.servos import independent_rows, measuring
+from newton_euler.equations.system import dimensionless_jacobian
+from newton_euler.errors import MechanismError
+from newton_euler.model.joint import Key
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.scalars import Array
+
+AXES = ("x", "y", "z")
+
+
+class Freedom(NamedTuple):
+    """An independent coordinate."""
+
+    name: str | Key
+    key: Key | None
+    """The joint coordinate; None for a rotation of a ball."""
+    place: int
+    """In v, of a velocity of the tree that is the rate of none; -1 for a joint coordinate."""
+    ball: int
+    """In v, where the angular velocity begins that this is a component of; -1 for none."""
+    unit: float
+    """The size of the mechanism for slides, m, else 1."""
+
+
+def _other_freedoms(system: Relative) -> list[Freedom]:
+    """List velocities of the tree that no joint coordinate has: of balls, and of bodies on rods alone."""
+    found = []
+    for kept in system.tree.joints:
+        name = system.tree.joint(kept.joint).name
+        for number, (motion, _, on_v) in enumerate(kept.places):
+            if motion.kind == "ball":
+                each = [(f"{name}.ball.{axis}", on_v.start + k, on_v.start) for k, axis in enumerate(AXES)]
+            elif kept.joint >= len(system.mechanism.joints):
+                each = [(f"{name}.{number}", on_v.start, -1)]
+            else:
+                continue
+            found += [Freedom(n, None, place, ball, system.velocity_units[place]) for n, place, ball in each]
+    return found
+
+
+def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | None) -> tuple[Freedom, ...]:
+    """Return the coordinates of these names, or choose some that are independent at a state."""
+    mechanism, count = scene.mechanism, mobility(scene).degrees_of_freedom
+    if count == 0:
+        raise MechanismError(f"scene {scene.name!r}", "has no degree of freedom", "a mechanism that can move")
+    others = {freedom.name: freedom for freedom in _other_freedoms(Relative(scene))}
+    if names is None:
+        keys = [(joint.name, k) for joint in mechanism.joints for k in range(len(joint.coordinate_kinds))]
+    else:
+        keys = [mechanism.coordinate(name) for name in names if name not in others]
+    system = Relative(measuring(scene, keys))
+    of_joints = {key: Freedom(mechanism.coordinate_name(key), key, -1, -1, system.unit(key)) for key in keys}
+    if names is not None:
+        found = [others.get(name) or of_joints[mechanism.coordinate(name)] for name in names]
+        if not len(found) == len(set(found)) == count:
+            problem = f"coordinates are {', '.join(map(repr, names)) or 'none'}"
+            needed = f"{count} different ones for {count} degrees of freedom"
+            raise MechanismError(f"scene {scene.name!r}", problem, needed)
+        return tuple(found)
+    q, _ = system.coordinates(state)
+    candidates = [*of_joints.values(), *others.values()]
+    closed = dimensionless_jacobian(system, q)[mobility(scene).independent]
+    tangent = orthonormal_null(closed, len(closed))
+    rows = rates_of(system, q, candidates) @ tangent
+    driven = [k for k, each in enumerate(candidates) if each.key in {law.key for law in scene.control}]
+    chosen: list[int] = []
+    for group in (driven, range(len(of_joints)), range(len(candidates))):
+        rest = [k for k in group if k not in chosen]
+        chosen = independent_rows(rows, chosen, rest, count)
+    if len(chosen) < count:
+        problem = f"{len(chosen)} joint coordinates are independent, of {count} degrees of freedom"
+        raise MechanismError(f"scene {scene.name!r}", problem, "a state that is not singular")
+    return tuple(candidates[k] for k in sorted(chosen))
+
+
+def rates_of(system: Relative, q: Array, freedoms: Sequence[Freedom]) -> Array:
+    """Compute dimensionless rates (d, nv) of coordinates for each dimensionless velocity."""
+    rows = np.zeros((len(freedoms), system.nv))
+    measured = system.measured(q, np.zeros(system.nv))
+    for row, freedom in zip(rows, freedoms, strict=True):
+        entries = {freedom.place: 1.0} if freedom.key is None else measured[freedom.key].jacobian
+        for k, entry in entries.items():
+            row[k] = entry * system.velocity_units[k] / freedom.unit
+    return rows
