@@ -168,19 +168,17 @@ def stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> in
     """Evaluate stage s of a step of size h: its state in `at`, its derivative in row s of k; returns a
     status."""
     n = system.n
+    row = n + 1
+    now = method.now
     k = method.k
+    weights = COUPLING[16 * s :]
     for i in range(n):
-        at[i] = 0.0
-    for j in range(s):
-        weight = COUPLING[16 * s + j]
-        if weight != 0.0:
-            rates = k[(n + 1) * j :]
-            for i in range(n):
-                at[i] += weight * rates[i]
-    for i in range(n):  # once, for each sum with the state loses digits
-        at[i] = method.now[i] + h * at[i]
-    at[n] = method.now[n] + NODES[s] * h
-    return evaluate(system, at, k[(n + 1) * s :])
+        change = 0.0
+        for j in range(s):
+            change += weights[j] * k[row * j + i]
+        at[i] = now[i] + h * change  # once, for each sum with the state loses digits
+    at[n] = now[n] + NODES[s] * h
+    return evaluate(system, at, k[row * s :])
 
 
 @native
@@ -218,17 +216,11 @@ def prepare_dense(n: int, h: float, method: Dop853) -> None:
         terms[n + i] = h * k[i] - change
         terms[2 * n + i] = 2.0 * change - h * (k[last + i] + k[i])
     for row in range(4):
-        term = terms[(3 + row) * n :]
         for i in range(n):
-            term[i] = 0.0
-        for j in range(16):
-            weight = DENSE[16 * row + j]
-            if weight != 0.0:
-                rates = k[(n + 1) * j :]
-                for i in range(n):
-                    term[i] += weight * rates[i]
-        for i in range(n):
-            term[i] = h * term[i]
+            term = 0.0
+            for j in range(16):
+                term += DENSE[16 * row + j] * k[(n + 1) * j + i]
+            terms[(3 + row) * n + i] = h * term
 
 
 @native
