@@ -9,16 +9,18 @@ from newton_euler.analysis.branches import Branches, assembly_branches
 from newton_euler.analysis.configurations import Axis
 from newton_euler.analysis.envelope import LoadEnvelope, LoadRange, load_envelope, rest_case
 from newton_euler.analysis.equilibrium import equilibrium
+from newton_euler.analysis.identification import Identification, identify
 from newton_euler.analysis.inverse_dynamics import Loads, inverse_dynamics, statics
 from newton_euler.analysis.linear_model import LinearModel, Modes
 from newton_euler.analysis.linearization import linearize
+from newton_euler.analysis.measurements import Measurements, measurements_from_csv
 from newton_euler.analysis.poses import Poses, solve_poses
 from newton_euler.analysis.regulator import lqr
 from newton_euler.analysis.sensitivity import Sensitivities, sensitivities
 from newton_euler.analysis.workspace import Workspace, singular_poses, workspace
 from newton_euler.assemble import assemble, initial_state, start
 from newton_euler.batch import simulate_batch
-from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
+from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, UndeterminedWarning
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import Gear, LinearCoupling
@@ -69,12 +71,14 @@ __all__ = [
     "Fixed",
     "Free",
     "Gear",
+    "Identification",
     "JointSpring",
     "LinearCoupling",
     "LinearModel",
     "LoadEnvelope",
     "LoadRange",
     "Loads",
+    "Measurements",
     "Mechanism",
     "Mesh",
     "Modes",
@@ -103,6 +107,7 @@ __all__ = [
     "Sum",
     "Trajectory",
     "Translational",
+    "UndeterminedWarning",
     "Universal",
     "WindLoad",
     "Workspace",
@@ -112,11 +117,13 @@ __all__ = [
     "base_motion_from_csv",
     "compile_scene",
     "equilibrium",
+    "identify",
     "initial_state",
     "inverse_dynamics",
     "linearize",
     "load_envelope",
     "lqr",
+    "measurements_from_csv",
     "on_moving_base",
     "rest_case",
     "sensitivities",

@@ -193,6 +193,15 @@ class NearlyRedundantWarning(UserWarning):
     """
 
 
+class UndeterminedWarning(UserWarning):
+    """Combinations of parameters that measurements do not determine.
+
+    Examples:
+        >>> import warnings
+        >>> warnings.simplefilter("error", UndeterminedWarning)  # to refuse such fits
+    """
+
+
 class SingularityError(NewtonEulerError):
     """Equations of motion without a unique solution, and the joint they fail at."""
 

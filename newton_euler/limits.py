@@ -50,7 +50,7 @@ LIMITS = {
     "file_size": Limit(10, "MB", "of the XML of a model"),
     "scene_size": Limit(1, "MB", "of a scene file or a loop file"),
     "asset_size": Limit(100, "MB", "of a mesh, texture or height field"),
-    "csv_size": Limit(20, "MB", "of a CSV of poses"),
+    "csv_size": Limit(20, "MB", "of a CSV of poses or measurements"),
     "result_size": Limit(20, "MB", "of a JSON file of results, baselines included"),
     "array_size": Limit(200, "MB", "of the arrays of a run when unpacked"),
     "memory": Limit(900, "MB", "for MuJoCo to compile a file"),

@@ -12,19 +12,18 @@ lowers the bow.
 
 from __future__ import annotations
 
-import csv
-import io
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from newton_euler.assemble import initial_state
-from newton_euler.errors import MechanismError, check_type, choices, finite_array, plain_number
+from newton_euler.errors import MechanismError, check_type, choices, finite_array
 from newton_euler.model.compound_joint import Compound
+from newton_euler.model.csv_source import TimeTable, check_names, csv_rows
 from newton_euler.model.euler_parameters import from_rotation, from_rotation_vector, product, rotation
 from newton_euler.model.joint_kinds import Free
 from newton_euler.model.mechanism import Body, Mechanism
@@ -208,13 +207,11 @@ def base_motion_from_csv(path: str | os.PathLike[str]) -> dict[str, Spline]:
         >>> print(f"{motions['roll'].value(1.25):.6f}")
         0.948985
     """
-    where = path_text(path)
-    table = _Table.read(where, read_text(path, "csv_size"))
+    table = _read(path_text(path), path)
     time = table.columns["time"]
-    table.check_times()
     found = {PLACE[name]: table.columns[name] for name in PLACE if name in table.columns}
     if QUATERNION[0] in table.columns:
-        angles = table.angles()
+        angles = _angles(table)
     else:
         angles = {name: table.columns[name] for name in ANGLES if name in table.columns}
     if "pitch" in angles:
@@ -224,60 +221,33 @@ def base_motion_from_csv(path: str | os.PathLike[str]) -> dict[str, Spline]:
     return {name: Spline(time - time[0], column) for name, column in found.items()}
 
 
-class _Table(NamedTuple):
-    """Numbers of a file.
+def _read(where: str, path: str | os.PathLike[str]) -> TimeTable:
+    """Read a file of poses; raises `SourceError`."""
+    rows = csv_rows(where, read_text(path, "csv_size"))
+    header = [cell.lower() for cell in rows[0][1]] if rows else []
+    _check_header(where, header)
+    if len(rows) <= LEAST_ROWS:
+        raise SourceError(where, f"has {len(rows) - 1} rows of poses; needed: {LEAST_ROWS} or more")
+    table = TimeTable.of(where, header, rows[1:])
+    time = table.columns["time"]
+    steps = np.diff(time)
+    longest = GAP * float(np.median(steps))
+    needed = f"at most {longest:.6g} s after the row before, {GAP:g} times as usual"
+    table.refuse(np.append(False, steps > longest), "time", time, needed)
+    return table
 
-    Attributes:
-        path: of the file.
-        lines: (n,) numbers of the rows in the file.
-        columns: (n,) each, by name.
-    """
 
-    path: str
-    lines: list[int]
-    columns: dict[str, Floats]
-
-    @classmethod
-    def read(cls, path: str, text: str) -> _Table:
-        reader = csv.reader(io.StringIO(text, newline=""))
-        try:
-            header = [cell.strip().lower() for cell in next(reader, [])]
-            _check_header(path, header)
-            rows = [(reader.line_num, row) for row in reader if row]
-        except csv.Error as error:
-            raise SourceError(path, f"line {reader.line_num}: {error}") from error
-        if len(rows) < LEAST_ROWS:
-            raise SourceError(path, f"has {len(rows)} rows of poses; needed: {LEAST_ROWS} or more")
-        numbers = [list(_numbers(path, line, header, row)) for line, row in rows]
-        columns = dict(zip(header, np.array(numbers).T, strict=True))
-        return cls(path, [line for line, _ in rows], columns)
-
-    def refuse(self, wrong: Array, what: str, values: Array, needed: str) -> None:
-        """Raise `SourceError` for the first row that is wrong."""
-        for row in np.flatnonzero(wrong)[:1]:
-            problem = f"line {self.lines[row]}: {what} is {values[row]:.9g}"
-            raise SourceError(self.path, f"{problem}; needed: {needed}")
-
-    def check_times(self) -> None:
-        time = self.columns["time"]
-        steps = np.diff(time)
-        self.refuse(np.append(False, steps <= 0.0), "time", time, "times in ascending order")
-        longest = GAP * float(np.median(steps))
-        needed = f"at most {longest:.6g} s after the row before, {GAP:g} times as usual"
-        self.refuse(np.append(False, steps > longest), "time", time, needed)
-
-    def angles(self) -> dict[str, Array]:
-        """Compute roll, pitch and yaw (n,), rad, from the quaternions."""
-        quaternions = np.column_stack([self.columns[name] for name in QUATERNION])
-        norms = np.linalg.norm(quaternions, axis=1)
-        wrong = np.abs(norms - 1.0) > UNIT
-        self.refuse(wrong, "the norm of the quaternion", norms, f"1, to {UNIT:g}")
-        w, x, y, z = (quaternions / norms[:, None]).T
-        return {
-            "roll": np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-            "pitch": np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
-            "yaw": np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-        }
+def _angles(table: TimeTable) -> dict[str, Array]:
+    """Compute roll, pitch and yaw (n,), rad, from the quaternions."""
+    quaternions = np.column_stack([table.columns[name] for name in QUATERNION])
+    norms = np.linalg.norm(quaternions, axis=1)
+    table.refuse(np.abs(norms - 1.0) > UNIT, "the norm of the quaternion", norms, f"1, to {UNIT:g}")
+    w, x, y, z = (quaternions / norms[:, None]).T
+    return {
+        "roll": np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        "pitch": np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
+        "yaw": np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    }
 
 
 def _check_header(path: str, header: Sequence[str]) -> None:
@@ -286,22 +256,10 @@ def _check_header(path: str, header: Sequence[str]) -> None:
     for name in header:
         if name not in known:
             raise SourceError(path, f"line 1: unknown column {name!r:.100}; {choices(name, known)}")
-        if header.count(name) > 1:
-            raise SourceError(path, f"line 1: column {name!r} is there twice; needed: once")
+    check_names(path, header)
     given = set(header)
     if "time" not in given or len(given) < 2:
         raise SourceError(path, "line 1: needed: a column time, and at least one of poses")
     if given & set(QUATERNION) and (not given >= set(QUATERNION) or given & set(ANGLES)):
         needed = f"all of {', '.join(QUATERNION)}, or any of {', '.join(ANGLES)}"
         raise SourceError(path, f"line 1: has columns {', '.join(header)}; needed: {needed}")
-
-
-def _numbers(path: str, line: int, header: Sequence[str], row: Sequence[str]) -> Iterator[float]:
-    if len(row) != len(header):
-        raise SourceError(path, f"line {line}: has {len(row)} cells; needed: {len(header)}")
-    for name, cell in zip(header, row, strict=True):
-        try:
-            yield plain_number(cell.strip())
-        except ValueError as error:
-            problem = f"{name} is {cell.strip()!r:.100}" if cell.strip() else f"{name} is missing"
-            raise SourceError(path, f"line {line}: {problem}; needed: a finite number") from error

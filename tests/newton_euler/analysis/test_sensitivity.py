@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from armed_scenes import COMPOUNDS, armed
 from ball_scenes import with_balls
-from elements import driven_loop, forced, planar_loop, windy
+from elements import driven_loop, forced, geared_loop, planar_loop, windy
 from finite_difference import derivative
 from mechanisms import ball_loop, carts, pendulum, planar_four_bar
 from scipy.integrate import solve_ivp
 
 from crosscheck.scenes import load
 from newton_euler import compile_scene, sensitivities, simulate_batch
-from newton_euler.analysis.sensitivity import FollowedRun, TangentCode, unit_directions
+from newton_euler.analysis.tangent_run import FollowedRun, Starts, own_numbers, tangent_code
 from newton_euler.equations.parameters import is_kinematic, parameter_values, places
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.options import Options
@@ -23,6 +23,7 @@ from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.digital_control import Sampled
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.motions import Polynomial, Sine, Spline, Steps, Sum
+from newton_euler.starts import initial_numbers, own_initial
 
 TIGHT = {"rtol": 1e-13, "atol": 1e-15}
 
@@ -59,9 +60,23 @@ def carts_along_functions():
     return carts(feedback, PD("rail_1", 40.0, 3.0, spline, feedforward=jumps), duration=0.3)
 
 
+TRACKER = (
+    "ball_57.point",
+    "hinge_14.axis",
+    "panel_7.center_of_mass",
+    "panel_7.mass",
+    "panel_7.inertia",
+    "start.slide_12",
+    "start.slide_13.rate",
+)
+
+LOOP = ("crank.center_of_mass", "ball.point", "pivot.axis", "wrist.point_on_first", "start.pivot", "rod.mass")
+
 SCENES = {
-    "tracker": (short(load("tracker_gravity"), 1.0), ()),
-    "slider crank": (short(load("slider_crank")), ()),
+    "tracker": (short(load("tracker_gravity"), 0.5), TRACKER),
+    "slider crank": (short(load("slider_crank")), LOOP),
+    "rate of the start": (short(load("slider_crank")), ("start.pivot.rate", "pivot.point.z")),
+    "coupled": (short(geared_loop()), ("chain.ratio", "gravity")),
     "springs and wrenches": (short(forced(planar_loop())), ()),
     "rotors": (short(armed(ball_loop())), ()),
     "balls": (short(with_balls(ball_loop())), ()),
@@ -70,6 +85,15 @@ SCENES = {
     "functions of time": (short(carts_along_functions()), ()),
     "prescribed motion": (short(forced(driven_loop())), ()),
 }
+
+
+def numbers_of(value):
+    """Flatten a value, a symmetric matrix to its upper triangle."""
+    return value[np.triu_indices(3)] if value.shape == (3, 3) else value.ravel()
+
+
+def is_geometry(scene, name):
+    return any(is_kinematic(place) for place in places(scene, [name]).values())
 
 
 def by_differences(scene, formulation, values, direction, step):
@@ -102,21 +126,18 @@ def test_derivatives_are_those_of_finite_differences(name, formulation):
     """Along a random direction of all parameters of the scene, to 1e-7 of each array's largest."""
     scene, chosen = SCENES[name]
     rng = np.random.default_rng(4)
-    own = parameter_values(scene, chosen or None)
-    values = {each: own[each] for each, place in places(scene, own).items() if not is_kinematic(place)}
+    initial = initial_numbers(scene, chosen)
+    values = parameter_values(scene, [each for each in chosen if each not in initial] or None)
+    if not chosen:
+        values = {each: value for each, value in values.items() if not is_geometry(scene, each)}
+    values |= {each: np.array(own_initial(scene, number)) for each, number in initial.items()}
     direction = {}
     for each, value in values.items():
         share = rng.uniform(0.2, 1.0, value.shape)
         is_inertia = value.ndim == 2 and each.endswith("inertia")  # of which thin rods allow no other
-        direction[each] = share[0, 0] * value if is_inertia else share * (np.abs(value).max() or 1.0)
+        direction[each] = share[0, 0] * value if is_inertia else share * (np.abs(value).max() or 0.1)
     found = sensitivities(scene, list(values), formulation, **TIGHT)
-    code = TangentCode(scene, formulation, parameters=tuple(values))
-    labels, columns = unit_directions(code, values)
-    assert labels == found.parameters
-    whole = np.zeros(code.inputs)
-    for each, along in direction.items():
-        whole[code.place(each) : code.place(each) + along.size] = along.ravel()
-    weights = np.linalg.lstsq(columns, whole, rcond=None)[0]
+    weights = np.concatenate([numbers_of(direction[each]) for each in values])
     best = dict.fromkeys(ARRAYS, np.inf)
     for step in STEPS:
         for array, expected in zip(
@@ -136,9 +157,10 @@ def test_derivatives_are_those_of_finite_differences(name, formulation):
 def test_tangents_stay_on_the_linearized_constraints(formulation):
     """After each step and at outputs: Phi_q S + Phi_p = 0 and its rate, to round-off."""
     scene = short(load("slider_crank"), 1.0)
-    code = TangentCode(scene, formulation, parameters=("rod.mass", "gravity"))
-    _, directions = unit_directions(code, code.parameters)
-    found = FollowedRun(code, Options(rtol=1e-6, atol=1e-8), ("surface",))(code.start.copy(), directions)
+    names = ("rod.mass", "ball.point.x", "start.pivot", "gravity.z")
+    code = tangent_code(scene, names, formulation)
+    start, directions = Starts(code, names)(own_numbers(scene, names))
+    found = FollowedRun(code, Options(rtol=1e-6, atol=1e-8), ("surface",))(start, directions)
     rows = 2 * len(code.system.phi_units)
     open_by = np.abs(found.derivatives["surface"][:, :rows])
     # round-off of tangents of order 1 times entries of the Jacobian and its rate, up to 10
@@ -159,7 +181,7 @@ def test_long_runs_are_followed_twice(monkeypatch):
     """Steps beyond the room at first are taken once more."""
     scene = short(load("slider_crank"), 1.0)
     found = sensitivities(scene, ["crank.mass"])
-    monkeypatch.setattr("newton_euler.analysis.sensitivity.ROOM", 3)
+    monkeypatch.setattr("newton_euler.analysis.tangent_run.ROOM", 3)
     assert found.run.settings["steps"] > 3
     assert np.array_equal(found.position, sensitivities(scene, ["crank.mass"]).position)
 

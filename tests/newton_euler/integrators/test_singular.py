@@ -316,3 +316,5 @@ def test_derivatives_near_singular_configurations_are_right_or_refused():
     assert np.abs(found.position[..., 0] - derivative(moved, 1e-2)).max() < 1e-7
     with pytest.raises(NewtonEulerError, match="too near to a singular configuration"):
         newton_euler.sensitivities(parallelogram(0.0, 2.0), ["gravity.z"])
+    with pytest.raises(NewtonEulerError, match="too near to a singular configuration"):
+        newton_euler.sensitivities(scene, ["B.point.x"])

@@ -1,0 +1,158 @@
+"""Measured motion: columns of numbers over time, of the names that tables of trajectories have.
+
+Names of columns are `coordinate.JOINT` and `rate.JOINT`, m or rad from the initial pose and their rates, with
+`.0`, `.1` behind for joints of several coordinates, and those of `Trajectory.to_dataframe`:
+`position.BODY.x` (m, the center of mass), `quaternion.BODY.w`, `linear_velocity.BODY.x`,
+`angular_velocity.BODY.x`, `reaction_force.JOINT.x`, `reaction_torque.JOINT.x`, `actuator_force.0`,
+`kinetic_energy`, `potential_energy`, `work`; all in SI, world frame.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from newton_euler.errors import MechanismError, is_finite_number
+from newton_euler.model.csv_source import TimeTable, check_names, csv_rows, row_numbers
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.source_file import SourceError, path_text, read_text
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import COMPONENTS, SHAPES
+from newton_euler.scalars import Floats
+
+NOISE = "noise"
+"""In place of a time: the row of standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Columns of numbers that were measured in one run of a scene.
+
+    Attributes:
+        time: (n,) s from the start of the run, ascending.
+        columns: (n,) each, by name, see `newton_euler.analysis.measurements`.
+        noise: standard deviations of columns, by name, in their units; those of others are not known.
+        start: of the run; the scene's own if None.
+
+    Raises:
+        MechanismError: for times that do not ascend from 0 on, and columns that are no finite numbers, one
+            for each time.
+
+    Examples:
+        >>> run = simulate(load("pendulum"))
+        >>> angle = run.joint("pivot").coordinates[:, 0]
+        >>> Measurements(run.time, {"coordinate.pivot": angle}, {"coordinate.pivot": 1e-3})
+        <Measurements: 1001 times to 10 s, columns: 1>
+    """
+
+    time: Floats
+    columns: Mapping[str, Floats]
+    noise: Mapping[str, float] = field(default_factory=dict)
+    start: State | None = None
+
+    def __post_init__(self) -> None:
+        time = _numbers("time", self.time)
+        if len(time) < 2 or time[0] < 0.0 or np.any(np.diff(time) <= 0.0):
+            raise MechanismError("measurements", "have no times in ascending order", "two or more, from 0 on")
+        object.__setattr__(self, "time", time)
+        given: Any = self.columns
+        if not isinstance(given, Mapping) or not given:
+            raise MechanismError("measurements", f"columns are {given!r:.100}", "columns by name")
+        columns = {name: _numbers(f"column {name!r:.100}", column) for name, column in given.items()}
+        for name, column in columns.items():
+            if len(column) != len(time):
+                problem = f"column {name!r:.100} has {len(column)} numbers"
+                raise MechanismError("measurements", problem, f"{len(time)}, one for each time")
+        object.__setattr__(self, "columns", columns)
+        for name, deviation in self.noise.items():
+            if name not in columns:
+                raise MechanismError("measurements", f"have noise of {name!r:.100}", "columns alone")
+            if not is_finite_number(deviation) or deviation <= 0.0:
+                problem = f"noise of {name!r:.100} is {deviation!r:.100}"
+                raise MechanismError("measurements", problem, "a positive number")
+
+    def __repr__(self) -> str:
+        return f"<Measurements: {len(self.time)} times to {self.time[-1]:g} s, columns: {len(self.columns)}>"
+
+
+def _numbers(what: str, given: object) -> Floats:
+    """Return finite numbers (n,)."""
+    try:
+        array = np.array(given, dtype=float)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if array.ndim != 1 or not len(array) or not np.isfinite(array).all():
+        raise MechanismError("measurements", f"{what} is {given!r:.100}", "finite numbers in a row")
+    array.flags.writeable = False
+    return array
+
+
+def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
+    """Read measurements of one run.
+
+    The first line names the columns: `time` in s from the start of the run, and others as of
+    `newton_euler.analysis.measurements`. A line with `noise` in place of a time has the standard deviations
+    of columns; cells are empty where they are not known.
+
+    Raises:
+        SourceError: naming the file and the line: for cells that are missing or no numbers, times that do not
+            ascend, too few rows, and columns that are there twice.
+
+    Examples:
+        >>> rows = ["time,coordinate.pivot", "noise,0.001", "0.0,0.0", "0.1,0.0473"]
+        >>> _ = open("swing.csv", "w").write("\\n".join(rows))
+        >>> measurements_from_csv("swing.csv").noise
+        {'coordinate.pivot': 0.001}
+    """
+    where = path_text(path)
+    rows = csv_rows(where, read_text(path, "csv_size"))
+    header = rows[0][1] if rows else []
+    if "time" not in header or len(header) < 2:
+        raise SourceError(where, "line 1: needed: a column time, and at least one of measurements")
+    check_names(where, header)
+    place, noise = header.index("time"), dict[str, float]()
+    data = []
+    for line, cells in rows[1:]:
+        if len(cells) == len(header) and cells[place].lower() == NOISE:
+            given = {name: cell for name, cell in zip(header, cells, strict=True) if cell and name != "time"}
+            values = row_numbers(where, list(given), (line, list(given.values())))
+            noise |= dict(zip(given, values, strict=True))
+        else:
+            data.append((line, cells))
+    if len(data) < 2:
+        raise SourceError(where, f"has {len(data)} rows of measurements; needed: 2 or more")
+    columns = TimeTable.of(where, header, data).columns
+    try:
+        return Measurements(columns.pop("time"), columns, noise)
+    except MechanismError as error:
+        raise SourceError(where, f"{error.problem}; needed: {error.needed}") from error
+
+
+def column_places(
+    mechanism: Mechanism, layout: Mapping[str, tuple[int, int, tuple[int, ...]]]
+) -> dict[str, tuple[str, int]]:
+    """Find all columns that can be measured: the program that computes each, and the place in its results.
+
+    Args:
+        layout: of the program "output", see `newton_euler.integrators.compiled.Code`.
+    """
+    joints = [
+        f"{joint.name}.{k}" if len(joint.coordinate_kinds) > 1 else joint.name
+        for joint in mechanism.joints
+        for k in range(len(joint.coordinate_kinds))
+    ]
+    found = {f"coordinate.{name}": ("coordinates", k) for k, name in enumerate(joints)}
+    found |= {f"rate.{name}": ("coordinates", len(joints) + k) for k, name in enumerate(joints)}
+    named = {"b": mechanism.body_names, "j": mechanism.joint_names} | COMPONENTS
+    for name, (start, _, shape) in layout.items():
+        if name not in SHAPES:
+            continue
+        for k, place in enumerate(np.ndindex(*shape)):
+            ends = zip(SHAPES[name][1:], place, strict=True)
+            parts = (named[letter][number] if letter in named else str(number) for letter, number in ends)
+            found[".".join((name, *parts))] = ("output", start + k)
+    return found

@@ -1,0 +1,338 @@
+"""Runs with their derivatives along directions of the start and of the parameters.
+
+Traced derivatives of the equations of motion are carried along the steps of a run beside its states
+(`newton_euler.integrators.tangents`), on the linearized constraints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from newton_euler.codegen.compile import LARGE, Traced
+from newton_euler.codegen.expression import Graph, Program, differentiate_along
+from newton_euler.equations.formulation import Formulation
+from newton_euler.equations.parameters import is_kinematic, parameter_values, pieces, places
+from newton_euler.equations.sparse import least_squares
+from newton_euler.errors import OptionError, SensitivityError
+from newton_euler.integrators import stepper as m
+from newton_euler.integrators.options import FormulationName, Options
+from newton_euler.integrators.run import Integrator
+from newton_euler.integrators.singular import NEAR, UNSAFE
+from newton_euler.integrators.tangents import Tangents, evaluate_along, follow, methods
+from newton_euler.model.scene import Scene
+from newton_euler.sampling import Interval, integrate_intervals
+from newton_euler.scalars import Array, Scalar
+from newton_euler.simulate import CompiledScene
+from newton_euler.starts import Assembly, initial_numbers, own_initial
+from newton_euler.variation import run_values
+
+ALONG = " along"
+RATES, SETTLED = "derivative" + ALONG, "settled" + ALONG
+"""Names of programs that have a direction behind x."""
+
+BESIDE = 6 * LARGE
+"""Operations of derivatives of rates up to which several directions are taken side by side, by straight-line
+code: it takes 8 s to compile."""
+
+DIFFERENCE = 1e-4
+"""Of parameters of starts, as a share of the mechanism's size, m, or of their own value beyond 1."""
+
+WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
+"""Of the central difference of order 6."""
+
+ROOM = 2048
+"""Steps of a run that there is room for; those of a longer one are taken twice."""
+
+
+def tangent_code(scene: Scene, names: Sequence[str], formulation: FormulationName | None) -> TangentCode:
+    """Return the code of a scene with derivatives by numbers that are parameters, see `components`."""
+    initial = initial_numbers(scene, names)
+    return TangentCode(scene, formulation, parameters=[name for name in names if name not in initial])
+
+
+def components(scene: Scene, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names (p,) of the numbers of parameters, those of symmetric matrices once."""
+    initial, found = initial_numbers(scene, names), list[str]()
+    own = parameter_values(scene, [name for name in names if name not in initial])
+    for name in names:
+        shape = () if name in initial else own[name].shape
+        for index in np.ndindex(*shape):
+            if shape == (3, 3) and index[0] > index[1]:
+                continue
+            component = "".join("xyz"[k] for k in index) if set(shape) == {3} else ".".join(map(str, index))
+            found.append(f"{name}.{component}" if component else name)
+    return tuple(found)
+
+
+def own_numbers(scene: Scene, names: Sequence[str]) -> Array:
+    """Return the scene's own values (p,) of numbers that are parameters, initial coordinates among them."""
+    initial = initial_numbers(scene, names)
+    values = parameter_values(scene, [name for name in names if name not in initial])
+    found = {name: own_initial(scene, number) for name, number in initial.items()}
+    return np.array([found[name] if name in found else float(values[name]) for name in names])
+
+
+class Starts:
+    """Starts of a scene's runs with p of its numbers, and their derivatives by these.
+
+    Derivatives of the assembly are differences of order 6 of what Newton's steps assemble to round-off, good
+    to 1e-11; they are put on the linearized constraints with all others.
+    """
+
+    def __init__(self, code: CompiledScene, names: Sequence[str]) -> None:
+        self._code, self._names = code, names
+        self._assembly = Assembly(code.scene, names)
+        moving = {*self._assembly.kinematic, *self._assembly.initial}
+        self._moving = [k for k, name in enumerate(names) if name in moving]
+
+    def __call__(self, numbers: Array) -> tuple[Array, Array]:
+        """Compute x (inputs,) of the start with these numbers (p,), and its derivatives (inputs, p).
+
+        Raises:
+            MechanismError: for numbers that make no sense, and those with which a loop stays open.
+        """
+        code, step = self._code, DIFFERENCE * min(1.0, self._code.scene.mechanism.size)
+        steps = step * np.maximum(1.0, np.abs(numbers))
+        x, directions = code.start.copy(), np.zeros((code.inputs, len(numbers)))
+        for k, name in enumerate(self._names):
+            if name in code.parameters:
+                x[code.place(name)] = numbers[k]
+                directions[code.place(name), k] = 1.0
+        rows = [numbers]
+        for k in self._moving:
+            for number in WEIGHTS:
+                rows.append(numbers.copy())
+                rows[-1][k] += number * steps[k]
+        values = run_values(code.scene, dict(zip(self._names, np.array(rows).T, strict=True)))
+        for error in values.errors.values():
+            raise error
+        if self._moving:
+            found, errors = self._assembly(values.arrays)
+            for error in errors.values():
+                raise error
+            states = self._assembly.starts(code, found)
+            x[: code.size] = states[0]
+            weights = np.array(list(WEIGHTS.values()))
+            for k, moved in zip(self._moving, states[1:].reshape(-1, len(weights), code.size), strict=True):
+                apart = moved - states[0]
+                apart -= 2.0 * np.pi * np.round(apart / (2.0 * np.pi))  # of angles within a revolution
+                directions[: code.size, k] = weights @ apart / steps[k]
+        return x, directions
+
+
+class Followed(NamedTuple):
+    """A run with its derivatives along p directions."""
+
+    results: Array
+    """(n, outputs) what the scene asks for."""
+    derivatives: dict[str, Array]
+    """(n, outputs, p) of programs, by name; of "coordinates" these themselves before."""
+    counts: dict[str, int]
+    wall_time: float
+    """s, of the run and its derivatives."""
+
+
+class TangentCode(CompiledScene):
+    """A compiled scene with derivatives along a direction of (q, v, parameters).
+
+    Programs whose names end with `ALONG` take x with a direction behind it, another x; several directions
+    are taken side by side.
+    """
+
+    @cached_property
+    def kept(self) -> int:
+        """All elements of a state: derivatives need them, whatever the outputs."""
+        return self.size
+
+    @cached_property
+    def moves_loops(self) -> bool:
+        """True if parameters move the closed configurations: near singular ones without bound."""
+        return any(map(is_kinematic, places(self.scene, self._named).values()))
+
+    def _traced(self, name: str, in_lanes: bool) -> Traced:
+        if not name.endswith(ALONG):
+            return super()._traced(name, in_lanes)
+        program = self.program(name)
+        many = program.operations < BESIDE if name == RATES else self.function(RATES).lanes > 1
+        return Traced(program, many, self._layouts.get(name), straight=many)
+
+    def _identity_of(self, name: str) -> str | None:
+        return super()._identity_of(name.removesuffix(ALONG))
+
+    def _trace(self, name: str) -> Program:
+        if not name.endswith(ALONG):
+            return super()._trace(name)
+        graph, base = Graph(), name.removesuffix(ALONG)
+        x, along = graph.variables(self.inputs), graph.variables(self.inputs)
+        along[self.size] = 0.0  # at the same time
+        system = self._system_of(x, tuple(self.parameters))
+        if name == SETTLED:
+            return graph.prune(self._settled(system, x, along))
+        scalars = self._scalars(base, system, x)
+        if name == RATES:
+            rates, pivot_ratio = scalars[: self.size], scalars[self.size]
+            return graph.prune([*rates, *differentiated(rates, x, along), pivot_ratio])
+        kept = self._smooth(scalars) if base == "output" else scalars
+        found = differentiated(kept, x, along)
+        return graph.prune([*kept, *found] if base == "coordinates" else found)
+
+    def _settled(self, system: Formulation, x: Array, along: Array) -> list[Scalar]:
+        """Put a direction at a state on the constraints on the linearized ones, (q, v) of it.
+
+        By steps of least length, as states are: of coordinates, then of velocities.
+        """
+        on_q, on_v = slice(system.nq), slice(system.nq, self.size)
+        q, v, moved = x[on_q], x[on_v], along.copy()
+        for place in system.quaternions:
+            moved[place] -= q[place] * (q[place] @ moved[place])
+        phi, jacobian = system.phi_and_jacobian(q)
+        rows, units = self._dimensionless(system, jacobian), system.velocity_units
+
+        def step(residuals: Sequence[Scalar]) -> Array:
+            """The least step (nv,) for residuals (k,) along the direction."""
+            right = np.array(differentiated(residuals, x, moved)) / system.phi_units[self.rows.numbers]
+            least, _ = least_squares(rows, right)
+            return np.array([units[k] * least.get(k, 0.0) for k in range(system.nv)])
+
+        used = self.rows.numbers
+        change = system.rate(q, step(phi[used].tolist()))
+        change[system.work] = 0.0
+        moved[on_q] -= change
+        phi_t = system.phi_t()
+        moved[on_v] -= step([sum(e * v[k] for k, e in jacobian[i].items()) + phi_t[i] for i in used])
+        return moved[: self.size].tolist()
+
+    def _smooth(self, scalars: list[Scalar]) -> list[Scalar]:
+        """Select the outputs that have derivatives, with a layout of their own."""
+        without = {"phi", "pivot_ratio"}
+        if self.redundant:  # and not unique
+            without |= {"reaction_force", "reaction_torque"}
+        kept: list[Scalar] = []
+        places: dict[str, tuple[int, int, tuple[int, ...]]] = {}
+        for name, (start, stop, shape) in self._layouts["output"].items():
+            if name not in without:
+                places[name] = len(kept), len(kept) + stop - start, shape
+                kept += scalars[start:stop]
+        self._layouts["output" + ALONG] = places
+        return kept
+
+    def _trace_coordinates(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
+        """Trace the coordinates of all joints, m or rad, then their rates."""
+        frames, coordinates, rates = system.frames(q, v), list[Scalar](), list[Scalar]()
+        for equations in system.equations:
+            ends = frames[equations.first], frames[equations.second]
+            for measure in equations.coordinates:
+                coordinates += measure.phi(*ends).tolist()
+                rates += measure.jacobian(*ends).rate(*ends).tolist()
+        return [*coordinates, *rates]
+
+
+def differentiated(scalars: Sequence[Scalar], x: Array, along: Array) -> list[Scalar]:
+    """Differentiate scalars along a direction (inputs,) of x (inputs,)."""
+    return differentiate_along(x[-1].graph, scalars, x.tolist(), along.tolist())
+
+
+class FollowedRun:
+    """Runs of a compiled scene with their derivatives along directions."""
+
+    def __init__(self, code: TangentCode, options: Options, programs: Sequence[str]) -> None:
+        """Make everything ready for derivatives of the results of these programs."""
+        scene = code.scene
+        if scene.sampled:
+            raise SensitivityError(f"sampled controller of joint {scene.sampled[0].joint!r} has none")
+        if options.integrator != "DOP853" or options.rest:
+            raise OptionError("rest", options.rest, "0 for derivatives")
+        self._code, self._options, self._programs = code, options, programs
+
+    def __call__(self, x: Array, directions: Array, times: Array | None = None) -> Followed:
+        """Run from x (inputs,) over the scene's output times, or others, s, along directions (inputs, p).
+
+        Both are changed to what they are at the end.
+
+        Raises:
+            IntegrationError: for a run that cannot go on.
+            SensitivityError: for one near a singular configuration.
+        """
+        parts: dict[str, list[Array]] = {name: [] for name in self._programs}
+
+        def carry(integrator: Integrator, begun: Array, interval: Interval) -> None:
+            for name, part in self._along(integrator, begun, interval, directions).items():
+                parts[name].append(part if interval.wanted.all() else part[interval.wanted])
+
+        run = integrate_intervals(self._code, x, self._options, room=ROOM, carry=carry, times=times)
+        if run.stopped:
+            raise run.stopped
+        derivatives = {
+            name: found[0] if len(found) == 1 else np.concatenate(found) for name, found in parts.items()
+        }
+        return Followed(run.results, derivatives, run.counts, run.wall_time)
+
+    def _along(
+        self, integrator: Integrator, begun: Array, interval: Interval, directions: Array
+    ) -> dict[str, Array]:
+        """Carry directions (inputs, p) through an interval from x (inputs,); derivatives there by program."""
+        code = self._code
+        steps = int(integrator.counts[m.STEPS])
+        if steps > len(integrator.steps):
+            integrator = Integrator(code, interval.times, self._options, room=steps)
+            integrator(begun)
+        self._turn_pieces(begun, interval, directions)
+        functions = {name: code.function(name + ALONG) for name in self._programs}
+        rates, settled = code.function(RATES), code.function(SETTLED) if code.projects else None
+        n, inputs, lanes, rows = code.size, code.inputs, rates.lanes, len(interval.times)
+        found = {
+            name: np.empty((rows, function.outputs, directions.shape[1]))
+            for name, function in functions.items()
+        }
+        x = np.zeros((2 * inputs, lanes))
+        tangents = Tangents(
+            n=n,
+            inputs=inputs,
+            lanes=lanes,
+            count=steps,
+            rows=rows,
+            projecting=int(code.projects),
+            rates=rates,
+            settled=settled,
+            steps=integrator.steps,
+            times=integrator.times,
+            states=integrator.table,
+            x=x,
+            at=np.zeros_like(x),
+            k=np.empty((17, 2 * n + 1, lanes)),
+            table=np.empty((rows, n, lanes)),
+            least=np.ones(1),
+            found=np.empty((max(function.outputs for function in functions.values()), lanes)),
+        )
+        for first in range(0, directions.shape[1], lanes):
+            beside = directions[:, first : first + lanes]
+            together = beside.shape[1]
+            x[:inputs] = begun[:, None]
+            x[inputs:] = 0.0
+            x[inputs:, :together] = beside
+            tangents.at[:] = x
+            methods()(follow, tangents, integrator.x)
+            if code.projects and tangents.least[0] < (NEAR if code.moves_loops else UNSAFE):
+                raise SensitivityError("the run comes too near to a singular configuration")
+            beside[:n] = x[inputs : inputs + n, :together]
+            for name, function in functions.items():
+                results, columns = found[name], directions.shape[1]
+                methods()(evaluate_along, tangents, function, function.outputs, first, columns, results)
+        return found
+
+    def _turn_pieces(self, x: Array, interval: Interval, directions: Array) -> None:
+        """Set directions (inputs, p) of the numbers of functions between knots, linear in parameters."""
+        code = self._code
+        here = pieces(code.scene, interval.middle)
+        if not here:
+            return
+        here = pieces(code.parametrized(x), interval.middle)
+        for direction in directions.T:
+            moved = pieces(code.parametrized(x + direction), interval.middle)
+            for name, piece in here.items():
+                place = code.place(name)
+                direction[place : place + piece.size] = moved[name] - piece

@@ -1,0 +1,206 @@
+"""Identification from this package's own motions: measurements, what is not determined, bad input."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mechanisms import line_spring, mass_on_rail, pendulum, planar_four_bar
+
+from crosscheck.scenes import load
+from newton_euler import (
+    Measurements,
+    NewtonEulerError,
+    UndeterminedWarning,
+    identify,
+    measurements_from_csv,
+    simulate,
+    start,
+    with_parameters,
+)
+
+
+def sprung():
+    """A mass on a spring, whose motion is that of stiffness by mass."""
+    return replace(mass_on_rail(line_spring(rest_length=1.8)), duration=2.0, output_period=0.05)
+
+
+def measured(scene, *joints, start=None, noise=0.0, seed=0):
+    """Measurements of joint coordinates of a run."""
+    run, rng = simulate(scene), np.random.default_rng(seed)
+    columns = {}
+    for joint in joints:
+        motion = run.joint(joint)
+        columns[f"coordinate.{joint}"] = motion.coordinates[:, 0]
+        columns[f"rate.{joint}"] = motion.rates[:, 0]
+    columns = {name: column + noise * rng.normal(size=len(column)) for name, column in columns.items()}
+    return Measurements(run.time, columns, dict.fromkeys(columns, noise) if noise else {}, start)
+
+
+def test_exact_measurements_give_exact_parameters():
+    """As far as runs to 1e-10 tell, times 1e4 for parameters that hardly differ in what they do."""
+    truth = start(replace(load("slider_crank"), duration=1.0, output_period=0.05), pivot=(0.2, 3.0))
+    wrong = with_parameters(truth, {"crank.mass": 0.13, "slider.mass": 1.5, "ball.point.z": 1e-3})
+    names = ["crank.mass", "slider.mass", "ball.point.z", "start.pivot", "start.pivot.rate"]
+    found = identify(wrong, names, measured(truth, "pivot", "guide"))
+    true = [truth.mechanism.body(name).mass for name in ("crank", "slider")]
+    assert found.values == pytest.approx([*true, -1e-3, 0.2, 3.0], rel=1e-6)
+    assert found.scene.mechanism.body("slider").mass == found.values[1]
+    assert found.undetermined == ()
+    assert "slider.mass" in "\n".join(found.report())
+
+
+def test_several_runs_have_starts_of_their_own():
+    truth = replace(planar_four_bar(), duration=0.5, output_period=0.05)
+    other = start(truth, at_a=(0.3, 0.5))
+    runs = [measured(truth, "at_a"), measured(other, "at_d", start=other.initial_state)]
+    wrong = with_parameters(truth, {"coupler.mass": 2.5})
+    assert identify(wrong, ["coupler.mass"], runs).values == pytest.approx([2.0], rel=1e-6)
+
+
+def test_poses_may_be_measured_with_either_sign_of_quaternions():
+    truth = replace(pendulum(), outputs=frozenset())
+    run = simulate(truth)
+    columns = {f"quaternion.rod.{axis}": run.quaternion[:, 1, k].copy() for k, axis in enumerate("wxyz")}
+    columns["position.rod.x"] = run.position[:, 1, 0]
+    for name in columns:
+        if name.startswith("quaternion"):
+            columns[name][::2] *= -1.0
+    wrong = with_parameters(truth, {"gravity.z": -9.0})
+    found = identify(wrong, ["gravity.z"], Measurements(run.time, columns))
+    assert found.values == pytest.approx([-9.81], rel=1e-7)
+
+
+def test_initial_coordinates_are_fitted():
+    truth = start(pendulum(), pivot=(0.1, -0.4))
+    wrong = start(pendulum(), pivot=(0.0, 0.0))
+    found = identify(wrong, ["start.pivot", "start.pivot.rate"], measured(truth, "pivot"))
+    assert found.values == pytest.approx([0.1, -0.4], rel=1e-7)
+
+
+def test_noise_that_is_not_known_is_that_of_the_residuals():
+    truth = pendulum()
+    data = measured(truth, "pivot", noise=1e-3)
+    found = identify(truth, ["rod.mass", "start.pivot"], replace(data, noise={}))
+    # 21 numbers tell their deviation to 1 / sqrt(2 * 21) = 15 %, of which five are allowed
+    assert found.noise["rate.pivot"] == pytest.approx(1e-3, rel=0.75)
+    known = identify(truth, ["rod.mass", "start.pivot"], data)
+    assert found.standard_deviations == pytest.approx(known.standard_deviations, rel=0.75)
+
+
+RATIO = "only mass.mass / line.stiffness is determined"
+
+
+@pytest.mark.parametrize(
+    ("scene", "joint", "parameters", "lines"),
+    [
+        (
+            sprung(),
+            "rail",
+            ["mass.mass", "line.stiffness"],
+            ["only mass.mass / line.stiffness is determined"],
+        ),
+        (sprung(), "rail", ["line.stiffness", "gravity.x"], ["gravity.x is not determined"]),
+        (
+            sprung(),
+            "rail",
+            ["mass.mass", "line.stiffness", "line.rest_length", "gravity.y"],
+            [RATIO, "gravity.y is not determined"],
+        ),
+    ],
+)
+def test_what_the_data_do_not_determine_is_named(scene, joint, parameters, lines):
+    with pytest.warns(UndeterminedWarning, match=r"is (not )?determined"):
+        found = identify(scene, parameters, measured(scene, joint, noise=1e-4))
+    assert sorted(found.undetermined) == sorted(lines)
+    is_known = np.isfinite(found.standard_deviations)
+    named = " ".join(lines)
+    assert [name for name, known in zip(parameters, is_known, strict=True) if not known] == [
+        name for name in parameters if name in named
+    ]
+
+
+def test_combinations_of_many_parameters_are_named_by_their_shares():
+    """All masses, stiffnesses and dampings of the tracker by one factor: nothing else pulls."""
+    scene = replace(load("tracker"), duration=1.0, output_period=0.05)
+    bodies = [body.name for body in scene.mechanism.bodies[1:]]
+    laws = [f"{law.joint}.{kind}" for law in scene.control for kind in ("stiffness", "damping")]
+    parameters = [*(f"{name}.mass" for name in bodies), *laws]
+    data = measured(scene, "slide_12", "slide_13", "hinge_14", noise=1e-9)
+    fixed = [f"{name}.inertia" for name in bodies]
+    with pytest.warns(UndeterminedWarning, match="together change nothing that was measured"):
+        found = identify(scene, [*parameters, *fixed], data)
+    assert any("panel_7.mass" in line and "slide_12.stiffness" in line for line in found.undetermined)
+
+
+CSV = "time,coordinate.pivot\n0.0,0.1\n0.1,0.2\n0.2,0.3\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "needed: a column time"),
+        ("t,coordinate.pivot\n0,1\n1,2\n", "needed: a column time"),
+        ("time\n0\n1\n", "at least one of measurements"),
+        (CSV.replace("0.2\n0.2", "\n0.2"), "line 3: coordinate.pivot is missing"),
+        (CSV.replace("0.3", "nan"), "line 4: coordinate.pivot is 'nan'"),
+        (CSV.replace("0.2,0.3", "0.05,0.3"), "line 4: time is 0.05; needed: times in ascending order"),
+        (CSV.replace("0.1,0.2\n0.2,0.3\n", ""), "has 1 rows of measurements"),
+        (CSV.replace("0.0,", "-1.0,"), "needed: two or more, from 0 on"),
+        (CSV.replace("time,coordinate.pivot", "time,time"), "column 'time' is there twice"),
+        (CSV + "0.3\n", "line 5: has 1 cells; needed: 2"),
+        (
+            CSV.replace("\n0.0", "\nnoise,-1\n0.0"),
+            "noise of 'coordinate.pivot' is -1.0; needed: a positive number",
+        ),
+        (CSV.replace("\n0.0", "\nnoise,x\n0.0"), "line 2: coordinate.pivot is 'x'"),
+    ],
+)
+def test_files_that_make_no_sense_are_refused(tmp_path, text, message):
+    path = tmp_path / "data.csv"
+    path.write_text(text)
+    with pytest.raises(NewtonEulerError) as caught:
+        measurements_from_csv(path)
+    assert message in str(caught.value)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_files_have_noise_of_some_columns(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text("coordinate.pivot, time, rate.pivot\n, noise, 1e-2\n0.1, 0, 0.2\n0.2, 0.5, 0.3\n")
+    found = measurements_from_csv(path)
+    assert found.noise == {"rate.pivot": 0.01}
+    assert found.time.tolist() == [0.0, 0.5]
+    assert found.columns["rate.pivot"].tolist() == [0.2, 0.3]
+
+
+TIMES = np.array([0.0, 0.5, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("parameters", "columns", "message"),
+    [
+        (["rod.color"], {"coordinate.pivot": TIMES}, "unknown parameter 'rod.color'"),
+        (["rod.mass"], {"coordinate.pivto": TIMES}, "did you mean 'coordinate.pivot'?"),
+        (
+            ["rod.mass", "rod.inertia"],
+            {"coordinate.pivot": TIMES},
+            "are 3 numbers; needed: at least 7",
+        ),
+        (["rod.mass"], {"coordinate.pivot": [0.0, np.nan, 1.0]}, "needed: finite numbers in a row"),
+        (["rod.mass"], {"coordinate.pivot": [0.0, 1.0]}, "has 2 numbers; needed: 3, one for each time"),
+        (["rod.mass"], {}, "columns are {}"),
+        ([], {"coordinate.pivot": TIMES}, "names of parameters"),
+    ],
+)
+def test_impossible_fits_are_refused(parameters, columns, message):
+    with pytest.raises(NewtonEulerError) as caught:
+        identify(pendulum(), parameters, Measurements(TIMES, columns))
+    assert message in str(caught.value)
+
+
+def test_times_beyond_the_scene_are_refused():
+    late = Measurements([0.0, 3.0], {"coordinate.pivot": [0.0, 0.0]})
+    with pytest.raises(NewtonEulerError, match=r"go on to 3 s; needed: times up to the scene's 2 s"):
+        identify(pendulum(), ["rod.mass"], late)
