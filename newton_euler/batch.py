@@ -39,7 +39,7 @@ from newton_euler.model.trajectory import IntegrationError, Trajectory
 from newton_euler.sampling import integrate_intervals
 from newton_euler.scalars import Array, Floats
 from newton_euler.simulate import KEPT, CompiledScene, native_trajectory
-from newton_euler.starts import Assembly, initial_numbers
+from newton_euler.starts import assembly_of, initial_numbers
 from newton_euler.variation import run_values
 
 PIECES = 8
@@ -279,7 +279,7 @@ def _set(
             place, flat = compiled.place(name), array.reshape(len(array), -1)
             starts[:, place : place + flat.shape[1]] = flat
     errors = {**values.errors, **errors}
-    assembly = Assembly(scene, tuple(parameters))
+    assembly = assembly_of(scene, tuple(parameters))
     if assembly.is_needed:
         x, lost = assembly(values.arrays, closed or None)
         starts[:, : compiled.size] = assembly.starts(compiled, x)

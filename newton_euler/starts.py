@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
+from newton_euler.simulate import KEPT
 
 PREFIX, RATE = "start.", ".rate"
 """Parts of names of initial coordinates and their rates."""
@@ -75,7 +77,7 @@ def initial_numbers(scene: Scene, names: Iterable[str]) -> dict[str, Initial]:
     """
     found: dict[str, Initial] = {}
     for name in names:
-        if not name.startswith(PREFIX) or _is_element(scene, name):
+        if not isinstance(name, str) or not name.startswith(PREFIX) or _is_element(scene, name):
             continue
         place = name.removeprefix(PREFIX).removesuffix(RATE)
         joint, _, number = place.rpartition(".")
@@ -150,36 +152,48 @@ def assemble_all(system: Equations, course: Course) -> None:
         course.statuses[run] = float(status)
 
 
+@lru_cache(maxsize=KEPT)
+def assembly_of(scene: Scene, names: tuple[str, ...]) -> Assembly:
+    """Return the assembly for parameters of a scene, the same one each time: LLVM keeps all that it makes."""
+    return Assembly(scene, names)
+
+
 class Assembly:
     """Assembly of a scene's starts for other values of some of its parameters.
 
     Attributes:
         scene: whose start it is.
         initial: initial coordinates among the parameters, by name.
-        code: equations of the constraints, with prescribed motions for the initial coordinates.
+        kinematic: names of the parameters of geometry and motions.
     """
 
     def __init__(self, scene: Scene, names: Sequence[str]) -> None:
         """`names` are of parameters; those that move no start are left out."""
         self.scene, self.initial = scene, initial_numbers(scene, names)
+        self._begin: dict[str, NativeFunction] = {}
         others = [name for name in names if name not in self.initial]
         self.kinematic = [name for name, place in places(scene, others).items() if is_kinematic(place)]
         self._names = {name: unambiguous(scene, name) for name in self.kinematic}
-        self._motions: dict[Key, str] = {}
-        motions = list(scene.motions)
-        for key in dict.fromkeys(number.key for number in self.initial.values()):
-            self._motions[key] = numbered("motions", len(motions), "function")
-            motions.append(PrescribedMotion(key[0], self._held(initial_state(scene), key), key[1]))
+        keys = dict.fromkeys(number.key for number in self.initial.values())
+        self._motions = {
+            key: numbered("motions", k, "function") for k, key in enumerate(keys, start=len(scene.motions))
+        }
+
+    @cached_property
+    def code(self) -> Code:
+        """Equations of the constraints, with prescribed motions for the initial coordinates."""
+        start = initial_state(self.scene)
+        motions = [PrescribedMotion(key[0], self._held(start, key), key[1]) for key in self._motions]
         held = replace(
-            scene,
-            motions=tuple(motions),
+            self.scene,
+            motions=(*self.scene.motions, *motions),
             control=(),
             forces=(),
             armatures=(),
             outputs=frozenset(),
-            initial_state=initial_state(scene),
+            initial_state=start,
         )
-        self.code = Code(held, "relative", parameters=(*self._names.values(), *self._motions.values()))
+        return Code(held, "relative", parameters=(*self._names.values(), *self._motions.values()))
 
     @property
     def is_needed(self) -> bool:
@@ -280,7 +294,9 @@ class Assembly:
 
     def starts(self, compiled: Code, x: Array) -> Array:
         """Return the states (n, size) of a formulation of the scene at x (n, inputs)."""
-        found, system = at_rows(self._begin(compiled), x), compiled.system
+        if compiled.formulation not in self._begin:
+            self._begin[compiled.formulation] = self._native(compiled)
+        found, system = at_rows(self._begin[compiled.formulation], x), compiled.system
         if isinstance(system, TreeKinematics):
             coupled = {key for coupling in system.couplings for key in coupling.factors}
             counted = {system.angles.get(key) for key in coupled}
@@ -289,7 +305,7 @@ class Assembly:
             found[:, free] -= 2.0 * np.pi * np.round(found[:, free] / (2.0 * np.pi))
         return found
 
-    def _begin(self, compiled: Code) -> NativeFunction:
+    def _native(self, compiled: Code) -> NativeFunction:
         """Return the function that gives (q, v) of a formulation at x (inputs,) of the assembly's."""
         code = self.code
         chosen = compiled.formulation, tuple(self._names), code.scene.motions, tuple(code.parameters)

@@ -32,7 +32,7 @@ from newton_euler.model.mechanism import LEAST, REALISABLE_TOLERANCE
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
-from newton_euler.starts import Assembly, initial_numbers, own_initial
+from newton_euler.starts import Assembly, assembly_of, initial_numbers, own_initial
 
 TURNING = frozenset({"axis_on_first", "axis_on_second"})
 """Axes that others restrict."""
@@ -82,7 +82,7 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
     if not isinstance(values, Mapping):
         raise OptionError("values", f"{values!r:.100}", "values by names of parameters")
     found = run_values(scene, {name: [value] for name, value in values.items()})
-    assembly = Assembly(scene, tuple(values))
+    assembly = assembly_of(scene, tuple(values))
     errors = dict(found.errors)
     if assembly.is_needed and not errors:
         (x,), errors = assembly(found.arrays)

@@ -239,7 +239,7 @@ def _split(
     """Split a name into one without a component, and this."""
     if name in owners:
         return name, None
-    for dots in (1, 2):
+    for dots in (1, 2) if isinstance(name, str) else ():
         base, *ending = name.rsplit(".", dots)
         if base in owners:
             shape = _own(parts, owners[base][0]).shape

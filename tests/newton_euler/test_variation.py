@@ -65,6 +65,7 @@ def test_a_component_is_a_number_of_the_whole_value(scene, name):
     ("names", "error", "message"),
     [
         (["gravity.w"], UnknownNameError, "did you mean 'gravity'?"),
+        ([3], UnknownNameError, "unknown parameter 3"),
         (["mass.inertai.xx"], UnknownNameError, "did you mean 'mass.inertia'?"),
         (["rail.feedforward.4"], UnknownNameError, "rail.feedforward"),
         (["gravity", "gravity.z"], MechanismError, "another value by another name"),
