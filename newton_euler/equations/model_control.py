@@ -9,6 +9,7 @@ and at rest with none.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -24,13 +25,15 @@ from newton_euler.equations.parameters import (
     with_values,
     without_wind,
 )
-from newton_euler.equations.redundancy import rows_in_use
+from newton_euler.equations.redundancy import mobility, rows_in_use
+from newton_euler.equations.sparse import solve_constrained
 from newton_euler.equations.system import at_time
 from newton_euler.errors import MechanismError, SingularityError
 from newton_euler.model.control import PD, ComputedTorque, ControlLaw, DeclaredLaw
 from newton_euler.model.digital_control import Digital
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array, Scalar
 
@@ -148,7 +151,28 @@ class ModelControl:
 
 
 def _servos(model: Formulation | None, keys: tuple[Key, ...]) -> Servos | None:
-    return Servos(keys, keys, rows_in_use(model)) if model else None
+    if model is None:
+        return None
+    return scaled(Servos(keys, keys, rows_in_use(model)), model, mobility(model.scene).states)
+
+
+def scaled(servos: Servos, system: Formulation, states: Sequence[State]) -> Servos:
+    """Return the same choice for a form of the equations, with usual sizes of pivots, in regular states.
+
+    None are known if no state is regular.
+    """
+    rows, pivots = rows_in_use(system), []
+    for state in states:
+        q, rest = system.coordinates(state)[0], np.zeros(system.nv)
+        equations = system.sparse_equations(q, rest, rows)
+        wanted, gamma = system.sparse_coordinates(q, rest, servos.coordinates)
+        extended = equations.extended(wanted, np.concatenate([equations.gamma, gamma]), None)
+        with suppress(ZeroDivisionError), np.errstate(all="ignore"):
+            solution = solve_constrained(extended)
+            if solution.pivot_ratio > 0.0:
+                pivots.append(solution.pivots)
+    scales = [float(max(column)) for column in zip(*pivots, strict=True)] or None
+    return servos._replace(rows=rows, scales=scales)
 
 
 def _solve(

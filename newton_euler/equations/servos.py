@@ -11,16 +11,16 @@ import numpy as np
 
 from newton_euler.equations.dense import RANK_TOLERANCE, orthonormal_null, singular_values
 from newton_euler.equations.formulation import Formulation, Servos
+from newton_euler.equations.model_control import scaled
 from newton_euler.equations.parameters import with_laws
 from newton_euler.equations.redundancy import mobility, rows_in_use
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.sparse import solve_constrained, to_array
+from newton_euler.equations.sparse import to_array
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.errors import MechanismError
 from newton_euler.model.control import PD
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 CHOSEN = 1e-3
@@ -71,20 +71,7 @@ def servos_of(
         key, problem = faults[0] or (("", 0), "")
         raise MechanismError(f"coordinate {name(key)!r}", problem, "another choice")
     regular = [state for state, found in zip(decided.states, faults, strict=True) if found is None]
-    return _scaled(servos, form(system.scene), regular)
-
-
-def _scaled(servos: Servos, system: Formulation, states: Sequence[State]) -> Servos:
-    """Return the same choice for a form of the equations, with usual sizes of pivots, in regular states."""
-    rows, pivots = rows_in_use(system), []
-    for state in states:
-        q, rest = system.coordinates(state)[0], np.zeros(system.nv)
-        equations = system.sparse_equations(q, rest, rows)
-        wanted, gamma = system.sparse_coordinates(q, rest, servos.coordinates)
-        extended = equations.extended(wanted, np.concatenate([equations.gamma, gamma]), None)
-        pivots.append(solve_constrained(extended).pivots)
-    scales = [float(max(column)) for column in zip(*pivots, strict=True)]
-    return servos._replace(rows=rows, scales=scales)
+    return scaled(servos, form(system.scene), regular)
 
 
 def fault(

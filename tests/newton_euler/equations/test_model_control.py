@@ -19,7 +19,9 @@ from mjcf.soft import SoftMuJoCo
 from mjcf.write import to_xml
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.model_control import model_control
 from newton_euler.equations.relative import Relative
+from newton_euler.equations.servos import servos_of
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.control import PD, ComputedTorque
 from newton_euler.model.digital_control import Digital
@@ -181,6 +183,13 @@ def test_each_engine_has_inverse_dynamics_of_its_own(monkeypatch):
     assert forces(Relative) == pytest.approx(0.8 * expected)
     for build in (PinocchioSystem, RigidMuJoCo, SoftMuJoCo):
         assert forces(build) == pytest.approx(expected, abs=1e-11)  # N, of some 6
+
+
+def test_laws_know_the_usual_sizes_of_pivots():
+    """Those of inverse dynamics by itself, against which a singular configuration is told."""
+    scene = tracker()
+    keys = tuple(law.key for law in scene.control)
+    assert model_control(Relative(scene)).torque.scales == servos_of(scene, keys, keys).scales
 
 
 def pendulum_on_cart(law) -> Scene:
