@@ -61,6 +61,7 @@ class Batch(Sequence[Trajectory]):
     wall_time: float
     errors: dict[int, NewtonEulerError]
     _compiled: CompiledScene
+    _starts: Array
     _results: Array
     _counts: list[dict[str, int]]
 
@@ -82,7 +83,10 @@ class Batch(Sequence[Trajectory]):
             raise self.errors[number]
         arrays = named(self._compiled, self._results[number])
         settings = self.settings | self._counts[number]
-        return native_trajectory(self.scene, settings, self.wall_time / len(self), arrays)
+        found = native_trajectory(self.scene, settings, self.wall_time / len(self), arrays)
+        if not self._compiled.kinematic:
+            return found
+        return replace(found, mechanism=self._compiled.parametrized(self._starts[number]).mechanism)
 
     def stacked(self, name: str) -> Floats:
         """Return an array of all runs at all times, without a copy: `position` is (runs, n, b, 3).
@@ -223,7 +227,7 @@ def simulate_batch(
         "stabilization": stabilization,
         "threads": workers,
     } | options.chosen()
-    return Batch(scene, settings, wall_time, dict(sorted(errors.items())), compiled, results, counts)
+    return Batch(scene, settings, wall_time, dict(sorted(errors.items())), compiled, starts, results, counts)
 
 
 @lru_cache(maxsize=KEPT)

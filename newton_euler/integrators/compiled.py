@@ -110,6 +110,7 @@ class Code:
         parameters: names of the parameters that are inputs of the code, with their shapes: pieces of motions
             first, then those asked for, of geometry and motions before others, pieces of control laws and
             what sampled controllers hold.
+        kinematic: those of geometry and motions among the parameters that were asked for.
         piecewise: True if functions of time have pieces.
         size: length of (q, v).
         inputs: length of (q, v, time, parameters).
@@ -139,9 +140,10 @@ class Code:
         of_functions = list(pieces(scene, 0.0))
         of_motions = [name for name in of_functions if name.startswith("motions")]
         self.piecewise = len(of_functions) > 0
-        kinematic = [name for name, place in places(scene, parameters).items() if is_kinematic(place)]
-        self._kinematic = (*of_motions, *kinematic)
-        others = [name for name in parameters if name not in kinematic]
+        found = places(scene, parameters)
+        self.kinematic = tuple(name for name, place in found.items() if is_kinematic(place))
+        self._kinematic = (*of_motions, *self.kinematic)
+        others = [name for name in parameters if name not in self.kinematic]
         held = [f"{law.prefix}.held" for law in scene.sampled]
         names = [*self._kinematic, *others, *of_functions[len(of_motions) :], *held]
         self.parameters = {name: value.shape for name, value in parameter_values(scene, names).items()}

@@ -301,6 +301,9 @@ def test_runs_of_varied_geometry_are_those_of_scenes_made_with_it(crank, formula
         # both are integrated to 1e-10 from starts that differ by round-off
         assert np.abs(run.position - expected.position).max() < 1e-10
         assert np.abs(run.reaction_force - expected.reaction_force).max() < 1e-8
+        for joint in ("pivot", "wrist", "guide"):  # as the joints of the run measure them
+            found, needed = run.joint(joint), expected.joint(joint)
+            assert np.abs(found.coordinates - needed.coordinates).max() < 1e-10
 
 
 @pytest.mark.parametrize("title", ["forces, rods", "gear, cut", "screw, cut"])
