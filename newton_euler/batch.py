@@ -46,6 +46,10 @@ PIECES = 8
 """Number of pieces of a thread's share, so that no thread waits long for the last one."""
 
 
+SMALLEST_PIECE = 64
+"""Runs of a piece that are made side by side, at least: at its end some lanes have none."""
+
+
 @dataclass(frozen=True, eq=False)
 class Batch(Sequence[Trajectory]):
     """Runs of one scene; `batch[k]` is the trajectory of run k, or raises the error that ended it.
@@ -187,8 +191,8 @@ def simulate_batch(
             counts[k] = own.counted
 
     def run_in_lanes(piece: tuple[int, int]) -> None:
-        own = SideBySide(compiled, times, options, stopped)
         numbers = [k for k in range(*piece) if k not in errors]
+        own = SideBySide(compiled, times, options, stopped, len(numbers))
         for first in range(0, len(numbers), own.group):
             if stopped:
                 return
@@ -213,7 +217,9 @@ def simulate_batch(
                 results[k] = found.results
             counts[k] = found.counts
 
-    edges = np.linspace(0, len(starts), min(len(starts), PIECES * workers) + 1).astype(int)
+    most = len(starts) // SMALLEST_PIECE if integrator in IN_LANES else len(starts)
+    pieces = min(max(most, workers), len(starts), PIECES * workers)
+    edges = np.linspace(0, len(starts), pieces + 1).astype(int)
     start = time.perf_counter()
     with ThreadPoolExecutor(workers) as pool:
         try:

@@ -104,11 +104,15 @@ class SideBySide:
         shape: of the results of one run, (n, outputs).
     """
 
-    def __init__(self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = ()) -> None:
-        """Make everything ready; runs stop if `stopped`, which other threads may fill, holds something."""
+    def __init__(
+        self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = (), most: int = MOST
+    ) -> None:
+        """Make everything ready for groups of at most so many runs, which stop if `stopped`, which other
+        threads may fill, holds something."""
         self._code, self._options, self._stopped = code, options, stopped
         self._alone = Integrator(code, times, options, stopped)
-        self.group = int(np.clip(TABLE // (8 * len(times) * max(code.size, 1)), LEAST, MOST))
+        fitting = TABLE // (8 * len(times) * max(code.size, 1))
+        self.group = min(max(fitting, LEAST), MOST, max(most, 1))
         counts = np.zeros((m.COUNTS, LANES))
         python = Departure(code, counts, stopped)
         derivative = code.function("derivative", in_lanes=True)

@@ -1,5 +1,8 @@
 """Many runs of one scene: runs per second of newton_euler and MuJoCo, on one thread and on all cores.
 
+newton_euler's runs are side by side in the lanes of vector registers; as many as `ALONE` says are also made
+one by one by scalar code, on one thread, with the same results to the last bit.
+
 Runs start from random consistent states. Each engine has the setting that runs a sample of these very states
 in the least time with none of them further off than the wanted error. newton_euler delivers the poses of all
 bodies at all outputs. `mujoco.rollout` delivers MuJoCo's full physics state (time, qpos, qvel) after every
@@ -42,9 +45,13 @@ from newton_euler.codegen.compile import uncollected
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
 from newton_euler.integrators.compiled import FORMULATIONS, STABILIZATIONS
-from newton_euler.integrators.run import load
+from newton_euler.integrators.options import Options as OfMethod
+from newton_euler.integrators.outputs import named
+from newton_euler.integrators.run import Integrator
+from newton_euler.integrators.side_by_side import load_lanes
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.model.trajectory import IntegrationError
 from newton_euler.simulate import compile_scene
 
 REPEATS = 5
@@ -60,14 +67,20 @@ LIMIT = 10.0
 """s that MuJoCo's runs on one thread may take; it makes fewer runs than newton_euler where they would take
 longer."""
 
+ALONE = 8
+"""Runs of a batch for each one that is made by scalar code."""
+
 LONGEST = 20.0
 """s that a sample may take: settings that are slower are not tried."""
 
 TRIES = 2
 """How often a sample is run at a setting that reaches the error; the quicker counts."""
 
+SCALAR = f"{JUDGED}, one by one"
+
 DELIVERED = {
     JUDGED: "poses of all bodies at all outputs",
+    SCALAR: "the same, by scalar code",
     "mujoco": "time, qpos and qvel after every step, of which qpos at outputs is kept",
 }
 """Included in the time of a run, by engine."""
@@ -116,7 +129,7 @@ class Own:
         for how in product(FORMULATIONS, STABILIZATIONS):
             compiled = compile_scene(self._scene, formulation=how[0], stabilization=how[1])
             for ladder in adaptive_ladders(*how):
-                load(compiled, ladder.finer(1)[1]["integrator"])  # compiling is no time of a sample's
+                load_lanes(compiled, ladder.finer(1)[1]["integrator"])  # compiling is no time of a sample's
                 yield ladder._replace(finer=partial(self._of_formulation, how, ladder))
 
     @staticmethod
@@ -130,6 +143,44 @@ class Own:
         setup = time.perf_counter() - start - batch.wall_time
         failed = len(batch.errors)
         return Done(batch.wall_time, setup, lambda: [(r.position, r.quaternion) for r in batch], failed)
+
+
+class Scalar:
+    """newton_euler's scalar code, which makes one run after another."""
+
+    name = SCALAR
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+
+    def ladders(self) -> Iterator[Ladder]:
+        """Yield nothing: settings are those of runs side by side."""
+        return iter(())
+
+    def run(self, options: Options, states: Sequence[State], threads: int) -> Done:
+        start = time.perf_counter()
+        how = {name: options[name] for name in ("formulation", "stabilization")}
+        compiled = compile_scene(self._scene, **how)
+        chosen = OfMethod(**{name: value for name, value in options.items() if name not in how})
+        starts = np.tile(compiled.start, (len(states), 1))
+        for x, state in zip(starts, states, strict=True):
+            x[: compiled.size] = np.concatenate(compiled.system.coordinates(state))
+        integrator = Integrator(compiled, self._scene.times, chosen)
+        results, failed = np.empty((len(states), *integrator.outputs.shape)), 0
+        begun = time.perf_counter()
+        for x, result in zip(starts, results, strict=True):
+            try:
+                integrator(x)
+                integrator.outputs(result)
+            except IntegrationError:
+                failed += 1
+        seconds = time.perf_counter() - begun
+
+        def poses() -> list[Poses]:
+            arrays = [named(compiled, result) for result in results]
+            return [(each["position"], each["quaternion"]) for each in arrays]
+
+        return Done(seconds, begun - start, poses, failed)
 
 
 class MuJoCo:
@@ -309,6 +360,7 @@ def benchmark_batch(given: Scene, runs: int, error: float, progress: Progress) -
     most = LIMIT * len(known) / choices[1].seconds
     shares = [states, states[: max(len(known), int(most))]]
     cases = [*product(zip(engines, choices, shares, strict=True), thread_counts())]
+    cases.append(((Scalar(scene), choices[0], states[:: min(ALONE, runs)]), 1))
     firsts: dict[str, Done] = {}
     calls = [partial(_timed, *case, threads, firsts) for case, threads in cases]
     times = in_turns(calls, [REPEATS] * len(calls), progress)
@@ -335,7 +387,8 @@ def _timed(
 
 
 def parts(result: BatchBenchmark) -> list[Part]:
-    """Return the rates by engine and number of threads; ratios are newton_euler's rate over the other's."""
+    """Return the rates by engine and number of threads; ratios are newton_euler's rate side by side over the
+    other's."""
     rates = {(rate.engine, rate.threads): rate.per_second for rate in result.rates}
     rows: Rows = [
         [

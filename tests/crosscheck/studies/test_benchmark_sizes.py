@@ -168,7 +168,7 @@ def test_a_batch_is_measured_for_both_engines(monkeypatch, tracker):
         monkeypatch.setattr(engine, "ladders", lambda self, ladder=ladder: iter([ladder]))
     result = batch.benchmark_batch(tracker, 4, 1e-5, lambda message: None)
     counts = batch.thread_counts()
-    own, other = result.rates[: len(counts)], result.rates[len(counts) :]
+    own, other = result.rates[: len(counts)], result.rates[len(counts) : -1]
     assert [(rate.engine, rate.threads, rate.runs) for rate in own] == [
         ("newton_euler", n, 4) for n in counts
     ]
@@ -178,7 +178,8 @@ def test_a_batch_is_measured_for_both_engines(monkeypatch, tracker):
     assert own[0].error < other[0].error < 1e-5
     assert result.uncertainty < 1e-9
     table, lines = batch.parts(result)
-    assert len(table.rows) == 2 * len(counts)
+    assert (result.rates[-1].engine, result.rates[-1].threads) == (batch.SCALAR, 1)
+    assert len(table.rows) == 2 * len(counts) + 1
     assert lines.lines[2].startswith("newton_euler: method, setting (error ")
     for rate in result.rates:
         assert len(rate.times) == 2
