@@ -194,7 +194,7 @@ class NearlyRedundantWarning(UserWarning):
 
 
 class UndeterminedWarning(UserWarning):
-    """Combinations of parameters that measurements do not determine.
+    """Combinations of parameters that measurements do not determine, or fits that ended early.
 
     Examples:
         >>> import warnings

@@ -8,7 +8,7 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
-from typing import Any, Self, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -133,7 +133,7 @@ class CompiledScene(Code):
         """Code with other constraint rows, by these."""
         return {}
 
-    def with_scene(self, scene: Scene) -> Self:
+    def with_scene(self, scene: Scene) -> CompiledScene:
         """Return the same code for a scene that differs in parameters, controllers and duration alone."""
         _ = self._decided  # once for all
         other = copy.copy(self)

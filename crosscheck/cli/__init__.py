@@ -17,7 +17,7 @@ from typing import NoReturn, TextIO
 
 import click
 
-from crosscheck.cli import measure, regress, run, sun, sweep
+from crosscheck.cli import identify, measure, regress, run, sun, sweep
 from crosscheck.cli.shared import BAD_INPUT, cli
 from crosscheck.errors import CrosscheckError, reason_of, short_of_memory
 from crosscheck.report.render import wrapped
@@ -35,7 +35,7 @@ COLLECT_AFTER = 20_000
 """New objects after which Python looks for cycles. Packages make many as they are loaded, and no garbage: by
 Python's own 700 it took 6 % of the time of `run tracker`."""
 
-__all__ = ["main", "measure", "regress", "run", "sun", "sweep"]
+__all__ = ["identify", "main", "measure", "regress", "run", "sun", "sweep"]
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:

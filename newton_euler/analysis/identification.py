@@ -10,14 +10,20 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from typing import NamedTuple, Unpack
 
 import numpy as np
 
-from newton_euler.analysis.measurements import Measurements, column_places, measurements_from_csv
+from newton_euler.analysis.measurements import (
+    Column,
+    Measurements,
+    column_of,
+    column_places,
+    compared,
+    measurements_from_csv,
+)
 from newton_euler.analysis.sensitivity import checked_names
 from newton_euler.analysis.tangent_run import (
     ALONG,
@@ -33,7 +39,6 @@ from newton_euler.errors import (
     NewtonEulerError,
     OptionError,
     UndeterminedWarning,
-    UnknownNameError,
     check_type,
 )
 from newton_euler.integrators.compiled import check_formulation
@@ -54,9 +59,6 @@ LOST = 1e-7
 NOTHING = 1e-12
 """Below which a coordinate of a start is round-off, m or rad."""
 
-NEAREST = 8
-"""Columns that are proposed instead of an unknown one."""
-
 SIMPLE = 0.02
 """Share by which a factor of a combination may differ from 0, 1 or -1 to be taken for it."""
 
@@ -65,6 +67,9 @@ REFITS = 2
 
 CONVERGED = {"xtol": 1e-9, "ftol": 1e-10, "gtol": 1e-12}
 """Of shares, of the sum of squares, and of its slope."""
+
+SETTLED = 0.1
+"""Standard deviations by which a further step would move parameters at most where a fit has converged."""
 
 MOST_EVALUATIONS = 200
 """Of a fit."""
@@ -98,6 +103,7 @@ class Identification:
             as was measured and the noise is known.
         residuals: measured less computed, for each run by column, (n,) each.
         undetermined: a line for each combination of parameters that the data do not determine.
+        stopped: why the fit ended before the sum of squares was least; empty if it is.
         evaluations: runs of all measurements, with derivatives.
 
     Examples:
@@ -120,6 +126,7 @@ class Identification:
     misfit: float
     residuals: tuple[dict[str, Floats], ...]
     undetermined: tuple[str, ...]
+    stopped: str
     evaluations: int
 
     def __repr__(self) -> str:
@@ -148,7 +155,12 @@ class Identification:
         for name, *figures in rows:
             shown = (figure.rjust(width) for figure, width in zip(figures, widths[1:], strict=True))
             lines.append("  ".join([name.ljust(widths[0]), *shown]))
-        return [*lines, *self.undetermined]
+        return [*lines, *self.doubts]
+
+    @property
+    def doubts(self) -> list[str]:
+        """Lines on what is not determined, and why the fit ended if not at the least sum of squares."""
+        return [*self.undetermined, *[self.stopped] * bool(self.stopped)]
 
     def deviation(self, number: int) -> str:
         """Return the standard deviation of a value as text."""
@@ -177,7 +189,8 @@ def identify(
             than are fitted, and runs that cannot go on.
 
     Warns:
-        UndeterminedWarning: naming the combinations of parameters that the data do not determine.
+        UndeterminedWarning: naming the combinations of parameters that the data do not determine, and for
+            a fit that ended before the sum of squares was least.
 
     Examples:
         >>> scene = load("slider_crank")
@@ -211,12 +224,15 @@ def identify(
         if not known:
             fit.take_noise(shares)
     residuals, jacobian = fit.residuals(shares), fit.jacobian(shares)
-    covariance, weak = _covariance(jacobian)
+    strong, weak = _split(jacobian)
+    covariance = strong.T @ strong
+    covariance[np.diag_indices(len(names))] += np.where(np.any(np.abs(weak) > SIMPLE, axis=0), np.inf, 0.0)
+    stopped = ""
+    if np.linalg.norm(strong @ (jacobian.T @ residuals)) > SETTLED:
+        stopped = f"residuals are not the least: {fit.refused or f'{solved.nfev} evaluations are over'}"
     undetermined = tuple(_lines(names, before, weak))
-    if undetermined:
-        warnings.warn(f"scene {scene.name!r}: {'; '.join(undetermined)}", UndeterminedWarning, stacklevel=2)
     values = shares * scale
-    return Identification(
+    found = Identification(
         scene=with_parameters(scene, dict(zip(names, values.tolist(), strict=True))),
         parameters=names,
         before=before,
@@ -226,8 +242,12 @@ def identify(
         misfit=float(np.sqrt(residuals @ residuals / max(1, count - len(names) + len(weak)))),
         residuals=tuple(fit.apart(shares)),
         undetermined=undetermined,
+        stopped=stopped,
         evaluations=fit.evaluations,
     )
+    if found.doubts:
+        warnings.warn(f"scene {scene.name!r}: {'; '.join(found.doubts)}", UndeterminedWarning, stacklevel=2)
+    return found
 
 
 def _runs(scene: Scene, given: Given | Sequence[Given]) -> list[Measurements]:
@@ -243,17 +263,6 @@ def _runs(scene: Scene, given: Given | Sequence[Given]) -> list[Measurements]:
             raise MechanismError("measurements", problem, f"times up to the scene's {scene.duration:g} s")
         runs.append(run)
     return runs
-
-
-class _Column(NamedTuple):
-    """A column that is compared: the program that computes it, its places there, and its kind."""
-
-    program: str
-    of_value: int
-    of_derivative: int
-    is_angle: bool
-    quaternion: int
-    """The body whose Euler parameters it is of; -1 for none."""
 
 
 class _Evaluated(NamedTuple):
@@ -274,18 +283,18 @@ class _Fit:
         formulation: FormulationName | None,
         options: Options,
     ) -> None:
-        self._runs, self.evaluations = runs, 0
+        self._runs, self.evaluations, self.refused = runs, 0, ""
         wanted = {OF_OUTPUTS.get(name.split(".")[0]) for run in runs for name in run.columns}
         asked = replace(scene, outputs=frozenset(output for output in OUTPUTS if output in wanted))
         code = tangent_code(asked, names, formulation)
         layouts = (code.function(name).layout for name in ("output", "output" + ALONG))
         places = [column_places(scene.mechanism, layout) for layout in layouts]
-        self._columns = [[_column(scene, name, *places) for name in run.columns] for run in runs]
+        self._columns = [[column_of(scene, name, *places) for name in run.columns] for run in runs]
         self._models = []
         for run, columns in zip(runs, self._columns, strict=True):
-            own = code if run.start is None else code.with_scene(replace(asked, initial_state=run.start))
             programs = sorted({column.program for column in columns})
-            self._models.append((Starts(own, names), FollowedRun(own, options, programs)))
+            held = {name: number for name, number in run.start.items() if name not in names}
+            self._models.append((Starts(code, names, held), FollowedRun(code, options, programs)))
         self.noise = {name: level for run in runs for name, level in run.noise.items()}
         self.noise_is_known = all(name in run.noise for run in runs for name in run.columns)
         for run in runs:
@@ -313,10 +322,12 @@ class _Fit:
     def residuals(self, shares: Array) -> Array:
         """Compute all residuals in units of their noise; far ones for numbers that make no sense."""
         try:
-            return self._weighted(self._evaluated(shares).residuals)
-        except NewtonEulerError:
+            found = self._weighted(self._evaluated(shares).residuals)
+        except NewtonEulerError as error:
+            self.refused = f"beyond is what the scene cannot be: {str(error).removeprefix('run 0: ')}"
             count = sum(len(run.time) * len(run.columns) for run in self._runs)
             return np.full(count, self._far)
+        return found
 
     def jacobian(self, shares: Array) -> Array:
         """Compute the derivatives of all residuals by the shares."""
@@ -344,7 +355,7 @@ class _Fit:
             for run, columns, (starts, followed) in zip(self._runs, self._columns, self._models, strict=True):
                 x, directions = starts(shares * self._scale)
                 values, derivatives = _selected(followed(x, directions, run.time), columns)
-                residuals, jacobian = _compared(values, derivatives, run, columns)
+                residuals, jacobian = compared(values, derivatives, run, columns)
                 if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
                     raise MechanismError("measurements", "have no finite derivatives", "other columns")
                 found.residuals.append(residuals)
@@ -353,26 +364,7 @@ class _Fit:
         return self._known[1]
 
 
-Places = Mapping[str, tuple[str, int]]
-
-
-def _column(scene: Scene, name: str, values: Places, derivatives: Places) -> _Column:
-    """Find a column by the places of values and derivatives; raises `UnknownNameError`."""
-    if name not in derivatives:
-        near = get_close_matches(name, derivatives, NEAREST, 0.0)
-        raise UnknownNameError("column", name, tuple(near))
-    kind, _, rest = name.partition(".")
-    mechanism, is_angle, body = scene.mechanism, False, -1
-    if kind == "coordinate":
-        joint, _, number = rest.rpartition(".")
-        key = (rest, 0) if rest in mechanism.joint_names else (joint, int(number))
-        is_angle = not mechanism.is_slide(*key)
-    elif kind == "quaternion":
-        body = mechanism.body_index(rest.rpartition(".")[0])
-    return _Column(*values[name], derivatives[name][1], is_angle, body)
-
-
-def _selected(followed: Followed, columns: list[_Column]) -> tuple[Array, Array]:
+def _selected(followed: Followed, columns: list[Column]) -> tuple[Array, Array]:
     """Return the columns (n, m) of a run and their derivatives (n, m, p)."""
     values, derivatives = [], []
     for column in columns:
@@ -387,40 +379,17 @@ def _selected(followed: Followed, columns: list[_Column]) -> tuple[Array, Array]
     return np.stack(values, axis=1), np.stack(derivatives, axis=1)
 
 
-def _compared(
-    values: Array, derivatives: Array, run: Measurements, columns: list[_Column]
-) -> tuple[Array, Array]:
-    """Return residuals (n, m), computed less measured, and their derivatives (n, m, p).
+def _split(jacobian: Array) -> tuple[Array, Array]:
+    """Split the space of parameters in what the data determine and what they do not.
 
-    Angles differ by at most half a revolution, and quaternions have the sign of those measured.
-    """
-    measured = np.stack(list(run.columns.values()), axis=1)
-    bodies = np.array([column.quaternion for column in columns])
-    for body in np.unique(bodies[bodies >= 0]):
-        own = bodies == body
-        signs = np.where(np.sum(values[:, own] * measured[:, own], axis=1) < 0.0, -1.0, 1.0)
-        values[:, own] *= signs[:, None]
-        derivatives[:, own] *= signs[:, None, None]
-    residuals = values - measured
-    angles = np.array([column.is_angle for column in columns])
-    residuals[:, angles] -= 2.0 * np.pi * np.round(residuals[:, angles] / (2.0 * np.pi))
-    return residuals, derivatives
-
-
-def _covariance(jacobian: Array) -> tuple[Array, Array]:
-    """Return the covariance (p, p) of what the data determine, and a basis (d, p) of what they do not.
-
-    The basis is one with as many zeros as can be had.
+    Returns:
+        Orthogonal directions of the one, each of the length of its standard deviation, and a basis (d, p) of
+        the other with as many zeros as can be had.
     """
     _, values, right = np.linalg.svd(jacobian, full_matrices=False)
     known = (values > LOST * values[0]) & (values * WEAK > 1.0)
-    strong, weak = right[known] / values[known, None], right[~known]
-    covariance = strong.T @ strong
-    if not len(weak):
-        return covariance, weak
-    weak = _sparse_basis(weak)
-    covariance[np.diag_indices(len(covariance))] += np.where(np.abs(weak).max(axis=0) > SIMPLE, np.inf, 0.0)
-    return covariance, weak
+    weak = right[~known]
+    return right[known] / values[known, None], _sparse_basis(weak) if len(weak) else weak
 
 
 def _sparse_basis(rows: Array) -> Array:

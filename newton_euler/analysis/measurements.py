@@ -12,20 +12,25 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from difflib import get_close_matches
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, is_finite_number
-from newton_euler.model.csv_source import TimeTable, check_names, csv_rows, row_numbers
+from newton_euler.errors import MechanismError, UnknownNameError, is_finite_number
+from newton_euler.model.csv_source import Row, TimeTable, check_names, csv_rows, row_numbers
 from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import SourceError, path_text, read_text
-from newton_euler.model.state import State
 from newton_euler.model.trajectory import COMPONENTS, SHAPES
-from newton_euler.scalars import Floats
+from newton_euler.scalars import Array, Floats
+from newton_euler.starts import PREFIX, RATE
 
-NOISE = "noise"
-"""In place of a time: the row of standard deviations."""
+NEAREST = 8
+"""Columns that are proposed instead of an unknown one."""
+
+NOISE, START = "noise", "start"
+"""In place of a time: the row of standard deviations, and that of the start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +41,8 @@ class Measurements:
         time: (n,) s from the start of the run, ascending.
         columns: (n,) each, by name, see `newton_euler.analysis.measurements`.
         noise: standard deviations of columns, by name, in their units; those of others are not known.
-        start: of the run; the scene's own if None.
+        start: coordinates and rates that the run starts with, by name, as of `newton_euler.starts`; others
+            are as near to the scene's own as the loops let them.
 
     Raises:
         MechanismError: for times that do not ascend from 0 on, and columns that are no finite numbers, one
@@ -52,7 +58,7 @@ class Measurements:
     time: Floats
     columns: Mapping[str, Floats]
     noise: Mapping[str, float] = field(default_factory=dict)
-    start: State | None = None
+    start: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         time = _numbers("time", self.time)
@@ -75,6 +81,11 @@ class Measurements:
                 problem = f"noise of {name!r:.100} is {deviation!r:.100}"
                 raise MechanismError("measurements", problem, "a positive number")
 
+        for name, number in self.start.items():
+            if not name.startswith(PREFIX) or not is_finite_number(number):
+                problem = f"start with {name!r:.100} = {number!r:.100}"
+                raise MechanismError("measurements", problem, f"finite numbers by {PREFIX}JOINT")
+
     def __repr__(self) -> str:
         return f"<Measurements: {len(self.time)} times to {self.time[-1]:g} s, columns: {len(self.columns)}>"
 
@@ -96,7 +107,8 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
 
     The first line names the columns: `time` in s from the start of the run, and others as of
     `newton_euler.analysis.measurements`. A line with `noise` in place of a time has the standard deviations
-    of columns; cells are empty where they are not known.
+    of columns, and one with `start` what joint coordinates and rates the run starts with, those of columns;
+    cells are empty where they are not known.
 
     Raises:
         SourceError: naming the file and the line: for cells that are missing or no numbers, times that do not
@@ -114,22 +126,31 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
     if "time" not in header or len(header) < 2:
         raise SourceError(where, "line 1: needed: a column time, and at least one of measurements")
     check_names(where, header)
-    place, noise = header.index("time"), dict[str, float]()
-    data = []
+    place, data = header.index("time"), list[Row]()
+    special: dict[str, dict[str, float]] = {NOISE: {}, START: {}}
     for line, cells in rows[1:]:
-        if len(cells) == len(header) and cells[place].lower() == NOISE:
+        if len(cells) == len(header) and cells[place].lower() in special:
             given = {name: cell for name, cell in zip(header, cells, strict=True) if cell and name != "time"}
             values = row_numbers(where, list(given), (line, list(given.values())))
-            noise |= dict(zip(given, values, strict=True))
+            special[cells[place].lower()] |= dict(zip(given, values, strict=True))
         else:
             data.append((line, cells))
     if len(data) < 2:
         raise SourceError(where, f"has {len(data)} rows of measurements; needed: 2 or more")
     columns = TimeTable.of(where, header, data).columns
     try:
-        return Measurements(columns.pop("time"), columns, noise)
+        start = {_initial(where, name): number for name, number in special[START].items()}
+        return Measurements(columns.pop("time"), columns, special[NOISE], start)
     except MechanismError as error:
         raise SourceError(where, f"{error.problem}; needed: {error.needed}") from error
+
+
+def _initial(path: str, name: str) -> str:
+    """Return the name of the initial coordinate or rate that a column measures."""
+    kind, _, joint = name.partition(".")
+    if kind not in ("coordinate", "rate"):
+        raise SourceError(path, f"the start is given by column {name!r:.100}; needed: coordinates and rates")
+    return f"{PREFIX}{joint}{RATE if kind == 'rate' else ''}"
 
 
 def column_places(
@@ -156,3 +177,53 @@ def column_places(
             parts = (named[letter][number] if letter in named else str(number) for letter, number in ends)
             found[".".join((name, *parts))] = ("output", start + k)
     return found
+
+
+class Column(NamedTuple):
+    """A column that is compared: the program that computes it, its places there, and its kind."""
+
+    program: str
+    of_value: int
+    of_derivative: int
+    is_angle: bool
+    quaternion: int
+    """The body whose Euler parameters it is of; -1 for none."""
+
+
+Places = Mapping[str, tuple[str, int]]
+
+
+def column_of(scene: Scene, name: str, values: Places, derivatives: Places) -> Column:
+    """Find a column by the places of values and derivatives; raises `UnknownNameError`."""
+    if name not in derivatives:
+        near = get_close_matches(name, derivatives, NEAREST, 0.0)
+        raise UnknownNameError("column", name, tuple(near))
+    kind, _, rest = name.partition(".")
+    mechanism, is_angle, body = scene.mechanism, False, -1
+    if kind == "coordinate":
+        joint, _, number = rest.rpartition(".")
+        key = (rest, 0) if rest in mechanism.joint_names else (joint, int(number))
+        is_angle = not mechanism.is_slide(*key)
+    elif kind == "quaternion":
+        body = mechanism.body_index(rest.rpartition(".")[0])
+    return Column(*values[name], derivatives[name][1], is_angle, body)
+
+
+def compared(
+    values: Array, derivatives: Array, run: Measurements, columns: list[Column]
+) -> tuple[Array, Array]:
+    """Return residuals (n, m), computed less measured, and their derivatives (n, m, p).
+
+    Angles differ by at most half a revolution, and quaternions have the sign of those measured.
+    """
+    measured = np.stack(list(run.columns.values()), axis=1)
+    bodies = np.array([column.quaternion for column in columns])
+    for body in np.unique(bodies[bodies >= 0]):
+        own = bodies == body
+        signs = np.where(np.sum(values[:, own] * measured[:, own], axis=1) < 0.0, -1.0, 1.0)
+        values[:, own] *= signs[:, None]
+        derivatives[:, own] *= signs[:, None, None]
+    residuals = values - measured
+    angles = np.array([column.is_angle for column in columns])
+    residuals[:, angles] -= 2.0 * np.pi * np.round(residuals[:, angles] / (2.0 * np.pi))
+    return residuals, derivatives

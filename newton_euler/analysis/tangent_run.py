@@ -6,7 +6,7 @@ Traced derivatives of the equations of motion are carried along the steps of a r
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -83,9 +83,13 @@ class Starts:
     to 1e-11; they are put on the linearized constraints with all others.
     """
 
-    def __init__(self, code: CompiledScene, names: Sequence[str]) -> None:
-        self._code, self._names = code, names
-        self._assembly = Assembly(code.scene, names)
+    def __init__(
+        self, code: CompiledScene, names: Sequence[str], held: Mapping[str, float] | None = None
+    ) -> None:
+        """`held` are initial coordinates and rates that are not among the p numbers."""
+        self._code, self._held = code, np.array(list((held or {}).values()))
+        self._names = (*names, *(held or {}))
+        self._assembly = Assembly(code.scene, self._names)
         moving = {*self._assembly.kinematic, *self._assembly.initial}
         self._moving = [k for k, name in enumerate(names) if name in moving]
 
@@ -97,8 +101,9 @@ class Starts:
         """
         code, step = self._code, DIFFERENCE * min(1.0, self._code.scene.mechanism.size)
         steps = step * np.maximum(1.0, np.abs(numbers))
-        x, directions = code.start.copy(), np.zeros((code.inputs, len(numbers)))
-        for k, name in enumerate(self._names):
+        count, numbers = len(numbers), np.concatenate([numbers, self._held])
+        x, directions = code.start.copy(), np.zeros((code.inputs, count))
+        for k, name in enumerate(self._names[:count]):
             if name in code.parameters:
                 x[code.place(name)] = numbers[k]
                 directions[code.place(name), k] = 1.0
@@ -110,7 +115,7 @@ class Starts:
         values = run_values(code.scene, dict(zip(self._names, np.array(rows).T, strict=True)))
         for error in values.errors.values():
             raise error
-        if self._moving:
+        if self._assembly.is_needed:
             found, errors = self._assembly(values.arrays)
             for error in errors.values():
                 raise error

@@ -26,7 +26,7 @@ def sprung():
     return replace(mass_on_rail(line_spring(rest_length=1.8)), duration=2.0, output_period=0.05)
 
 
-def measured(scene, *joints, start=None, noise=0.0, seed=0):
+def measured(scene, *joints, begun=None, noise=0.0, seed=0):
     """Measurements of joint coordinates of a run."""
     run, rng = simulate(scene), np.random.default_rng(seed)
     columns = {}
@@ -35,7 +35,7 @@ def measured(scene, *joints, start=None, noise=0.0, seed=0):
         columns[f"coordinate.{joint}"] = motion.coordinates[:, 0]
         columns[f"rate.{joint}"] = motion.rates[:, 0]
     columns = {name: column + noise * rng.normal(size=len(column)) for name, column in columns.items()}
-    return Measurements(run.time, columns, dict.fromkeys(columns, noise) if noise else {}, start)
+    return Measurements(run.time, columns, dict.fromkeys(columns, noise) if noise else {}, begun or {})
 
 
 def test_exact_measurements_give_exact_parameters():
@@ -54,9 +54,13 @@ def test_exact_measurements_give_exact_parameters():
 def test_several_runs_have_starts_of_their_own():
     truth = replace(planar_four_bar(), duration=0.5, output_period=0.05)
     other = start(truth, at_a=(0.3, 0.5))
-    runs = [measured(truth, "at_a"), measured(other, "at_d", start=other.initial_state)]
-    wrong = with_parameters(truth, {"coupler.mass": 2.5})
-    assert identify(wrong, ["coupler.mass"], runs).values == pytest.approx([2.0], rel=1e-6)
+    runs = [
+        measured(truth, "at_a"),
+        measured(other, "at_d", begun={"start.at_a": 0.3, "start.at_a.rate": 0.5}),
+    ]
+    names = ["coupler.mass", "coupler.center_of_mass.x"]
+    wrong = with_parameters(truth, dict(zip(names, (2.5, 0.52), strict=True)))
+    assert identify(wrong, names, runs).values == pytest.approx([2.0, 0.5], rel=1e-6)
 
 
 def test_poses_may_be_measured_with_either_sign_of_quaternions():
@@ -155,6 +159,10 @@ CSV = "time,coordinate.pivot\n0.0,0.1\n0.1,0.2\n0.2,0.3\n"
             "noise of 'coordinate.pivot' is -1.0; needed: a positive number",
         ),
         (CSV.replace("\n0.0", "\nnoise,x\n0.0"), "line 2: coordinate.pivot is 'x'"),
+        (
+            "time,work\nstart,1\n0,1\n1,2\n",
+            "the start is given by column 'work'; needed: coordinates and rates",
+        ),
     ],
 )
 def test_files_that_make_no_sense_are_refused(tmp_path, text, message):
@@ -166,11 +174,19 @@ def test_files_that_make_no_sense_are_refused(tmp_path, text, message):
     assert str(caught.value).startswith(f"{path}: ")
 
 
-def test_files_have_noise_of_some_columns(tmp_path):
+def test_files_have_noise_and_the_start_of_some_columns(tmp_path):
     path = tmp_path / "data.csv"
-    path.write_text("coordinate.pivot, time, rate.pivot\n, noise, 1e-2\n0.1, 0, 0.2\n0.2, 0.5, 0.3\n")
+    lines = [
+        "coordinate.pivot, time, rate.pivot",
+        ", noise, 1e-2",
+        "0.1, start,",
+        "0.1, 0, 0.2",
+        "0.2, 0.5, 0.3",
+    ]
+    path.write_text("\n".join(lines))
     found = measurements_from_csv(path)
     assert found.noise == {"rate.pivot": 0.01}
+    assert found.start == {"start.pivot": 0.1}
     assert found.time.tolist() == [0.0, 0.5]
     assert found.columns["rate.pivot"].tolist() == [0.2, 0.3]
 

@@ -1,0 +1,74 @@
+"""`crosscheck identify`: parameters of a scene fitted to measured motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from crosscheck.cli.shared import (
+    AGREE,
+    UNFINISHED,
+    cli,
+    load_and_tell,
+    progress_shown,
+    say,
+    scene_options,
+    setting_options,
+    without_exercise,
+)
+from crosscheck.report.render import terminal
+
+
+@cli.command("identify")
+@click.argument("scene")
+@click.argument(
+    "measured", metavar="CSV...", nargs=-1, required=True, type=click.Path(path_type=Path, dir_okay=False)
+)
+@setting_options
+@click.option(
+    "--fit",
+    "names",
+    multiple=True,
+    required=True,
+    metavar="NAME",
+    help="Parameter to fit, such as panel_7.mass, ball_57.point.z, start.slide_12; repeatable.",
+)
+@click.option("--rtol", type=float, default=1e-10, show_default=True, help="Relative tolerance of steps.")
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="File.  [default: output/identify/SCENE.json]",
+)
+def identify_command(
+    scene: str,
+    measured: tuple[Path, ...],
+    settings: tuple[str, ...],
+    names: tuple[str, ...],
+    rtol: float,
+    output: Path | None,
+) -> int:
+    """Fit parameters of SCENE to measured motion, one CSV per run.
+
+    SCENE is a name or a file, as of run. Columns are time and joint coordinates, rates, poses or forces; SI.
+    """
+    from crosscheck.files import check_no_source, check_writable, write_files
+    from crosscheck.identification import as_json, headline, parts
+    from newton_euler.analysis.identification import identify
+    from newton_euler.analysis.measurements import measurements_from_csv
+
+    runs = [measurements_from_csv(path) for path in measured]
+    options = without_exercise(scene_options(settings), "measured is the scene as it stands")
+    loaded = load_and_tell(scene, options)
+    path = output or Path("output/identify") / f"{loaded.name}.json"
+    check_no_source([path], [scene, *measured])
+    check_writable(path)
+    with progress_shown() as progress:
+        progress("fitting")
+        found = identify(loaded, names, runs, rtol=rtol)
+    write_files({path: as_json(found)})
+    say(headline(found), bold=True)
+    click.echo(terminal(parts(found)), nl=False)
+    say(f"wrote {path}")
+    return UNFINISHED if found.doubts else AGREE

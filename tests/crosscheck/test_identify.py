@@ -1,0 +1,165 @@
+"""Identification from motions that Pinocchio made, with noise; `crosscheck identify`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from command_line import run
+from mechanisms import planar_four_bar
+from scipy.stats import binom, chi2
+
+import urdf
+from crosscheck.scenes import load
+from newton_euler import JointSpring, Measurements, identify, with_parameters
+from newton_euler.analysis.tangent_run import own_numbers
+
+RARE = 1e-6
+"""Probability with which chance fails a test that is right."""
+
+LEVEL = 0.95
+
+
+def tracker():
+    """The tracker under gravity, its own start, and ten of its parameters."""
+    scene = replace(load("tracker_gravity"), duration=3.0, output_period=0.03)
+    masses = ["panel_7.mass", "panel_7.center_of_mass.z", "column_4.mass", "leg_5.mass", "leg_6.mass"]
+    laws = ["slide_12.stiffness", "slide_12.damping", "slide_13.stiffness", "slide_13.damping"]
+    return scene, [{}], [*masses, *laws, "slide_12.target"], ("slide_12", "slide_13", "hinge_14")
+
+
+def four_bar():
+    """A four-bar of unequal bars with springs, two starts, and ten of its parameters."""
+    springs = (
+        JointSpring("at_a", 3.0, 0.15, 0.4),
+        JointSpring("at_b", 2.0, 0.1, -0.3),
+        JointSpring("at_d", 1.0, 0.12, 0.5),
+    )
+    scene = replace(planar_four_bar(), forces=springs, duration=4.0, output_period=0.04)
+    masses = ["crank.mass", "coupler.mass", "rocker.mass", "coupler.center_of_mass.x"]
+    of_springs = [f"{joint}.spring.{name}" for joint in ("at_a", "at_b") for name in ("stiffness", "damping")]
+    second = {"start.at_a": 0.6, "start.at_a.rate": 0.0}
+    names = [*masses, "coupler.center_of_mass.z", *of_springs, "at_d.spring.rest"]
+    return scene, [{}, second], names, ("at_a", "at_d")
+
+
+@cache
+def case(make):
+    """Exact motions by Pinocchio, the scene with its parameters off by a few percent, and the true ones."""
+    scene, starts, names, joints = make()
+    runs = []
+    for begun in starts:
+        motion = urdf.simulate(with_parameters(scene, begun) if begun else scene, rtol=1e-11, atol=1e-13)
+        columns = {f"coordinate.{name}": motion.joint(name).coordinates[:, 0] for name in joints}
+        runs.append(Measurements(motion.time, columns, dict.fromkeys(columns, NOISE), begun))
+    truth = own_numbers(scene, names)
+    off = truth * (1.0 + np.random.default_rng(11).uniform(-0.05, 0.05, len(truth)))
+    return with_parameters(scene, dict(zip(names, off, strict=True))), names, truth, runs
+
+
+def with_noise(run, rng):
+    columns = {name: column + NOISE * rng.normal(size=len(column)) for name, column in run.columns.items()}
+    return replace(run, columns=columns)
+
+
+NOISE = 1e-4
+"""m or rad."""
+
+
+def distance(make, seed):
+    """Square of the distance of the fitted parameters from the true ones, in standard deviations."""
+    scene, names, truth, runs = case(make)
+    rng = np.random.default_rng(seed)
+    noisy = [with_noise(each, rng) for each in runs]
+    found = identify(scene, names, noisy)
+    assert found.undetermined == ()
+    error = found.values - truth
+    return error @ np.linalg.solve(found.covariance, error)
+
+
+@pytest.mark.parametrize("make", [tracker, four_bar])
+def test_ten_parameters_are_recovered_within_their_uncertainty(make):
+    """Squares of distances are distributed as chi squared of ten; those of several trials add up."""
+    trials = 3
+    total = sum(distance(make, seed) for seed in range(trials))
+    assert chi2.ppf(RARE, 10 * trials) < total < chi2.ppf(1.0 - RARE, 10 * trials)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [tracker, four_bar])
+def test_uncertainties_are_right_in_many_trials(make):
+    """The true parameters are in the region of 95 % in 95 % of 200 trials, as far as such a count tells."""
+    trials = 200
+    inside = sum(distance(make, seed) < chi2.ppf(LEVEL, 10) for seed in range(1000, 1000 + trials))
+    assert inside >= binom.ppf(RARE, trials, LEVEL)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Measurements of the tracker with a heavier panel."""
+    motion = urdf.simulate(with_parameters(load("tracker_gravity"), {"panel_7.mass": 0.95}))
+    path = tmp_path_factory.mktemp("measured") / "motion.csv"
+    noise, rng = 1e-5, np.random.default_rng(3)
+    rows = [f"time,coordinate.slide_12,coordinate.slide_13\nnoise,{noise},{noise}"]
+    slides = np.hstack([motion.joint(name).coordinates for name in ("slide_12", "slide_13")])
+    for t, places in zip(motion.time, slides + noise * rng.normal(size=slides.shape), strict=True):
+        rows.append(",".join(map(str, (t, *places))))
+    path.write_text("\n".join(rows))
+    return path
+
+
+def test_identify_prints_a_table_and_writes_its_numbers(capsys, tmp_path, data):
+    path = tmp_path / "found.json"
+    fit = ("--fit", "panel_7.mass", "--fit", "slide_12.stiffness")
+    status, out, err = run(capsys, "identify", "tracker_gravity", data, *fit, "--output", path)
+    assert (status, err) == (0, "")
+    assert "tracker_gravity: 2 parameters fitted to 1,002 numbers of 1 run" in " ".join(out.split())
+    assert all(len(line) <= 80 for line in out.splitlines() if str(tmp_path) not in line)
+    found = json.loads(path.read_text())
+    mass = found["parameters"]["panel_7.mass"]
+    # five deviations: once in two million times
+    assert abs(mass["fitted"] - 0.95) < 5.0 * mass["deviation"] < 1e-2
+    assert found["undetermined"] == []
+
+
+def test_identify_names_what_the_data_do_not_determine(capsys, tmp_path, data):
+    """Status 3: not all of it was found."""
+    fit = ("--fit", "panel_7.mass", "--fit", "slider_2.inertia.xx")
+    status, out, _ = run(
+        capsys, "identify", "tracker_gravity", data, *fit, "--output", tmp_path / "found.json"
+    )
+    assert status == 3
+    assert "slider_2.inertia.xx is not determined" in out
+    assert (
+        json.loads((tmp_path / "found.json").read_text())["parameters"]["slider_2.inertia.xx"]["deviation"]
+        is None
+    )
+
+
+def test_identify_says_if_the_scene_cannot_move_as_was_measured(capsys, tmp_path, data):
+    out = run(
+        capsys, "identify", "tracker", data, "--fit", "panel_7.mass", "--output", tmp_path / "found.json"
+    )[1]
+    assert "the scene cannot move as was measured" in " ".join(out.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["tracker_gravity", "none.csv", "--fit", "panel_7.mass"], "none.csv: cannot be read"),
+        (["tracker_gravity", "DATA", "--fit", "panel_7.color"], "unknown parameter 'panel_7.color'"),
+        (["pendulum", "DATA", "--fit", "dumbbell.mass"], "unknown column 'coordinate.slide_12'"),
+        (["tracker_gravity", "DATA", "--fit", "panel_7.mass", "--output", "DATA"], "would overwrite"),
+        (["tracker_gravity", "DATA"], "Missing option '--fit'"),
+    ],
+)
+def test_bad_input_is_one_line(capsys, tmp_path, data, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run(capsys, "identify", *(str(data) if word == "DATA" else word for word in arguments))
+    assert (status, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert message in err
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
