@@ -67,6 +67,10 @@ class Day:
         """s between set-points."""
         return self.scene.output_period
 
+    def hours(self, which: Array) -> float:
+        """Compute the time, h, of those set-points (n,) that are True."""
+        return float(np.sum(which)) * self.period / 3600.0
+
     def is_slide(self, joint: str) -> bool:
         """Return True if the set-points of a joint are in m, False if they are in rad."""
         return self.scene.mechanism.is_slide(joint, 0)

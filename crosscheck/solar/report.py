@@ -87,15 +87,15 @@ def loads_table(day: Day) -> Table:
 def verdict(day: Day) -> str:
     """Sum up in one sentence how well the sun was followed."""
     faces = day.faces
-    found = f"faces the sun for {np.sum(faces) * day.period / 3600.0:.1f} h"
+    found = f"faces the sun for {day.hours(faces):.1f} h"
     if faces.any():
         found += f" to {np.degrees(np.max(day.errors[faces])):.2f} deg"
-    low = np.sum(day.sun.is_up & ~faces & ~day.stowed) * day.period / 3600.0
+    low = day.hours(day.sun.is_up & ~faces & ~day.stowed)
     if low > 0.0:
         found += f", for {low:.1f} h as nearly as a tilt of {day.tracking.most_tilt:g} deg allows"
     if day.wind is not None:
-        hours = np.sum(day.sun.is_up & day.stowed) * day.period / 3600.0
-        found += f"; lies flat for {hours:.1f} h of daylight, in winds from {day.tracking.stow:g} m/s on"
+        flat = day.hours(day.sun.is_up & day.stowed)
+        found += f"; lies flat for {flat:.1f} h of daylight, in winds from {day.tracking.stow:g} m/s on"
     missed = int(np.sum(~day.poses.reached))
     if missed:
         found += (
@@ -129,7 +129,7 @@ def survey_report(days: Sequence[Day]) -> Report:
         [
             str(day.place),
             f"{day.sun.times[0]:%Y-%m-%d}",
-            f"{np.sum(day.faces) * day.period / 3600.0:.1f}",
+            f"{day.hours(day.faces):.1f}",
             f"{np.degrees(np.max(day.errors[day.faces], initial=0.0)):.2f}",
             f"{1e-3 * day.light[FIXED]:.2f}",
             *(f"{100.0 * day.light[name] / day.light[FIXED] - 100.0:+.1f}" for name in names),
