@@ -180,7 +180,7 @@ def test_view_in_a_browser_says_where_and_takes_ports_that_are_free(capsys, view
             taken.bind(("127.0.0.1", 9090))
             taken.listen()
         status, out, err = run(capsys, "view", "--web", "one.rrd")
-    said = re.fullmatch(r"open http://127\.0\.0\.1:(\d+)\?url=(\S+); Ctrl\+C ends it\n", out)
+    said = re.fullmatch(r"Ctrl\+C ends it; open http://127\.0\.0\.1:(\d+)\?url=(\S+)\n", out)
     assert said is not None
     address, ports = said.groups()
     arguments = viewer.read_text().split()
