@@ -308,7 +308,14 @@ class Assembly:
     def _native(self, compiled: Code) -> NativeFunction:
         """Return the function that gives (q, v) of a formulation at x (inputs,) of the assembly's."""
         code = self.code
-        chosen = compiled.formulation, tuple(self._names), code.scene.motions, tuple(code.parameters)
+        # work, an element of the state, depends on the outputs
+        chosen = (
+            compiled.formulation,
+            compiled.size,
+            tuple(self._names),
+            code.scene.motions,
+            tuple(code.parameters),
+        )
         known = fingerprint(self.scene, *chosen, neutral=NEUTRAL | {"outputs"})
 
         def traced() -> Traced:

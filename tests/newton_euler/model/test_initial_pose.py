@@ -44,7 +44,7 @@ def test_accelerations_are_those_of_the_scene(title):
         assert np.abs(getattr(found, quantity) - needed).max() < 1e-11 * max(1.0, np.abs(needed).max())
 
 
-@pytest.mark.parametrize("title", TURNING)
+@pytest.mark.parametrize("title", sorted(TURNING))
 def test_slides_that_turn_are_refused(title):
     scene = SCENES[title]
     (there,) = random_states(scene, 1, seed=5)
