@@ -54,19 +54,24 @@ def case(make):
     for begun in starts:
         motion = urdf.simulate(with_parameters(scene, begun) if begun else scene, rtol=1e-11, atol=1e-13)
         columns = {f"coordinate.{name}": motion.joint(name).coordinates[:, 0] for name in joints}
-        runs.append(Measurements(motion.time, columns, dict.fromkeys(columns, NOISE), begun))
+        noise = dict.fromkeys(columns, NOISE[make.__name__])
+        runs.append(Measurements(motion.time, columns, noise, begun))
     truth = own_numbers(scene, names)
     off = truth * (1.0 + np.random.default_rng(11).uniform(-0.05, 0.05, len(truth)))
     return with_parameters(scene, dict(zip(names, off, strict=True))), names, truth, runs
 
 
 def with_noise(run, rng):
-    columns = {name: column + NOISE * rng.normal(size=len(column)) for name, column in run.columns.items()}
+    columns = {
+        name: column + run.noise[name] * rng.normal(size=len(column)) for name, column in run.columns.items()
+    }
     return replace(run, columns=columns)
 
 
-NOISE = 1e-4
-"""m or rad."""
+NOISE = {"tracker": 1e-4, "four_bar": 1e-5}
+"""m or rad. The four-bar's numbers are nearly dependent, their correlations of condition 2e8: at 1e-4 rad
+residuals are curved within a deviation of the weakest combination, and the ellipsoid of their linearization
+holds 42 % of the estimates, though 96 % of all numbers are within 1.96 of their own deviations."""
 
 
 def distance(make, seed):
