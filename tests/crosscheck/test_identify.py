@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from command_line import run
 from mechanisms import planar_four_bar
-from scipy.stats import binom, chi2
+from scipy.stats import binom, chi2, norm
 
 import urdf
 from crosscheck.scenes import load
@@ -54,52 +54,68 @@ def case(make):
     for begun in starts:
         motion = urdf.simulate(with_parameters(scene, begun) if begun else scene, rtol=1e-11, atol=1e-13)
         columns = {f"coordinate.{name}": motion.joint(name).coordinates[:, 0] for name in joints}
-        noise = dict.fromkeys(columns, NOISE[make.__name__])
-        runs.append(Measurements(motion.time, columns, noise, begun))
+        runs.append(Measurements(motion.time, columns, dict.fromkeys(columns, NOISE), begun))
     truth = own_numbers(scene, names)
     off = truth * (1.0 + np.random.default_rng(11).uniform(-0.05, 0.05, len(truth)))
     return with_parameters(scene, dict(zip(names, off, strict=True))), names, truth, runs
 
 
 def with_noise(run, rng):
-    columns = {
-        name: column + run.noise[name] * rng.normal(size=len(column)) for name, column in run.columns.items()
-    }
+    columns = {name: column + NOISE * rng.normal(size=len(column)) for name, column in run.columns.items()}
     return replace(run, columns=columns)
 
 
-NOISE = {"tracker": 1e-4, "four_bar": 1e-5}
-"""m or rad. The four-bar's numbers are nearly dependent, their correlations of condition 2e8: at 1e-4 rad
-residuals are curved within a deviation of the weakest combination, and the ellipsoid of their linearization
-holds 42 % of the estimates, though 96 % of all numbers are within 1.96 of their own deviations."""
+NOISE = 1e-4
+"""m or rad."""
 
 
-def distance(make, seed):
-    """Square of the distance of the fitted parameters from the true ones, in standard deviations."""
+def trial(make, seed):
+    """Errors of the fitted parameters in standard deviations, and by how much the true ones fit worse.
+
+    The latter is a difference of sums of squares, distributed as chi squared of the number of parameters also
+    where uncertainties are so large that the region around the fit is bent, which the covariance cannot say:
+    of the four-bar, whose parameters are known to 0.1 to 1 % and correlated by up to 0.99, the ellipsoid of
+    95 % has the true ones in half of the trials at this noise, in 36 of 40 at a tenth of it, in 38 at a
+    hundredth.
+    """
     scene, names, truth, runs = case(make)
     rng = np.random.default_rng(seed)
     noisy = [with_noise(each, rng) for each in runs]
     found = identify(scene, names, noisy)
     assert found.undetermined == ()
-    error = found.values - truth
-    return error @ np.linalg.solve(found.covariance, error)
+    assert found.stopped == ""
+    pairs = zip(noisy, runs, found.residuals, strict=True)
+    worse = 0.0
+    for measured, exact, residuals in pairs:
+        for name, column in measured.columns.items():  # what Pinocchio made has the true parameters
+            worse += np.sum((column - exact.columns[name]) ** 2) - np.sum(residuals[name] ** 2)
+    return (found.values - truth) / found.standard_deviations, worse / NOISE**2
 
 
 @pytest.mark.parametrize("make", [tracker, four_bar])
 def test_ten_parameters_are_recovered_within_their_uncertainty(make):
-    """Squares of distances are distributed as chi squared of ten; those of several trials add up."""
+    """Sums of chi squared of ten are distributed as chi squared of their number."""
     trials = 3
-    total = sum(distance(make, seed) for seed in range(trials))
+    found = [trial(make, seed) for seed in range(trials)]
+    total = sum(worse for _, worse in found)
     assert chi2.ppf(RARE, 10 * trials) < total < chi2.ppf(1.0 - RARE, 10 * trials)
+    # errors beyond this are as rare, in any of them
+    assert np.abs([errors for errors, _ in found]).max() < norm.isf(0.5 * RARE / (10 * trials))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [tracker, four_bar])
 def test_uncertainties_are_right_in_many_trials(make):
-    """The true parameters are in the region of 95 % in 95 % of 200 trials, as far as such a count tells."""
+    """Each parameter is in its interval of 95 %, and all are in their region, in 95 % of 200 trials.
+
+    As far as counts tell.
+    """
     trials = 200
-    inside = sum(distance(make, seed) < chi2.ppf(LEVEL, 10) for seed in range(1000, 1000 + trials))
-    assert inside >= binom.ppf(RARE, trials, LEVEL)
+    found = [trial(make, seed) for seed in range(1000, 1000 + trials)]
+    inside = np.sum(np.abs([errors for errors, _ in found]) < norm.isf(0.5 * (1.0 - LEVEL)), axis=0)
+    together = sum(worse < chi2.ppf(LEVEL, 10) for _, worse in found)
+    assert inside.min() >= binom.ppf(RARE, trials, LEVEL)
+    assert together >= binom.ppf(RARE, trials, LEVEL)
 
 
 @pytest.fixture(scope="module")
