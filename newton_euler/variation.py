@@ -27,6 +27,7 @@ from newton_euler.equations.parameters import (
     with_values,
 )
 from newton_euler.errors import MechanismError, OptionError, check_type
+from newton_euler.model.compound_joint import Compound
 from newton_euler.model.initial_pose import described_at
 from newton_euler.model.mechanism import LEAST, REALISABLE_TOLERANCE
 from newton_euler.model.scene import Scene
@@ -212,10 +213,10 @@ def _suspicious(scene: Scene, owner: Owner, stack: Array) -> Array:
     if what == "bodies" and attribute == "inertia":
         return np.flatnonzero(~_realisable(stack, element_of(scene, owner).allow_unrealisable_inertia))
     own, outside = own_value(scene, owner), np.zeros(len(stack), dtype=bool)
-    if attribute in DIRECTIONS:
+    if attribute in DIRECTIONS or attribute.endswith(".axis"):
         lengths = np.max(np.abs(stack), axis=1)
         turned = outside
-        if attribute in TURNING:
+        if attribute in TURNING or isinstance(element_of(scene, owner), Compound):
             turned = np.any(stack != own, axis=1)
         elif attribute == "axis":  # by which components others are chosen
             units = np.abs(stack) / np.maximum(np.linalg.norm(stack, axis=1, keepdims=True), SHORT)

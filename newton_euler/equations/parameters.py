@@ -9,7 +9,7 @@ A parameter has a name and a value of the shape that the scene has there:
   bodies; `JOINT.point_on_first` and `JOINT.point_on_second` displace the point on one body alone, as holes
   that are not where the drawing has them. Displacements add up, and the scene's own value is 0;
 - `JOINT.axis`, `JOINT.axis_on_first`, `JOINT.axis_on_second`, of any length, in the world at the initial
-  pose, of both bodies as the description has them; those of compound joints are none;
+  pose, of both bodies as the description has them; `JOINT.1.axis` of a compound joint's second coordinate;
 - `JOINT.pitch` of a screw, `JOINT.length` of a rod, whose points stay on their bodies;
 - `GEAR.ratio`, and `COUPLING.terms`, the factors of a coupling's terms in their order;
 - `JOINT.motion.function` of a prescribed motion without knots;
@@ -18,7 +18,7 @@ A parameter has a name and a value of the shape that the scene has there:
   that it is linear in: coefficients of polynomials, amplitude and offset of sines, values of splines and
   steps, one after the other;
 - `JOINT.gains` of the state feedback at a joint, (K_p, K_d) of each coordinate that it reads, in their
-  order;
+  order, and `JOINT.targets`, what its targets of other coordinates are linear in, one after the other;
 - `JOINT.spring.stiffness`, `JOINT.spring.damping`, `JOINT.spring.rest` of the spring at a joint,
   `JOINT.1.spring.rest` for its second coordinate;
 - `JOINT.ball.stiffness`, `JOINT.ball.damping`, `JOINT.ball.rest` of the spring of a joint's ball;
@@ -59,13 +59,19 @@ import numpy as np
 
 from newton_euler.equations.redundancy import inherit_mobility
 from newton_euler.errors import MechanismError, UnknownNameError
+from newton_euler.model.control import StateFeedback
 from newton_euler.model.digital_control import Law
 from newton_euler.model.joint import POINTS, Joint
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Sum, TimeFunction, functions_of
+from newton_euler.model.motions import (
+    TimeFunction,
+    functions_of,
+    linear_numbers,
+    on_piece,
+    piece_numbers,
+    with_linear_numbers,
+)
 from newton_euler.model.scene import Scene
-from newton_euler.model.smooth_functions import Sine
-from newton_euler.model.splines import Piecewise
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import NUMBERS, Array
 
@@ -135,7 +141,8 @@ def _attributes(what: str, element: Any) -> tuple[str, ...]:
         return tuple(element.parameters)
     if what == "motions" and element.function.numbers:
         return ()
-    return (*(element.parameters or ("held",)), *element.points)
+    others = ("targets",) if isinstance(element, StateFeedback) and element.targets else ()
+    return (*(element.parameters or ("held",)), *element.points, *others)
 
 
 def _is_displacement(what: str, element: Any, attribute: str) -> bool:
@@ -171,24 +178,8 @@ def pieces(scene: Scene, time: float, smooth: bool = True) -> dict[str, Array]:
     found = {}
     for owner, functions in scene.functions.items():
         if any(f.numbers and (smooth or f.jumps) for f in functions):
-            found[numbered(*owner) + PIECE] = _piece(functions, time)
+            found[numbered(*owner) + PIECE] = piece_numbers(functions, time)
     return found
-
-
-def _piece(functions: Iterable[TimeFunction], time: float) -> Array:
-    return np.array([number for function in functions for number in function.piece(time)])
-
-
-def _on_piece(value: Any, numbers: list[Any]) -> Any:
-    """Return a function, or a mapping with functions, with what they are where they have these numbers."""
-    if isinstance(value, TimeFunction):
-        return value.on_piece(numbers)
-    changed = dict(value)
-    for key, each in value.items():
-        if isinstance(each, TimeFunction):
-            changed[key] = each.on_piece(numbers[: each.numbers])
-            numbers = numbers[each.numbers :]
-    return changed
 
 
 def numbered(what: str, k: int, attribute: str) -> str:
@@ -274,13 +265,16 @@ def _own(parts: dict[str, list[Any]], owner: Owner, piece: bool = False) -> Arra
     what, k, attribute = owner
     if _is_displacement(what, parts[what][k], attribute):
         return np.zeros(3)
-    value = getattr(parts[what][k], attribute)
+    element = parts[what][k]
+    value = element.number(attribute) if isinstance(element, Joint) else getattr(element, attribute)
     if attribute == "terms":
         value = [factor for _, _, factor in value]
     if piece:
-        value = _piece(functions_of(value), 0.0)
+        value = piece_numbers(functions_of(value), 0.0)
     elif isinstance(value, TimeFunction):
-        value = _linear(value)
+        value = linear_numbers(value)
+    elif attribute == "targets":
+        value = [number for target in value.values() for number in linear_numbers(target)]
     elif isinstance(value, Mapping):
         value = list(value.values())
     return np.asarray(value, dtype=float)
@@ -399,8 +393,8 @@ def _substituted(scene: Scene, values: Mapping[str, Any], change: Callable[..., 
     for name in values:
         if name.endswith(PIECE):
             what, k, attribute = found[name].owner
-            on_piece = _on_piece(getattr(parts[what][k], attribute), list(values[name]))
-            parts[what][k] = change(parts[what][k], **{attribute: on_piece})
+            value = on_piece(getattr(parts[what][k], attribute), list(values[name]))
+            parts[what][k] = change(parts[what][k], **{attribute: value})
     return parts
 
 
@@ -448,40 +442,19 @@ def written(what: str, element: T, attributes: Mapping[str, Any], change: Callab
         elif attribute == "terms":
             value = tuple((joint, k, x) for (joint, k, _), x in zip(own, value, strict=True))
         elif isinstance(own, TimeFunction):
-            value = _with_linear(own, list(value), change)
+            value = with_linear_numbers(own, list(value), change)
+        elif attribute == "targets":
+            numbers, value = list(value), {}
+            for key, target in own.items():
+                count = len(linear_numbers(target))
+                value[key] = with_linear_numbers(target, numbers[:count], change)
+                numbers = numbers[count:]
         elif isinstance(own, Mapping):
             value = dict(zip(own, value, strict=True))
         elif np.ndim(value) == 0:
             value = _number(value)
         fields[attribute] = value
     return change(element, **fields)
-
-
-def _linear(function: TimeFunction) -> list[float]:
-    """Return what a function of time is linear in."""
-    if isinstance(function, Sum):
-        return [value for term in function.terms for value in _linear(term)]
-    if isinstance(function, Sine):
-        return [function.amplitude, function.offset]
-    return list(function.values if isinstance(function, Piecewise) else function.coefficients)
-
-
-def _with_linear(function: TimeFunction, values: list[Any], change: Callable[..., Any]) -> TimeFunction:
-    """The function with other values of what it is linear in."""
-    if isinstance(function, Sum):
-        terms: list[TimeFunction] = []
-        for term in function.terms:
-            count = len(_linear(term))
-            terms.append(_with_linear(term, values[:count], change))
-            values = values[count:]
-        return change(function, terms=tuple(terms))
-    if isinstance(function, Sine):
-        return change(function, amplitude=values[0], offset=values[1])
-    if isinstance(function, Piecewise):
-        changed = change(function, values=np.array(values))
-        vars(changed).pop("_pieces", None)  # of the samples that have changed
-        return changed
-    return change(function, coefficients=tuple(values))
 
 
 def _altered(thing: T, **fields: Any) -> T:

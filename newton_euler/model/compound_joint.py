@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import field
-from typing import ClassVar
+from collections.abc import Mapping
+from dataclasses import field, replace
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -19,8 +20,8 @@ from newton_euler.model.hinge_angles import (
     Separation,
     dual_axes,
 )
-from newton_euler.model.joint import Joint, Motion, Pose, perpendicular_pair, unit_vector
-from newton_euler.scalars import Array, cross
+from newton_euler.model.joint import POINTS, Joint, Motion, Pose, perpendicular_pair, unit_vector
+from newton_euler.scalars import Array, cross, sqrt
 
 INDEPENDENT = 1e-3
 """Least volume (area, length) that the unit axes of independent slides or hinges span."""
@@ -94,6 +95,43 @@ class Compound(Joint):
             object.__setattr__(self, "point_on_second", self.point + offsets.sum(axis=0))
 
     @property
+    def parameters(self) -> tuple[str, ...]:
+        count = len(self.slides) + len(self.hinges)
+        return (*POINTS, *(f"{k}.axis" if k else "axis" for k in range(count)))
+
+    def number(self, name: str) -> Any:
+        return [*self.slides, *self.hinges][_number(name)] if name.endswith("axis") else getattr(self, name)
+
+    def varied(self, values: Mapping[str, Any]) -> Self:
+        """See `Joint.varied`; axes are those of the coordinates, and offsets between hinges stay."""
+        axes = {_number(name): axis for name, axis in values.items() if name.endswith("axis")}
+        changed = super().varied({name: value for name, value in values.items() if name in POINTS})
+        if not axes:
+            return changed
+        rows = [*self.slides, *self.hinges]
+        for k, axis in axes.items():
+            rows[k] = axis / sqrt(axis @ axis)
+        slides, hinges = rows[: len(self.slides)], rows[len(self.slides) :]
+        if slides:
+            object.__setattr__(changed, "slides", np.array(slides))
+            along = dual_axes(self.slides) @ (self.span - self.offsets.sum(axis=0))
+            if np.any(along):
+                moved = along @ (changed.slides - self.slides)
+                object.__setattr__(changed, "point_on_second", changed.point_on_second + moved)
+                object.__setattr__(changed, "_span", self.span + moved)
+        if hinges:
+            object.__setattr__(changed, "hinges", np.array(hinges))
+        return changed
+
+    def rebuilt(self, values: Mapping[str, Any]) -> Self:
+        for name, axis in values.items():
+            if name.endswith("axis"):
+                unit_vector(self.name, name, axis)
+        changed = self.varied(values)
+        fields: dict[str, Any] = {"slides": changed.slides, "hinges": changed.hinges}
+        return replace(self, point=changed.point, point_on_second=changed.point_on_second, **fields)
+
+    @property
     def motions(self) -> tuple[Motion, ...]:
         slides = (Motion("slide", axis) for axis in self.slides)
         hinges = (Motion("hinge", axis) for axis in self.hinges)
@@ -117,7 +155,7 @@ class Compound(Joint):
             case 0:
                 return self._coincident(first, second)
             case 1:
-                normals = perpendicular_pair(self.slides[0])
+                normals = perpendicular_pair(self.slides[0], self.described.slides[0])
             case 2:
                 normal = cross(*self.slides)
                 normals = (normal / np.linalg.norm(normal),)
@@ -130,10 +168,11 @@ class Compound(Joint):
         if len(self.hinges) == 2:
             a, b = self.hinges
             ends = first.vector_to_body(a), second.vector_to_body(b)
-            return (Perpendicular(*ends, cosine=float(a @ b)),)
+            return (Perpendicular(*ends, cosine=_scalar(a @ b)),)
         if len(self.hinges) == 1:
             axis = self.hinges[0]
-            return self._parallel(axis, perpendicular_pair(axis), first, second)
+            pair = perpendicular_pair(axis, self.described.hinges[0])
+            return self._parallel(axis, pair, first, second)
         x, y, z = np.eye(3)
         return tuple(
             Perpendicular(first.vector_to_body(a), second.vector_to_body(b))
@@ -144,7 +183,7 @@ class Compound(Joint):
         beyond = self.span - self.offsets.sum(axis=0)
         slides = []
         for dual in dual_axes(self.slides):
-            slide = self._displacement(dual, float(dual @ beyond), first, second)
+            slide = self._displacement(dual, _scalar(dual @ beyond), first, second)
             if isinstance(slide, RowDisplacement):
                 slide = RowSlide(slide.a_first, slide.separation, slide.offset)
             slides.append(slide)
@@ -163,7 +202,9 @@ class Compound(Joint):
     def _separation(self, first: Pose, second: Pose) -> Separation:
         offsets = []
         for offset, a, b in zip(self.offsets, self.hinges[:-1], self.hinges[1:], strict=True):
-            offsets.append(np.linalg.solve(np.column_stack([a, b, cross(a, b)]), offset))
+            link = np.stack([a, b, cross(a, b)])
+            shares = dual_axes(link) @ offset if link.dtype == object else np.linalg.solve(link.T, offset)
+            offsets.append(shares)
         ends = first.point_to_body(self.point), second.point_to_body(self.reaction_point)
         return Separation(self._row(first, second), *ends, np.array(offsets))
 
@@ -172,7 +213,8 @@ class Compound(Joint):
         if len(axes) == 0:
             return ()
         if len(axes) == 1:
-            return (self._turn(axes[0], perpendicular_pair(axes[0])[0], first, second),)
+            pair = perpendicular_pair(axes[0], self.described.hinges[0])
+            return (self._turn(axes[0], pair[0], first, second),)
         row = self._row(first, second)
         return tuple(HingeAngle(k, row) for k in range(len(axes)))
 
@@ -187,5 +229,17 @@ class Compound(Joint):
         if len(axes) == 2:
             return HingeRow(*ends)
         a, b, c = axes
-        cosines = float(a @ b), float(b @ c)
-        return HingeRow(*ends, cosines, float(b @ cross(a, c)), float(a @ c) - cosines[0] * cosines[1])
+        cosines = _scalar(a @ b), _scalar(b @ c)
+        sine, cosine = _scalar(b @ cross(a, c)), _scalar(a @ c) - cosines[0] * cosines[1]
+        a, b, c = self.described.hinges
+        return HingeRow(*ends, cosines, sine, cosine, float(np.copysign(1.0, b @ cross(a, c))))
+
+
+def _scalar(value: Any) -> Any:
+    """Return a float instead of one of NumPy, and generic scalars as they are."""
+    return float(value) if isinstance(value, float) else value
+
+
+def _number(name: str) -> int:
+    """Return which of the axes a parameter is."""
+    return int(name.partition(".")[0]) if name != "axis" else 0

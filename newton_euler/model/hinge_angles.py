@@ -22,6 +22,7 @@ is 0 where hinges alone join the bodies, and the way of the slides where there a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -40,7 +41,17 @@ def dual_axes(axes: Array) -> Array:
     """Compute d_k in the span of n independent axes (..., n, 3) with d_k . a_m = 1 for m = k, else 0."""
     if axes.shape[-2] == 1:  # which is most often, and much quicker
         return axes / np.sum(axes * axes, axis=-1, keepdims=True)
+    if axes.dtype == object:  # one set of generic scalars
+        return np.array(_duals([*axes]))
     return np.swapaxes(np.linalg.pinv(axes), -1, -2)
+
+
+def _duals(axes: Sequence[Array]) -> list[Array]:
+    """Compute d_k (3,) of two or three axes; those of two axes lie in their plane."""
+    a, b, c = axes if len(axes) == 3 else (*axes, cross(*axes))
+    normals = cross(b, c), cross(c, a), cross(a, b)
+    volume = a @ normals[0]
+    return [normal / volume for normal in normals[: len(axes)]]
 
 
 class Axis(NamedTuple):
@@ -75,6 +86,7 @@ class HingeRow:
         cosines: of the middle axis with the first and with the last one; None if there are two hinges.
         sine: a_2 . (a_1 x a_3) of three hinges initially.
         cosine: a_1 . a_3 less the product of `cosines`, initially.
+        side: sign of the sine.
     """
 
     first_axis: Array
@@ -84,31 +96,25 @@ class HingeRow:
     cosines: tuple[float, float] | None = None
     sine: float = 0.0
     cosine: float = 0.0
+    side: float = 1.0
 
     def axes(self, first: Frame, second: Frame) -> list[Array]:
         """Compute the axes, (3,) each, world frame."""
         a, c = first.rotation @ self.first_axis, second.rotation @ self.last_axis
         if self.cosines is None:
             return [a, c]
-        p, r = (0.0 if abs(cosine) < RIGHT_ANGLE else cosine for cosine in self.cosines)
+        p, r = (0.0 if _is_right(cosine) else cosine for cosine in self.cosines)
         s = a @ c
         sine2 = 1.0 - s * s
         on_a, on_c = (p - r * s) / sine2, (r - p * s) / sine2
         rest = (1.0 - on_a * on_a - on_c * on_c - 2.0 * on_a * on_c * s) / sine2
-        across = np.copysign(1.0, self.sine) * sqrt(rest)
+        across = self.side * sqrt(rest)
         return [a, on_a * a + on_c * c + across * cross(a, c), c]
-
-    def duals(self, axes: list[Array]) -> list[Array]:
-        """Compute d_k (3,) of each axis; those of two axes lie in their plane."""
-        a, b, c = axes if len(axes) == 3 else (*axes, cross(*axes))
-        normals = cross(b, c), cross(c, a), cross(a, b)
-        volume = a @ normals[0]
-        return [normal / volume for normal in normals[: len(axes)]]
 
     def moving(self, first: Frame, second: Frame) -> tuple[list[Axis], list[Array], Array]:
         """Compute the axes, their duals, and sum_k x_k' da_k/dt (3,) at the motion of two frames."""
         values = self.axes(first, second)
-        duals = self.duals(values)
+        duals = _duals(values)
         wi, wj = first.angular_velocity, second.angular_velocity
         rates = [dual @ (wj - wi) for dual in duals]
         axes = [_carried(values[0], wi, True), _carried(values[-1], wj, False)]
@@ -147,7 +153,7 @@ class HingeAngle:
         return np.array([arctan2(*turned)])
 
     def jacobian(self, first: Frame, second: Frame) -> Jacobian:
-        dual = self.row.duals(self.row.axes(first, second))[self.index][None]
+        dual = _duals(self.row.axes(first, second))[self.index][None]
         return Jacobian(_ZERO, -dual, _ZERO, dual)
 
     def gamma(self, first: Frame, second: Frame) -> Array:
@@ -272,6 +278,11 @@ class RowSlide(RowDisplacement):
         if self.separation.row.cosines is None:
             gamma = gamma - self._spare(first, second) @ self.separation.row.moving(first, second)[2]
         return gamma
+
+
+def _is_right(cosine: Scalar) -> bool:
+    """Tell if axes of a cosine count as perpendicular; generic scalars are no structural zeros."""
+    return isinstance(cosine, float) and abs(cosine) < RIGHT_ANGLE
 
 
 def _angle(axis: Array, start: Array, end: Array) -> Scalar:

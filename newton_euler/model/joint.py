@@ -171,6 +171,10 @@ class Joint:
         """Numbers that may change from run to run without a new compilation, see `varied`."""
         return (*POINTS, *self.axis_names)
 
+    def number(self, name: str) -> Any:
+        """Return one of the `parameters` by its name, but for displacements."""
+        return getattr(self, name)
+
     @property
     def described(self) -> Self:
         """The joint as it is described, of one whose points and axes vary, see `varied`."""

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from newton_euler.errors import MechanismError, check_key
 from newton_euler.model.elements import OnCoordinate
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Piecewise, Spline, Steps
-from newton_euler.scalars import Scalar
+from newton_euler.scalars import Array, Scalar
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,60 @@ def shifted(function: TimeFunction, by: float) -> TimeFunction:
         return replace(function, values=function.values + by)
     first_one, *rest = function.coefficients
     return replace(function, coefficients=(first_one + by, *rest))
+
+
+def piece_numbers(functions: Iterable[TimeFunction], time: float) -> Array:
+    """Return the numbers of functions between the knots around a time in s, one after the other."""
+    return np.array([number for function in functions for number in function.piece(time)])
+
+
+def on_piece(value: Any, numbers: list[Any]) -> Any:
+    """Return a function, or a mapping with functions, with what they are where they have these numbers."""
+    if isinstance(value, TimeFunction):
+        return value.on_piece(numbers)
+    changed = dict(value)
+    for key, each in value.items():
+        if isinstance(each, TimeFunction):
+            changed[key] = each.on_piece(numbers[: each.numbers])
+            numbers = numbers[each.numbers :]
+    return changed
+
+
+def linear_numbers(function: TimeFunction | float) -> list[float]:
+    """Return what a function of time is linear in, or a number itself."""
+    if isinstance(function, float):
+        return [function]
+    if isinstance(function, Sum):
+        return [value for term in function.terms for value in linear_numbers(term)]
+    if isinstance(function, Sine):
+        return [function.amplitude, function.offset]
+    return list(function.values if isinstance(function, Piecewise) else function.coefficients)
+
+
+def with_linear_numbers(
+    function: TimeFunction | float, values: list[Any], change: Callable[..., Any]
+) -> TimeFunction | float:
+    """Return the function with other values of what it is linear in, or another number.
+
+    Args:
+        change: makes a function with other values of its fields.
+    """
+    if isinstance(function, float):
+        return values[0]
+    if isinstance(function, Sum):
+        terms: list[TimeFunction | float] = []
+        for term in function.terms:
+            count = len(linear_numbers(term))
+            terms.append(with_linear_numbers(term, values[:count], change))
+            values = values[count:]
+        return change(function, terms=tuple(terms))
+    if isinstance(function, Sine):
+        return change(function, amplitude=values[0], offset=values[1])
+    if isinstance(function, Piecewise):
+        changed = change(function, values=np.array(values))
+        vars(changed).pop("_pieces", None)  # of the samples that have changed
+        return changed
+    return change(function, coefficients=tuple(values))
 
 
 @dataclass(frozen=True)

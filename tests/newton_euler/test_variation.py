@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from armed_scenes import COMPOUNDS
 from elements import COUPLED, ELEMENTS, JOINTS, MOTIONS
 from mechanisms import line_spring, mass_on_rail
 
@@ -16,6 +17,7 @@ from newton_euler.equations.parameters import parameter_values, unambiguous, wit
 from newton_euler.equations.redundancy import inherit_mobility, mobility
 from newton_euler.errors import MechanismError, OptionError, UnknownNameError
 from newton_euler.integrators.compiled import formulate
+from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
 from newton_euler.model.forces import Armature, JointSpring
 from newton_euler.model.mechanism import Mechanism
@@ -182,7 +184,12 @@ def remade(scene, element, attribute, value):
     parts = {name: list(getattr(mechanism, name)) for name in ("bodies", "joints", "couplings")}
     for each in parts.values():
         for k, part in enumerate(each):
-            if part.name == element and attribute == "point":
+            if isinstance(part, Compound) and attribute == "axis" and element.startswith(part.name):
+                axes = [*part.slides, *part.hinges]
+                axes[int(element.removeprefix(part.name).removeprefix(".") or 0)] = np.array(value)
+                slides, hinges = axes[: len(part.slides)], axes[len(part.slides) :]
+                each[k] = replace(part, slides=slides, hinges=hinges)
+            elif part.name == element and attribute == "point":
                 points = {name: getattr(part, name) + value for name in ("point", "point_on_second")}
                 each[k] = replace(part, **points)
             elif part.name == element and attribute == "terms":
@@ -243,9 +250,11 @@ REDUNDANT = {"motion of a loop, redundant"}
 
 
 @pytest.mark.parametrize("formulation", ["relative", "cartesian"])
-@pytest.mark.parametrize("title", [*JOINTS, *MOTIONS, *COUPLED, "forces, rods", "wind, cut at a ball"])
+@pytest.mark.parametrize(
+    "title", [*JOINTS, *MOTIONS, *COUPLED, *COMPOUNDS, *("forces, rods", "wind, cut at a ball")]
+)
 def test_equations_of_varied_geometry_are_those_of_a_scene_made_with_it(title, formulation):
-    scene = (ELEMENTS | COUPLED)[title]
+    scene = (ELEMENTS | COUPLED | COMPOUNDS)[title]
     for name, value in varied_numbers(scene):
         element, _, attribute = name.rpartition(".")
         if title in REDUNDANT and attribute == "axis":
@@ -306,12 +315,13 @@ def test_runs_of_varied_geometry_are_those_of_scenes_made_with_it(crank, formula
             assert np.abs(found.coordinates - needed.coordinates).max() < 1e-10
 
 
-@pytest.mark.parametrize("title", ["forces, rods", "gear, cut", "screw, cut"])
-def test_points_on_one_body_and_lengths_of_rods(title):
+@pytest.mark.parametrize("title", ["forces, rods", "gear, cut", "screw, cut", "compound, skew"])
+def test_points_on_one_body_lengths_of_rods_and_axes(title):
     """The scene is described at another initial pose, from where coordinates are counted."""
-    scene, rng = ELEMENTS[title], np.random.default_rng(1)
+    scene, rng = (ELEMENTS | COMPOUNDS)[title], np.random.default_rng(1)
+    scene = replace(scene, duration=0.2, output_period=0.05)
     own = parameter_values(scene)
-    sided = ("point_on_first", "point_on_second", "length")
+    sided = ("point_on_first", "point_on_second", "length", "axis", "1.axis")
     names = [f"{joint}.{name}" for joint in scene.mechanism.joint_names for name in sided]
     values = {n: own[n] + 5e-3 * rng.uniform(-1.0, 1.0, own[n].shape) for n in names if n in own}
     batch = simulate_batch(scene, parameters={name: [value] for name, value in values.items()})

@@ -90,6 +90,16 @@ def test_gains_are_parameters():
     assert covered_by(scene, 1e-8, 1e-8).elements[4].element == "actuator of joint 'rail'"
 
 
+def test_targets_of_other_coordinates_are_parameters():
+    """Numbers and what functions of time are linear in, one after the other."""
+    scene = cart_pole()
+    law = replace(scene.control[0], targets={"pole": Sine(0.1, 3.0, offset=0.02)})
+    scene = replace(scene, control=(law,))
+    assert parameter_values(scene, ["rail.targets"])["rail.targets"].tolist() == [0.1, 0.02]
+    changed = with_values(scene, {"rail.targets": np.array([0.2, 0.02])})
+    assert changed.control[0].targets == {("pole", 0): Sine(0.2, 3.0, offset=0.02)}
+
+
 def test_mujocos_file_has_a_motor_with_the_force_of_the_start():
     assert '<motor name="rail" joint="rail" />' in to_xml(cart_pole())
     assert 'ctrl="5.99999999' in to_xml(cart_pole())
