@@ -190,7 +190,7 @@ def error_norm(system: Equations, h: float, method: Dop853) -> float:
     k = method.k
     fifth = 0.0
     third = 0.0
-    for i in range(system.controlled):
+    for i in range(system.n):
         scale = method.atol + method.rtol * max(abs(now[i]), abs(end[i]))
         five = 0.0
         three = 0.0
@@ -201,7 +201,7 @@ def error_norm(system: Equations, h: float, method: Dop853) -> float:
         third += (three / scale) * (three / scale)
     if fifth == 0.0 and third == 0.0:
         return 0.0
-    return h * fifth / sqrt((fifth + 0.01 * third) * system.controlled)
+    return h * fifth / sqrt((fifth + 0.01 * third) * system.n)
 
 
 @native
@@ -244,18 +244,17 @@ def interpolate(count: int, n: int, share: float, method: Dop853, y: Vector) -> 
 def first_step(system: Equations, method: Dop853, span: float) -> float:
     """Choose a first step size (Hairer, Norsett, Wanner, section II.4); k holds the derivative at `now`."""
     n = system.n
-    controlled = system.controlled
     now = method.now
     at = method.at
     k = method.k
     d0 = 0.0
     d1 = 0.0
-    for i in range(controlled):
+    for i in range(n):
         scale = method.atol + method.rtol * abs(now[i])
         d0 += (now[i] / scale) * (now[i] / scale)
         d1 += (k[i] / scale) * (k[i] / scale)
-    d0 = sqrt(d0 / controlled)
-    d1 = sqrt(d1 / controlled)
+    d0 = sqrt(d0 / n)
+    d1 = sqrt(d1 / n)
     h = min(1e-6 if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1, span)
     h = max(h, min(LEAST * SPACING * abs(now[n]), span))  # next to the origin the state says little
     for i in range(n):
@@ -263,18 +262,18 @@ def first_step(system: Equations, method: Dop853, span: float) -> float:
     at[n] = now[n] + h
     evaluate(system, at, k[n + 1 :])
     d2 = 0.0
-    for i in range(controlled):
+    for i in range(n):
         scale = method.atol + method.rtol * abs(now[i])
         change = (k[n + 1 + i] - k[i]) / scale
         d2 += change * change
-    d2 = sqrt(d2 / controlled) / h
+    d2 = sqrt(d2 / n) / h
     largest = max(d1, d2)
     wanted = max(1e-6, 1e-3 * h) if largest <= 1e-15 else (0.01 / largest) ** 0.125
     return min(min(100.0 * h, wanted), span)
 
 
 @native
-def error_on_constraints(n: int, controlled: int, h: float, closing: Callback, method: Dop853) -> float:
+def error_on_constraints(n: int, h: float, closing: Callback, method: Dop853) -> float:
     """Estimate the error of a step after projection; the projected end is left in row 13 of k.
 
     Near a singular configuration multipliers have few digits. What they add to a state in vain is off
@@ -304,7 +303,7 @@ def error_on_constraints(n: int, controlled: int, h: float, closing: Callback, m
         return FAILED
     fifth = 0.0
     third = 0.0
-    for i in range(controlled):
+    for i in range(n):
         scale = method.near_atol + method.near_rtol * max(abs(method.now[i]), abs(end[i]))
         five = (k[14 * row + i] - k[13 * row + i]) / scale
         three = (k[15 * row + i] - k[13 * row + i]) / scale
@@ -312,7 +311,7 @@ def error_on_constraints(n: int, controlled: int, h: float, closing: Callback, m
         third += three * three
     if fifth == 0.0 and third == 0.0:
         return 0.0
-    return fifth / sqrt((fifth + 0.01 * third) * controlled)
+    return fifth / sqrt((fifth + 0.01 * third) * n)
 
 
 @native
@@ -343,7 +342,7 @@ def stay(system: Equations, table: Table, states: Vector, method: Dop853) -> Non
     """Write `now` into the rows that are due if it rests, and go to their end."""
     n = system.n
     largest = 0.0
-    for i in range(system.controlled):
+    for i in range(system.n):
         largest = max(largest, abs(method.k[i]))
     if largest < method.rest:
         for row in range(int(method.control[DUE]), table.count):
@@ -406,7 +405,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     near = 0
     if system.projecting == 1 and pivot_ratio < NEAR and status == DONE:
         near = 1
-        error = min(error, error_on_constraints(n, system.controlled, h, system.closing, method))
+        error = min(error, error_on_constraints(n, h, system.closing, method))
     if near == 1 and control[HOPPED] < HOPS:
         shorter = SAFETY * error**EXPONENT if error > 1.0 else 1.0
         wanted = crossing_factor(k[n], k[row * 9 + n], k[row * STAGES + n], shorter)

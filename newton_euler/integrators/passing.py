@@ -164,7 +164,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
             steps=np.zeros(0),
             control=np.zeros(0),
         )
-        return error_on_constraints(n, n, h, self._closing, method)
+        return error_on_constraints(n, h, self._closing, method)
 
     def _closing(self, x: Array, y: Array) -> None:
         """Project near a singular configuration, in the form that native methods call."""

@@ -256,7 +256,6 @@ def equations(
     return m.Equations(
         n=code.size,
         nq=code.system.nq,
-        controlled=code.size,
         inputs=code.inputs,
         derivative=derivative,
         dense=python.derivative,

@@ -122,7 +122,7 @@ def leaving(system: Equations, span: float, projecting: int, now: Vector, rates:
     """
     speed = 0.0
     push = 0.0
-    for i in range(system.nq, system.controlled):
+    for i in range(system.nq, system.n):
         speed += abs(now[i])
         push += abs(rates[i])
     if push * span * span < STAYS and speed * span < STAYS:
@@ -185,7 +185,7 @@ def contradiction(system: Equations, h: float, now: Vector, k: Vector) -> float:
     row = system.n + 1
     residual = 0.0
     speed = 0.0
-    for i in range(system.nq, system.controlled):
+    for i in range(system.nq, system.n):
         residual += abs(k[2 * row + i] - k[row + i])
         residual += abs(k[i] - k[row + i] - k[2 * row + i] + k[3 * row + i])
         speed += abs(now[i]) + h * abs(k[i])

@@ -61,7 +61,6 @@ class Equations(Record):
 
     Attributes:
         n, nq: lengths of a state (q, v) and of q.
-        controlled: number of elements of a state, its first, that step sizes depend on: those of (q, v).
         inputs: length of a state with time and parameters.
         derivative, dense: rates and pivot ratio of a state, compiled, and by the dense form.
         projecting: 1 if states are kept on the constraints, else 0.
@@ -77,7 +76,6 @@ class Equations(Record):
 
     n: int
     nq: int
-    controlled: int
     inputs: int
     derivative: Callback
     dense: Callback

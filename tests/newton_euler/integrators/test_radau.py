@@ -158,7 +158,6 @@ def test_outputs_between_steps_are_as_exact_as_the_steps():
     system = Equations(
         n=n,
         nq=0,
-        controlled=n,
         inputs=n + 1,
         derivative=derivative,
         dense=derivative,

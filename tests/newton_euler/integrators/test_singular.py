@@ -211,7 +211,6 @@ def test_what_the_last_newton_step_leaves_counts(steps, status):
     system = Equations(
         n=1,
         nq=1,
-        controlled=1,
         inputs=2,
         derivative=None,
         dense=None,
