@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from itertools import pairwise
+from functools import lru_cache, partial
+from queue import Empty, SimpleQueue
 from typing import Any, Unpack, overload
 
 import numpy as np
@@ -31,11 +32,11 @@ from newton_euler.integrators.options import (
     StepControl,
 )
 from newton_euler.integrators.outputs import named
-from newton_euler.integrators.run import Integrator
-from newton_euler.integrators.side_by_side import IN_LANES, SideBySide, load_lanes
+from newton_euler.integrators.side_by_side import IN_LANES, Runs, SideBySide, load_lanes
+from newton_euler.integrators.stepper import COUNTS, counted
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.model.trajectory import IntegrationError, Trajectory
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.sampling import integrate_intervals
 from newton_euler.scalars import Array, Floats
 from newton_euler.simulate import KEPT, CompiledScene, native_trajectory
@@ -65,12 +66,10 @@ class Batch(Sequence[Trajectory]):
     wall_time: float
     errors: dict[int, NewtonEulerError]
     _compiled: CompiledScene
-    _starts: Array
-    _results: Array
-    _counts: list[dict[str, int]]
+    _runs: Runs
 
     def __len__(self) -> int:
-        return len(self._results)
+        return len(self._runs.results)
 
     def __repr__(self) -> str:
         return f"<Batch of {self.scene.name!r}: runs: {len(self)}, errors: {len(self.errors)}>"
@@ -85,12 +84,12 @@ class Batch(Sequence[Trajectory]):
         number = range(len(self))[run]
         if number in self.errors:
             raise self.errors[number]
-        arrays = named(self._compiled, self._results[number])
-        settings = self.settings | self._counts[number]
+        arrays = named(self._compiled, self._runs.results[number])
+        settings = self.settings | counted(self._runs.counts[number])
         found = native_trajectory(self.scene, settings, self.wall_time / len(self), arrays)
         if not self._compiled.kinematic:
             return found
-        return replace(found, mechanism=self._compiled.parametrized(self._starts[number]).mechanism)
+        return replace(found, mechanism=self._compiled.parametrized(self._runs.starts[number]).mechanism)
 
     def stacked(self, name: str) -> Floats:
         """Return an array of all runs at all times, without a copy: `position` is (runs, n, b, 3).
@@ -105,7 +104,8 @@ class Batch(Sequence[Trajectory]):
         if name not in places:
             raise UnknownNameError("array", name, tuple(places))
         place, shape = places[name]
-        return self._results[:, :, place].reshape(*self._results.shape[:2], *shape)
+        results = self._runs.results
+        return results[:, :, place].reshape(*results.shape[:2], *shape)
 
     def __iter__(self) -> Iterator[Trajectory]:
         return (self[k] for k in range(len(self)))
@@ -158,82 +158,66 @@ def simulate_batch(
     compiled = _compiled(scene, formulation, stabilization, alpha, names)
     load_lanes(compiled, integrator)
     count = _count(states, parameters)
-    times = scene.times
     try:
-        results = np.empty((count, len(times), compiled.function("output").outputs))
+        results = np.empty((count, len(scene.times), compiled.function("output").outputs))
         starts = np.tile(compiled.start, (count, 1))
     except MemoryError as error:
         raise OptionError("states and parameters", f"{count} runs", "runs that memory can hold") from error
     errors = _set(starts, compiled, states, parameters)
     results[list(errors)] = np.nan
-    counts: list[dict[str, int]] = [{} for _ in starts]
-    stopped: list[bool] = []
-
-    def run(piece: tuple[int, int]) -> None:
-        if compiled.piecewise:
-            run_intervals(piece)
-            return
-        if integrator in IN_LANES:
-            run_in_lanes(piece)
-            return
-        own = Integrator(compiled, times, options, stopped)
-        for k in range(*piece):
-            if stopped:
-                return
-            if k in errors:
-                continue
-            try:
-                own(starts[k])
-                own.outputs(results[k])
-            except IntegrationError as error:
-                errors[k] = error
-                results[k] = np.nan
-            counts[k] = own.counted
-
-    def run_in_lanes(piece: tuple[int, int]) -> None:
-        numbers = [k for k in range(*piece) if k not in errors]
-        own = SideBySide(compiled, times, options, stopped, len(numbers))
-        for first in range(0, len(numbers), own.group):
-            if stopped:
-                return
-            group = numbers[first : first + own.group]
-            made = own(starts[group])
-            results[group] = made.results
-            for k, run_counts in zip(group, made.counts, strict=True):
-                counts[k] = run_counts
-            errors.update({group[k]: error for k, error in made.errors.items()})
-
-    def run_intervals(piece: tuple[int, int]) -> None:
-        for k in range(*piece):
-            if stopped:
-                return
-            if k in errors:
-                continue
-            found = integrate_intervals(compiled, starts[k], options, stopped)
-            if found.stopped:
-                errors[k] = found.stopped
-                results[k] = np.nan
-            else:
-                results[k] = found.results
-            counts[k] = found.counts
-
-    most = len(starts) // SMALLEST_PIECE if integrator in IN_LANES else len(starts)
-    pieces = min(max(most, workers), len(starts), PIECES * workers)
-    edges = np.linspace(0, len(starts), pieces + 1).astype(int)
-    start = time.perf_counter()
-    with ThreadPoolExecutor(workers) as pool:
-        try:
-            list(pool.map(run, pairwise(edges.tolist())))
-        except BaseException:
-            stopped.append(True)
-            raise
-    wall_time = time.perf_counter() - start
+    runs = Runs(starts, results, np.zeros((count, COUNTS)), errors)
+    wall_time = _make(runs, compiled, options, workers)
     settings = {
         "formulation": compiled.formulation,
         "stabilization": stabilization,
         "threads": workers,
     } | options.chosen()
-    return Batch(scene, settings, wall_time, dict(sorted(errors.items())), compiled, starts, results, counts)
+    return Batch(scene, settings, wall_time, dict(sorted(runs.errors.items())), compiled, runs)
+
+
+def _make(runs: Runs, compiled: CompiledScene, options: Options, workers: int) -> float:
+    """Make all runs but those with an error, on so many threads; returns the time that it took, s."""
+    side_by_side = options.integrator in IN_LANES and not compiled.piecewise
+    numbers = np.setdiff1d(np.arange(len(runs.starts)), list(runs.errors))
+    most = len(numbers) // SMALLEST_PIECE if side_by_side else len(numbers)
+    waiting: SimpleQueue[Array] = SimpleQueue()
+    for piece in np.array_split(numbers, max(min(PIECES * workers, most), workers)):
+        waiting.put(piece)
+    stopped: list[bool] = []
+
+    def work() -> None:
+        make: Callable[[Runs, Array], None] = partial(_make_one_by_one, compiled, options, stopped)
+        if side_by_side:
+            make = SideBySide(compiled, compiled.scene.times, options, stopped)
+        with suppress(Empty):
+            while not stopped:
+                make(runs, waiting.get_nowait())
+
+    start = time.perf_counter()
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            for worker in as_completed([pool.submit(work) for _ in range(workers)]):
+                worker.result()
+        except BaseException:
+            stopped.append(True)
+            raise
+    return time.perf_counter() - start
+
+
+def _make_one_by_one(
+    compiled: CompiledScene, options: Options, stopped: Sequence[bool], runs: Runs, numbers: Array
+) -> None:
+    """Make some of the runs, given by their numbers."""
+    for k in numbers.tolist():
+        if stopped:
+            return
+        found = integrate_intervals(compiled, runs.starts[k], options, stopped)
+        if found.stopped:
+            runs.errors[k] = found.stopped
+            runs.results[k] = np.nan
+        else:
+            runs.results[k] = found.results
+        runs.counts[k] = found.counts
 
 
 @lru_cache(maxsize=KEPT)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import copy
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
 
@@ -18,6 +17,7 @@ from newton_euler.errors import is_finite_number
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.run import Integrator
+from newton_euler.integrators.stepper import COUNTS
 from newton_euler.model.digital_control import HeldLaw
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError
@@ -150,13 +150,13 @@ class NativeRun(NamedTuple):
     Attributes:
         results: (n, outputs) what the scene asks for at the n output times that were reached, see
             `newton_euler.integrators.outputs.named`.
-        counts: of steps and evaluations, by name.
+        counts: (COUNTS,) of steps and evaluations, see `newton_euler.integrators.stepper.counted`.
         stopped: the error that ended the run before the last output; None if none did.
         wall_time: s, of the run itself, without making its integrator.
     """
 
     results: Array
-    counts: dict[str, int]
+    counts: Array
     stopped: IntegrationError | None
     wall_time: float
 
@@ -180,7 +180,7 @@ def integrate_intervals(
     start = time.perf_counter()
     scene = code.parametrized(x)
     parts: list[Array] = []
-    total: Counter[str] = Counter()
+    total = np.zeros(COUNTS)
     error: IntegrationError | None = None
     controllers, integrators = Controllers(scene), dict[int, Integrator]()
     for interval in intervals(scene, scene.knots, times):
@@ -202,7 +202,7 @@ def integrate_intervals(
         if not values:  # one integrator for all of the run, which others make once for many
             start = time.perf_counter()
         results, error = integrator.attempt(x)
-        total.update(integrator.counted)
+        total += integrator.counts
         wanted = interval.wanted[: len(results)]
         parts.append(results if wanted.all() else results[wanted])
         if error:
@@ -212,4 +212,4 @@ def integrate_intervals(
         x[:] = integrator.x
     if len(parts) != 1:
         results = np.concatenate([np.zeros((0, code.function("output").outputs)), *parts])
-    return NativeRun(results, dict(total), error, time.perf_counter() - start)
+    return NativeRun(results, total, error, time.perf_counter() - start)

@@ -34,6 +34,7 @@ from newton_euler.integrators.options import (
 )
 from newton_euler.integrators.outputs import named
 from newton_euler.integrators.run import load
+from newton_euler.integrators.stepper import counted
 from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -170,7 +171,7 @@ class CompiledScene(Code):
         settings: dict[str, Any] = {"formulation": self.formulation, "stabilization": self.stabilization}
         if self.stabilization == "baumgarte":
             settings["alpha"] = self.alpha
-        settings |= options.chosen() | counts
+        settings |= options.chosen() | counted(counts)
         settings |= {"trace_time": self.trace_time, "compile_time": self.compile_time}
         if stopped is None:
             return native_trajectory(self.scene, settings, wall_time, arrays)
@@ -249,8 +250,8 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
                 stopped = error
                 break
         system = holding(given, held) if held else given
-        table, counted, stopped = integrate(system, q, v, interval.times, options)
-        counts.update(counted)
+        table, found, stopped = integrate(system, q, v, interval.times, options)
+        counts.update(found)
         for t, wanted, state in zip(interval.times, interval.wanted, table, strict=False):
             q, v = state[: system.nq], state[system.nq :]
             if wanted:

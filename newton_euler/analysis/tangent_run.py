@@ -274,7 +274,7 @@ class FollowedRun:
         derivatives = {
             name: found[0] if len(found) == 1 else np.concatenate(found) for name, found in parts.items()
         }
-        return Followed(run.results, derivatives, run.counts, run.wall_time)
+        return Followed(run.results, derivatives, m.counted(run.counts), run.wall_time)
 
     def _along(
         self, integrator: Integrator, begun: Array, interval: Interval, directions: Array

@@ -30,6 +30,7 @@ class Rows(Record):
         function: of states.
         x: (runs, inputs) have the parameters.
         times, states: (count,) and (runs, count, n).
+        places: (runs,) numbers of the runs among the results.
         given, found: (inputs, lanes) and (m, lanes), scratch.
     """
 
@@ -43,16 +44,18 @@ class Rows(Record):
     x: Vector
     times: Vector
     states: Vector
+    places: Vector
     given: Vector
     found: Vector
 
 
 @native
 def map_runs(rows: Rows, results: Vector) -> None:
-    """Evaluate results (runs, count, m), the function of each row of each run at its time."""
+    """Evaluate results (..., count, m), the function of each row of each run at its time."""
+    size = rows.count * rows.m
     for run in range(rows.runs):
         states = rows.states[rows.count * rows.n * run :]
-        map_rows(rows, rows.x[rows.inputs * run :], states, results[rows.count * rows.m * run :])
+        map_rows(rows, rows.x[rows.inputs * run :], states, results[size * int(rows.places[run]) :])
 
 
 @native
@@ -112,6 +115,7 @@ def at_rows(function: NativeFunction, x: Array) -> Array:
         x=np.zeros(function.inputs),
         times=np.ascontiguousarray(x[:, -1]),
         states=np.ascontiguousarray(x[:, :-1]),
+        places=np.zeros(1),
         given=np.empty((function.inputs, function.lanes)),
         found=np.empty((function.outputs, function.lanes)),
     )
@@ -124,11 +128,14 @@ class Outputs:
 
     Attributes:
         shape: of the results of one run, (n, outputs).
-        write: writes the results (runs, n, outputs) of all runs.
+        write: writes the results of all runs into those (..., n, outputs) of some more.
     """
 
-    def __init__(self, code: Code, times: Array, x: Array, states: Array) -> None:
-        """Of states (runs, n, size) at `times` (n,) with the parameters in x (runs, inputs), by then."""
+    def __init__(self, code: Code, times: Array, x: Array, states: Array, places: Array) -> None:
+        """Of states (runs, n, size) at `times` (n,) with the parameters in x (runs, inputs), by then.
+
+        `places` (runs,) are numbers of the runs among the results.
+        """
         function = code.function("output")
         self._code, self._times, self._x, self._states = code, times, x, states
         self.shape = (len(times), function.outputs)
@@ -144,6 +151,7 @@ class Outputs:
             x=x,
             times=times,
             states=states,
+            places=places.astype(float),
             given=given,
             found=found,
         )

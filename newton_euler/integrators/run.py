@@ -197,9 +197,9 @@ class Integrator:
         self.table, self.steps = np.zeros((len(times), code.size)), np.zeros((room, code.size + 2))
         marked = marks(code, options.integrator)
         system = equations(code, self._python, code.function("derivative"), marked, self.counts)
-        table = runs(code, self.times, self.x[None], self.table[None], np.zeros((1, m.COUNTS)))
+        table = table_of(code, self.times, self.x[None], self.table[None], np.zeros((1, m.COUNTS)))
         method = method_of(code, options, self._most, self.steps)
-        self.outputs = Outputs(code, self.times, self.x[None], self.table[None])
+        self.outputs = Outputs(code, self.times, self.x[None], self.table[None], np.zeros(1))
         integrate = METHODS[options.integrator]
         self._run = native_method(integrate).bind(integrate, system, table, method)
 
@@ -237,11 +237,6 @@ class Integrator:
                 stopped, rows = stopped or error, int(np.searchsorted(self.times, error.time))
         return results[:rows], stopped
 
-    @property
-    def counted(self) -> dict[str, int]:
-        """Counts of the run by name."""
-        return m.counted(self.counts)
-
 
 def equations(
     code: Code, python: Callbacks, derivative: Callback, marked: Array, counts: Array
@@ -273,7 +268,7 @@ def equations(
     )
 
 
-def runs(code: Code, times: Array, ends: Array, states: Array, tallies: Array, lanes: int = 1) -> m.Table:
+def table_of(code: Code, times: Array, ends: Array, states: Array, tallies: Array, lanes: int = 1) -> m.Table:
     """Return a table of as many runs as there are ends; each lane makes the first one that is its own."""
     first = np.arange(float(lanes))
     return m.Table(len(times), code.kept, len(ends), lanes, first, times, ends, states, tallies)

@@ -10,13 +10,14 @@ code.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from newton_euler.codegen.compile import CALLBACK
 from newton_euler.codegen.trigonometry import LANES
+from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.options import Options
@@ -30,7 +31,7 @@ from newton_euler.integrators.run import (
     method_of,
     most_steps,
     native_method,
-    runs,
+    table_of,
     vector_at,
 )
 from newton_euler.model.trajectory import IntegrationError
@@ -81,85 +82,83 @@ class Departure:
             self._counts[m.WISH] = m.STOP
 
 
-class Group(NamedTuple):
-    """Runs that were made side by side.
+class Runs(NamedTuple):
+    """Runs of a scene, made and to be made.
 
     Attributes:
-        results: (runs, n, outputs), valid until the next group is made; not numbers of runs that could not
-            go on.
-        counts: of each run, by name.
-        errors: of those that could not go on, by number in the group.
+        starts: (runs, inputs) states with time and parameters.
+        results: (runs, n, outputs), not numbers of runs that could not go on.
+        counts: (runs, COUNTS), see `newton_euler.integrators.stepper`.
+        errors: of those that could not begin or not go on, by number.
     """
 
+    starts: Array
     results: Array
-    counts: list[dict[str, int]]
-    errors: dict[int, IntegrationError]
+    counts: Array
+    errors: dict[int, NewtonEulerError]
 
 
 class SideBySide:
-    """A method on a compiled scene over given times, ready for groups of runs; one thread at a time.
+    """A method on a compiled scene over given times, ready for groups of runs; one thread at a time."""
 
-    Attributes:
-        group: the number of runs of a group, at most.
-        shape: of the results of one run, (n, outputs).
-    """
-
-    def __init__(
-        self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = (), most: int = MOST
-    ) -> None:
-        """Make everything ready for groups of at most so many runs, which stop if `stopped`, which other
-        threads may fill, holds something."""
-        self._code, self._options, self._stopped = code, options, stopped
+    def __init__(self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = ()) -> None:
+        """Make everything ready; runs stop if `stopped`, which other threads may fill, holds something."""
+        self._code, self._stopped = code, stopped
         self._alone = Integrator(code, times, options, stopped)
-        fitting = TABLE // (8 * len(times) * max(code.size, 1))
-        self.group = min(max(fitting, LEAST), MOST, max(most, 1))
+        self._group = min(max(TABLE // (8 * len(times) * max(code.size, 1)), LEAST), MOST)
         counts = np.zeros((m.COUNTS, LANES))
         python = Departure(code, counts, stopped)
         derivative = code.function("derivative", in_lanes=True)
-        self._system = equations(code, python, derivative, marks(code, options.integrator), counts)
-        self._method = method_of(code, options, most_steps(options), np.zeros((0, 0)), LANES)
+        system = equations(code, python, derivative, marks(code, options.integrator), counts)
+        method = method_of(code, options, most_steps(options), np.zeros((0, 0)), LANES)
+        integrate = METHODS[options.integrator]
         self._times = times.copy()
-        self._states = np.zeros((self.group, len(times), code.size))
-        self.shape = self._alone.outputs.shape
-        self._results = np.empty((self.group, *self.shape))
+        self._states = np.zeros((self._group, len(times), code.size))
+        native = native_method(integrate, in_lanes=True)
+        self._run: Callable[[m.Table], None] = lambda table: native(integrate, system, table, method)
         self._keep = python
 
-    def __call__(self, x: Array) -> Group:
-        """Make runs from x (runs, inputs), at most as many as a group has."""
-        code, count = self._code, len(x)
-        ends, states, tallies = x.copy(), self._states[:count], np.zeros((count, m.COUNTS))
-        table = runs(code, self._times, ends, states, tallies, LANES)
-        integrate = METHODS[self._options.integrator]
-        native_method(integrate, in_lanes=True).bind(integrate, self._system, table, self._method)()
-        outputs = Outputs(code, self._times, ends, states)
-        results = self._results[:count]
-        outputs.write(results)
-        again = tallies[:, m.STATUS] != m.DONE
-        counts = [m.counted(tally) for tally in tallies]
-        errors: dict[int, IntegrationError] = {}
-        for k in np.flatnonzero(again | self._unsettled(results)).tolist():
+    def __call__(self, runs: Runs, numbers: Array) -> None:
+        """Make some of the runs, given by their numbers."""
+        for first in range(0, len(numbers), self._group):
+            if self._stopped:
+                return
+            self._make(runs, numbers[first : first + self._group])
+
+    def _make(self, runs: Runs, numbers: Array) -> None:
+        ends, states = runs.starts[numbers], self._states[: len(numbers)]
+        counts = np.zeros((len(numbers), m.COUNTS))
+        self._run(table_of(self._code, self._times, ends, states, counts, LANES))
+        outputs = Outputs(self._code, self._times, ends, states, numbers)
+        outputs.write(runs.results)
+        again = counts[:, m.STATUS] != m.DONE
+        for k in np.flatnonzero(again | self._unsettled(runs.results, numbers)).tolist():
             if self._stopped:
                 break
+            number = int(numbers[k])
             try:
                 if again[k]:
-                    self._alone(x[k])
-                    self._alone.outputs(results[k])
+                    self._alone(runs.starts[number])
+                    self._alone.outputs(runs.results[number])
                 else:
-                    outputs.settle(results[k], k)
+                    outputs.settle(runs.results[number], k)
             except IntegrationError as error:
-                errors[k] = error
-                results[k] = np.nan
+                runs.errors[number] = error
+                runs.results[number] = np.nan
             if again[k]:
-                counts[k] = self._alone.counted
-        return Group(results, counts, errors)
+                counts[k] = self._alone.counts
+        runs.counts[numbers] = counts
 
-    def _unsettled(self, results: Array) -> Array:
-        """Find the runs (runs,) whose results (runs, n, outputs) need Python."""
+    def _unsettled(self, results: Array, numbers: Array) -> Array:
+        """Find the runs (k,) whose results, those of these numbers (k,), need Python."""
         code = self._code
         if code.stabilization != "projection" or ("reactions" in code.scene.outputs and code.redundant):
-            return np.ones(len(results), dtype=bool)
-        needed = ~np.isfinite(results).all(axis=(1, 2))
+            return np.ones(len(numbers), dtype=bool)
+        first = np.min(numbers)
+        around = results[first : np.max(numbers) + 1]  # no copy
+        with np.errstate(all="ignore"):
+            needed = ~np.isfinite(around.sum(axis=(1, 2)))
         if "reactions" in code.scene.outputs:
             place, _ = code.arrays["pivot_ratio"]
-            needed |= ~(results[:, :, place] > 0.0).all(axis=(1, 2))
-        return np.asarray(needed)
+            needed |= ~(around[:, :, place] > 0.0).all(axis=(1, 2))
+        return np.asarray(needed[numbers - first])

@@ -363,9 +363,9 @@ MISTAKES = {
         "newton_euler/integrators/test_sampled.py::test_a_run_leaves_the_system_as_it_was",
     ),
     "a batch whose runs start from the first state": (
-        "newton_euler/batch.py",
-        "own(starts[k])",
-        "own(starts[0])",
+        "newton_euler/integrators/side_by_side.py",
+        "ends, states = runs.starts[numbers],",
+        "ends, states = runs.starts[numbers - numbers],",
         "newton_euler/test_batch.py::test_runs_are_those_one_by_one",
     ),
     "a JUnit file without failures": (

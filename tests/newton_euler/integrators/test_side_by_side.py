@@ -13,7 +13,7 @@ from newton_euler.integrators import stepper as m
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.projection import ROUND_OFF, project_rows
 from newton_euler.integrators.run import Fallback, Integrator, Projection, equations
-from newton_euler.integrators.side_by_side import SideBySide, load_lanes
+from newton_euler.integrators.side_by_side import Runs, SideBySide, load_lanes
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.simulate import CompiledScene
 
@@ -108,21 +108,23 @@ def one_by_one(code, x, options):
         except IntegrationError as error:
             results[k] = np.nan
             errors[k] = str(error)
-        counts.append(integrator.counted)
+        counts.append(m.counted(integrator.counts))
     return results, counts, errors
 
 
 def in_groups(code, x, options, groups):
     """The same, of runs in groups."""
-    runs = SideBySide(code, code.scene.times, options)
-    results, counts, errors = np.empty((len(x), *runs.shape)), [{}] * len(x), {}
+    make = SideBySide(code, code.scene.times, options)
+    runs = Runs(
+        x,
+        np.empty((len(x), len(code.scene.times), code.function("output").outputs)),
+        np.zeros((len(x), m.COUNTS)),
+        {},
+    )
     for group in groups:
-        made = runs(x[group])
-        results[group] = made.results
-        for k, number in enumerate(group):
-            counts[number] = made.counts[k]
-        errors |= {group[k]: str(error) for k, error in made.errors.items()}
-    return results, counts, errors
+        make(runs, np.array(group))
+    errors = {k: str(error) for k, error in sorted(runs.errors.items())}
+    return runs.results, [m.counted(counts) for counts in runs.counts], errors
 
 
 @pytest.mark.parametrize("groups", [[[*range(7)]], [[6, 0], [3], [5, 4, 2, 1]]], ids=["one", "three"])
