@@ -27,7 +27,15 @@ from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.codegen.native import Record, Vector, native
 from newton_euler.equations.kinematics import TreeKinematics
-from newton_euler.equations.parameters import is_kinematic, numbered, places, unambiguous, with_values
+from newton_euler.equations.parameters import (
+    PIECE,
+    is_kinematic,
+    numbered,
+    pieces,
+    places,
+    unambiguous,
+    with_values,
+)
 from newton_euler.errors import MechanismError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.compiled import NEUTRAL, Code, formulate
@@ -49,7 +57,7 @@ PREFIX, RATE = "start.", ".rate"
 FINER = 16
 """More steps for runs that few ones have lost."""
 
-LENGTHS = frozenset({*POINTS, "length", "center_of_mass"})
+LENGTHS = frozenset({*POINTS, "length", "center_of_mass", "offsets"})
 """Parameters in m."""
 
 NAMED = 3
@@ -243,6 +251,9 @@ class Assembly:
         for name, place in self._names.items():
             flat = values[name].reshape(len(own), -1)
             targets[:, self.code.place(place) :][:, : flat.shape[1]] = flat
+        for name, place in self._names.items():
+            if place + PIECE in self.code.parameters:
+                self._set_pieces(targets, name, values[name])
         for name, (key, order) in self.initial.items():
             column = self.code.place(self._motions[key]) + order
             targets[:, column] = values[name]
@@ -250,6 +261,14 @@ class Assembly:
                 revolutions = np.round((values[name] - own[:, column]) / (2.0 * np.pi))
                 targets[:, column] -= 2.0 * np.pi * revolutions  # the shorter way
         return targets
+
+    def _set_pieces(self, targets: Array, name: str, values: Array) -> None:
+        """Set the numbers of a motion's function between the first knots, of samples (n, ...) by name."""
+        piece = self._names[name] + PIECE
+        place = self.code.place(piece)
+        for row, value in zip(targets, values, strict=True):
+            numbers = pieces(with_values(self.scene, {name: value}), 0.0)[piece]
+            row[place : place + len(numbers)] = numbers
 
     def _steps(self, own: Array, targets: Array) -> Array:
         """Return how many steps (n,) each run takes."""

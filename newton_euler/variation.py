@@ -36,10 +36,10 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 from newton_euler.starts import LENGTHS, Assembly, assembly_of, initial_numbers, own_initial
 
-TURNING = frozenset({"axis_on_first", "axis_on_second"})
-"""Axes that others restrict."""
+RESTRICTED = frozenset({"axis_on_first", "axis_on_second", "first_side", "second_side", "stroke"})
+"""Attributes whose numbers restrict each other, or those of another attribute."""
 
-DIRECTIONS = TURNING | {"direction", "axis"}
+DIRECTIONS = frozenset({"direction", "axis", "quaternion"})
 """Attributes that are vectors of any length but 0."""
 
 NONZERO = frozenset({"ratio", "pitch", "terms"})
@@ -257,12 +257,13 @@ def _suspicious(scene: Scene, owner: Owner, stack: Array) -> Array:
     if what == "bodies" and attribute == "inertia":
         return np.flatnonzero(~_realisable(stack, element_of(scene, owner).allow_unrealisable_inertia))
     own, outside = own_value(scene, owner), np.zeros(len(stack), dtype=bool)
-    if attribute in DIRECTIONS or attribute.endswith(".axis"):
+    of_compound = attribute.endswith("axis") and isinstance(element_of(scene, owner), Compound)
+    if attribute in RESTRICTED or of_compound:
+        return np.flatnonzero(np.any(stack != own, axis=1))
+    if attribute in DIRECTIONS:
         lengths = np.max(np.abs(stack), axis=1)
         turned = outside
-        if attribute in TURNING or isinstance(element_of(scene, owner), Compound):
-            turned = np.any(stack != own, axis=1)
-        elif attribute == "axis":  # by which components others are chosen
+        if attribute == "axis":  # by which components others are chosen
             units = np.abs(stack) / np.maximum(np.linalg.norm(stack, axis=1, keepdims=True), SHORT)
             turned = np.argmin(units.round(6), axis=1) != np.argmin(np.abs(own).round(6))
         return np.flatnonzero(turned | (lengths < SHORT) | (lengths > LONG))

@@ -13,11 +13,12 @@ from newton_euler.limits import exceeded
 from newton_euler.model.digital_control import Law
 from newton_euler.model.forces import Force
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.motions import PrescribedMotion, Sum, TimeFunction, functions_of
+from newton_euler.model.motions import PrescribedMotion, Sum, TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.splines import Piecewise
+from newton_euler.model.variable import functions_of
 
 LEAST_DURATION = 1e-6
 """s; in less, gravity moves a body by less than 5e-12 m, which engines hold joints closed to."""

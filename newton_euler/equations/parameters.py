@@ -4,34 +4,42 @@ A parameter has a name and a value of the shape that the scene has there:
 
 - `gravity`, `BODY.mass`, `BODY.inertia` about the center of mass, in the body's frame;
 - `BODY.center_of_mass`, in the world at the initial pose: it moves in the body, and joint points stay where
-  they are on the body;
+  they are on the body; `BODY.quaternion` of the body's frame there, of any length: with it the inertia turns;
 - `JOINT.point`, a displacement in the world at the initial pose, m: the joint is elsewhere on both of its
   bodies; `JOINT.point_on_first` and `JOINT.point_on_second` displace the point on one body alone, as holes
   that are not where the drawing has them. Displacements add up, and the scene's own value is 0;
 - `JOINT.axis`, `JOINT.axis_on_first`, `JOINT.axis_on_second`, of any length, in the world at the initial
   pose, of both bodies as the description has them; `JOINT.1.axis` of a compound joint's second coordinate;
-- `JOINT.pitch` of a screw, `JOINT.length` of a rod, whose points stay on their bodies;
+- `JOINT.pitch` of a screw, `JOINT.length` of a rod, whose points stay on their bodies, `JOINT.offsets`
+  between the hinges of a compound joint, which stays closed at the initial pose;
 - `GEAR.ratio`, and `COUPLING.terms`, the factors of a coupling's terms in their order;
-- `JOINT.motion.function` of a prescribed motion without knots;
+- `JOINT.motion.function` of a prescribed motion;
 - `JOINT.stiffness`, `JOINT.damping`, `JOINT.target`, `JOINT.feedforward` of the control law at a joint,
-  `JOINT.1.target` for its second coordinate; of a target or a feedforward that is a function of time, all
-  that it is linear in: coefficients of polynomials, amplitude and offset of sines, values of splines and
-  steps, one after the other;
+  `JOINT.1.target` for its second coordinate;
 - `JOINT.gains` of the state feedback at a joint, (K_p, K_d) of each coordinate that it reads, in their
-  order, and `JOINT.targets`, what its targets of other coordinates are linear in, one after the other;
+  order, and `JOINT.targets` of other coordinates, one after the other;
+- `JOINT.period`, `JOINT.resolution`, `JOINT.force_limit`, `JOINT.slew_limit` and `JOINT.stroke` of a digital
+  law, beside those of the law that it executes: of scenes, as batches have no digital laws;
 - `JOINT.spring.stiffness`, `JOINT.spring.damping`, `JOINT.spring.rest` of the spring at a joint,
   `JOINT.1.spring.rest` for its second coordinate;
 - `JOINT.ball.stiffness`, `JOINT.ball.damping`, `JOINT.ball.rest` of the spring of a joint's ball;
 - `NAME.stiffness`, `NAME.damping`, `NAME.rest_length` of a spring between points, and the displacements
   `NAME.point_on_first`, `NAME.point_on_second` of these;
 - `NAME.force`, `NAME.torque` of a wrench, and `NAME.point`, a displacement;
-- `NAME.direction`, `NAME.speed`, `NAME.air_density` of a wind load, and `NAME.point`, a displacement;
+- `NAME.direction`, `NAME.speed`, `NAME.air_density` of a wind load, `NAME.first_side` and
+  `NAME.second_side` of its plate, and `NAME.point`, a displacement;
 - `JOINT.rotor.inertia`, `JOINT.1.rotor.inertia`, `JOINT.ball.rotor.inertia` of the armatures of a joint.
 
+Where one of these is a function of time, its value is all that the function is linear in: coefficients of
+polynomials, amplitude and offset of sines, values of splines and steps, one after the other. Names that go
+on, as in `JOINT.target.angular_frequency` and `NAME.speed.phase`, are the same of its sines, and a number if
+it has one sine. Times of samples do not vary. Nor do indices, counts, looks of bodies, settings of a run and
+what a controller knows of the mechanism: their names are refused with the reason.
+
 Joint coordinates stay zero where the bodies are oriented as in the initial pose, and a joint's points as
-far apart as they are described. Parameters of bodies' centers, joints, couplings and motions move the
-closed configurations: `newton_euler.starts` assembles a start for each run, and has initial coordinates as
-further parameters. The mechanism has the constraints that the description has: where its own numbers make
+far apart as they are described. Parameters of bodies' centers and frames, joints, couplings and motions move
+the closed configurations: `newton_euler.starts` assembles a start for each run, and has initial coordinates
+as further parameters. The mechanism has the constraints that the description has: where its own numbers make
 some of them redundant, values with which they would lock it leave a loop open.
 
 A name may go on with one component of the value, which is then a number: `gravity.z`, `BODY.inertia.xy`,
@@ -43,39 +51,29 @@ A name that stands for two of these cannot be used; numbers say which is meant, 
 and `motions[0].function`. How near a configuration is to a singular one is judged by the scene's own
 values: masses that are many orders away from them make runs slower, not wrong.
 
-Functions of time with knots are parameters of the code that runs from one knot to the next: the numbers of
-the piece between them are, as `motions[0].function.piece`.
+Elements say which of their numbers vary (`newton_euler.model.variable`). What sampled controllers hold is a
+parameter of the code, `JOINT.held`, and so are the numbers of functions with knots between two of these, as
+`motions[0].function.piece`.
 """
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from newton_euler.equations.redundancy import inherit_mobility
 from newton_euler.errors import MechanismError, UnknownNameError
-from newton_euler.model.control import StateFeedback
 from newton_euler.model.digital_control import Law
-from newton_euler.model.joint import POINTS, Joint
-from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import (
-    TimeFunction,
-    functions_of,
-    linear_numbers,
-    on_piece,
-    piece_numbers,
-    with_linear_numbers,
-)
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.motions import on_piece, piece_numbers
 from newton_euler.model.scene import Scene
+from newton_euler.model.variable import altered, functions_of
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import NUMBERS, Array
-
-T = TypeVar("T")
 
 PIECE = ".piece"
 """Suffix of names of what a function with knots is between two of them."""
@@ -125,35 +123,17 @@ def _owners(scene: Scene) -> dict[str, list[Owner]]:
         for k, element in enumerate(elements):
             if what == "scene" or (what == "bodies" and k == 0):
                 continue  # the ground has none
-            place = element.name if what in MECHANICAL else element.prefix
-            for attribute in _attributes(what, element):
-                found.setdefault(f"{place}.{attribute}", []).append((what, k, attribute))
+            for attribute in element.variables:
+                found.setdefault(f"{_place(what, element)}.{attribute}", []).append((what, k, attribute))
                 found[numbered(what, k, attribute)] = [(what, k, attribute)]
     with_pieces = (owner for owner, functions in scene.functions.items() if any(f.numbers for f in functions))
     return found | {numbered(*owner) + PIECE: [owner] for owner in with_pieces}
 
 
-def _attributes(what: str, element: Any) -> tuple[str, ...]:
-    """Return the attributes of an element that are parameters."""
-    if what == "bodies":
-        return ("mass", "center_of_mass", "inertia")
-    if what in MECHANICAL:
-        return tuple(element.parameters)
-    if what == "motions" and element.function.numbers:
-        return ()
-    others = ("targets",) if isinstance(element, StateFeedback) and element.targets else ()
-    return (*(element.parameters or ("held",)), *element.points, *others)
-
-
-def _is_displacement(what: str, element: Any, attribute: str) -> bool:
-    """Tell if an attribute is a point, whose parameter is its displacement."""
-    return attribute in (POINTS if what == "joints" else getattr(element, "points", ()))
-
-
 def is_kinematic(place: Place) -> bool:
     """Tell if a parameter moves the closed configurations, or how coordinates stand for poses."""
     what, _, attribute = place.owner
-    return what in ("joints", "couplings", "motions") or attribute == "center_of_mass"
+    return what in ("joints", "couplings", "motions") or attribute in ("center_of_mass", "quaternion")
 
 
 def is_opening(place: Place) -> bool:
@@ -237,7 +217,24 @@ def _split(
             component = _component(shape, ending)
             if component is not None:
                 return base, component
+    _check_constant(parts, name)
     raise UnknownNameError("parameter", name, _nearest(owners, name))
+
+
+def _check_constant(parts: dict[str, list[Any]], name: str) -> None:
+    """Raise `MechanismError` for the name of a number that does not vary."""
+    for what, elements in parts.items():
+        for k, element in enumerate(elements):
+            prefixes = (f"{_place(what, element)}.", numbered(what, k, ""))
+            for attribute, reason in element.constants.items():
+                if name in {(prefix if what != "scene" else "") + attribute for prefix in prefixes}:
+                    needed = "a number that may vary from run to run"
+                    raise MechanismError(f"parameter {name!r}", f"is {reason}", needed)
+
+
+def _place(what: str, element: Any) -> str:
+    """Return the beginning of names of an element's parameters."""
+    return element.name if what in ("scene", *MECHANICAL) else element.prefix
 
 
 def _component(shape: tuple[int, ...], ending: list[str]) -> tuple[int, ...] | None:
@@ -263,21 +260,9 @@ def _nearest(owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
 def _own(parts: dict[str, list[Any]], owner: Owner, piece: bool = False) -> Array:
     """Return the value that a scene has of its own: of functions their numbers, or those of their piece."""
     what, k, attribute = owner
-    if _is_displacement(what, parts[what][k], attribute):
-        return np.zeros(3)
-    element = parts[what][k]
-    value = element.number(attribute) if isinstance(element, Joint) else getattr(element, attribute)
-    if attribute == "terms":
-        value = [factor for _, _, factor in value]
     if piece:
-        value = piece_numbers(functions_of(value), 0.0)
-    elif isinstance(value, TimeFunction):
-        value = linear_numbers(value)
-    elif attribute == "targets":
-        value = [number for target in value.values() for number in linear_numbers(target)]
-    elif isinstance(value, Mapping):
-        value = list(value.values())
-    return np.asarray(value, dtype=float)
+        return piece_numbers(functions_of(getattr(parts[what][k], attribute)), 0.0)
+    return parts[what][k].number(attribute)
 
 
 def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[str, Array]:
@@ -315,7 +300,7 @@ def checked(scene: Scene, values: Mapping[str, object]) -> dict[str, Array]:
             needed = f"finite numbers of shape {own[name].shape}"
             raise MechanismError(f"parameter {name!r}", f"is {value!r:.200}", needed)
         arrays[name] = array
-    _substituted(scene, arrays, _rebuilt)
+    _substituted(scene, arrays, checked=True)
     return arrays
 
 
@@ -334,8 +319,7 @@ def refusal(scene: Scene, values: Mapping[Owner, Array]) -> MechanismError | Non
     """Return what is wrong with values of attributes of one element, None if it takes them."""
     try:
         element = element_of(scene, next(iter(values)))
-        attributes = {attribute: value for (_, _, attribute), value in values.items()}
-        written(next(iter(values))[0], element, attributes, _rebuilt)
+        element.rebuilt({attribute: value for (_, _, attribute), value in values.items()})
     except MechanismError as error:
         return error
     return None
@@ -343,7 +327,7 @@ def refusal(scene: Scene, values: Mapping[Owner, Array]) -> MechanismError | Non
 
 def rebuilt(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """The scene made anew with other values of some parameters, all of it checked."""
-    parts = _substituted(scene, values, _rebuilt)
+    parts = _substituted(scene, values, checked=True)
     (changed,) = parts.pop("scene")
     mechanism = Mechanism(*(parts.pop(field) for field in MECHANICAL))
     return replace(changed, mechanism=mechanism, **{what: tuple(each) for what, each in parts.items()})
@@ -351,13 +335,13 @@ def rebuilt(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
 def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """The scene with other values of some parameters, scalars of any kind, which are not checked."""
-    parts = _substituted(scene, values, _altered)
+    parts = _substituted(scene, values, checked=False)
     (changed,) = parts.pop("scene")
     _ = scene.mechanism.size  # the description's own makes residuals dimensionless
-    mechanism = _altered(scene.mechanism, **{field: tuple(parts.pop(field)) for field in MECHANICAL})
+    mechanism = altered(scene.mechanism, **{field: tuple(parts.pop(field)) for field in MECHANICAL})
     if any(is_kinematic(place) for place in places(scene, values).values()):
         vars(mechanism).pop("equations", None)
-    changed = _altered(changed, mechanism=mechanism, **{what: tuple(each) for what, each in parts.items()})
+    changed = altered(changed, mechanism=mechanism, **{what: tuple(each) for what, each in parts.items()})
     vars(changed).pop("joint_forces", None)  # kept of the elements that have changed
     inherit_mobility(changed, scene)
     return changed
@@ -365,7 +349,7 @@ def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
 def with_laws(scene: Scene, laws: Iterable[Law]) -> Scene:
     """The scene with other control laws, which are not checked, for equations alone: nothing is output."""
-    changed = _altered(scene, control=tuple(laws), outputs=frozenset())
+    changed = altered(scene, control=tuple(laws), outputs=frozenset())
     vars(changed).pop("joint_forces", None)  # kept of the laws that have changed
     inherit_mobility(changed, scene)
     return changed
@@ -376,12 +360,12 @@ def without_wind(scene: Scene) -> Scene:
     calm = tuple(force for force in scene.forces if not isinstance(force, WindLoad))
     if len(calm) == len(scene.forces):
         return scene
-    changed = _altered(scene, forces=calm)
+    changed = altered(scene, forces=calm)
     inherit_mobility(changed, scene)
     return changed
 
 
-def _substituted(scene: Scene, values: Mapping[str, Any], change: Callable[..., Any]) -> dict[str, list[Any]]:
+def _substituted(scene: Scene, values: Mapping[str, Any], checked: bool) -> dict[str, list[Any]]:
     """Return what has parameters, as of `_parts`, with other values of some."""
     parts = _parts(scene)
     found = places(scene, values)
@@ -389,12 +373,13 @@ def _substituted(scene: Scene, values: Mapping[str, Any], change: Callable[..., 
     for (what, k, attribute), value in assigned(scene, values).items():
         fields.setdefault((what, k), {})[attribute] = value
     for (what, k), attributes in fields.items():
-        parts[what][k] = written(what, parts[what][k], attributes, change)
+        element = parts[what][k]
+        parts[what][k] = element.rebuilt(attributes) if checked else element.varied(attributes)
     for name in values:
         if name.endswith(PIECE):
             what, k, attribute = found[name].owner
             value = on_piece(getattr(parts[what][k], attribute), list(values[name]))
-            parts[what][k] = change(parts[what][k], **{attribute: value})
+            parts[what][k] = altered(parts[what][k], **{attribute: value})
     return parts
 
 
@@ -428,50 +413,3 @@ def _as_floats(value: Any) -> Any:
 def _number(value: Any) -> Any:
     """Return a scalar instead of an array () of floats."""
     return float(value) if isinstance(value, np.ndarray) else value
-
-
-def written(what: str, element: T, attributes: Mapping[str, Any], change: Callable[..., T]) -> T:
-    """Return an element with other values of its attributes."""
-    if isinstance(element, Joint):
-        return change(element, **attributes)
-    fields: dict[str, Any] = {}
-    for attribute, value in attributes.items():
-        own = getattr(element, attribute)
-        if _is_displacement(what, element, attribute):
-            value = own + value
-        elif attribute == "terms":
-            value = tuple((joint, k, x) for (joint, k, _), x in zip(own, value, strict=True))
-        elif isinstance(own, TimeFunction):
-            value = with_linear_numbers(own, list(value), change)
-        elif attribute == "targets":
-            numbers, value = list(value), {}
-            for key, target in own.items():
-                count = len(linear_numbers(target))
-                value[key] = with_linear_numbers(target, numbers[:count], change)
-                numbers = numbers[count:]
-        elif isinstance(own, Mapping):
-            value = dict(zip(own, value, strict=True))
-        elif np.ndim(value) == 0:
-            value = _number(value)
-        fields[attribute] = value
-    return change(element, **fields)
-
-
-def _altered(thing: T, **fields: Any) -> T:
-    """A copy of a frozen object with other values, whatever they are."""
-    if isinstance(thing, Joint):
-        return thing.varied(fields)
-    changed = copy.copy(thing)
-    for name, value in fields.items():
-        object.__setattr__(changed, name, value)
-    return changed
-
-
-def _rebuilt(thing: T, **fields: Any) -> T:
-    """A copy of a body, control law, force or scene that has checked its new values."""
-    if isinstance(thing, Joint):
-        return thing.rebuilt(fields)
-    made = replace(thing, **fields)  # type: ignore[type-var]
-    if isinstance(made, Body):
-        made.check()
-    return made

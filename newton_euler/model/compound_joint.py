@@ -95,32 +95,39 @@ class Compound(Joint):
             object.__setattr__(self, "point_on_second", self.point + offsets.sum(axis=0))
 
     @property
-    def parameters(self) -> tuple[str, ...]:
+    def variables(self) -> tuple[str, ...]:
         count = len(self.slides) + len(self.hinges)
-        return (*POINTS, *(f"{k}.axis" if k else "axis" for k in range(count)))
+        axes = (f"{k}.axis" if k else "axis" for k in range(count))
+        return (*POINTS, *axes, *(("offsets",) if len(self.offsets) else ()))
 
-    def number(self, name: str) -> Any:
-        return [*self.slides, *self.hinges][_number(name)] if name.endswith("axis") else getattr(self, name)
+    def number(self, name: str) -> Array:
+        if name.endswith("axis"):
+            return np.array([*self.slides, *self.hinges][_number(name)])
+        return super().number(name)
 
     def varied(self, values: Mapping[str, Any]) -> Self:
-        """See `Joint.varied`; axes are those of the coordinates, and offsets between hinges stay."""
-        axes = {_number(name): axis for name, axis in values.items() if name.endswith("axis")}
-        changed = super().varied({name: value for name, value in values.items() if name in POINTS})
-        if not axes:
-            return changed
+        """See `Joint.varied`; axes and offsets are those at the initial pose, which stays closed."""
         rows = [*self.slides, *self.hinges]
-        for k, axis in axes.items():
-            rows[k] = axis / sqrt(axis @ axis)
+        for name, axis in values.items():
+            if name.endswith("axis"):
+                rows[_number(name)] = axis / sqrt(axis @ axis)
         slides, hinges = rows[: len(self.slides)], rows[len(self.slides) :]
+        offsets = np.asarray(values.get("offsets", self.offsets))
+        changed = super().varied({name: value for name, value in values.items() if name in POINTS})
+        moved = np.zeros(3)
         if slides:
-            object.__setattr__(changed, "slides", np.array(slides))
-            along = dual_axes(self.slides) @ (self.span - self.offsets.sum(axis=0))
-            if np.any(along):
-                moved = along @ (changed.slides - self.slides)
-                object.__setattr__(changed, "point_on_second", changed.point_on_second + moved)
-                object.__setattr__(changed, "_span", self.span + moved)
+            own, other = self.slides, np.array(slides)
+            along = dual_axes(own) @ (self.span - self.offsets.sum(axis=0))
+            moved = along @ (other - own) if np.any(along) else moved
+            object.__setattr__(changed, "slides", other)
         if hinges:
             object.__setattr__(changed, "hinges", np.array(hinges))
+        if "offsets" in values:
+            moved = moved + (offsets - self.offsets).sum(axis=0)
+            object.__setattr__(changed, "offsets", offsets)
+        if np.any(moved):
+            object.__setattr__(changed, "point_on_second", changed.point_on_second + moved)
+            object.__setattr__(changed, "_span", self.span + moved)
         return changed
 
     def rebuilt(self, values: Mapping[str, Any]) -> Self:
@@ -128,8 +135,13 @@ class Compound(Joint):
             if name.endswith("axis"):
                 unit_vector(self.name, name, axis)
         changed = self.varied(values)
-        fields: dict[str, Any] = {"slides": changed.slides, "hinges": changed.hinges}
+        fields: dict[str, Any] = {name: getattr(changed, name) for name in ("slides", "hinges", "offsets")}
         return replace(self, point=changed.point, point_on_second=changed.point_on_second, **fields)
+
+    @property
+    def has_offsets(self) -> bool:
+        """True if axes of hinges need not meet."""
+        return self.offsets.dtype == object or bool(np.any(self.offsets))
 
     @property
     def motions(self) -> tuple[Motion, ...]:
@@ -150,7 +162,7 @@ class Compound(Joint):
         """Return the equations of a common point that the slides leave."""
         normals: tuple[Array, ...] = ()
         match len(self.slides):
-            case 0 if np.any(self.offsets):
+            case 0 if self.has_offsets:
                 return (ClosedRow(self._separation(first, second)),)
             case 0:
                 return self._coincident(first, second)
@@ -194,7 +206,7 @@ class Compound(Joint):
     ) -> Displacement | RowDisplacement:
         """Compute the second body's displacement along an axis of the first, less an offset, m."""
         a = first.vector_to_body(axis)
-        if np.any(self.offsets):
+        if self.has_offsets:
             return RowDisplacement(a, self._separation(first, second), offset)
         ends = first.point_to_body(self.point), second.point_to_body(self.reaction_point)
         return Displacement(a, *ends, offset=offset)

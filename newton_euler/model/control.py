@@ -12,8 +12,9 @@ from newton_euler.errors import MechanismError, check_key, finite_array, set_num
 from newton_euler.model.elements import CoordinateForce, Surroundings
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism, check_coordinate
-from newton_euler.model.motions import TimeFunction, functions_of, terms
+from newton_euler.model.motions import TimeFunction, terms
 from newton_euler.model.smooth_functions import Sine
+from newton_euler.model.variable import functions_of
 from newton_euler.scalars import Array, Scalar
 
 DRIVEN = ("target", "feedforward")
@@ -212,7 +213,7 @@ class StateFeedback(DeclaredLaw):
     feedforward: float | TimeFunction = 0.0
     targets: Mapping[str | Key, float | TimeFunction] = ()  # type: ignore[assignment]
 
-    parameters = ("gains", "target", "feedforward")
+    parameters = ("gains", "target", "feedforward", "targets")
     functions = (*DRIVEN, "targets")
     strengths: ClassVar = {"actuator": ("gains", "feedforward")}
 
@@ -300,6 +301,7 @@ class ComputedTorque(DeclaredLaw):
     parameters = ("stiffness", "damping", "target", "feedforward")
     functions = DRIVEN
     strengths: ClassVar = {"actuator": ("stiffness", "damping", "feedforward")}
+    constant: ClassVar = DeclaredLaw.constant | {"model": "what a controller knows, the same in all runs"}
     uses_model = True
 
     def __post_init__(self) -> None:

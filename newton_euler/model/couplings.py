@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
+
+import numpy as np
 
 from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number
+from newton_euler.model.variable import WHICH, Change, Variable
+from newton_euler.scalars import Array
 
 
-class JointCoupling:
+class JointCoupling(Variable):
     """A sum of joint coordinates, each times a factor, that stays 0.
 
     Attributes:
         name: unique among the joints and couplings of a mechanism.
         kind: what errors call it.
-        parameters: attributes that may change from run to run without a new compilation.
     """
 
     name: str
     kind: ClassVar[str]
-    parameters: ClassVar[tuple[str, ...]]
 
     def factors(self) -> dict[tuple[str, int], float]:
         """The factor of each coordinate; violations are those of the first, m or rad."""
@@ -55,6 +58,7 @@ class Gear(JointCoupling):
     follower_coordinate: int = 0
     kind: ClassVar[str] = "gear"
     parameters = ("ratio",)
+    constant: ClassVar = {"driver_coordinate": WHICH, "follower_coordinate": WHICH}
 
     def factors(self) -> dict[tuple[str, int], float]:
         follower = self.follower, self.follower_coordinate
@@ -93,6 +97,13 @@ class LinearCoupling(JointCoupling):
     terms: tuple[tuple[str, int, float], ...]
     kind: ClassVar[str] = "coupling"
     parameters = ("terms",)
+
+    def number(self, name: str) -> Array:
+        return np.array([factor for _, _, factor in self.terms])
+
+    def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:
+        terms = zip(self.terms, values["terms"], strict=True)
+        return {"terms": tuple((joint, k, factor) for (joint, k, _), factor in terms)}
 
     def factors(self) -> dict[tuple[str, int], float]:
         return {(joint, coordinate): factor for joint, coordinate, factor in self.terms}

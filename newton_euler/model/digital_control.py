@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from newton_euler.model.control import (
     sensed,
 )
 from newton_euler.model.joint import Key
+from newton_euler.model.variable import Change
 from newton_euler.scalars import Array, Floats, Scalar
 
 Controller = Callable[[float, Floats, Floats], float]
@@ -54,14 +55,22 @@ class HeldLaw(ControlLaw):
     period: float
     held: float
 
-    parameters = ()
     strengths: ClassVar = {}
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        return "held", "period"
 
     def _check_period(self) -> None:
         if not is_finite_number(self.period) or self.period < SHORTEST_PERIOD:
             needed = f"a number of seconds, at least {SHORTEST_PERIOD:g}"
             raise MechanismError(self.element, f"period is {self.period!r}", needed)
         object.__setattr__(self, "period", float(self.period))
+
+    def rebuilt(self, values: Mapping[str, Any]) -> Self:
+        if "held" in values:
+            raise MechanismError(self.element, "held is the force at present", "numbers of the controller")
+        return super().rebuilt(values)
 
     def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
         """Return the force (N or N m) that is held."""
@@ -155,6 +164,8 @@ class Digital(HeldLaw):
     joint: str = field(init=False)
     coordinate: int = field(init=False)
 
+    constant: ClassVar = HeldLaw.constant | {"delay": "a whole number of samples"}
+
     def __post_init__(self) -> None:
         if not isinstance(self.law, DeclaredLaw):
             raise MechanismError("digital control", f"law is {self.law!r:.100}", "a declared law, such as PD")
@@ -181,6 +192,24 @@ class Digital(HeldLaw):
         if not low <= high:
             raise MechanismError(where, f"stroke is {self.stroke!r:.100}", "the lower end and the upper one")
         object.__setattr__(self, "stroke", (low, high))
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        limits = ("resolution", "force_limit", "slew_limit", "stroke")
+        return (*super().variables, *limits, *self.law.variables)
+
+    @property
+    def constants(self) -> dict[str, str]:
+        return self.law.constants | super().constants
+
+    def number(self, name: str) -> Array:
+        return self.law.number(name) if name in self.law.variables else super().number(name)
+
+    def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:
+        of_law = {name: value for name, value in values.items() if name in self.law.variables}
+        own = {name: value for name, value in values.items() if name not in of_law}
+        fields = super().fields_with(own, change)
+        return fields | {"law": change(self.law, **self.law.fields_with(of_law, change))}
 
     @property
     def reads(self) -> tuple[Key, ...]:

@@ -17,6 +17,7 @@ from newton_euler.model import balls
 from newton_euler.model.constraints import Frame
 from newton_euler.model.joint import Key, Pose
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_coordinate
+from newton_euler.model.variable import WHICH, Variable
 from newton_euler.scalars import Array, Scalar, cross
 
 BALL = -1
@@ -44,23 +45,19 @@ class Surroundings(NamedTuple):
     model: Callable[[], Mapping[Key, Scalar]] = dict
 
 
-class Element:
+class Element(Variable):
     """An element that acts in a scene.
 
     Attributes:
         noun: messages begin with it.
-        parameters: attributes that may change from run to run without a new compilation.
         strengths: attributes that the element is proportional to, by what they are the strength of.
         body_fields: attributes that are names of bodies.
-        points: attributes that are points of bodies, whose displacements may change, too.
         functions: attributes that may be functions of time, or mappings to some.
     """
 
     noun: ClassVar[str]
-    parameters: ClassVar[tuple[str, ...]]
     strengths: ClassVar[Mapping[str, tuple[str, ...]]]
     body_fields: ClassVar[tuple[str, ...]] = ()
-    points: ClassVar[tuple[str, ...]] = ()
     functions: ClassVar[tuple[str, ...]] = ()
 
     @property
@@ -98,6 +95,7 @@ class OnCoordinate(Element):
 
     joint: str
     coordinate: int
+    constant: ClassVar = {"coordinate": WHICH}
     kind_of_parameters: ClassVar[str] = ""
     """Suffix of `prefix`."""
 

@@ -29,6 +29,7 @@ from newton_euler.model.constraints import (
     Perpendicular,
 )
 from newton_euler.model.description import ArrayField, DefaultArrayField, description
+from newton_euler.model.variable import Variable
 from newton_euler.scalars import Array, cross, sqrt
 
 POINTS = ("point", "point_on_first", "point_on_second")
@@ -128,7 +129,7 @@ def unit_vector(joint: str, name: str, value: object) -> Array:
 
 
 @description
-class Joint:
+class Joint(Variable):
     """A joint: what all kinds have in common.
 
     Attributes:
@@ -167,13 +168,11 @@ class Joint:
             object.__setattr__(self, name, unit_vector(self.name, name, getattr(self, name)))
 
     @property
-    def parameters(self) -> tuple[str, ...]:
-        """Numbers that may change from run to run without a new compilation, see `varied`."""
+    def variables(self) -> tuple[str, ...]:
         return (*POINTS, *self.axis_names)
 
-    def number(self, name: str) -> Any:
-        """Return one of the `parameters` by its name, but for displacements."""
-        return getattr(self, name)
+    def number(self, name: str) -> Array:
+        return np.zeros(3) if name in POINTS else super().number(name)
 
     @property
     def described(self) -> Self:

@@ -228,8 +228,8 @@ class Screw(Cylindrical):
         object.__setattr__(self, "pitch", float(self.pitch))
 
     @property
-    def parameters(self) -> tuple[str, ...]:
-        return (*super().parameters, "pitch")
+    def variables(self) -> tuple[str, ...]:
+        return (*super().variables, "pitch")
 
 
 @description
@@ -328,8 +328,8 @@ class Rod(Joint):
         return math.dist(self.reaction_point, self.point)
 
     @property
-    def parameters(self) -> tuple[str, ...]:
-        return (*super().parameters, "length")
+    def variables(self) -> tuple[str, ...]:
+        return (*super().variables, "length")
 
     def varied(self, values: Mapping[str, Any]) -> Self:
         return super().varied({"length": self.length, **values})

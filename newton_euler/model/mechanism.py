@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
-from typing import get_args
+from typing import Any, ClassVar, Self, get_args
 
 import numpy as np
 
@@ -28,7 +28,8 @@ from newton_euler.model.description import ArrayField, description
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import UNIT_TOLERANCE, Capsule, Mesh, Shape, Solid, total
 from newton_euler.model.joint import Joint, JointEquations, Key, Pose
-from newton_euler.scalars import Array
+from newton_euler.model.variable import Change, Variable
+from newton_euler.scalars import Array, sqrt
 
 CLOSURE_TOLERANCE = 1e-9
 """How far (meters or radians) a joint may be open at an initial pose."""
@@ -39,6 +40,8 @@ their digits."""
 
 REALISABLE_TOLERANCE = 1e-12
 """Relative slack of A + B >= C, for the round-off of an eigenvalue."""
+
+LOOKS = "what bodies look like, and moves nothing"
 
 _NAME = re.compile(r"[A-Za-z0-9_.\-]+")
 
@@ -66,7 +69,7 @@ def check_coordinate(element: str, joint: Joint, coordinate: int) -> None:
 
 
 @description
-class Body:
+class Body(Variable):
     """A rigid body.
 
     Attributes:
@@ -94,6 +97,9 @@ class Body:
     shapes: tuple[Shape, ...] = ()
     allow_unrealisable_inertia: bool = False
     meshes: tuple[Mesh, ...] = ()
+
+    parameters = ("mass", "center_of_mass", "inertia", "quaternion")
+    constant: ClassVar = {"shapes": LOOKS, "meshes": LOOKS}
 
     def __post_init__(self) -> None:
         check_name("body", self.name)
@@ -174,6 +180,20 @@ class Body:
             raise MechanismError(
                 where, moments, "a realisable inertia, the two smaller adding up to the largest at least"
             )
+
+    def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:
+        fields = super().fields_with(values, change)
+        if "quaternion" in fields:
+            p = np.asarray(fields["quaternion"])
+            if p.dtype != object and not np.any(p):
+                raise MechanismError(f"body {self.name!r}", "quaternion is zero", "one that is not")
+            fields["quaternion"] = p / sqrt(p @ p)
+        return fields
+
+    def rebuilt(self, values: Mapping[str, Any]) -> Self:
+        made = super().rebuilt(values)
+        made.check()
+        return made
 
     @property
     def pose(self) -> Pose:

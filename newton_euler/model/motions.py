@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -12,11 +12,12 @@ from newton_euler.errors import MechanismError, check_key
 from newton_euler.model.elements import OnCoordinate
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Piecewise, Spline, Steps
+from newton_euler.model.variable import Change, Function
 from newton_euler.scalars import Array, Scalar
 
 
 @dataclass(frozen=True)
-class Sum:
+class Sum(Function):
     """The sum of functions of time.
 
     Raises:
@@ -53,6 +54,10 @@ class Sum:
         return sum(term.numbers for term in self.terms)
 
     @property
+    def constant(self) -> Mapping[str, str]:  # type: ignore[override]
+        return {name: reason for term in self.terms for name, reason in term.constant.items()}
+
+    @property
     def is_constant(self) -> bool:
         """True if all terms are constant between knots."""
         return all(term.is_constant for term in self.terms)
@@ -73,6 +78,17 @@ class Sum:
             numbers = numbers[term.numbers :]
         return Sum(tuple(terms))
 
+    def part(self, name: str) -> list[Scalar]:
+        return [number for term in self.terms for number in term.part(name)]
+
+    def with_part(self, name: str, numbers: Any, change: Change) -> Self:
+        terms: list[TimeFunction] = []
+        for term in self.terms:
+            count = len(term.part(name))
+            terms.append(term.with_part(name, numbers[:count], change))
+            numbers = numbers[count:]
+        return change(self, terms=tuple(terms))
+
     def value(self, time: Scalar) -> Scalar:
         """At a time in s: m or rad."""
         return sum(term.value(time) for term in self.terms)
@@ -87,12 +103,6 @@ class Sum:
 
 
 TimeFunction = Polynomial | Sine | Spline | Steps | Sum
-
-
-def functions_of(value: Any) -> tuple[TimeFunction, ...]:
-    """Return the functions of time that an attribute is or, as a mapping, has for values."""
-    values = value.values() if isinstance(value, Mapping) else (value,)
-    return tuple(each for each in values if isinstance(each, TimeFunction))
 
 
 def terms(function: TimeFunction) -> Iterator[Polynomial | Sine | Spline | Steps]:
@@ -143,43 +153,6 @@ def on_piece(value: Any, numbers: list[Any]) -> Any:
             changed[key] = each.on_piece(numbers[: each.numbers])
             numbers = numbers[each.numbers :]
     return changed
-
-
-def linear_numbers(function: TimeFunction | float) -> list[float]:
-    """Return what a function of time is linear in, or a number itself."""
-    if isinstance(function, float):
-        return [function]
-    if isinstance(function, Sum):
-        return [value for term in function.terms for value in linear_numbers(term)]
-    if isinstance(function, Sine):
-        return [function.amplitude, function.offset]
-    return list(function.values if isinstance(function, Piecewise) else function.coefficients)
-
-
-def with_linear_numbers(
-    function: TimeFunction | float, values: list[Any], change: Callable[..., Any]
-) -> TimeFunction | float:
-    """Return the function with other values of what it is linear in, or another number.
-
-    Args:
-        change: makes a function with other values of its fields.
-    """
-    if isinstance(function, float):
-        return values[0]
-    if isinstance(function, Sum):
-        terms: list[TimeFunction | float] = []
-        for term in function.terms:
-            count = len(linear_numbers(term))
-            terms.append(with_linear_numbers(term, values[:count], change))
-            values = values[count:]
-        return change(function, terms=tuple(terms))
-    if isinstance(function, Sine):
-        return change(function, amplitude=values[0], offset=values[1])
-    if isinstance(function, Piecewise):
-        changed = change(function, values=np.array(values))
-        vars(changed).pop("_pieces", None)  # of the samples that have changed
-        return changed
-    return change(function, coefficients=tuple(values))
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Set
 from functools import cached_property
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -18,9 +18,10 @@ from newton_euler.model.forces import Armature, BallArmature, Force, JointSpring
 from newton_euler.model.geometry import UNIT_TOLERANCE
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism
-from newton_euler.model.motions import PrescribedMotion, TimeFunction, functions_of, terms
+from newton_euler.model.motions import PrescribedMotion, TimeFunction, terms
 from newton_euler.model.splines import ROUND_OFF, Spline
 from newton_euler.model.state import State
+from newton_euler.model.variable import Variable, functions_of
 from newton_euler.scalars import Array
 
 OutputName = Literal["velocities", "reactions", "actuation", "violation", "energy"]
@@ -57,7 +58,7 @@ def _knots(functions: Iterable[TimeFunction]) -> tuple[float, ...]:
 
 
 @description
-class Scene:
+class Scene(Variable):
     """A mechanism, its surroundings, its start and what is wanted of the run.
 
     Attributes:
@@ -102,6 +103,14 @@ class Scene:
     armatures: TupleField[Armature | BallArmature] = ()  # type: ignore[assignment]
     description: str = ""
     redundancy_tolerance: float = REDUNDANCY_TOLERANCE
+
+    parameters = ("gravity",)
+    constant: ClassVar = {
+        "duration": "the same in all runs",
+        "output_period": "the same in all runs",
+        "redundancy_tolerance": "a choice of constraints, which is made once for all runs",
+        "initial_state": "the state of all bodies, which coordinates (start.JOINT) or `states` determine",
+    }
 
     @np.errstate(all="ignore")  # what overflows is refused, here or by a run
     def __post_init__(self) -> None:

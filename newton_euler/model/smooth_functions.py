@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from newton_euler.errors import MechanismError, is_finite_number, set_numbers
+from newton_euler.model.variable import Function
 from newton_euler.scalars import Scalar, cos, sin
 
 HIGHEST = 1e15
 """rad/s, or rad: a double holds no part of a turn beyond."""
 
 
-class Smooth:
+class Smooth(Function):
     """A function of time that has all derivatives at all times.
 
     Attributes:
@@ -57,6 +58,8 @@ class Polynomial(Smooth):
     """
 
     coefficients: tuple[float, ...]
+
+    parts: ClassVar = {"": ("coefficients",)}
 
     def __post_init__(self) -> None:
         given: Any = self.coefficients
@@ -135,6 +138,12 @@ class Sine(Smooth):
     angular_frequency: float
     phase: float = 0.0
     offset: float = 0.0
+
+    parts: ClassVar = {
+        "": ("amplitude", "offset"),
+        "angular_frequency": ("angular_frequency",),
+        "phase": ("phase",),
+    }
 
     def __post_init__(self) -> None:
         set_numbers(self, "sine", ("amplitude", "angular_frequency", "phase", "offset"))

@@ -5,13 +5,14 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from newton_euler.errors import MechanismError
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.smooth_functions import Piece
+from newton_euler.model.variable import Change, Function
 from newton_euler.scalars import Scalar
 
 DEGREE = 5
@@ -26,7 +27,7 @@ ROUND_OFF = 1e-12
 
 
 @description
-class Piecewise:
+class Piecewise(Function):
     """A function of time of polynomials between knots, given by samples; see `Spline` and `Steps`."""
 
     times: ArrayField
@@ -35,6 +36,8 @@ class Piecewise:
     noun: ClassVar[str]
     least: ClassVar[int]
     is_constant: ClassVar[bool] = False
+    parts: ClassVar = {"": ("values",)}
+    constant: ClassVar = {"times": "where runs are divided"}
 
     def __post_init__(self) -> None:
         for name in ("times", "values"):
@@ -54,6 +57,12 @@ class Piecewise:
         for k in np.flatnonzero(np.diff(self.times) <= 0.0)[:1]:
             problem = f"times[{k + 1}] is {self.times[k + 1]:.9g} s, after {self.times[k]:.9g} s"
             raise MechanismError(self.noun, problem, "times in ascending order")
+
+    def with_part(self, name: str, numbers: Any, change: Change) -> Self:
+        changed = super().with_part(name, np.array(numbers), change)
+        if changed is not self:
+            vars(changed).pop("_pieces", None)  # of the samples that have changed
+        return changed
 
     def piece(self, time: float) -> tuple[float, ...]:
         """See `Smooth.piece`: the start of the piece in s, and its coefficients."""

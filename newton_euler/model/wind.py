@@ -17,12 +17,13 @@ from newton_euler.errors import (
     set_arrays,
     set_numbers,
 )
+from newton_euler.model.balls import TINY
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.elements import OnPoint, Surroundings
 from newton_euler.model.mechanism import check_name
 from newton_euler.model.motions import Sum, TimeFunction
 from newton_euler.model.smooth_functions import Polynomial, Sine
-from newton_euler.scalars import Array, Floats, arctan2, cross, sqrt
+from newton_euler.scalars import Array, Scalar, arctan2, cross, exp, sqrt
 
 FACE_ON = 1.98
 """Normal force coefficient of a plate of infinite span across the wind."""
@@ -115,6 +116,10 @@ class WindLoad(OnPoint):
     strengths: ClassVar = {"wind": ("air_density",)}
     functions: ClassVar = ("speed",)
 
+    @property
+    def variables(self) -> tuple[str, ...]:
+        return (*super().variables, "first_side", "second_side")
+
     @np.errstate(all="ignore")  # squares overflow, and are refused
     def __post_init__(self) -> None:
         check_name(self.noun, self.name)
@@ -134,27 +139,33 @@ class WindLoad(OnPoint):
         set_numbers(self, self.element, ("air_density",), 0.0)
 
     @property
-    def lengths(self) -> Floats:
+    def lengths(self) -> Array:
         """(2,) m, of the sides."""
-        return np.linalg.norm([self.first_side, self.second_side], axis=1)
+        return np.array([sqrt(np.sum(side * side)) for side in (self.first_side, self.second_side)])
 
     @property
-    def area(self) -> float:
+    def area(self) -> Scalar:
         """m^2"""
-        return float(np.prod(self.lengths))
+        length, width = self.lengths.tolist()
+        return length * width
 
     @property
-    def axes(self) -> Floats:
+    def axes(self) -> Array:
         """(3, 3) columns: unit vectors along the sides and the normal, in the world at the initial pose."""
         length, width = self.lengths
         first, second = self.first_side / length, self.second_side / width
         return np.column_stack([first, second, cross(first, second)])
 
     @property
-    def end_loss(self) -> float:
+    def end_loss(self) -> Scalar:
         """0.41 (1 - exp(-17 / R))"""
-        lengths = self.lengths
-        return float(END_LOSS * (1.0 - np.exp(-END_RATE * lengths.min() / lengths.max())))
+        length, width = self.lengths.tolist()
+        if isinstance(length, float) and isinstance(width, float):
+            shorter, longer = min(length, width), max(length, width)
+        else:
+            apart = sqrt((length - width) * (length - width) + TINY)
+            shorter, longer = 0.5 * (length + width - apart), 0.5 * (length + width + apart)
+        return END_LOSS * (1.0 - exp(-END_RATE * shorter / longer))
 
     def velocity(self, time: float) -> Array:
         """Compute the wind's velocity (3,), m/s, world frame, at a time in s."""

@@ -19,10 +19,12 @@ from newton_euler.errors import MechanismError, OptionError, UnknownNameError
 from newton_euler.integrators.compiled import formulate
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
+from newton_euler.model.digital_control import Digital
 from newton_euler.model.forces import Armature, JointSpring
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.motions import Sum
+from newton_euler.model.motions import PrescribedMotion, Sum
 from newton_euler.model.smooth_functions import Polynomial, Sine
+from newton_euler.model.splines import Spline, Steps
 from newton_euler.model.state import State
 from newton_euler.model.wind import WindLoad
 from newton_euler.variation import run_values, unit_of
@@ -31,7 +33,7 @@ from newton_euler.variation import run_values, unit_of
 @pytest.fixture(scope="module")
 def scene():
     """A mass on a rail with a bit of everything."""
-    push = Sum((Sine(1.0, 7.0, offset=0.5), Polynomial((0.2, -1.0))))
+    push = Sum((Sine(1.0, 7.0, offset=0.5), Polynomial((0.2, -1.0)), Steps((0.0, 0.1), (0.1, 0.2))))
     sides = {"first_side": [1.0, 0.0, 0.0], "second_side": [0.0, 0.5, 0.0]}
     wind = WindLoad("wind", "mass", [0.0, 0.0, 0.0], **sides, direction=[1.0, 0.0, 1.0], speed=9.0)
     return mass_on_rail(
@@ -48,7 +50,7 @@ def scene():
 COMPONENTS = {
     "gravity.z": ("gravity", [0.0, 0.0, 0.04]),
     "mass.inertia.yx": ("mass.inertia", [[0.1, 0.04, 0.0], [0.04, 0.2, 0.0], [0.0, 0.0, 0.3]]),
-    "rail.feedforward.1": ("rail.feedforward", [1.0, 0.04, 0.2, -1.0]),
+    "rail.feedforward.1": ("rail.feedforward", [1.0, 0.04, 0.2, -1.0, 0.1, 0.2]),
     "wind.direction.x": ("wind.direction", [0.04, 0.0, 1.0]),
 }
 """Names of components, and the whole value where such a component is 0.04."""
@@ -69,7 +71,11 @@ def test_a_component_is_a_number_of_the_whole_value(scene, name):
         (["gravity.w"], UnknownNameError, "did you mean 'gravity'?"),
         ([3], UnknownNameError, "unknown parameter 3"),
         (["mass.inertai.xx"], UnknownNameError, "did you mean 'mass.inertia'?"),
-        (["rail.feedforward.4"], UnknownNameError, "rail.feedforward"),
+        (["rail.feedforward.6"], UnknownNameError, "rail.feedforward"),
+        (["duration"], MechanismError, "'duration': is the same in all runs"),
+        (["mass.shapes"], MechanismError, "'mass.shapes': is what bodies look like"),
+        (["forces[1].coordinate"], MechanismError, "is which coordinate it is"),
+        (["rail.feedforward.times"], MechanismError, "'rail.feedforward.times': is where runs are divided"),
         (["gravity", "gravity.z"], MechanismError, "another value by another name"),
         (["mass.inertia.xy", "mass.inertia.yx"], MechanismError, "another value by another name"),
         (["mass.mass", "bodies[1].mass"], MechanismError, "another value by another name"),
@@ -95,6 +101,10 @@ BAD = {
     "line.rest_length": (-1.0, "parameter 'line.rest_length': is -1.0; needed: "),
     "wind.direction": ([0.0, 0.0, 0.0], "a vector not of length 0"),
     "rail.feedforward.0": (1e308, "an acceleration that a double holds"),
+    "rail.feedforward.angular_frequency": (1e16, "an acceleration that a double holds"),
+    "wind.first_side": ([0.0, 0.0, 0.0], "a vector not of length 0"),
+    "wind.second_side.x": (0.1, "perpendicular sides"),
+    "mass.quaternion": (np.zeros(4), "quaternion is zero"),
     "gravity.z": (np.nan, "parameter 'gravity.z': is nan; needed: finite numbers"),
     "gravity": ([0.0, np.inf, 0.0], "parameter 'gravity': is [0.0, inf, 0.0]; needed: finite numbers"),
     "rail.target": ("left", "parameter 'rail.target': is 'left'; needed: finite numbers"),
@@ -168,13 +178,71 @@ def test_values_of_one_scene_are_checked(scene, values, message):
         with_parameters(scene, values)
 
 
+@pytest.fixture(scope="module")
+def varied_one_by_one(scene):
+    """Runs in each of which another number has a value of its own, compiled once."""
+    own = parameter_values(scene, ALONE)
+    values = {name: [own[name]] * len(ALONE) for name in ALONE}
+    for k, (name, (value, _)) in enumerate(ALONE.items()):
+        values[name][k] = value
+    return simulate_batch(scene, parameters=values)
+
+
+def with_force(scene, number, **fields):
+    forces = list(scene.forces)
+    forces[number] = replace(forces[number], **fields)
+    return replace(scene, forces=tuple(forces))
+
+
+def with_push(scene, number, **fields):
+    (law,), terms = scene.control, list(scene.control[0].feedforward.terms)
+    terms[number] = replace(terms[number], **fields)
+    return replace(scene, control=(replace(law, feedforward=Sum(tuple(terms))),))
+
+
+ALONE = {
+    "rail.feedforward.angular_frequency": (9.0, lambda s: with_push(s, 0, angular_frequency=9.0)),
+    "rail.feedforward.phase": (0.4, lambda s: with_push(s, 0, phase=0.4)),
+    "rail.feedforward.5": (0.9, lambda s: with_push(s, 2, values=(0.1, 0.9))),
+    "wind.first_side": ([1.5, 0.0, 0.0], lambda s: with_force(s, 2, first_side=[1.5, 0.0, 0.0])),
+    "wind.second_side.y": (2.5, lambda s: with_force(s, 2, second_side=[0.0, 2.5, 0.0])),
+    "wind.speed": (12.0, lambda s: with_force(s, 2, speed=12.0)),
+    "line.rest_length": (1.5, lambda s: with_force(s, 0, rest_length=1.5)),
+}
+"""Numbers, another value, and the scene made anew with it."""
+
+
+@pytest.mark.parametrize("name", ALONE)
+def test_a_number_that_varies_alone(scene, varied_one_by_one, name):
+    expected = simulate(ALONE[name][1](scene))
+    found, plain = varied_one_by_one[list(ALONE).index(name)], simulate(scene)
+    assert np.abs(expected.position - plain.position).max() > 1e-6
+    # both are integrated to 1e-10, their code is not the same
+    assert np.abs(found.position - expected.position).max() < 1e-9
+
+
+def test_numbers_of_digital_laws(scene):
+    """Batches refuse them; scenes have them all the same."""
+    law = Digital(PD("rail", 5.0, 0.1, 0.0), 0.01, 1, 0.1, 3.0, 4.0, (-1.0, 1.0))
+    values = {"rail.period": 0.02, "rail.stroke.0": -0.5, "rail.slew_limit": 2.0, "rail.stiffness": 6.0}
+    digital = replace(scene, control=(law,))
+    found = with_parameters(digital, values).control
+    stiff = replace(law.law, stiffness=6.0)
+    assert found == (replace(law, law=stiff, period=0.02, stroke=(-0.5, 1.0), slew_limit=2.0),)
+    for name, value in {"period": -1.0, "stroke": [1.0, -1.0], "force_limit": 0.0, "held": 1.0}.items():
+        with pytest.raises(MechanismError, match=name):
+            with_parameters(digital, {f"rail.{name}": value})
+
+
 # Geometry: the equations with varied numbers are those of a scene that is made with these numbers
+
+OF_FUNCTIONS = ("angular_frequency", "phase")
 
 GEOMETRY = {
     "center_of_mass",
     *("point", "point_on_first", "point_on_second"),
     *("axis", "axis_on_first", "axis_on_second"),
-    *("pitch", "ratio", "terms", "function"),
+    *("pitch", "ratio", "terms", "function", *OF_FUNCTIONS, "quaternion", "offsets"),
 }
 
 
@@ -192,6 +260,11 @@ def remade(scene, element, attribute, value):
             elif part.name == element and attribute == "point":
                 points = {name: getattr(part, name) + value for name in ("point", "point_on_second")}
                 each[k] = replace(part, **points)
+            elif part.name == element and attribute == "offsets":
+                beyond = part.point_on_second + (value - part.offsets).sum(axis=0)
+                each[k] = replace(part, offsets=value, point_on_second=beyond)
+            elif part.name == element and attribute == "quaternion":
+                each[k] = replace(part, quaternion=np.array(value) / np.linalg.norm(value))
             elif part.name == element and attribute == "terms":
                 terms = zip(part.terms, value, strict=True)
                 each[k] = replace(part, terms=tuple((joint, n, x) for (joint, n, _), x in terms))
@@ -212,7 +285,16 @@ def remade(scene, element, attribute, value):
             elif isinstance(motion.function, Sine):
                 sine = replace(motion.function, amplitude=value[0], offset=value[1])
             motions[k] = replace(motion, function=Sum((sine, polynomial)))
+        if f"{motion.prefix}.function" == element:
+            motions[k] = replace(motion, function=with_sine(motion.function, **{attribute: value}))
     return replace(scene, mechanism=Mechanism(**parts), forces=tuple(forces), motions=tuple(motions))
+
+
+def with_sine(function, **fields):
+    """Return a sine, or a sum that has one, with other values of its fields."""
+    if isinstance(function, Sum):
+        return Sum(tuple(with_sine(term, **fields) for term in function.terms))
+    return replace(function, **fields) if isinstance(function, Sine) else function
 
 
 def another(scene, name, own):
@@ -230,7 +312,8 @@ def varied_numbers(scene):
     for name, own in parameter_values(scene).items():
         element, _, attribute = name.rpartition(".")
         ends = ("point_on_first", "point_on_second") if element in scene.mechanism.joint_names else ()
-        if attribute in GEOMETRY and attribute not in ends:
+        moves = attribute in GEOMETRY and (".function." in name or attribute not in OF_FUNCTIONS)
+        if moves and attribute not in ends:
             yield name, another(scene, name, own)
 
 
@@ -315,19 +398,37 @@ def test_runs_of_varied_geometry_are_those_of_scenes_made_with_it(crank, formula
             assert np.abs(found.coordinates - needed.coordinates).max() < 1e-10
 
 
+def test_samples_of_a_motion(crank, formulation):
+    """They move the start, and what is between knots."""
+    times = np.linspace(0.0, 0.4, 9)
+
+    def along(values):
+        motions = (PrescribedMotion("pivot", Sum((Spline(times, values), Polynomial((0.1,))))),)
+        return replace(crank, motions=motions, initial_state=None)
+
+    own, other = 0.1 * np.sin(3.0 * times), 0.2 * np.cos(5.0 * times) - 0.1
+    given = [[*values, 0.1] for values in (own, other)]
+    batch = simulate_batch(along(own), None, {"pivot.motion.function": given}, formulation=formulation)
+    for run, values in zip(batch, (own, other), strict=True):
+        # both are integrated to 1e-10 from starts that differ by round-off
+        assert np.abs(run.position - simulate(along(values)).position).max() < 1e-9
+
+
 @pytest.mark.parametrize("title", ["forces, rods", "gear, cut", "screw, cut", "compound, skew"])
-def test_points_on_one_body_lengths_of_rods_and_axes(title):
+def test_numbers_that_open_the_initial_pose_and_others(title):
     """The scene is described at another initial pose, from where coordinates are counted."""
     scene, rng = (ELEMENTS | COMPOUNDS)[title], np.random.default_rng(1)
     scene = replace(scene, duration=0.2, output_period=0.05)
     own = parameter_values(scene)
-    sided = ("point_on_first", "point_on_second", "length", "axis", "1.axis")
-    names = [f"{joint}.{name}" for joint in scene.mechanism.joint_names for name in sided]
+    sided = ("point_on_first", "point_on_second", "length", "axis", "1.axis", "offsets", "quaternion")
+    elements = (*scene.mechanism.joint_names, *scene.mechanism.body_names)
+    names = [f"{element}.{name}" for element in elements for name in sided]
     values = {n: own[n] + 5e-3 * rng.uniform(-1.0, 1.0, own[n].shape) for n in names if n in own}
     batch = simulate_batch(scene, parameters={name: [value] for name, value in values.items()})
     expected = simulate(with_parameters(scene, values))
     # both are integrated to 1e-10 from starts that differ by round-off
     assert np.abs(batch[0].position - expected.position).max() < 1e-10
+    assert np.abs(np.abs(batch[0].quaternion) - np.abs(expected.quaternion)).max() < 1e-10
     force = np.abs(expected.reaction_force).max()
     assert np.abs(batch[0].reaction_force - expected.reaction_force).max() < 1e-9 * force
 

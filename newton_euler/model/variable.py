@@ -1,0 +1,167 @@
+"""Numbers of a description that may vary, as elements and functions of time give them and take other ones."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, ClassVar, Self, TypeVar
+
+import numpy as np
+
+from newton_euler.scalars import Array, Scalar
+
+T = TypeVar("T")
+
+Change = Callable[..., Any]
+"""Makes an object with other values of its fields: `altered`, which takes whatever they are, or `replace`."""
+
+PARTS = ("angular_frequency", "phase")
+"""Numbers of functions of time that these are not linear in, by names that follow those of the attribute."""
+
+WHICH = "which coordinate it is"
+"""Reason why an index does not vary."""
+
+
+def altered(thing: T, **fields: Any) -> T:
+    """Return a copy of a frozen object with other values, whatever they are."""
+    changed = copy.copy(thing)
+    for name, value in fields.items():
+        object.__setattr__(changed, name, value)
+    return changed
+
+
+class Function:
+    """A function of time, by its numbers.
+
+    Attributes:
+        parts: fields by what they are: those that the function is linear in by "", others by one of `PARTS`.
+        constant: fields that do not change, with what they are instead.
+    """
+
+    parts: ClassVar[Mapping[str, tuple[str, ...]]]
+    constant: ClassVar[Mapping[str, str]] = {}
+
+    def part(self, name: str) -> list[Scalar]:
+        """Return the numbers of one of `parts`, none if the function does not have it."""
+        found: list[Scalar] = []
+        for field in self.parts.get(name, ()):
+            value = getattr(self, field)
+            found.extend(value if isinstance(value, tuple | np.ndarray) else [value])
+        return found
+
+    def with_part(self, name: str, numbers: Any, change: Change) -> Self:
+        """Return the function with other numbers of one of `parts`."""
+        fields: dict[str, Any] = {}
+        for field in self.parts.get(name, ()):
+            if isinstance(getattr(self, field), tuple | np.ndarray):
+                fields[field] = numbers
+            else:
+                fields[field], numbers = numbers[0], numbers[1:]
+        return change(self, **fields) if fields else self
+
+
+class Variable:
+    """An element with numbers that may change from run to run without a new compilation.
+
+    Attributes:
+        parameters: attributes that may change: numbers, arrays, functions of time, and mappings to such.
+        points: attributes that are points of bodies, (3,) in the world, of which displacements vary.
+        constant: attributes that do not change, with what they are instead.
+    """
+
+    parameters: tuple[str, ...] = ()
+    points: ClassVar[tuple[str, ...]] = ()
+    constant: ClassVar[Mapping[str, str]] = {}
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of all that may change: of attributes, and of functions of time `ATTRIBUTE.PART`."""
+        values = {name: getattr(self, name) for name in self.parameters}
+        given = [name for name, value in values.items() if not isinstance(value, Mapping) or value]
+        parts = [
+            f"{name}.{part}"
+            for name, value in values.items()
+            for part in PARTS
+            if any(function.part(part) for function in functions_of(value))
+        ]
+        return (*given, *self.points, *parts)
+
+    @property
+    def constants(self) -> dict[str, str]:
+        """Names of all numbers that do not change, and what they are instead."""
+        of_functions = {
+            f"{attribute}.{name}": reason
+            for attribute in self.parameters
+            for function in functions_of(getattr(self, attribute))
+            for name, reason in function.constant.items()
+        }
+        return {**self.constant, **of_functions}
+
+    def number(self, name: str) -> Array:
+        """Return what one of `variables` is at present, an array of floats; of points 0."""
+        if name in self.points:
+            return np.zeros(3)
+        attribute, _, part = name.partition(".")
+        found = np.asarray(_numbers(getattr(self, attribute), part), dtype=float)
+        return found.reshape(()) if part and found.size == 1 else found
+
+    def varied(self, values: Mapping[str, Any]) -> Self:
+        """Return the element with other values of some `variables`, scalars of any kind, not checked."""
+        return altered(self, **self.fields_with(values, altered))
+
+    def rebuilt(self, values: Mapping[str, Any]) -> Self:
+        """Return the element with other values of some `variables`, made anew; raises `MechanismError`."""
+        return replace(self, **self.fields_with(values, replace))  # type: ignore[type-var]
+
+    def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:
+        """Return the fields that other values of some `variables` change."""
+        fields: dict[str, Any] = {}
+        for name, value in values.items():
+            attribute, _, part = name.partition(".")
+            own = fields.get(attribute, getattr(self, attribute))
+            fields[attribute] = own + value if name in self.points else _changed(own, part, value, change)
+        return fields
+
+
+def functions_of(value: Any) -> tuple[Any, ...]:
+    """Return the functions of time that an attribute is or, as a mapping, has for values."""
+    values = value.values() if isinstance(value, Mapping) else (value,)
+    return tuple(each for each in values if isinstance(each, Function))
+
+
+def _numbers(value: Any, part: str) -> Any:
+    """Return the numbers of an attribute that are a part of it, "" for all that is no other part."""
+    if isinstance(value, Function):
+        return value.part(part)
+    if isinstance(value, Mapping):
+        rows = [_numbers(each, part) for each in value.values()]
+        return rows if _is_table(value) else [number for row in rows for number in np.atleast_1d(row)]
+    return [] if part else value
+
+
+def _changed(own: Any, part: str, value: Any, change: Change) -> Any:
+    """Return an attribute with other numbers of a part of it."""
+    if isinstance(own, Function):
+        return own.with_part(part, (value,) if np.ndim(value) == 0 else tuple(value), change)
+    if isinstance(own, Mapping):
+        return _changed_values(own, part, value, change)
+    return float(value) if isinstance(value, np.ndarray) and value.ndim == 0 else value
+
+
+def _changed_values(own: Mapping[Any, Any], part: str, value: Any, change: Change) -> dict[Any, Any]:
+    """Return the same of a mapping."""
+    if _is_table(own):
+        return dict(zip(own, value, strict=True))
+    found, numbers = dict(own), (value,) if np.ndim(value) == 0 else tuple(value)
+    for key, each in own.items():
+        count = np.size(_numbers(each, part))
+        if count:
+            found[key] = _changed(each, part, numbers if isinstance(each, Function) else numbers[0], change)
+        numbers = numbers[count:]
+    return found
+
+
+def _is_table(values: Mapping[Any, Any]) -> bool:
+    """Tell if a mapping has the same count of numbers for each key."""
+    return all(np.ndim(each) == 1 for each in values.values())
