@@ -19,7 +19,8 @@ from newton_euler.equations.dense import largest, rank
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.errors import AssemblyError
-from newton_euler.integrators.projection import ROUND_OFF, project_position, project_velocity
+from newton_euler.integrators.dense_projection import ROUND_OFF
+from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear
 from newton_euler.model.digital_control import Law

@@ -14,10 +14,11 @@ Integers are 64 bit; `//` and `%` round towards zero and are meant for numbers t
 from __future__ import annotations
 
 import ctypes
+import sys
 from collections.abc import Callable
 from functools import cached_property
 from struct import Struct
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 
@@ -49,19 +50,21 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Record:
-    """Base of frozen dataclasses of numbers, vectors and callbacks, which native code gets as one pointer.
+    """Base of frozen dataclasses of numbers, vectors, callbacks and records, which native code gets as one
+    pointer.
 
     Native functions read a field once, when they are entered; what changes in a run is in vectors.
     """
 
-    kinds: ClassVar[dict[str, str]]
-    """LLVM type of each field, in order."""
+    kinds: ClassVar[dict[str, Kind]]
+    """LLVM type of each field, in order, or the class of a record."""
 
     layout: ClassVar[Struct]
     """The fields in memory, 8 bytes each: a double, an integer or an address."""
 
     def __init_subclass__(cls) -> None:
-        cls.kinds = {name: TYPES[hint] for name, hint in cls.__annotations__.items()}
+        known = vars(sys.modules[cls.__module__])
+        cls.kinds = {name: TYPES.get(hint) or known[hint] for name, hint in cls.__annotations__.items()}
         cls.layout = Struct("".join("d" if kind == "double" else "q" for kind in cls.kinds.values()))
 
     @cached_property
@@ -74,6 +77,11 @@ class Record:
     def address(self) -> int:
         """Address of the fields, valid as long as this object lives."""
         return ctypes.addressof(self._packed)
+
+    def become(self, other: Self) -> None:
+        """Take the fields of another record, as native code sees them; it may call this."""
+        ctypes.memmove(self.address, other.address, self.layout.size)
+        self.__dict__["_other"] = other  # alive as long as this object is
 
 
 def address_of(argument: Any) -> Any:

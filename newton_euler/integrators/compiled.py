@@ -27,7 +27,7 @@ from newton_euler.equations.model_control import share_model_control
 from newton_euler.equations.parameters import is_kinematic, parameter_values, pieces, places, with_values
 from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual, rows_in_use
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.sparse import Rows, RowsInUse, least_squares
+from newton_euler.equations.sparse import Rows, RowsInUse, is_zero, least_squares
 from newton_euler.equations.system import Observation, at_time
 from newton_euler.errors import OptionError, UnknownNameError, check_choice, is_finite_number
 from newton_euler.integrators.options import FormulationName, StabilizationName
@@ -115,7 +115,7 @@ class Code:
         size: length of (q, v).
         inputs: length of (q, v, time, parameters).
         programs: traced so far, by name: derivative, position, velocity, rate, jacobian, output,
-            measured, surface.
+            measured, retract, surface.
         functions: native code made or loaded so far, by the same names.
         trace_time, compile_time: s taken so far; loading from the cache counts as compiling.
     """
@@ -319,22 +319,6 @@ class Code:
             values[name] = x[start : start + int(np.prod(shape))].reshape(shape) if shape else x[start]
         return values
 
-    def surface(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """Evaluate Phi (k,), dPhi/dt (k,), Phi_q (k, nv) and M (nv, nv) at x (inputs,), dense.
-
-        Rows that are taken as redundant are zero.
-        """
-        function = self.function("surface")
-        values, k, n = function(x), len(self.system.phi_units), self.system.nv
-        jacobian, mass = np.zeros((k, n)), np.zeros((n, n))
-        on_jacobian, on_mass = (np.array(places, dtype=int).reshape(-1, 2) for places in function.layout)
-        end = 2 * k + len(on_jacobian)
-        jacobian[tuple(on_jacobian.T)] = values[2 * k : end]
-        mass[tuple(on_mass.T)] = values[end:]
-        for omitted in (values[:k], values[k : 2 * k], jacobian):
-            omitted[self.omitted] = 0.0
-        return values[:k], values[k : 2 * k], jacobian, mass
-
     # Tracing
 
     def _trace(self, name: str) -> Program:
@@ -421,16 +405,34 @@ class Code:
             for i in self.rows.numbers
         ]
 
+    def _trace_retract(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
+        """Trace q moved by a step (nv,) that stands in place of v."""
+        return [*system.retract(q, v)]
+
     def _trace_surface(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Trace (Phi, dPhi/dt, nonzeros of Phi_q, nonzeros of M); the layout has their rows and columns."""
+        """Trace (Phi, dPhi/dt, nonzeros of Phi_q, nonzeros of M on and below its diagonal), dimensionless.
+
+        The layout has the number of rows and the places of nonzeros. Rows that are omitted, or zero
+        everywhere, are left out.
+        """
+        units, phi_units = self.system.velocity_units, self.system.phi_units
         phi, jacobian = system.phi_and_jacobian(q)
-        rates = [sum(x * v[k] for k, x in row.items()) for row in jacobian]
-        scalars = [*phi, *(np.array(rates) + system.phi_t())]
-        places = []
-        for rows in (jacobian, system.mass_rows(q)):
-            places.append([(i, k) for i, row in enumerate(rows) for k in row])
-            scalars.extend(x for row in rows for x in row.values())
-        self._layouts["surface"] = places
+        phi_t = system.phi_t()
+        kept = [i for i in range(len(phi)) if i not in self.omitted and (jacobian[i] or not is_zero(phi[i]))]
+        scalars: list[Scalar] = [phi[i] / phi_units[i] for i in kept]
+        for i in kept:
+            rate = sum(x * v[k] for k, x in jacobian[i].items()) + phi_t[i]
+            scalars.append(rate / phi_units[i])
+        on_jacobian: list[int] = []
+        for row, i in enumerate(kept):
+            on_jacobian.extend(system.nv * row + k for k in jacobian[i])
+            scalars.extend(x * (units[k] / phi_units[i]) for k, x in jacobian[i].items())
+        on_mass: list[int] = []
+        for i, entries in enumerate(system.mass_rows(q)):
+            lower = [k for k in entries if k <= i]
+            on_mass.extend(system.nv * i + k for k in lower)
+            scalars.extend(entries[k] * (units[i] * units[k]) for k in lower)
+        self._layouts["surface"] = len(kept), (on_jacobian, on_mass)
         return scalars
 
     def _trace_output(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:

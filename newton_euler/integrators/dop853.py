@@ -10,7 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import sqrt
 
-from newton_euler.codegen.native import Callback, Record, Vector, native
+from newton_euler.codegen.native import Record, Vector, native
+from newton_euler.integrators.dense_projection import Closing, close
 from newton_euler.integrators.projection import begin_adaptive, finish_step, project_rows
 from newton_euler.integrators.singular import HOP, HOPS, NEAR, UNSAFE, crossing_factor, evaluate
 from newton_euler.integrators.stepper import (
@@ -273,7 +274,7 @@ def first_step(system: Equations, method: Dop853, span: float) -> float:
 
 
 @native
-def error_on_constraints(n: int, h: float, closing: Callback, method: Dop853) -> float:
+def error_on_constraints(n: int, h: float, closing: Closing, method: Dop853) -> float:
     """Estimate the error of a step after projection; the projected end is left in row 13 of k.
 
     Near a singular configuration multipliers have few digits. What they add to a state in vain is off
@@ -283,7 +284,7 @@ def error_on_constraints(n: int, h: float, closing: Callback, method: Dop853) ->
     at = method.at
     end = method.end
     k = method.k
-    closing(end, k[13 * row :])
+    close(closing, end, k[13 * row :])
     if not k[13 * row + n] > 0.0:
         return FAILED
     at[n] = end[n]
@@ -292,13 +293,13 @@ def error_on_constraints(n: int, h: float, closing: Callback, method: Dop853) ->
         for j in range(STAGES + 1):
             five += ERROR_5[j] * k[row * j + i]
         at[i] = end[i] + h * five
-    closing(at, k[14 * row :])
+    close(closing, at, k[14 * row :])
     for i in range(n):
         three = 0.0
         for j in range(STAGES + 1):
             three += ERROR_3[j] * k[row * j + i]
         at[i] = end[i] + h * three
-    closing(at, k[15 * row :])
+    close(closing, at, k[15 * row :])
     if not min(k[14 * row + n], k[15 * row + n]) > 0.0:
         return FAILED
     fifth = 0.0

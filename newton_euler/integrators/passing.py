@@ -16,7 +16,8 @@ from newton_euler.equations.system import (
     constraint_rate,
     dimensionless_jacobian,
 )
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import AssemblyError
+from newton_euler.integrators.dense_projection import close, closing_of
 from newton_euler.integrators.dop853 import (
     EXPONENT,
     LARGEST,
@@ -25,8 +26,10 @@ from newton_euler.integrators.dop853 import (
     Dop853,
     error_on_constraints,
 )
-from newton_euler.integrators.projection import Surface, close_by
+from newton_euler.integrators.projection import worst_joint
+from newton_euler.integrators.run import PythonCallback, native_method, vector_at
 from newton_euler.integrators.singular import FAR, HOP, HOPS, NEAR, UNSAFE, crossing_factor
+from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
@@ -56,6 +59,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         `newton_euler.integrators.options.Options.near`.
         """
         self._system, self._project, self._tolerances = system, project, near
+        self._close = DenseProjection(system)
         self._rank = constraint_rank(system)
         self._best = 0.0
         self._ratio_at_end: float | None = None
@@ -109,10 +113,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         """
         if not self._near:
             return self._project(t, y)
-        try:
-            return close_densely(self._system, t, y)
-        except NewtonEulerError as error:
-            raise IntegrationError(t, f"projection fails: {error}") from error
+        return self._close(t, y)
 
     def _estimate_error_norm(self, k: Array, h: float, scale: Array) -> float:
         """Estimate the error of a step from `self.y` with the rates k (13, n) of its stages.
@@ -164,29 +165,67 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
             steps=np.zeros(0),
             control=np.zeros(0),
         )
-        return error_on_constraints(n, h, self._closing, method)
+        closing = self._close.closing
+        return float(native_method(error_on_constraints)(error_on_constraints, n, h, closing, method))
 
-    def _closing(self, x: Array, y: Array) -> None:
-        """Project near a singular configuration, in the form that native methods call."""
-        n = len(x) - 1
+
+class DenseProjection:
+    """Projection of equations that Python evaluates, next to singular configurations.
+
+    Attributes:
+        closing: the record of native code.
+    """
+
+    def __init__(self, system: System) -> None:
+        self._system, self._now = system, system
+        self._error: Exception | None = None
+        self._kept = np.delete(np.arange(len(system.phi_units)), rows_left_out(system))
+        k, nv = len(self._kept), system.nv
+        self._size = system.nq + nv
+        functions = PythonCallback(self._retract), PythonCallback(self._surface)
+        places = [*range(k * nv)], [*range(nv * nv)]
+        self.closing = closing_of(system.nq, system.velocity_units, self._size + 1, places, k, functions)
+        self._results = 2 * k + k * nv + nv * nv
+
+    def __call__(self, t: float, y: Array) -> Array:
+        """Put a state at a time on the constraints.
+
+        Raises:
+            IntegrationError: where it cannot be put there.
+        """
+        found, self._error = np.empty(self._size + 1), None
+        native_method(close)(close, self.closing, np.append(y, t), found)
+        if not found[-1] > 0.0:
+            q, v = y[: self._system.nq], y[self._system.nq :]
+            joint, residual = worst_joint(self._system, self._system.state(q, v))
+            error = self._error or AssemblyError(joint, residual, CLOSURE_TOLERANCE)
+            raise IntegrationError(t, f"projection fails: {error}") from error
+        return found[:-1]
+
+    def _retract(self, x: int, y: int, on: int) -> None:
+        self._write(x, y, self._system.nq, lambda q, step: self._now.retract(q, step))
+
+    def _surface(self, x: int, y: int, on: int) -> None:
+        self._write(x, y, self._results, self._evaluated)
+
+    def _write(self, x: int, y: int, size: int, function: Callable[[Array, Array], Array]) -> None:
+        """Write results (size,) at (q, v) into y, or numbers that are none if Python fails."""
+        state, results = vector_at(x, self._size + 1).copy(), vector_at(y, size)
         try:
-            y[:n] = close_densely(self._system, x[n], x[:n])
-            y[n] = 1.0
-        except NewtonEulerError:
-            y[n] = -1.0
+            self._now = at_time(self._system, state[-1])
+            results[:] = function(state[: self._system.nq], state[self._system.nq : -1])
+        except Exception as error:  # nothing may pass through native code
+            self._error = error
+            results[:] = np.nan
 
-
-def close_densely(system: System, t: float, y: Array) -> Array:
-    """Put a state at a time on the constraints as `close_by` does, for equations of a tree."""
-    now, unused = at_time(system, t), rows_left_out(system)
-
-    def surface(y: Array) -> Surface:
-        q, v = y[: system.nq], y[system.nq :]
-        parts = (now.phi(q), constraint_rate(now, q, v), now.phi_jacobian(q))
-        phi, opens, jacobian = (without(part, unused) for part in parts)
-        return Surface(phi, opens, jacobian, now.mass_and_force(q, np.zeros(system.nv))[0])
-
-    return close_by(surface, now, y)
+    def _evaluated(self, q: Array, v: Array) -> Array:
+        """Evaluate Phi, dPhi/dt, Phi_q and M, dimensionless."""
+        now, kept, units = self._now, self._kept, self._system.velocity_units
+        phi_units = self._system.phi_units[kept]
+        phi, rates = now.phi(q)[kept] / phi_units, constraint_rate(now, q, v)[kept] / phi_units
+        jacobian = now.phi_jacobian(q)[kept] * units / phi_units[:, None]
+        mass = now.mass_and_force(q, np.zeros(len(v)))[0] * np.outer(units, units)
+        return np.concatenate([phi, rates, jacobian.ravel(), mass.ravel()])
 
 
 def _error_for(factor: float) -> float:

@@ -6,23 +6,21 @@ forms:
 
 - native, on the compiled `position` and `velocity` of `Equations`; several rows of outputs side by side;
 - in Python, for any `System`: `project_position`, `project_velocity`;
-- next to a singular configuration, for any system whose constraints and mass matrix are known: `close_by`.
+- next to a singular configuration: `newton_euler.integrators.dense_projection`.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
 from newton_euler.codegen.native import Vector, native
 from newton_euler.equations.couplings import couplings, residuals, row_owners, row_units
-from newton_euler.equations.dense import largest, minimum_norm, singular_values
+from newton_euler.equations.dense import largest, minimum_norm
 from newton_euler.equations.redundancy import loosely_closed, rows_left_out, without
 from newton_euler.equations.system import System, is_rheonomic, rate_of_phi
 from newton_euler.errors import AssemblyError
-from newton_euler.integrators.singular import DENSE_PIVOT_RATIO, WEAK, evaluate, leaving
+from newton_euler.integrators.dense_projection import ROUND_OFF, close
+from newton_euler.integrators.singular import DENSE_PIVOT_RATIO, evaluate, leaving
 from newton_euler.integrators.stepper import (
     DONE,
     HUGE,
@@ -40,9 +38,6 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
-
-ROUND_OFF = 16.0 * np.finfo(float).eps
-"""Residuals below this share of the mechanism's size are what evaluating them loses."""
 
 NATIVE_STEPS = 10
 """Newton's steps in native code, which begins near the constraints."""
@@ -68,7 +63,7 @@ runs on is another mechanism: a hundredth can be seen."""
 @native
 def project_densely(system: Equations, x: Vector, scratch: Vector) -> int:
     """Project as `project` does, by the dense form; `scratch` is (n + 1,)."""
-    system.closing(x, scratch)
+    close(system.closing, x, scratch)
     if not scratch[system.n] > 0.0:
         return OPEN
     for i in range(system.n):
@@ -310,66 +305,6 @@ def project_velocity(system: System, q: Array, v: Array) -> Array:
     excess = without(rate_of_phi(system, jacobian, v), unused)
     step = minimum_norm(without(jacobian, unused), excess, system.phi_units, system.velocity_units)
     return np.asarray(v - step)
-
-
-class Surface(NamedTuple):
-    """The constraints and the mass matrix at a state, all dense."""
-
-    phi: Array
-    """(k,) residuals."""
-    opening: Array
-    """(k,) dPhi/dt."""
-    jacobian: Array
-    """(k, nv) Phi_q."""
-    mass: Array
-    """(nv, nv) of the kinetic energy 1/2 v^T M v."""
-
-
-def close_by(surface: Callable[[Array], Surface], system: System, x: Array) -> Array:
-    """Put x, which begins with (q, v), on the constraints near it, as far as they are strong enough.
-
-    Corrections are M^-1 J^T times multipliers, the direction in which wrong multipliers lead a run
-    astray: what they did is undone, whatever it was.
-
-    Args:
-        surface: of the system, at an x.
-
-    Raises:
-        AssemblyError: if the constraints stay open by more than `CLOSURE_TOLERANCE`.
-    """
-    x = x.copy()
-    on_q, on_v = slice(system.nq), slice(system.nq, system.nq + system.nv)
-    x[on_q] = system.retract(x[on_q], np.zeros(system.nv))
-    found, best = surface(x), x.copy()
-    for _ in range(NEWTON_STEPS):
-        x[on_q] = system.retract(x[on_q], -_correction(system, found)(found.phi))
-        here = surface(x)
-        if not largest(here.phi) < 0.5 * largest(found.phi):
-            break
-        found, best = here, x.copy()
-    _check_closed(system, best[on_q], found.phi)
-    correct = _correction(system, found)
-    best[on_v] -= correct(found.opening)
-    best[on_v] -= correct(surface(best).opening)  # once more for the digits
-    return best
-
-
-def _correction(system: System, found: Surface) -> Callable[[Array], Array]:
-    """Return the step (nv,) that undoes residuals (k,) in the metric of the mass matrix, as a function of
-    them."""
-    units = system.velocity_units
-    jacobian = found.jacobian * units / system.phi_units[:, None]
-    mass = found.mass * np.outer(units, units)
-    # what the constraints measure costs nothing on them, and makes Euler parameters definite
-    lower = np.linalg.cholesky(mass / np.max(np.diag(mass)) + jacobian.T @ jacobian)
-    u, s, vt = singular_values(np.linalg.solve(lower, jacobian.T).T)
-    strong = s > WEAK * np.max(s, initial=0.0)
-    back = np.linalg.solve(lower.T, vt[strong].T) / s[strong]
-
-    def correct(residual: Array) -> Array:
-        return np.asarray(units * (back @ (u[:, strong].T @ (residual / system.phi_units))))
-
-    return correct
 
 
 def joint_violations(mechanism: Mechanism, state: State) -> Array:

@@ -23,11 +23,12 @@ from newton_euler.equations.system import dimensionless_jacobian, fastest_joint
 from newton_euler.errors import NewtonEulerError, OptionError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.compiled import OPEN_TOLERANCE, Code
+from newton_euler.integrators.dense_projection import ROUND_OFF, Closing, closing_of, unprepared
 from newton_euler.integrators.dop853 import CONTROLS, Dop853, integrate_dop853
 from newton_euler.integrators.fixed_step import FixedStep, integrate_fixed
 from newton_euler.integrators.options import FIXED, Options
 from newton_euler.integrators.outputs import Outputs, loops
-from newton_euler.integrators.projection import ROUND_OFF, Surface, close_by, project, worst_joint
+from newton_euler.integrators.projection import project, worst_joint
 from newton_euler.integrators.radau import Radau, integrate_radau
 from newton_euler.integrators.singular import NEAR
 from newton_euler.model.trajectory import IntegrationError
@@ -38,6 +39,9 @@ MOST_STEPS = 1_000_000
 
 COUNTED = 2**53
 """Steps that doubles count one by one."""
+
+PREPARING = threading.Lock()
+"""Held while functions are compiled in the middle of a run: other threads may be there, too."""
 
 METHODS: dict[str, Callable[..., None]] = {
     "DOP853": integrate_dop853,
@@ -86,19 +90,30 @@ def most_steps(options: Options) -> int:
     return min(options.most_steps or MOST_STEPS, COUNTED)
 
 
-class Callbacks(Protocol):
-    """Addresses of callbacks into Python, of `newton_euler.integrators.stepper.Equations`."""
+class PythonCallback:
+    """A Python function that native code calls, with addresses of x and y and the lanes that are on.
 
-    derivative: int | None
-    closing: int | None
-    pause: int | None
+    Attributes:
+        address: of the native callback, valid as long as this object lives.
+    """
+
+    def __init__(self, function: Callable[[int, int, int], None]) -> None:
+        self._callback = CALLBACK(function)
+        self.address = ctypes.c_void_p.from_buffer(self._callback).value
+
+
+class Callbacks(Protocol):
+    """Callbacks into Python, of `newton_euler.integrators.stepper.Equations`."""
+
+    derivative: PythonCallback
+    pause: PythonCallback
 
 
 class Fallback:
-    """Callbacks of native code into Python: states near singular, by the dense float form, and interrupts.
+    """Callbacks of native code into Python: singular states, by the dense float form, and interrupts.
 
     Attributes:
-        derivative, closing, pause: addresses of native callbacks.
+        derivative, pause: callbacks.
         error: what that form raised last, if it did.
     """
 
@@ -106,11 +121,7 @@ class Fallback:
         self._code, self._stopped = code, stopped
         self._interrupted = False
         self.error: Exception | None = None
-        # alive as long as this object
-        self._callbacks = tuple(map(CALLBACK, (self._derivative, self._closing, self._pause)))
-        self.derivative, self.closing, self.pause = (
-            ctypes.c_void_p.from_buffer(callback).value for callback in self._callbacks
-        )
+        self.derivative, self.pause = PythonCallback(self._derivative), PythonCallback(self._pause)
 
     def _derivative(self, x: int, y: int, on: int) -> None:
         def rates(system: Formulation, state: Array) -> Array:
@@ -118,15 +129,6 @@ class Fallback:
             return np.concatenate([system.rate(q, v), system.acceleration(q, v)])
 
         self._guarded(x, y, rates)
-
-    def _closing(self, x: int, y: int, on: int) -> None:
-        def closed(system: Formulation, state: Array) -> Array:
-            return close_by(self._surface, system, state)[: self._code.size]
-
-        self._guarded(x, y, closed)
-
-    def _surface(self, x: Array) -> Surface:
-        return Surface(*self._code.surface(x))
 
     def _pause(self, counts: int, wish: int, on: int) -> None:
         """Python runs signal handlers here, between two of its own instructions."""
@@ -260,12 +262,28 @@ def equations(
         lanes=1 if in_lanes else lanes,
         position=position,
         velocity=velocity,
-        closing=python.closing,
+        closing=closing_on_demand(code, in_lanes),
         beside=np.zeros((code.inputs + code.size + 3, lanes)),
         pause=python.pause,
         marks=marked,
         counts=counts,
     )
+
+
+def closing_on_demand(code: Code, in_lanes: bool) -> Closing:
+    """Return a record to close a scene with, whose functions are compiled when a run first comes near a
+    singular configuration."""
+
+    def prepare(x: int, y: int, on: int) -> None:
+        with PREPARING:
+            retract, surface = (code.function(name, in_lanes) for name in ("retract", "surface"))
+        system, (constraints, places) = code.system, surface.layout
+        functions, lanes = (retract, surface), surface.lanes
+        units = system.velocity_units
+        closing.become(closing_of(system.nq, units, code.inputs, places, constraints, functions, lanes))
+
+    closing = unprepared(PythonCallback(prepare))
+    return closing
 
 
 def table_of(code: Code, times: Array, ends: Array, states: Array, tallies: Array, lanes: int = 1) -> m.Table:

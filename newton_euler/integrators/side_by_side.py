@@ -9,13 +9,11 @@ code.
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.codegen.compile import CALLBACK
 from newton_euler.codegen.trigonometry import LANES
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators import stepper as m
@@ -25,6 +23,7 @@ from newton_euler.integrators.outputs import Outputs
 from newton_euler.integrators.run import (
     METHODS,
     Integrator,
+    PythonCallback,
     equations,
     load,
     marks,
@@ -61,15 +60,13 @@ class Departure:
     """Callbacks of native code in lanes: those that would go on in Python leave.
 
     Attributes:
-        derivative, closing, pause: addresses of native callbacks.
+        derivative, pause: callbacks.
     """
 
     def __init__(self, code: Code, counts: Array, stopped: Sequence[bool]) -> None:
         """Of runs with these counts (COUNTS, LANES), that all stop if `stopped` holds something."""
         self._size, self._counts, self._stopped = code.size, counts, stopped
-        self._callbacks = CALLBACK(self._leave), CALLBACK(self._pause)  # alive as long as this object
-        leave, self.pause = (ctypes.c_void_p.from_buffer(each).value for each in self._callbacks)
-        self.derivative = self.closing = leave
+        self.derivative, self.pause = PythonCallback(self._leave), PythonCallback(self._pause)
 
     def _leave(self, x: int, y: int, on: int) -> None:
         found = vector_at(y, (self._size + 1) * LANES).reshape(-1, LANES)
@@ -116,7 +113,6 @@ class SideBySide:
         self._states = np.zeros((self._group, len(times), code.size))
         native = native_method(integrate, in_lanes=True)
         self._run: Callable[[m.Table], None] = lambda table: native(integrate, system, table, method)
-        self._keep = python
 
     def __call__(self, runs: Runs, numbers: Array) -> None:
         """Make some of the runs, given by their numbers."""

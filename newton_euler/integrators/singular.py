@@ -16,7 +16,7 @@ end, and what passes may have gone over to another branch of the mechanism's mot
 5. The error of such a step is that of its projections
    (`newton_euler.integrators.dop853.error_on_constraints`): what wrong multipliers add is normal to the
    constraints, and projection in the metric of the mass matrix takes it off again
-   (`newton_euler.integrators.projection.close_by`), as far as constraints are strong enough.
+   (`newton_euler.integrators.dense_projection`), as far as constraints are strong enough.
 6. Steps of RK4 cannot be placed: a step whose stages contradict each other (`contradiction`) ends the run.
 
 Native code runs 1 to 6. Equations that Python evaluates take 3 to 5 with scipy's DOP853, see
@@ -87,10 +87,6 @@ or more somewhere, good ones mostly less than 1e-3: some good ones are refused. 
 near by
 are not looked at: without projection they open joints, and
 `newton_euler.integrators.projection.check_still_closed` refuses the run at its next output."""
-
-WEAK = 3e-5
-"""Dimensionless singular value below which a constraint says too little to correct a state by it: the
-correction of a velocity would have the round-off of its residual divided by the square."""
 
 
 @native

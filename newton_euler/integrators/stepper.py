@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from math import pi, sqrt
 
 from newton_euler.codegen.native import Callback, Record, Shared, Vector, native
+from newton_euler.integrators.dense_projection import Closing
 from newton_euler.scalars import Array
 
 DONE, NOT_FINITE, SINGULAR, TOO_MANY_STEPS = 0, 1, 2, 3
@@ -56,8 +57,7 @@ class Equations(Record):
 
     `position` writes the state after one Newton step, `velocity` one with its velocities projected; both
     write the squared residual at their argument in place n and their pivot ratio after it, and take several
-    states side by side, one per lane. `closing` does all of it where their pivot ratio is too small; it
-    writes a number above 0 in place n if it could.
+    states side by side, one per lane. `closing` is for where their pivot ratio is too small.
 
     Attributes:
         n, nq: lengths of a state (q, v) and of q.
@@ -67,7 +67,8 @@ class Equations(Record):
         tolerance: dimensionless residual below which projection has nothing to do.
         open_tolerance: dimensionless residual that a constraint may have after projection.
         lanes: number of states that `position` and `velocity` take; 1 if each lane has a run of its own.
-        position, velocity, closing: projection.
+        position, velocity: projection.
+        closing: projection by the dense form.
         beside: (inputs + n + 3, lanes) scratch.
         pause: asks whether the user wants to stop.
         marks: (n,) of angles and Euler parameters.
@@ -85,7 +86,7 @@ class Equations(Record):
     lanes: int
     position: Callback
     velocity: Callback
-    closing: Callback
+    closing: Closing
     beside: Vector
     pause: Callback
     marks: Shared

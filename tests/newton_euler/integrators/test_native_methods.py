@@ -25,7 +25,7 @@ def plain(argument, pause):
         return type(argument)(**values)
     if isinstance(argument, np.ndarray):
         return argument.reshape(-1)
-    if isinstance(argument, int) and argument == pause:
+    if argument is pause:
         return lambda counts, wish: None
     if not isinstance(argument, NativeFunction):
         return argument

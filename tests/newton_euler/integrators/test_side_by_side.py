@@ -10,8 +10,9 @@ from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.codegen.trigonometry import LANES
 from newton_euler.exercise import random_states
 from newton_euler.integrators import stepper as m
+from newton_euler.integrators.dense_projection import ROUND_OFF
 from newton_euler.integrators.options import Options
-from newton_euler.integrators.projection import ROUND_OFF, project_rows
+from newton_euler.integrators.projection import project_rows
 from newton_euler.integrators.run import Fallback, Integrator, Projection, equations
 from newton_euler.integrators.side_by_side import Runs, SideBySide, load_lanes
 from newton_euler.model.trajectory import IntegrationError
@@ -135,6 +136,7 @@ def in_groups(code, x, options, groups):
         ("tracker", "relative", FIXED),
         ("tracker", "relative", FIXED | {"integrator": "Euler"}),
         ("four_bar", "relative", {"rtol": 1e-6, "atol": 1e-8}),  # past singular configurations
+        ("four_bar", "cartesian", {"rtol": 1e-6, "atol": 1e-8}),
         ("four_bar", "cartesian", FIXED),
         ("heavy_top", "cartesian", {"rtol": 1e-9, "atol": 1e-9}),
         ("pendulum", "relative", {"rest": 1e-3}),
@@ -149,6 +151,17 @@ def test_runs_are_what_each_is_alone(starts, name, formulation, control, groups)
     assert found[0].tobytes() == results.tobytes()
     assert found[1:] == (counts, errors)
     assert options.step or any(each["rejected"] for each in counts)  # in some lanes before others
+
+
+def test_lanes_pass_singular_configurations(starts, monkeypatch):
+    """Without help from scalar code, by functions that are compiled when they are needed."""
+    known, x = starts("four_bar", "relative")
+    code, needed = CompiledScene(known.scene, "relative"), {"retract in lanes", "surface in lanes"}
+    load_lanes(code, "DOP853")
+    assert not needed & code.functions.keys()
+    monkeypatch.setattr(Integrator, "__call__", None)
+    in_groups(code, x, Options(rtol=1e-6, atol=1e-8), [[*range(7)]])
+    assert needed < code.functions.keys()
 
 
 def test_a_run_that_fails_leaves_the_others_as_they_are(starts):

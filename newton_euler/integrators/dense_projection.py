@@ -1,0 +1,321 @@
+"""Projection next to a singular configuration, by a dense form that tells weak constraints from strong ones.
+
+Corrections are M^-1 J^T times multipliers, the direction in which wrong multipliers lead a run astray: what
+they did is undone, whatever it was, as far as constraints are strong enough. With L the Cholesky factor of
+the metric, the columns of L^-1 J^T become orthonormal ones, the longest that is left first (modified
+Gram-Schmidt with column pivoting: G. H. Golub, C. F. Van Loan, Matrix Computations, fourth edition, Johns
+Hopkins 2013, sections 5.2.8 and 5.4.2). What is left of weak constraints is short, and is left out.
+
+Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from newton_euler.codegen.native import Callback, Record, Shared, Vector, native
+from newton_euler.model.mechanism import CLOSURE_TOLERANCE
+from newton_euler.scalars import Array
+
+NEWTON_STEPS = 20
+"""Newton's steps at most, of which each makes residuals half as large or is the last."""
+
+ROUND_OFF = 16.0 * np.finfo(float).eps
+"""Residuals below this share of the mechanism's size are what evaluating them loses."""
+
+ALIKE = 1e-12
+"""Dimensionless residual that a Newton step of 1e-6 leaves. The next one may do with the same Jacobian: it
+leaves 1e-6 / `WEAK` of the residual at most."""
+
+WEAK = 3e-5
+"""Dimensionless length, as a share of the longest, below which a column of what constraints measure says too
+little to correct a state by it: the correction of a velocity would have the round-off of its residual divided
+by the square."""
+
+
+@dataclass(frozen=True, eq=False)
+class Closing(Record):
+    """The constraints and the mass matrix of a scene, all dimensionless, and scratch to close it.
+
+    Attributes:
+        nq, nv: lengths of q and v.
+        inputs: length of a state with time and parameters.
+        constraints: k, their number; negative before `prepare` has been called.
+        on_jacobian, on_mass: numbers of nonzeros.
+        prepare: fills in this record.
+        retract: q (nq,) moved by the step (nv,) that x (inputs,) has in place of velocities, SI.
+        evaluate: Phi (k,), dPhi/dt (k,), nonzeros of Phi_q (k, nv) and of M (nv, nv) at x (inputs,).
+        places: of these nonzeros in the whole matrices, row by row.
+        units: (nv,) of v, SI.
+        scratch: vector, see `room`.
+    """
+
+    nq: int
+    nv: int
+    inputs: int
+    constraints: int
+    on_jacobian: int
+    on_mass: int
+    prepare: Callback
+    retract: Callback
+    evaluate: Callback
+    places: Shared
+    units: Shared
+    scratch: Vector
+
+
+def unprepared(prepare: Callback) -> Closing:
+    """Return a record that native code has filled in when it is first needed."""
+    nothing = np.zeros(0)
+    return Closing(0, 0, 0, -1, 0, 0, prepare, None, None, nothing, nothing, nothing)
+
+
+def closing_of(
+    nq: int,
+    units: Array,
+    inputs: int,
+    places: tuple[list[int], list[int]],
+    constraints: int,
+    functions: tuple[Any, Any],
+    lanes: int = 1,
+) -> Closing:
+    """Return a record with scratch for a state in each lane.
+
+    Args:
+        units: (nv,) of v.
+        places: of nonzeros of Phi_q and M in the whole matrices.
+        functions: retract and evaluate.
+    """
+    nv, found = len(units), sum(map(len, places))
+    basis = min(constraints, nv)
+    room = inputs + nq + 2 * constraints + found  # the argument, what is moved, what is evaluated
+    room += constraints * nv + nv * nv + basis * nv + basis * constraints + 2 * basis  # factors
+    room += 2 * constraints + nv  # of a correction
+    return Closing(
+        nq=nq,
+        nv=nv,
+        inputs=inputs,
+        constraints=constraints,
+        on_jacobian=len(places[0]),
+        on_mass=len(places[1]),
+        prepare=None,
+        retract=functions[0],
+        evaluate=functions[1],
+        places=np.array([*places[0], *places[1]], dtype=float),
+        units=np.array(units, dtype=float),
+        scratch=np.zeros((room, lanes)),
+    )
+
+
+@native
+def factor_metric(closing: Closing, found: Vector, rows: Vector, lower: Vector) -> int:
+    """Put Phi_q into rows (k, nv) and factor the metric of corrections into lower (nv, nv); 1 if it is
+    definite.
+
+    It is the mass matrix, of largest diagonal element 1, and, as what the constraints measure costs nothing
+    on them, J^T J: that makes Euler parameters definite.
+    """
+    nv = closing.nv
+    k = closing.constraints
+    places = closing.places
+    nonzeros = found[2 * k :]
+    for i in range(k * nv):
+        rows[i] = 0.0
+    for i in range(closing.on_jacobian):
+        rows[int(places[i])] = nonzeros[i]
+    for i in range(nv * nv):
+        lower[i] = 0.0
+    for i in range(closing.on_mass):
+        lower[int(places[closing.on_jacobian + i])] = nonzeros[closing.on_jacobian + i]
+    largest = 0.0
+    for i in range(nv):
+        largest = max(largest, lower[nv * i + i])
+    for i in range(nv):
+        for j in range(i + 1):
+            lower[nv * i + j] = lower[nv * i + j] / largest
+    for row in range(k):
+        for i in range(nv):
+            for j in range(i + 1):
+                lower[nv * i + j] += rows[nv * row + i] * rows[nv * row + j]
+    definite = 1
+    for j in range(nv):
+        for i in range(j, nv):
+            rest = lower[nv * i + j]
+            for m in range(j):
+                rest -= lower[nv * i + m] * lower[nv * j + m]
+            lower[nv * i + j] = rest
+        scale = 0.0
+        if lower[nv * j + j] > 0.0:
+            scale = 1.0 / sqrt(lower[nv * j + j])
+        else:
+            definite = 0
+        for i in range(j, nv):
+            lower[nv * i + j] = scale * lower[nv * i + j]
+    return definite
+
+
+@native
+def orthogonalize(closing: Closing, rows: Vector, lower: Vector, factors: Vector, lengths: Vector) -> None:
+    """Write orthonormal vectors (r, nv) that span what strong constraints measure, r = min(k, nv), longest
+    first; the share (r, k) that constraints have in each; which constraint (r,) each was made of; and its
+    inverse length (r,), 0 for what is weak. `lengths` (k,) is scratch."""
+    nv = closing.nv
+    k = closing.constraints
+    count = k if k < nv else nv
+    shares = factors[count * nv :]
+    chosen = shares[count * k :]
+    inverse = chosen[count:]
+    for row in range(k):
+        square = 0.0
+        for i in range(nv):
+            rest = rows[nv * row + i]
+            for j in range(i):
+                rest -= lower[nv * i + j] * rows[nv * row + j]
+            rest = rest / lower[nv * i + i]
+            rows[nv * row + i] = rest
+            square += rest * rest
+        lengths[row] = square
+    longest = 0.0
+    for r in range(count):
+        place = 0
+        most = 0.0
+        for row in range(k):
+            if lengths[row] > most:
+                most = lengths[row]
+                place = row
+        longest = max(longest, most)
+        scale = 1.0 / sqrt(most) if most > WEAK * WEAK * longest else 0.0
+        chosen[r] = float(place)
+        inverse[r] = scale
+        for i in range(nv):
+            factors[nv * r + i] = scale * rows[nv * place + i]
+        for row in range(k):
+            share = 0.0
+            for i in range(nv):
+                share += factors[nv * r + i] * rows[nv * row + i]
+            shares[k * r + row] = share
+            square = 0.0
+            for i in range(nv):
+                rest = rows[nv * row + i] - share * factors[nv * r + i]
+                rows[nv * row + i] = rest
+                square += rest * rest
+            lengths[row] = square
+
+
+@native
+def correct(
+    closing: Closing, residuals: Vector, lower: Vector, factors: Vector, rest: Vector, step: Vector
+) -> None:
+    """Find the step (nv,), SI, that undoes residuals (k,) of strong constraints; `rest` (k,) is scratch."""
+    nv = closing.nv
+    k = closing.constraints
+    count = k if k < nv else nv
+    shares = factors[count * nv :]
+    chosen = shares[count * k :]
+    inverse = chosen[count:]
+    for row in range(k):
+        rest[row] = residuals[row]
+    for i in range(nv):
+        step[i] = 0.0
+    for r in range(count):
+        length = rest[int(chosen[r])] * inverse[r]
+        for row in range(k):
+            rest[row] -= length * shares[k * r + row]
+        for i in range(nv):
+            step[i] += length * factors[nv * r + i]
+    for m in range(nv):
+        i = nv - 1 - m
+        left = step[i]
+        for j in range(i + 1, nv):
+            left -= lower[nv * j + i] * step[j]
+        step[i] = left / lower[nv * i + i]
+    for i in range(nv):
+        step[i] = closing.units[i] * step[i]
+
+
+@native
+def squared(count: int, residuals: Vector) -> float:
+    """Square a vector of residuals."""
+    square = 0.0
+    for i in range(count):
+        square += residuals[i] * residuals[i]
+    return square
+
+
+@native
+def close_by(closing: Closing, x: Vector, y: Vector) -> None:
+    """Write into y (nq + nv + 1,) the state on the constraints near that of x (inputs,), and 1.0, or -1.0 if
+    it was not found."""
+    nq = closing.nq
+    nv = closing.nv
+    k = closing.constraints
+    count = k if k < nv else nv
+    at = closing.scratch
+    moved = at[closing.inputs :]
+    found = moved[nq:]
+    rows = found[2 * k + closing.on_jacobian + closing.on_mass :]
+    lower = rows[k * nv :]
+    factors = lower[nv * nv :]
+    rest = factors[count * (nv + k + 2) :]
+    lengths = rest[k:]
+    step = lengths[k:]
+    y[nq + nv] = -1.0
+    if k < 0:
+        return
+    for i in range(closing.inputs):
+        at[i] = x[i]
+    for i in range(nv):
+        at[nq + i] = 0.0
+        y[nq + i] = x[nq + i]
+    closing.retract(at, y)
+    for i in range(nq + nv):
+        at[i] = y[i]
+    closing.evaluate(at, found)
+    left = squared(k, found)
+    for number in range(NEWTON_STEPS):
+        if number == 0 or left > ALIKE * ALIKE:
+            if factor_metric(closing, found, rows, lower) == 0:
+                return
+            orthogonalize(closing, rows, lower, factors, lengths)
+        correct(closing, found, lower, factors, rest, step)
+        for i in range(nq):
+            at[i] = y[i]
+        for i in range(nv):
+            at[nq + i] = -step[i]
+        closing.retract(at, moved)
+        for i in range(nq):
+            at[i] = moved[i]
+        for i in range(nv):
+            at[nq + i] = x[nq + i]
+        before = left
+        closing.evaluate(at, found)
+        left = squared(k, found)
+        if not left < 0.25 * before:
+            left = before
+            break
+        for i in range(nq):
+            y[i] = at[i]
+        if left < ROUND_OFF * ROUND_OFF:
+            break
+    if not left <= CLOSURE_TOLERANCE * CLOSURE_TOLERANCE:
+        return
+    for _time in range(2):  # once more for the digits
+        for i in range(nq + nv):
+            at[i] = y[i]
+        closing.evaluate(at, found)
+        correct(closing, found[k:], lower, factors, rest, step)
+        for i in range(nv):
+            y[nq + i] -= step[i]
+    y[nq + nv] = 1.0
+
+
+@native
+def close(closing: Closing, x: Vector, y: Vector) -> None:
+    """Close a state as `close_by` does, after filling in the record if nothing has yet."""
+    if closing.constraints < 0:
+        closing.prepare(x, y)
+    close_by(closing, x, y)
