@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 import warnings
 from collections.abc import Iterator, Sequence
@@ -20,6 +19,7 @@ from crosscheck.report.table import Cell, Column, Table, figures, texts
 from crosscheck.run import Crosscheck, Progress, crosscheck
 from crosscheck.scenes import SCENES, load
 from crosscheck.workers import LostError, in_processes
+from newton_euler.batch import thread_count
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def run_all(engines: Sequence[str], folder: Path, progress: Progress) -> list[Ou
     found = in_processes(
         partial(outcome, engines=tuple(engines), folder=folder),
         list(SCENES),
-        os.cpu_count() or 1,
+        thread_count(),
         lambda count, name: progress(f"{count} of {len(SCENES)} scenes, last {name}"),
     )
     return [

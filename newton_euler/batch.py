@@ -32,7 +32,7 @@ from newton_euler.integrators.options import (
     StepControl,
 )
 from newton_euler.integrators.outputs import named
-from newton_euler.integrators.side_by_side import IN_LANES, Runs, SideBySide, load_lanes
+from newton_euler.integrators.side_by_side import Runs, SideBySide, go_in_lanes, load_lanes
 from newton_euler.integrators.stepper import COUNTS, counted
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -152,7 +152,7 @@ def simulate_batch(
     parameters = dict(parameters or {})
     if scene.sampled:
         raise OptionError("control", scene.sampled[0], "no sampled controller: Python would run in every run")
-    workers = _threads(threads)
+    workers = thread_count(threads)
     initial = initial_numbers(scene, parameters)
     names = tuple(name for name in parameters if name not in initial)
     compiled = _compiled(scene, formulation, stabilization, alpha, names)
@@ -177,7 +177,7 @@ def simulate_batch(
 
 def _make(runs: Runs, compiled: CompiledScene, options: Options, workers: int) -> float:
     """Make all runs but those with an error, on so many threads; returns the time that it took, s."""
-    side_by_side = options.integrator in IN_LANES and not compiled.piecewise
+    side_by_side = go_in_lanes(compiled, options.integrator)
     numbers = np.setdiff1d(np.arange(len(runs.starts)), list(runs.errors))
     most = len(numbers) // SMALLEST_PIECE if side_by_side else len(numbers)
     waiting: SimpleQueue[Array] = SimpleQueue()
@@ -233,9 +233,14 @@ def _short(value: object) -> str:
     return f"{value!r:.100}"
 
 
-def _threads(threads: int | None) -> int:
+def thread_count(threads: int | None = None) -> int:
+    """Return a number of threads: as many as there are processors for this process if none is given.
+
+    Raises:
+        OptionError: for an impossible number.
+    """
     if threads is None:
-        return os.cpu_count() or 1
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if not is_count(threads):
         raise OptionError("threads", threads, "a whole number, 1 or more")
     return int(threads)

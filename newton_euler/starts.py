@@ -81,21 +81,26 @@ def initial_numbers(scene: Scene, names: Iterable[str]) -> dict[str, Initial]:
 
     Raises:
         UnknownNameError: for an unknown joint.
-        MechanismError: for a joint that has no such coordinate, and one that follows a prescribed motion.
+        MechanismError: for a joint that has no such coordinate, one that follows a prescribed motion, and two
+            names of one number.
     """
     found: dict[str, Initial] = {}
     for name in names:
         if not isinstance(name, str) or not name.startswith(PREFIX) or _is_element(scene, name):
             continue
         place = name.removeprefix(PREFIX).removesuffix(RATE)
-        joint, _, number = place.rpartition(".")
-        key = (joint, int(number)) if joint and number.isdecimal() else (place, 0)
+        joint, _, index = place.rpartition(".")
+        key = (joint, int(index)) if joint and index.isdecimal() else (place, 0)
         mechanism = scene.mechanism
         key = mechanism.coordinate(key if place not in mechanism.joint_names else (place, 0))
         if key in {motion.key for motion in scene.motions}:
             where = f"joint {key[0]!r}"
             raise MechanismError(where, "follows a prescribed motion", "a joint that none prescribes")
-        found[name] = Initial(key, int(name.endswith(RATE)))
+        number = Initial(key, int(name.endswith(RATE)))
+        if twin := next((other for other, known in found.items() if known == number), None):
+            problem = f"{twin!r} and {name!r} are one number of the start"
+            raise MechanismError(f"joint {key[0]!r}", problem, "one of the two")
+        found[name] = number
     return found
 
 

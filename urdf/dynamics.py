@@ -115,7 +115,7 @@ class PinocchioSystem:
         self._alpha = alpha
         self._eliminates = bool(len(self._rows.units)) or mobility(scene).residual > 0.0
         self._moving = bool(self._forces) or self._eliminates
-        self._solved: tuple[Any, tuple[Array, Array]] = None, (np.zeros(0), np.zeros(0))
+        self._solved: tuple[Any, tuple[Array, Array, Array]] | None = None
         if self._eliminates:
             self._unused = rows_left_out(self)
         else:
@@ -168,7 +168,7 @@ class PinocchioSystem:
             self._move(q, v)
             power += self._forces.power(self._data, self.scene, self.time)
         if self.scene.motions:
-            power += self._rows.motion_power(self._solve(q, v)[1], self.time)
+            power += self._rows.motion_power(self._solve(q, v)[2], self.time)
         return power
 
     def retract(self, q: Array, step: Array) -> Array:
@@ -225,18 +225,18 @@ class PinocchioSystem:
         """vdot (nv,); raises `SingularityError` where Pinocchio has no finite answer."""
         return self._solve(q, v)[0]
 
-    def _solve(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """vdot (nv,) and the multipliers (r,) of `Rows`; those of closures stay with Pinocchio."""
+    def _solve(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
+        """vdot (nv,) and the multipliers of closures, unless they stay with Pinocchio, and of `Rows`."""
         if not self._eliminates:
             force = self.generalized_force(q, v) * self.velocity_units / self._units.moment
             found = self._checked(self._proximal.acceleration(q, v, force))
-            return self.velocity_units * found, np.zeros(0)
-        state = q.tobytes(), v.tobytes(), self.time, id(self.scene)
-        if self._solved[0] != state:  # the power of prescribed motions asks for it as well
+            return self.velocity_units * found, np.zeros(0), np.zeros(0)
+        state = self.scene, q.tobytes(), v.tobytes(), self.time
+        if self._solved is None or self._solved[0] != state:  # the power of prescribed motions asks as well
             self._solved = state, self._eliminated(q, v)
         return self._solved[1]
 
-    def _eliminated(self, q: Array, v: Array) -> tuple[Array, Array]:
+    def _eliminated(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
         """Solve with all constraints eliminated; see `_solve`."""
         mass, force = self.mass_and_force(q, v)
         data, jacobian = self._data, self._jacobian()
@@ -253,8 +253,8 @@ class PinocchioSystem:
             )
         except np.linalg.LinAlgError:
             found, multipliers = np.full(self.nv, np.nan), np.zeros(len(gamma))
-        self._multipliers, others = np.split(multipliers, [len(self._closures.units)])
-        return self._checked(found), others
+        of_closures, others = np.split(multipliers, [len(self._closures.units)])
+        return self._checked(found), of_closures, others
 
     def _checked(self, acceleration: Array) -> Array:
         if not np.isfinite(acceleration).all():
@@ -265,14 +265,14 @@ class PinocchioSystem:
             )
         return acceleration
 
-    def _closure_wrenches(self, multipliers: Array) -> list[Any]:
+    def _closure_wrenches(self, of_closures: Array, others: Array) -> list[Any]:
         """Compute wrenches of cuts on their second bodies, about the world's origin, in the tree's order."""
         if self._eliminates:
-            wrenches = self._closures.wrenches(self._data, self._multipliers)
+            wrenches = self._closures.wrenches(self._data, of_closures)
         else:
             wrenches = self._proximal.wrenches()
         closures = iter(wrenches)
-        rods = iter(self._rows.rod_wrenches(self._data, multipliers))
+        rods = iter(self._rows.rod_wrenches(self._data, others))
         joints = [self._tree.joint(cut) for cut in self._tree.cuts]
         return [next(rods if isinstance(joint, Rod) else closures) for joint in joints]
 
@@ -350,12 +350,12 @@ class PinocchioSystem:
         Raises:
             SingularityError: where Pinocchio has no finite accelerations.
         """
-        qddot, multipliers = self._solve(q, v)
+        qddot, *multipliers = self._solve(q, v)
         pin_q, pin_v = self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
         pin_a = self.map.v_to_pinocchio(qddot)
         pin.forwardKinematics(self._model, self._data, pin_q, pin_v, pin_a)
         frames = self._frames()
-        closure_wrenches = self._closure_wrenches(multipliers)
+        closure_wrenches = self._closure_wrenches(*multipliers)
         cut_wrenches = [
             (self._model.getFrameId(name, pin.FrameType.BODY), sign * wrench)
             for pair, wrench in zip(closures(self._welded), closure_wrenches, strict=True)

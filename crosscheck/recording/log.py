@@ -26,10 +26,8 @@ and switches between them, and each run has a recording id of its own.
 from __future__ import annotations
 
 import os
-import sys
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from importlib.abc import MetaPathFinder
 from typing import Any
 
 import numpy as np
@@ -80,31 +78,9 @@ def application_id(scene: Scene) -> str:
     return f"crosscheck_{scene.name}"
 
 
-class _NoPandas(MetaPathFinder):
-    """Finder of modules for which there is no pandas."""
-
-    def find_spec(self, name: str, path: Any, target: Any = None) -> None:
-        if name == "pandas":
-            raise ModuleNotFoundError(name)
-
-
-def _without_pandas() -> None:
-    """Let pyarrow see no pandas at its first array, at which it would import it: 0.25 s for nothing.
-
-    It looks again when it is asked for tables of pandas.
-    """
-    finder = _NoPandas()
-    sys.meta_path.insert(0, finder)
-    try:
-        rr.components.ScalarBatch(np.zeros(1))
-    finally:
-        sys.meta_path.remove(finder)
-
-
 def new_recording(scene: Scene) -> rr.RecordingStream:
     """A recording with an id of its own, that nothing is logged to yet."""
     rr.set_strict_mode(True)
-    _without_pandas()
     chosen = os.environ.pop(SWITCH, None)
     try:
         return rr.RecordingStream(application_id(scene), recording_id=uuid.uuid4())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import (
@@ -21,7 +20,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.sweeps.store import KEPT_GOES_ON, missing
-from newton_euler.errors import OptionError, is_count
+from newton_euler.batch import thread_count
+from newton_euler.errors import OptionError
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -89,9 +89,7 @@ def workers(
         count = getattr(executor, "_max_workers", USUAL_WORKERS)
         yield Workers(executor, lambda: count, not isinstance(executor, ThreadPoolExecutor))
     else:
-        if threads is not None and not is_count(threads):
-            raise OptionError("threads", threads, "a whole number, 1 or more")
-        count = threads or os.cpu_count() or 1
+        count = thread_count(threads)
         with ThreadPoolExecutor(count) as pool:
             yield Workers(pool, lambda: count, False)
 

@@ -46,10 +46,15 @@ LEAST, MOST = 4 * LANES, 1024
 """Runs of a group: at its end some lanes have none."""
 
 
+def go_in_lanes(code: Code, integrator: str) -> bool:
+    """True if runs are made side by side; those of functions with knots go from knot to knot, one by one."""
+    return integrator in IN_LANES and not code.piecewise
+
+
 def load_lanes(code: Code, integrator: str) -> None:
     """Make everything ready that runs need."""
     load(code, integrator)
-    if integrator in IN_LANES:
+    if go_in_lanes(code, integrator):
         native_method(METHODS[integrator], in_lanes=True)
         names = ["derivative"] + ["position", "velocity"] * code.projects + ["rate"] * (integrator == "Euler")
         for name in names:

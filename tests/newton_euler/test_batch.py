@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from mechanisms import line_spring, mass_on_rail
 
 import newton_euler
 from newton_euler import simulate_batch
+from newton_euler.batch import thread_count
 from newton_euler.equations.parameters import parameter_values
 from newton_euler.errors import MechanismError, OptionError, UnknownNameError
 from newton_euler.model.control import PD
@@ -123,12 +125,25 @@ def test_every_parameter_has_the_scenes_own_value(short):
         ({"parameters": {"panel_7.mass": [[1.0, 2.0]]}}, MechanismError, "has values of shape (2,)"),
         ({"parameters": {"gravity": [[0.0, 0.0, 0.0]]}, "threads": 0}, OptionError, "threads is 0"),
         ({"parameters": {"panel_7.mass": range(10**12)}}, OptionError, "1000000000000 runs"),
+        (
+            {"parameters": {"start.slide_13": [0.0], "start.slide_13.0": [0.1]}},
+            MechanismError,
+            "'start.slide_13' and 'start.slide_13.0' are one number of the start",
+        ),
     ],
 )
 def test_bad_batches_are_refused(short, options, error, message):
     with pytest.raises(error) as caught:
         simulate_batch(short, **options)
     assert message in str(caught.value)
+
+
+def test_there_are_as_many_threads_as_processors_for_this_process(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 2, 5}, raising=False)
+    assert thread_count() == 3
+    monkeypatch.delattr(os, "sched_getaffinity")
+    monkeypatch.setattr(os, "cpu_count", lambda: 7)
+    assert thread_count() == 7
 
 
 def test_functions_of_time_and_rotors_have_parameters():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from constrained_motion import states_near_start
@@ -12,6 +14,7 @@ from mechanisms import (
     ball_loop,
     bar,
     parallel_cranks,
+    planar_four_bar,
     seven_hinges,
 )
 
@@ -25,7 +28,7 @@ from newton_euler.model.joint_kinds import Cylindrical, Revolute, Spherical, Uni
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
-from newton_euler.model.smooth_functions import Polynomial
+from newton_euler.model.smooth_functions import Polynomial, Sine
 from urdf.dynamics import PinocchioSystem
 
 
@@ -72,6 +75,16 @@ def test_states_without_finite_accelerations_are_refused(tracker):
     v[2] = np.inf
     with pytest.raises(SingularityError, match="ball_67, ball_57"):
         system.acceleration(q, v)
+
+
+def test_a_state_without_finite_accelerations_leaves_no_trace():
+    motions = (PrescribedMotion("at_a", Sine(0.1, 1.0)),)
+    system = PinocchioSystem(replace(planar_four_bar(), motions=motions))
+    q, v = system.coordinates(initial_state(system.scene))
+    before = system.evaluate(q, v).reaction_force
+    with pytest.raises(SingularityError):
+        system.acceleration(q, np.full(system.nv, np.nan))
+    assert np.array_equal(system.evaluate(q, v).reaction_force, before)
 
 
 @pytest.mark.parametrize("build", [ball_loop, cylinder_loop, all_universal_loop, seven_hinges])

@@ -13,7 +13,6 @@ engine's own, before.
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -40,7 +39,7 @@ from crosscheck.studies.benchmark.ladders import (
 from crosscheck.studies.benchmark.reference import batch_references, pose_errors
 from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
 from crosscheck.studies.bisection import smallest
-from newton_euler.batch import simulate_batch
+from newton_euler.batch import simulate_batch, thread_count
 from newton_euler.codegen.compile import uncollected
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
@@ -324,7 +323,7 @@ class BatchBenchmark:
 
 def thread_counts() -> tuple[int, ...]:
     """One thread, and one per core."""
-    return tuple(sorted({1, os.cpu_count() or 1}))
+    return tuple(sorted({1, thread_count()}))
 
 
 def rarer(scene: Scene, runs: int) -> Scene:
