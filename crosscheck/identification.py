@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from crosscheck.report.table import Column, Lines, Part, Rows, Table, figures
+from crosscheck.report.table import Column, Lines, Part, Rows, Table, figures, texts
 from newton_euler.analysis.identification import Identification
 from newton_euler.scalars import Array
 
@@ -17,10 +17,6 @@ MOST_CORRELATED = 0.99
 
 MOST_TOLD = 5
 """Pairs of such parameters, the most correlated first."""
-
-POOR = 2.0
-"""Misfit from which on the scene cannot move as was measured, noise being known; of a good fit it is below
-1.5, but for less than 20 numbers."""
 
 
 def headline(found: Identification) -> str:
@@ -33,15 +29,10 @@ def headline(found: Identification) -> str:
 
 def parts(found: Identification) -> list[Part]:
     """Return tables of parameters and columns, and what is to be known about them."""
-    rows: Rows = []
-    for k, name in enumerate(found.parameters):
-        rows.append([name, f"{found.before[k]:.6g}", f"{found.values[k]:.6g}", found.deviation(k)])
-    columns = [Column("parameter"), *figures("before", "fitted", "deviation")]
-    tables: list[Part] = [Table("", columns, rows), _columns(found)]
-    fit = f"residuals are {found.misfit:.3g} times the noise"
-    if found.misfit > POOR:
-        fit += ": the scene cannot move as was measured, or there is more noise"
-    return [*tables, Lines("", [fit, *found.doubts, *_correlated(found)])]
+    heads, *rows = found.table
+    names = [*texts(*heads[:2]), *figures(*heads[2:])]
+    tables: list[Part] = [Table("", names, [list(row) for row in rows]), _columns(found)]
+    return [*tables, Lines("", [found.fit, *found.doubts, *_correlated(found)])]
 
 
 def _columns(found: Identification) -> Table:
@@ -50,8 +41,8 @@ def _columns(found: Identification) -> Table:
     for name, noise in found.noise.items():
         residuals = np.concatenate([run[name] for run in found.residuals if name in run])
         rms, peak = np.sqrt(np.mean(residuals**2)), np.abs(residuals).max()
-        rows.append([name, f"{noise:.3g}", f"{rms:.3g}", f"{peak:.3g}"])
-    return Table("", [Column("measured"), *figures("noise", "residual", "largest")], rows)
+        rows.append([name, f"{noise:.3g}", f"{rms:.3g}", f"{peak:.3g}", f"{found.misfits[name]:.3g}"])
+    return Table("", [Column("measured"), *figures("noise", "residual", "largest", "by noise")], rows)
 
 
 def _correlated(found: Identification) -> Iterator[str]:
@@ -73,14 +64,23 @@ def as_json(found: Identification) -> bytes:
     content = {
         "scene": found.scene.name,
         "parameters": {
-            name: {"before": b, "fitted": x, "deviation": finite(s)}
-            for name, b, x, s in zip(
-                found.parameters, found.before.tolist(), found.values.tolist(), deviations, strict=True
+            name: {"unit": unit, "before": b, "fitted": x, "deviation": finite(s)}
+            for name, unit, b, x, s in zip(
+                found.parameters,
+                found.units,
+                found.before.tolist(),
+                found.values.tolist(),
+                deviations,
+                strict=True,
             )
         },
         "covariance": finite(found.covariance),
         "noise": found.noise,
         "misfit": found.misfit,
+        "misfits": found.misfits,
+        "degrees_of_freedom": found.degrees_of_freedom,
+        "probability": finite(np.array(found.probability)),
+        "is_wrong": found.is_wrong,
         "undetermined": list(found.undetermined),
         "stopped": found.stopped,
     }

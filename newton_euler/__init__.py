@@ -20,7 +20,7 @@ from newton_euler.analysis.sensitivity import Sensitivities, sensitivities
 from newton_euler.analysis.workspace import Workspace, singular_poses, workspace
 from newton_euler.assemble import assemble, initial_state, start
 from newton_euler.batch import simulate_batch
-from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, UndeterminedWarning
+from newton_euler.errors import IdentificationWarning, NearlyRedundantWarning, NewtonEulerError
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import Gear, LinearCoupling
@@ -72,6 +72,7 @@ __all__ = [
     "Free",
     "Gear",
     "Identification",
+    "IdentificationWarning",
     "JointSpring",
     "LinearCoupling",
     "LinearModel",
@@ -107,7 +108,6 @@ __all__ = [
     "Sum",
     "Trajectory",
     "Translational",
-    "UndeterminedWarning",
     "Universal",
     "WindLoad",
     "Workspace",

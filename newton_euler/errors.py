@@ -193,12 +193,12 @@ class NearlyRedundantWarning(UserWarning):
     """
 
 
-class UndeterminedWarning(UserWarning):
-    """Combinations of parameters that measurements do not determine, or fits that ended early.
+class IdentificationWarning(UserWarning):
+    """Scenes that cannot move as measured, parameters that are not determined, and fits that ended early.
 
     Examples:
         >>> import warnings
-        >>> warnings.simplefilter("error", UndeterminedWarning)  # to refuse such fits
+        >>> warnings.simplefilter("error", IdentificationWarning)  # to refuse such fits
     """
 
 

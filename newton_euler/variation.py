@@ -28,12 +28,13 @@ from newton_euler.equations.parameters import (
 )
 from newton_euler.errors import MechanismError, OptionError, check_type
 from newton_euler.model.compound_joint import Compound
+from newton_euler.model.control import ComputedTorque
 from newton_euler.model.initial_pose import described_at
 from newton_euler.model.mechanism import LEAST, REALISABLE_TOLERANCE
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
-from newton_euler.starts import Assembly, assembly_of, initial_numbers, own_initial
+from newton_euler.starts import LENGTHS, Assembly, assembly_of, initial_numbers, own_initial
 
 RESTRICTED = frozenset({"axis_on_first", "axis_on_second", "first_side", "second_side", "stroke"})
 """Attributes whose numbers restrict each other, or those of another attribute."""
@@ -49,6 +50,28 @@ SHORT, LONG = 1e-100, 1e100
 
 CAREFUL = 1e-9
 """Relative margin within which inertias are suspicious."""
+
+UNITS = dict.fromkeys((*LENGTHS, "rest_length"), "m") | {
+    "gravity": "m/s^2",
+    "mass": "kg",
+    "inertia": "kg m^2",
+    "pitch": "m/rad",
+    "force": "N",
+    "torque": "N m",
+    "speed": "m/s",
+    "air_density": "kg/m^3",
+}
+"""Of parameters by their attribute; those of `PointSpring` and of joint coordinates follow."""
+
+UNITS_ALONG = {
+    "stiffness": ("N/m", "N m/rad"),
+    "damping": ("N s/m", "N m s/rad"),
+    "rest": ("m", "rad"),
+    "target": ("m", "rad"),
+    "feedforward": ("N", "N m"),
+    "inertia": ("kg", "kg m^2"),
+}
+"""Of parameters of what acts along slides and points, and of what acts about hinges and balls."""
 
 
 class RunValues(NamedTuple):
@@ -120,6 +143,27 @@ def own_values(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
     own = parameter_values(scene, [name for name in names if name not in initial])
     own |= {name: np.array(own_initial(scene, number)) for name, number in initial.items()}
     return {name: own[name] for name in names}
+
+
+def unit_of(scene: Scene, name: str) -> str:
+    """Return the unit of a parameter or an initial coordinate; empty for pure numbers and mixed ones.
+
+    Raises:
+        UnknownNameError: for a name that is none of these.
+    """
+    mechanism = scene.mechanism
+    for number in initial_numbers(scene, [name]).values():
+        length = "m" if mechanism.is_slide(*number.key) else "rad"
+        return f"{length}/s" if number.order else length
+    (place,) = places(scene, [name]).values()
+    what, _, attribute = place.owner
+    element = element_of(scene, place.owner)
+    if attribute not in UNITS_ALONG or what == "bodies":
+        return UNITS.get(attribute, "")
+    if isinstance(element, ComputedTorque) or own_value(scene, place.owner).ndim:
+        return ""
+    along = not hasattr(element, "key") or (not element.on_ball and mechanism.is_slide(*element.key))
+    return UNITS_ALONG[attribute][0 if along else 1]
 
 
 def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunValues:

@@ -56,9 +56,7 @@ def identify_command(
     from crosscheck.files import check_no_source, check_writable, write_files
     from crosscheck.identification import as_json, headline, parts
     from newton_euler.analysis.identification import identify
-    from newton_euler.analysis.measurements import measurements_from_csv
 
-    runs = [measurements_from_csv(path) for path in measured]
     options = without_exercise(scene_options(settings), "measured is the scene as it stands")
     loaded = load_and_tell(scene, options)
     path = output or Path("output/identify") / f"{loaded.name}.json"
@@ -66,7 +64,7 @@ def identify_command(
     check_writable(path)
     with progress_shown() as progress:
         progress("fitting")
-        found = identify(loaded, names, runs, rtol=rtol)
+        found = identify(loaded, names, measured, rtol=rtol)
     write_files({path: as_json(found)})
     say(headline(found), bold=True)
     click.echo(terminal(parts(found)), nl=False)

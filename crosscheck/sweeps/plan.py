@@ -145,7 +145,7 @@ class Plan:
             "scene": self.scene.name,
             "fingerprint": known,
             "solver": SOURCE.hex(),
-            "vary": {",".join(names): str(each) for names, each in self.samples.groups},
+            "vary": [[*names, str(each)] for names, each in self.samples.groups],
             "sampling": self.samples.sampling,
             "runs": self.samples.runs,
             "seed": self.samples.seed,

@@ -4,12 +4,13 @@ Names of columns are `coordinate.JOINT` and `rate.JOINT`, m or rad from the init
 `.0`, `.1` behind for joints of several coordinates, and those of `Trajectory.to_dataframe`:
 `position.BODY.x` (m, the center of mass), `quaternion.BODY.w`, `linear_velocity.BODY.x`,
 `angular_velocity.BODY.x`, `reaction_force.JOINT.x`, `reaction_torque.JOINT.x`, `actuator_force.0`,
-`kinetic_energy`, `potential_energy`, `work`; all in SI, world frame.
+`kinetic_energy`, `potential_energy`, `work`; in SI or the units of `UNITS`, world frame.
 """
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -32,6 +33,31 @@ NEAREST = 8
 NOISE, START = "noise", "start"
 """In place of a time: the row of standard deviations, and that of the start."""
 
+UNITS = {unit: (unit, 1.0) for unit in ("s", "m", "rad", "m/s", "rad/s", "N", "N m", "J", "1")} | {
+    "ms": ("s", 1e-3),
+    "mm": ("m", 1e-3),
+    "mm/s": ("m/s", 1e-3),
+    "deg": ("rad", np.pi / 180.0),
+    "deg/s": ("rad/s", np.pi / 180.0),
+}
+"""Units of columns: the SI unit, and the factor to it."""
+
+HEADING = re.compile(r"(.*?)\s*(?:\[([^]]*)\])?")
+"""A column's name, and its unit in brackets if it has one."""
+
+COLUMN_UNITS = {
+    "position": "m",
+    "quaternion": "1",
+    "linear_velocity": "m/s",
+    "angular_velocity": "rad/s",
+    "reaction_force": "N",
+    "reaction_torque": "N m",
+    "kinetic_energy": "J",
+    "potential_energy": "J",
+    "work": "J",
+}
+"""Of columns whose units do not depend on the joint."""
+
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
@@ -42,11 +68,13 @@ class Measurements:
         columns: (n,) each, by name, see `newton_euler.analysis.measurements`.
         noise: standard deviations of columns, by name, in their units; those of others are not known.
         start: coordinates and rates that the run starts with, by name, as of `newton_euler.starts`; others
-            are as near to the scene's own as the loops let them.
+            are as near to the scene's own as the loops let them; SI.
+        units: of columns, their noise and the time, by name, out of `UNITS`; converted to SI, which is what
+            all others are in.
 
     Raises:
-        MechanismError: for times that do not ascend from 0 on, and columns that are no finite numbers, one
-            for each time.
+        MechanismError: for times that do not ascend from 0 on, columns that are no finite numbers, one for
+            each time, and units that are not known.
 
     Examples:
         >>> run = simulate(load("pendulum"))
@@ -59,16 +87,21 @@ class Measurements:
     columns: Mapping[str, Floats]
     noise: Mapping[str, float] = field(default_factory=dict)
     start: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        time = _numbers("time", self.time)
+        factors = {name: _factor(name, unit) for name, unit in self.units.items()}
+        time = _numbers("time", self.time, factors.get("time", 1.0))
         if len(time) < 2 or time[0] < 0.0 or np.any(np.diff(time) <= 0.0):
             raise MechanismError("measurements", "have no times in ascending order", "two or more, from 0 on")
         object.__setattr__(self, "time", time)
         given: Any = self.columns
         if not isinstance(given, Mapping) or not given:
             raise MechanismError("measurements", f"columns are {given!r:.100}", "columns by name")
-        columns = {name: _numbers(f"column {name!r:.100}", column) for name, column in given.items()}
+        columns = {
+            name: _numbers(f"column {name!r:.100}", column, factors.get(name, 1.0))
+            for name, column in given.items()
+        }
         for name, column in columns.items():
             if len(column) != len(time):
                 problem = f"column {name!r:.100} has {len(column)} numbers"
@@ -80,7 +113,12 @@ class Measurements:
             if not is_finite_number(deviation) or deviation <= 0.0:
                 problem = f"noise of {name!r:.100} is {deviation!r:.100}"
                 raise MechanismError("measurements", problem, "a positive number")
-
+        noise = {name: float(level) * factors.get(name, 1.0) for name, level in self.noise.items()}
+        object.__setattr__(self, "noise", noise)
+        for name in self.units:
+            if name not in columns and name != "time":
+                raise MechanismError("measurements", f"have a unit of {name!r:.100}", "columns alone")
+        object.__setattr__(self, "units", {name: UNITS[unit][0] for name, unit in self.units.items()})
         for name, number in self.start.items():
             if not name.startswith(PREFIX) or not is_finite_number(number):
                 problem = f"start with {name!r:.100} = {number!r:.100}"
@@ -90,14 +128,22 @@ class Measurements:
         return f"<Measurements: {len(self.time)} times to {self.time[-1]:g} s, columns: {len(self.columns)}>"
 
 
-def _numbers(what: str, given: object) -> Floats:
-    """Return finite numbers (n,)."""
+def _factor(name: str, unit: object) -> float:
+    """Return the factor from a unit to SI."""
+    if not isinstance(unit, str) or unit not in UNITS:
+        raise MechanismError("measurements", f"unit of {name!r:.100} is {unit!r:.100}", ", ".join(UNITS))
+    return UNITS[unit][1]
+
+
+def _numbers(what: str, given: object, factor: float) -> Floats:
+    """Return finite numbers (n,), times a factor."""
     try:
         array = np.array(given, dtype=float)
     except (TypeError, ValueError):
         array = np.zeros(0)
     if array.ndim != 1 or not len(array) or not np.isfinite(array).all():
         raise MechanismError("measurements", f"{what} is {given!r:.100}", "finite numbers in a row")
+    array *= factor
     array.flags.writeable = False
     return array
 
@@ -106,7 +152,8 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
     """Read measurements of one run.
 
     The first line names the columns: `time` in s from the start of the run, and others as of
-    `newton_euler.analysis.measurements`. A line with `noise` in place of a time has the standard deviations
+    `newton_euler.analysis.measurements`, each with its unit in brackets behind it where that is not SI, as in
+    `coordinate.pivot [deg]`. A line with `noise` in place of a time has the standard deviations
     of columns, and one with `start` what joint coordinates and rates the run starts with, those of columns;
     cells are empty where they are not known.
 
@@ -122,7 +169,7 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
     """
     where = path_text(path)
     rows = csv_rows(where, read_text(path, "csv_size"))
-    header = rows[0][1] if rows else []
+    header, units = _headings(rows[0][1] if rows else [])
     if "time" not in header or len(header) < 2:
         raise SourceError(where, "line 1: needed: a column time, and at least one of measurements")
     check_names(where, header)
@@ -137,12 +184,27 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
             data.append((line, cells))
     if len(data) < 2:
         raise SourceError(where, f"has {len(data)} rows of measurements; needed: 2 or more")
-    columns = TimeTable.of(where, header, data).columns
+    table = TimeTable.of(where, header, data)
+    columns = dict(table.columns)
+    time = columns.pop("time")
+    table.refuse(time < 0.0, "time", time, "times from 0 on")
     try:
-        start = {_initial(where, name): number for name, number in special[START].items()}
-        return Measurements(columns.pop("time"), columns, special[NOISE], start)
+        start = {
+            _initial(where, name): number * _factor(name, units.get(name, "1"))
+            for name, number in special[START].items()
+        }
+        return Measurements(time, columns, special[NOISE], start, units)
     except MechanismError as error:
         raise SourceError(where, f"{error.problem}; needed: {error.needed}") from error
+
+
+def _headings(cells: list[str]) -> tuple[list[str], dict[str, str]]:
+    """Return the names in the first line, and the units that are behind some of them."""
+    found = [HEADING.fullmatch(cell) for cell in cells]
+    pairs = [
+        (match[1], match[2]) if match else (cell, None) for cell, match in zip(cells, found, strict=True)
+    ]
+    return [name for name, _ in pairs], {name: unit for name, unit in pairs if unit is not None}
 
 
 def _initial(path: str, name: str) -> str:
@@ -180,12 +242,12 @@ def column_places(
 
 
 class Column(NamedTuple):
-    """A column that is compared: the program that computes it, its places there, and its kind."""
+    """A column that is compared: the program that computes it, its places there, and its SI unit."""
 
     program: str
     of_value: int
     of_derivative: int
-    is_angle: bool
+    unit: str
     quaternion: int
     """The body whose Euler parameters it is of; -1 for none."""
 
@@ -194,19 +256,25 @@ Places = Mapping[str, tuple[str, int]]
 
 
 def column_of(scene: Scene, name: str, values: Places, derivatives: Places) -> Column:
-    """Find a column by the places of values and derivatives; raises `UnknownNameError`."""
+    """Find a column by the places of values and derivatives.
+
+    Raises:
+        UnknownNameError: for an unknown column.
+    """
     if name not in derivatives:
         near = get_close_matches(name, derivatives, NEAREST, 0.0)
         raise UnknownNameError("column", name, tuple(near))
     kind, _, rest = name.partition(".")
-    mechanism, is_angle, body = scene.mechanism, False, -1
-    if kind == "coordinate":
+    mechanism, body, unit = scene.mechanism, -1, COLUMN_UNITS.get(kind, "")
+    if kind in ("coordinate", "rate"):
         joint, _, number = rest.rpartition(".")
         key = (rest, 0) if rest in mechanism.joint_names else (joint, int(number))
-        is_angle = not mechanism.is_slide(*key)
+        unit = ("m" if mechanism.is_slide(*key) else "rad") + ("/s" if kind == "rate" else "")
+    elif kind == "actuator_force":
+        unit = "N" if mechanism.is_slide(*scene.control[int(rest)].key) else "N m"
     elif kind == "quaternion":
         body = mechanism.body_index(rest.rpartition(".")[0])
-    return Column(*values[name], derivatives[name][1], is_angle, body)
+    return Column(*values[name], derivatives[name][1], unit, body)
 
 
 def compared(
@@ -224,6 +292,6 @@ def compared(
         values[:, own] *= signs[:, None]
         derivatives[:, own] *= signs[:, None, None]
     residuals = values - measured
-    angles = np.array([column.is_angle for column in columns])
+    angles = np.array([column.unit == "rad" for column in columns])
     residuals[:, angles] -= 2.0 * np.pi * np.round(residuals[:, angles] / (2.0 * np.pi))
     return residuals, derivatives

@@ -15,7 +15,7 @@ import numpy as np
 from newton_euler.codegen.compile import LARGE, Traced
 from newton_euler.codegen.expression import Graph, Program, differentiate_along
 from newton_euler.equations.formulation import Formulation
-from newton_euler.equations.parameters import is_kinematic, parameter_values, pieces, places
+from newton_euler.equations.parameters import is_kinematic, pieces, places
 from newton_euler.equations.sparse import least_squares
 from newton_euler.errors import OptionError, SensitivityError
 from newton_euler.integrators import stepper as m
@@ -27,8 +27,8 @@ from newton_euler.model.scene import Scene
 from newton_euler.sampling import Interval, integrate_intervals
 from newton_euler.scalars import Array, Scalar
 from newton_euler.simulate import CompiledScene
-from newton_euler.starts import Assembly, initial_numbers, own_initial
-from newton_euler.variation import run_values
+from newton_euler.starts import Assembly, initial_numbers
+from newton_euler.variation import own_values, run_values
 
 ALONG = " along"
 RATES, SETTLED = "derivative" + ALONG, "settled" + ALONG
@@ -56,24 +56,20 @@ def tangent_code(scene: Scene, names: Sequence[str], formulation: FormulationNam
 
 def components(scene: Scene, names: Sequence[str]) -> tuple[str, ...]:
     """Return the names (p,) of the numbers of parameters, those of symmetric matrices once."""
-    initial, found = initial_numbers(scene, names), list[str]()
-    own = parameter_values(scene, [name for name in names if name not in initial])
-    for name in names:
-        shape = () if name in initial else own[name].shape
-        for index in np.ndindex(*shape):
-            if shape == (3, 3) and index[0] > index[1]:
+    found = list[str]()
+    for name, value in own_values(scene, names).items():
+        for index in np.ndindex(*value.shape):
+            if value.shape == (3, 3) and index[0] > index[1]:
                 continue
-            component = "".join("xyz"[k] for k in index) if set(shape) == {3} else ".".join(map(str, index))
+            letters = "".join("xyz"[k] for k in index)
+            component = letters if set(value.shape) == {3} else ".".join(map(str, index))
             found.append(f"{name}.{component}" if component else name)
     return tuple(found)
 
 
 def own_numbers(scene: Scene, names: Sequence[str]) -> Array:
     """Return the scene's own values (p,) of numbers that are parameters, initial coordinates among them."""
-    initial = initial_numbers(scene, names)
-    values = parameter_values(scene, [name for name in names if name not in initial])
-    found = {name: own_initial(scene, number) for name, number in initial.items()}
-    return np.array([found[name] if name in found else float(values[name]) for name in names])
+    return np.array([float(value) for value in own_values(scene, names).values()])
 
 
 class Starts:

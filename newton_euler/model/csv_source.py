@@ -21,16 +21,22 @@ def csv_rows(path: str, text: str) -> list[Row]:
     """Return the rows of a CSV text that are not empty, cells stripped; raises `SourceError`."""
     reader = csv.reader(io.StringIO(text, newline=""))
     try:
-        return [(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
+        rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
     except csv.Error as error:
         raise SourceError(path, f"line {reader.line_num}: {error}") from error
+    for separator in ";\t":
+        if rows and len(rows[0][1]) == 1 and separator in rows[0][1][0]:
+            problem = f"columns are separated by {separator!r}"
+            raise SourceError(path, f"line 1: {problem}; needed: commas, and decimal points in numbers")
+    return rows
 
 
 def row_numbers(path: str, header: Sequence[str], row: Row) -> list[float]:
     """Return the numbers of a row; raises `SourceError` for cells that are missing or no finite numbers."""
     line, cells = row
     if len(cells) != len(header):
-        raise SourceError(path, f"line {line}: has {len(cells)} cells; needed: {len(header)}")
+        hint = ", and decimal points, not commas, in numbers" if len(cells) > len(header) else ""
+        raise SourceError(path, f"line {line}: has {len(cells)} cells; needed: {len(header)}{hint}")
     return list(_numbers(path, header, line, cells))
 
 
@@ -40,7 +46,8 @@ def _numbers(path: str, header: Sequence[str], line: int, cells: Sequence[str]) 
             yield plain_number(cell)
         except ValueError as error:
             problem = f"{name} is {cell!r:.100}" if cell else f"{name} is missing"
-            raise SourceError(path, f"line {line}: {problem}; needed: a finite number") from error
+            hint = " with a decimal point" if "," in cell else ""
+            raise SourceError(path, f"line {line}: {problem}; needed: a finite number{hint}") from error
 
 
 class TimeTable(NamedTuple):

@@ -27,7 +27,7 @@ from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Spline, Steps
 from newton_euler.model.state import State
 from newton_euler.model.wind import WindLoad
-from newton_euler.variation import run_values
+from newton_euler.variation import run_values, unit_of
 
 
 @pytest.fixture(scope="module")
@@ -511,3 +511,25 @@ def test_initial_coordinates_are_checked(crank, name, error, message):
     with pytest.raises(error) as caught:
         simulate_batch(crank, parameters={name: [0.0]})
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("scene", "name", "unit"),
+    [
+        ("tracker", "slide_12.stiffness", "N/m"),
+        ("tracker", "slide_12.feedforward", "N"),
+        ("tracker", "ball_57.point.z", "m"),
+        ("tracker", "panel_7.inertia.xy", "kg m^2"),
+        ("tracker", "hinge_14.axis", ""),
+        ("tracker", "start.slide_12", "m"),
+        ("tracker", "start.hinge_14.rate", "rad/s"),
+        ("pendulum", "gravity.z", "m/s^2"),
+    ],
+)
+def test_parameters_have_units(scene, name, unit):
+    assert unit_of(load(scene), name) == unit
+
+
+def test_units_along_slides_are_those_of_lengths(scene):
+    names = ("rail.spring.damping", "rail.rotor.inertia", "line.stiffness", "wind.speed")
+    assert [unit_of(scene, name) for name in names] == ["N s/m", "kg", "N/m", "m/s"]

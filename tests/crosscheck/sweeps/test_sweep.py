@@ -144,7 +144,9 @@ def test_runs_that_cannot_go_on_keep_their_error():
     [
         ({"seed": 1}, "another plan: seed 0, not 1"),
         ({"runs": 61}, "another plan: runs 60, not 61"),
-        ({"vary": {"dumbbell.mass": "uniform(1, 3)"}}, "another plan: vary"),
+        ({"vary": {"dumbbell.mass": "uniform(1, 3)", "gravity.y": "uniform(-10, -9)"}}, "another plan: vary"),
+        # whose columns of random numbers would change places
+        ({"vary": {"gravity.y": "uniform(-10, -9)", "dumbbell.mass": "uniform(1, 2)"}}, "another plan: vary"),
         ({"keep": "peak:reaction_force"}, "another plan: keep"),
         ({"rtol": 1e-6}, "another plan: control"),
         ({"scene": replace(load("pendulum"), duration=9.0)}, "another scene"),
@@ -152,6 +154,7 @@ def test_runs_that_cannot_go_on_keep_their_error():
 )
 def test_another_plan_or_scene_is_refused(tmp_path, changed, words):
     arguments = dict(zip(("scene", "vary", "runs", "keep"), ARGUMENTS, strict=True))
+    arguments["vary"] = {**arguments["vary"], "gravity.y": "uniform(-10, -9)"}
     sweep(**arguments, output=tmp_path)
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
     with pytest.raises(CrosscheckError) as caught:

@@ -10,9 +10,9 @@ from mechanisms import line_spring, mass_on_rail, pendulum, planar_four_bar
 
 from crosscheck.scenes import load
 from newton_euler import (
+    IdentificationWarning,
     Measurements,
     NewtonEulerError,
-    UndeterminedWarning,
     identify,
     measurements_from_csv,
     simulate,
@@ -115,7 +115,7 @@ RATIO = "only mass.mass / line.stiffness is determined"
     ],
 )
 def test_what_the_data_do_not_determine_is_named(scene, joint, parameters, lines):
-    with pytest.warns(UndeterminedWarning, match=r"is (not )?determined"):
+    with pytest.warns(IdentificationWarning, match=r"is (not )?determined"):
         found = identify(scene, parameters, measured(scene, joint, noise=1e-4))
     assert sorted(found.undetermined) == sorted(lines)
     is_known = np.isfinite(found.standard_deviations)
@@ -133,9 +133,29 @@ def test_combinations_of_many_parameters_are_named_by_their_shares():
     parameters = [*(f"{name}.mass" for name in bodies), *laws]
     data = measured(scene, "slide_12", "slide_13", "hinge_14", noise=1e-9)
     fixed = [f"{name}.inertia" for name in bodies]
-    with pytest.warns(UndeterminedWarning, match="together change nothing that was measured"):
+    with pytest.warns(IdentificationWarning, match="together change nothing that was measured"):
         found = identify(scene, [*parameters, *fixed], data)
     assert any("panel_7.mass" in line and "slide_12.stiffness" in line for line in found.undetermined)
+
+
+def test_a_scene_that_is_wrong_is_said_to_be():
+    """Joint points that are elsewhere: what masses do together stays, whatever else they could hide."""
+    scene = replace(load("slider_crank"), duration=1.0, output_period=0.02)
+    names = ["crank.mass", "slider.mass", "rod.mass"]
+    data = measured(with_parameters(scene, {"ball.point.z": 2e-3}), "pivot", "guide", noise=1e-5)
+    with pytest.warns(IdentificationWarning, match="cannot move as was measured"):
+        found = identify(scene, names, data)
+    assert found.misfit > 50.0
+    assert found.degrees_of_freedom == 4 * 51 - 2
+    assert found.probability < 1e-100
+    worst = max(found.misfits, key=found.misfits.get)
+    assert f"largest residuals: {worst}, {found.misfits[worst]:.3g} times its noise" in found.report()
+    (line,) = found.undetermined
+    assert line.startswith("not determined: crank.mass +0.0012 kg, rod.mass -0.0012 kg together")
+    assert found.values == pytest.approx(found.before, rel=0.1)
+    exact = identify(scene, names[1:2], measured(scene, "pivot", noise=1e-5))
+    assert not exact.is_wrong
+    assert f"misfit {exact.misfit:.3g}, 1 expected" in exact.fit
 
 
 CSV = "time,coordinate.pivot\n0.0,0.1\n0.1,0.2\n0.2,0.3\n"
@@ -146,12 +166,19 @@ CSV = "time,coordinate.pivot\n0.0,0.1\n0.1,0.2\n0.2,0.3\n"
     [
         ("", "needed: a column time"),
         ("t,coordinate.pivot\n0,1\n1,2\n", "needed: a column time"),
+        (CSV.replace(",", ";"), "line 1: columns are separated by ';'; needed: commas, and decimal points"),
+        (CSV.replace("0.1,0.2", "0,1,0,2"), "line 3: has 4 cells; needed: 2, and decimal points"),
+        (
+            CSV.replace("0.3", '"0,3"'),
+            "line 4: coordinate.pivot is '0,3'; needed: a finite number with a decimal",
+        ),
+        (CSV.replace("pivot", "pivot [grad]"), "unit of 'coordinate.pivot' is 'grad'; needed: s, m, rad"),
         ("time\n0\n1\n", "at least one of measurements"),
         (CSV.replace("0.2\n0.2", "\n0.2"), "line 3: coordinate.pivot is missing"),
         (CSV.replace("0.3", "nan"), "line 4: coordinate.pivot is 'nan'"),
         (CSV.replace("0.2,0.3", "0.05,0.3"), "line 4: time is 0.05; needed: times in ascending order"),
         (CSV.replace("0.1,0.2\n0.2,0.3\n", ""), "has 1 rows of measurements"),
-        (CSV.replace("0.0,", "-1.0,"), "needed: two or more, from 0 on"),
+        (CSV.replace("0.0,", "-1.0,"), "line 2: time is -1; needed: times from 0 on"),
         (CSV.replace("time,coordinate.pivot", "time,time"), "column 'time' is there twice"),
         (CSV + "0.3\n", "line 5: has 1 cells; needed: 2"),
         (
@@ -189,6 +216,32 @@ def test_files_have_noise_and_the_start_of_some_columns(tmp_path):
     assert found.start == {"start.pivot": 0.1}
     assert found.time.tolist() == [0.0, 0.5]
     assert found.columns["rate.pivot"].tolist() == [0.2, 0.3]
+
+
+def test_columns_may_be_in_other_units(tmp_path):
+    path = tmp_path / "data.csv"
+    lines = ["time [ms],coordinate.pivot [deg]", "noise,2", "start,90", "0,90", "500,-180"]
+    path.write_text("\n".join(lines))
+    found = measurements_from_csv(path)
+    assert found.time.tolist() == [0.0, 0.5]
+    assert found.columns["coordinate.pivot"] == pytest.approx([np.pi / 2.0, -np.pi])
+    assert found.noise == pytest.approx({"coordinate.pivot": np.pi / 90.0})
+    assert found.start == pytest.approx({"start.pivot": np.pi / 2.0})
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("coordinate.pivot [mm]", "column 'coordinate.pivot' is in m; needed: a unit of rad"),
+        ("coordinate.pivto", "unknown column 'coordinate.pivto'; did you mean 'coordinate.pivot'?"),
+    ],
+)
+def test_files_with_columns_of_another_scene_are_named(tmp_path, name, message):
+    path = tmp_path / "data.csv"
+    path.write_text(CSV.replace("coordinate.pivot", name))
+    with pytest.raises(NewtonEulerError) as caught:
+        identify(pendulum(), ["rod.mass"], path)
+    assert f"{path}: {message}" in str(caught.value)
 
 
 TIMES = np.array([0.0, 0.5, 1.0])
