@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.stats import rankdata
 
+from crosscheck.sweeps.plan import Parameters
 from crosscheck.sweeps.results import Results
 from crosscheck.sweeps.sampling import Samples
 from crosscheck.sweeps.store import missing
 from newton_euler.scalars import Array
 
 MOST_NUMBERS = 2**25
-"""That are analyzed, 270 MB: of more runs than these are in, the first."""
+"""That are analyzed, 270 MB: of more runs than these are in, a sample."""
 
 MOST_SCALARS = 200
 """Numbers of a run that are analyzed, the first."""
 
 MOST_SHARED = 2**17
-"""Runs that shares are estimated from, the first: to half a per cent."""
+"""Runs that shares are estimated from, of Saltelli's plan its base samples: to half a per cent."""
 
 BLOCK = 2**14
 """Runs that are read at a time."""
@@ -32,7 +34,10 @@ MOST_BINS = 50
 """Of runs, by the values of a parameter."""
 
 PER_BIN = 20
-"""Runs in a bin at least."""
+"""Runs in a bin at least, and for each coefficient of a regression."""
+
+LEAST_BASE = 64
+"""Base samples of Saltelli's plan: of fewer its estimates are no better than guesses."""
 
 EXTREME = 0.1
 """Share of the runs with the smallest and the largest values of a parameter, whose means are compared."""
@@ -47,20 +52,27 @@ class Effect:
 
     Attributes:
         name: of the parameter.
-        share: of the number's variance that is explained by the parameter alone (a first-order Sobol index).
+        share: of the number's variance that is explained by the parameter alone (a first-order Sobol index);
+            None of too few runs.
         total: share that the parameter takes part in; None but for Saltelli's plan.
         error: half of a 95 % interval of the share; None but for Saltelli's plan.
         rank: Spearman's rank correlation; None of several parameters.
-        low, high: mean of the number where the parameter is among its lowest and its highest tenth.
+        low, high: mean of the number where the parameter is among its lowest and its highest tenth; of
+            several parameters, where their regression is.
     """
 
     name: str
-    share: float
+    share: float | None
     total: float | None
     error: float | None
     rank: float | None
     low: float
     high: float
+
+    @property
+    def size(self) -> float:
+        """The share by which parameters are ordered: the larger of both, 0 if there is none."""
+        return max(self.share or 0.0, self.total or 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +84,8 @@ class Scalar:
         place: where in the array of a run.
         names: of that place along each dimension, as a joint's.
         unit: of its values.
-        values: (runs,), not a number where a run could not go on.
+        values: (n,) of the runs that are analyzed, not a number where one could not go on.
+        runs: (n,) the numbers of these runs.
     """
 
     variable: str
@@ -80,6 +93,7 @@ class Scalar:
     names: tuple[str, ...]
     unit: str
     values: Array
+    runs: Array
 
     @property
     def label(self) -> str:
@@ -105,14 +119,28 @@ class Scalar:
 
     def extreme(self, largest: bool) -> int:
         """Return the run with the largest or the least value."""
-        return int(np.nanargmax(self.values) if largest else np.nanargmin(self.values))
+        return int(self.runs[np.nanargmax(self.values) if largest else np.nanargmin(self.values)])
 
 
-def analyzed(swept: Results) -> int:
-    """Return the number of runs that are analyzed, the first."""
+def thinned(count: int, most: int, block: int = 1) -> Array:
+    """Choose blocks of consecutive runs, one at random from each of `most` parts of as many; all if so few.
+
+    Returns:
+        Numbers of runs, in their order.
+    """
+    blocks = count // block
+    parts = min(blocks, most)
+    edges = np.arange(parts + 1) * blocks // parts
+    chosen = np.random.default_rng(parts).integers(edges[:-1], edges[1:])
+    return np.asarray((block * chosen[:, None] + np.arange(block)).ravel())
+
+
+def analyzed(swept: Results) -> Array:
+    """Return the numbers of the runs that are analyzed."""
     kept = [swept.dataset[each.name] for each in swept.plan.kept]
     count = min(MOST_SCALARS, sum(int(np.prod(variable.shape[1:])) for variable in kept))
-    return min(swept.plan.samples.runs, MOST_NUMBERS // max(1, count))
+    block = swept.plan.samples.block
+    return thinned(swept.plan.samples.runs, max(1, MOST_NUMBERS // max(1, count) // block), block)
 
 
 def scalars(swept: Results) -> list[Scalar]:
@@ -122,13 +150,13 @@ def scalars(swept: Results) -> list[Scalar]:
     for each in swept.plan.kept:
         variable = swept.dataset[each.name]
         places = list(np.ndindex(variable.shape[1:]))[: MOST_SCALARS - len(found)]
-        columns = np.empty((len(places), runs))
-        for first in range(0, runs, BLOCK):
-            part = variable[first : min(first + BLOCK, runs)].values
+        columns = np.empty((len(places), len(runs)))
+        for first in range(0, len(runs), BLOCK):
+            part = variable[runs[first : first + BLOCK]].values
             columns[:, first : first + len(part)] = part.reshape(len(part), -1)[:, : len(places)].T
         for place, values in zip(places, columns, strict=True):
             names = (_label(variable, d, k) for d, k in zip(variable.dims[1:], place, strict=True))
-            found.append(Scalar(each.name, place, tuple(names), each.unit, values))
+            found.append(Scalar(each.name, place, tuple(names), each.unit, values, runs))
     return found
 
 
@@ -144,40 +172,49 @@ class Analysis:
         names: of parameters, or of several that are correlated, "a, b".
     """
 
-    def __init__(self, samples: Samples) -> None:
+    def __init__(self, samples: Samples, runs: Array, inputs: Callable[[Array], Parameters]) -> None:
+        """Take the runs (n,) that are analyzed, and a function that returns the parameters of runs."""
         self._samples = samples
-        self.names = [", ".join(names) for names, _ in self._samples.groups]
-        inputs = self._samples.values(0, min(self._samples.runs, MOST_SHARED))
-        places = {name: k for k, name in enumerate(self._samples.names)}
-        self._inputs = [inputs[:, [places[name] for name in names]] for names, _ in self._samples.groups]
+        self.names = [", ".join(names) for names, _ in samples.groups]
+        self._places = thinned(len(runs), MOST_SHARED, samples.block)
+        values = inputs(runs[self._places])
+        self._inputs = [np.column_stack([values[name] for name in names]) for names, _ in samples.groups]
 
     def effects(self, scalar: Scalar) -> list[Effect]:
         """Return the effects on a number, the largest share first; empty if the number does not vary."""
-        values = scalar.values[: len(self._inputs[0])]
+        values = scalar.values[self._places]
         known = np.isfinite(values)
-        if not scalar.varies or np.sum(known) < PER_BIN:
-            return []
         y = values[known]
-        shares: list[tuple[float, float | None, float | None]]
-        if self._samples.sampling == "saltelli" and np.isfinite(scalar.values).sum() == self._samples.runs:
-            shares = self._sobol(scalar.values)
-        else:
-            shares = [(max(_share(column[known], y) for column in x.T), None, None) for x in self._inputs]
+        if not scalar.varies or len(y) < PER_BIN or np.ptp(y) == 0.0:
+            return []
+        sobol = self._sobol(values) if self._samples.block > 1 else None
         found = []
         ranks = rankdata(y)
-        for name, x, (share, total, error) in zip(self.names, self._inputs, shares, strict=True):
-            column = x[known, 0]
-            alone = x.shape[1] == 1 and np.ptp(column) > 0.0
-            rank = float(np.corrcoef(rankdata(column), ranks)[0, 1]) if alone else None
-            found.append(Effect(name, share, total, error, rank, *_tenths(column, y)))
-        return sorted(found, key=lambda effect: -max(effect.share, effect.total or 0.0))
+        for k, (name, inputs) in enumerate(zip(self.names, self._inputs, strict=True)):
+            x, rank = inputs[known, 0], None
+            if inputs.shape[1] > 1:
+                x, share = _regression(inputs[known], y)
+            else:
+                share = _share(x, y)
+                if np.ptp(x) > 0.0:
+                    rank = float(np.corrcoef(rankdata(x), ranks)[0, 1])
+            shares = sobol[k] if sobol else (share, None, None)
+            found.append(Effect(name, *shares, rank, *_tenths(x, y)))
+        return sorted(found, key=lambda effect: -effect.size)
 
-    def _sobol(self, y: Array) -> list[tuple[float, float | None, float | None]]:
-        """Estimate Sobol indices from Saltelli's plan by SALib: first order, total, and the first's error."""
+    def _sobol(self, y: Array) -> list[tuple[float | None, float | None, float | None]]:
+        """Estimate Sobol indices from Saltelli's plan by SALib: first order, total, and the first's error.
+
+        The runs of a base sample are of use together alone.
+        """
         try:
             from SALib.analyze import sobol
         except ImportError as error:
             raise missing(error) from error
+        whole = np.isfinite(y).reshape(-1, self._samples.block).all(axis=1)
+        y = y[np.repeat(whole, self._samples.block)]
+        if whole.sum() < LEAST_BASE or np.ptp(y) == 0.0:
+            return [(None, None, None)] * len(self.names)
         # numbers about zero, as the estimators of products need
         y = (y - y.mean()) / y.std()
         seed = self._samples.seed % 2**32
@@ -186,16 +223,13 @@ class Analysis:
         return [(float(first), float(total), float(error)) for first, total, error in rows]
 
 
-def _bins(x: Array) -> list[Array]:
-    """Return runs in bins of as many each, by a parameter; those of equal values in the same."""
-    values, members = np.unique(x, return_inverse=True)
-    order = np.argsort(x, kind="stable")
-    if len(values) <= MOST_BINS:
-        edges = np.cumsum(np.bincount(members))[:-1]
-    else:
-        count = int(np.clip(len(x) // PER_BIN, 2, MOST_BINS))
-        edges = np.linspace(0, len(x), count + 1).astype(int)[1:-1]
-    return np.split(order, edges)
+def _bins(x: Array) -> Array:
+    """Return the bin of each run by a parameter: as many runs in each, those of equal values in the same."""
+    values, members, counts = np.unique(x, return_inverse=True, return_counts=True)
+    if len(values) > MOST_BINS:
+        bins = int(np.clip(len(x) // PER_BIN, 2, MOST_BINS))
+        members = ((np.cumsum(counts) - 1) * bins // len(x))[members]
+    return members
 
 
 def _share(x: Array, y: Array) -> float:
@@ -206,18 +240,42 @@ def _share(x: Array, y: Array) -> float:
     2010).
     """
     bins = _bins(x)
-    n, b = len(y), len(bins)
-    if b < 2 or n <= b:
+    counts, excesses = np.bincount(bins), np.bincount(bins, y - y.mean())
+    there = counts > 0
+    return _adjusted(float(np.sum(excesses[there] ** 2 / counts[there])), y, int(there.sum()))
+
+
+def _adjusted(explained: float, y: Array, coefficients: int) -> float:
+    n = len(y)
+    if n <= coefficients:
         return 0.0
-    means, counts = np.array([y[each].mean() for each in bins]), np.array([len(each) for each in bins])
-    ratio = float(counts @ (means - y.mean()) ** 2 / np.sum((y - y.mean()) ** 2))
-    return max(0.0, 1.0 - (1.0 - ratio) * (n - 1) / (n - b))
+    unexplained = 1.0 - explained / float(np.sum((y - y.mean()) ** 2))
+    return max(0.0, 1.0 - unexplained * (n - 1) / (n - coefficients))
+
+
+def _regression(x: Array, y: Array) -> tuple[Array, float | None]:
+    """Fit y (n,) by a polynomial of second order in parameters x (n, k), or of first in few runs or many.
+
+    Returns:
+        Its values (n,), and the share of the variance of y that it explains, as of bins; None in fewer runs.
+    """
+    n, k = x.shape
+    x = x - x.mean(axis=0)
+    x /= np.maximum(x.std(axis=0), np.finfo(float).tiny)
+    terms = np.column_stack([np.ones(n), x])
+    count = 1 + k + k * (k + 1) // 2
+    if PER_BIN * count <= n <= MOST_NUMBERS // count:
+        terms = np.column_stack([terms, *(x[:, i] * x[:, j] for i in range(k) for j in range(i + 1))])
+    solution, _, rank, _ = np.linalg.lstsq(terms, y, rcond=None)
+    fitted = terms @ solution
+    share = _adjusted(float(np.sum((fitted - y.mean()) ** 2)), y, int(rank))
+    return fitted, share if PER_BIN * rank <= n else None
 
 
 def _tenths(x: Array, y: Array) -> tuple[float, float]:
-    order = np.argsort(x, kind="stable")
+    ordered = np.sort(x)
     count = max(1, int(EXTREME * len(x)))
-    return float(y[order[:count]].mean()), float(y[order[-count:]].mean())
+    return float(y[x <= ordered[count - 1]].mean()), float(y[x >= ordered[-count]].mean())
 
 
 def telling(found: list[Scalar]) -> list[Scalar]:

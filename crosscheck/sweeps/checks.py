@@ -49,7 +49,7 @@ class Checked:
 def chosen(swept: Results, telling: Sequence[Scalar], random: int) -> dict[int, str]:
     """Choose runs to check by number, each with the reason: some at random, and extreme ones."""
     found: dict[int, str] = {}
-    known = np.flatnonzero(np.isfinite(telling[0].values)) if telling else np.zeros(0, dtype=int)
+    known = telling[0].runs[np.isfinite(telling[0].values)] if telling else np.zeros(0, dtype=int)
     generator = np.random.default_rng([swept.plan.samples.seed, swept.plan.samples.runs])
     for run in generator.choice(known, min(random, len(known)), replace=False):
         found[int(run)] = "at random"
@@ -76,21 +76,22 @@ def check_runs(
             checked.append(Checked(run, why, False, False, str(error), np.nan, ""))
             continue
         complete = not (result.left_out or result.unfinished)
-        apart = _apart(swept.plan, found, run, result)
+        apart = _apart(swept, found, run, result)
         checked.append(Checked(run, why, result.differs, complete, result.verdict, *apart))
     return checked
 
 
-def _apart(plan: Plan, found: Sequence[Scalar], run: int, result: Crosscheck) -> tuple[float, str]:
+def _apart(swept: Results, found: Sequence[Scalar], run: int, result: Crosscheck) -> tuple[float, str]:
     """Return the largest difference of a kept number from the sweep's, by its spread, and where it is."""
     worst, where = 0.0, ""
     for engine, trajectory in result.trajectories.items():
-        if len(trajectory.time) < len(plan.scene.times):
+        if len(trajectory.time) < len(swept.scene.times):
             continue
-        kept = kept_of(plan, trajectory)
+        kept = kept_of(swept.plan, trajectory)
         for scalar in found:
             if scalar.varies and scalar.spread > 0.0:
-                apart = abs(kept[scalar.variable][scalar.place] - scalar.values[run]) / scalar.spread
+                own = swept.dataset[scalar.variable][(run, *scalar.place)].item()
+                apart = abs(kept[scalar.variable][scalar.place] - own) / scalar.spread
                 if apart > worst:
                     worst, where = float(apart), f"{scalar.label} of {engine}"
     return worst, where

@@ -18,7 +18,7 @@ MOST_BARS = 10
 """Parameters in a tornado chart, those that matter most."""
 
 MOST_POINTS = 5000
-"""Runs in a scatter plot, the first."""
+"""Runs in a scatter plot."""
 
 SIDE_BY_SIDE = 3
 """Parameters beside a number in scatter plots."""
@@ -34,12 +34,15 @@ def heading(scalar: Scalar) -> str:
     return f"{scalar.label}, {scalar.unit}" if scalar.unit not in ("", "1") else scalar.label
 
 
-def pictures(effects: Effects, inputs: Mapping[str, Array], nominal: Mapping[str, float]) -> dict[str, bytes]:
+def pictures(
+    effects: Effects, points: Array, inputs: Mapping[str, Array], nominal: Mapping[str, float]
+) -> dict[str, bytes]:
     """Draw what varies, by the names of files.
 
     Args:
         effects: of each number, the largest first.
-        inputs: (runs,) by the name of a parameter.
+        points: (n,) places of values that scatter plots have.
+        inputs: (n,) there by the name of a parameter.
         nominal: numbers of the nominal run by their labels.
     """
     shown = effects[:MOST_DRAWN]
@@ -48,7 +51,9 @@ def pictures(effects: Effects, inputs: Mapping[str, Array], nominal: Mapping[str
     return {
         "tornado.png": _rows(len(shown), 1, lambda axes: _tornado(axes[:, 0], shown), 2.6),
         "histograms.png": _rows(len(shown), 1, lambda axes: _histograms(axes[:, 0], shown, nominal), 2.0),
-        "scatter.png": _rows(len(shown), SIDE_BY_SIDE, lambda axes: _scatter(axes, shown, inputs), 2.4),
+        "scatter.png": _rows(
+            len(shown), SIDE_BY_SIDE, lambda axes: _scatter(axes, shown, points, inputs), 2.4
+        ),
     }
 
 
@@ -81,6 +86,8 @@ def _tornado(axes: Array, effects: Effects) -> None:
 
 def share_of(effect: Effect) -> str:
     """Word the share of a parameter."""
+    if effect.share is None:
+        return "too few runs"
     text = f"{100.0 * effect.share:.0f} %"
     return text if effect.total is None else f"{text}, in all {100.0 * effect.total:.0f} %"
 
@@ -96,12 +103,11 @@ def _histograms(axes: Array, effects: Effects, nominal: Mapping[str, float]) -> 
         ax.legend(fontsize="small")
 
 
-def _scatter(axes: Array, effects: Effects, inputs: Mapping[str, Array]) -> None:
+def _scatter(axes: Array, effects: Effects, points: Array, inputs: Mapping[str, Array]) -> None:
     for row, (scalar, found) in zip(axes, effects, strict=True):
         names = [effect.name.partition(", ")[0] for effect in found[:SIDE_BY_SIDE]]
         for ax, name in zip(row, names, strict=False):
-            x, y = inputs[name][:MOST_POINTS], scalar.values[:MOST_POINTS]
-            ax.plot(x, y, ".", color=PLAIN, markersize=2.0, alpha=0.5)
+            ax.plot(inputs[name], scalar.values[points], ".", color=PLAIN, markersize=2.0, alpha=0.5)
             ax.set_xlabel(name, fontsize="small")
             ax.tick_params(labelsize="small")
         for ax in row[len(names) :]:

@@ -12,7 +12,7 @@ import numpy as np
 from crosscheck.files import check_writable, write_files
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
-from crosscheck.sweeps.analysis import LEVELS, Analysis, Effect, Scalar, analyzed, scalars, telling
+from crosscheck.sweeps.analysis import LEVELS, Analysis, Effect, Scalar, analyzed, scalars, telling, thinned
 from crosscheck.sweeps.checks import Checked
 from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.pictures import MOST_POINTS, heading, pictures, share_of
@@ -43,7 +43,7 @@ LEAST_SHARE = 0.005
 """Of the variance; parameters with less are not printed."""
 
 SAMPLE = 100
-"""Runs that envelopes over time are made of, the first."""
+"""Runs that envelopes over time are made of."""
 
 MOST_GHOSTS = 4
 """Extreme runs in a recording."""
@@ -102,7 +102,7 @@ class Findings:
 
 def findings(swept: Results, checked: Sequence[Checked] = ()) -> Findings:
     """Analyze a sweep of which some runs have been crosschecked."""
-    found, analysis = scalars(swept), Analysis(swept.plan.samples)
+    found, analysis = scalars(swept), Analysis(swept.plan.samples, analyzed(swept), swept.inputs)
     effects = [(scalar, analysis.effects(scalar)) for scalar in telling(found)]
     return Findings(swept, found, _nominal(swept.plan, found), effects, list(checked))
 
@@ -132,8 +132,8 @@ def report(found: Findings) -> Report:
         (first + [each for each in varying if each not in first])[:MOST_ROWS], key=found.scalars.index
     )
     summary: list[Part] = [_quantiles(found, rows, False), _effects(found.effects[:MOST_CHARTS], MOST_BARS)]
-    if analyzed(swept) < samples.runs:
-        part = f"of the first {analyzed(swept):,} runs"
+    if (count := len(analyzed(swept))) < samples.runs:
+        part = f"of {count:,} runs"
         parts = [replace(each, title=f"{each.title} {part}") for each in parts[:1]] + parts[1:]
         summary.append(Lines("", [f"quantiles and extremes are {part}"], brief=True))
     if errors:
@@ -171,9 +171,9 @@ def _effects(effects: Sequence[tuple[Scalar, Sequence[Effect]]], most: int | Non
     for scalar, found in effects:
         of = scalar.label
         for effect in found[:most]:
-            if most is None or of or max(effect.share, effect.total or 0.0) > LEAST_SHARE:
+            if most is None or of or effect.size > LEAST_SHARE:
                 rank = "" if effect.rank is None else f"{effect.rank:+.2f}"
-                bar = "=" * round(BAR * min(1.0, effect.share))
+                bar = "=" * round(BAR * min(1.0, effect.share or 0.0))
                 rows.append([of, effect.name, share_of(effect), rank, bar])
                 of = ""
     columns = [
@@ -217,8 +217,9 @@ def write(found: Findings, made: Report, folder: Path) -> list[Path]:
 
     paths = [folder / name for name in FILES]
     check_writable(*paths)
-    inputs = found.swept.plan.parameters(0, min(found.swept.plan.samples.runs, MOST_POINTS))
-    drawn = pictures(found.effects, inputs, found.nominal)
+    runs = analyzed(found.swept)
+    points = thinned(len(runs), MOST_POINTS)
+    drawn = pictures(found.effects, points, found.swept.inputs(runs[points]), found.nominal)
     files = {folder / name: content for name, content in drawn.items()}
     files[folder / FILES[1]] = recorded(found.swept.scene, *to_record(found, made))
     whole = {folder / FILES[0]: as_json(_data(found), made, files), **files}
@@ -269,13 +270,13 @@ def _extremes(found: Findings) -> dict[str, Trajectory]:
 
 
 def _envelopes(found: Findings, runs: Mapping[str, Trajectory]) -> Iterator[Envelope]:
-    """Yield the course of telling numbers over time, of the first runs of the sweep and of some by name."""
+    """Yield the course of telling numbers over time, of a sample of runs and of some by name."""
     from crosscheck.recording.sweep import Envelope
 
     plan = found.swept.plan
     scene = replace(plan.lean, output_period=plan.scene.output_period)
-    count = min(SAMPLE, plan.samples.runs)
-    batch = plan.batch(plan.parameters(0, count), scene)
+    inputs = found.swept.inputs(thinned(plan.samples.runs, SAMPLE))
+    batch = plan.batch(inputs, scene)
     kept = {each.name: each for each in plan.kept}
     for scalar, _ in found.effects:
         reduction = kept[scalar.variable]

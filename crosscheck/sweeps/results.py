@@ -16,9 +16,10 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable
 from crosscheck.limit import tidied_up
 from crosscheck.sweeps.execute import Pace, Workers, in_any_order, probed
-from crosscheck.sweeps.plan import STOPPED, Plan, run_all, run_chunk
+from crosscheck.sweeps.plan import STOPPED, Parameters, Plan, run_all, run_chunk
 from crosscheck.sweeps.store import ERROR, NAME, STATUS, Store, store_chunk
 from newton_euler.model.scene import Scene
+from newton_euler.scalars import Array
 
 TASK = 1.0
 """s that a task takes about: its overhead is small beside it, and little is lost with one."""
@@ -55,6 +56,10 @@ class Results:
     def scene(self) -> Scene:
         """The scene with its nominal values."""
         return self.plan.scene
+
+    def inputs(self, runs: Array) -> Parameters:
+        """Return the parameters of runs (n,)."""
+        return {name: self.dataset[name][runs].values for name in self.plan.samples.names}
 
     @cached_property
     def errors(self) -> dict[int, str]:

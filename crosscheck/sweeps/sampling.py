@@ -58,12 +58,11 @@ class Samples:
         if not is_count(self.seed + 1 if isinstance(self.seed, int) else None) or self.seed >= 2**63:
             raise CrosscheckError(f"seed is {self.seed!r:.100}; needed: a whole number, 0 or more")
         if self.sampling == "saltelli":
-            block = len(self.groups) + 2
-            base = 2 ** max(0, (self.runs // block).bit_length() - 1)
-            if self.runs != block * base:
-                near = f"{block * base} or {2 * block * base}"
+            base = 2 ** max(0, (self.runs // self.block).bit_length() - 1)
+            if self.runs != self.block * base:
+                near = f"{self.block * base} or {2 * self.block * base}"
                 raise CrosscheckError(
-                    f"saltelli takes a power of 2 times {block} runs: {near}, not {self.runs}"
+                    f"saltelli takes a power of 2 times {self.block} runs: {near}, not {self.runs}"
                 )
         if self.sampling in WHOLE and self.runs * len(self.names) > LARGEST_DESIGN:
             most = LARGEST_DESIGN // len(self.names)
@@ -75,6 +74,11 @@ class Samples:
     def names(self) -> tuple[str, ...]:
         """The parameters, in the order of values."""
         return tuple(name for names, _ in self.groups for name in names)
+
+    @property
+    def block(self) -> int:
+        """The number of runs that are of use together alone: of a base sample of Saltelli's plan."""
+        return len(self.groups) + 2 if self.sampling == "saltelli" else 1
 
     @property
     def grid(self) -> list[tuple[float, ...]]:

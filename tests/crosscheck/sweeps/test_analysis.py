@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crosscheck.sweeps.analysis import Analysis, Scalar, telling
+from crosscheck.sweeps.analysis import MOST_SHARED, Analysis, Scalar, telling, thinned
 from crosscheck.sweeps.sampling import samples_of
 
 RUNS = 4096
@@ -17,7 +17,9 @@ def effects(function, vary, sampling="random", runs=RUNS):
     """The effects on a function of the samples, by name."""
     samples = samples_of(vary, sampling, runs, 5)
     values = function(*samples.values(0, samples.runs).T)
-    found = Analysis(samples).effects(Scalar("y", (), (), "", values))
+    runs, inputs = np.arange(samples.runs), samples.values(0, samples.runs)
+    analysis = Analysis(samples, runs, lambda of: dict(zip(samples.names, inputs[of].T, strict=True)))
+    found = analysis.effects(Scalar("y", (), (), "", values, runs))
     return {effect.name: effect for effect in found}
 
 
@@ -64,17 +66,63 @@ def test_correlated_parameters_are_one():
     assert found["a, b"].rank is None
 
 
+def test_correlated_parameters_share_what_they_explain_together():
+    vary = {("a", "b"): "normal([0, 0], [[1, 0.9], [0.9, 1]])", "c": "normal(0, 1)"}
+    found = effects(lambda a, b, c: a - b + 0.5 * a * b + c, vary)
+    # of a - b the variance is 0.2, of a b it is 1.81; errors as above
+    together = 0.2 + 0.25 * 1.81
+    assert found["a, b"].share == pytest.approx(together / (together + 1.0), abs=0.03)
+    assert found["a, b"].low < -0.5 < 0.5 < found["a, b"].high
+    assert found["c"].share == pytest.approx(1.0 / (together + 1.0), abs=0.03)
+
+
+def test_runs_of_a_grid_that_are_analyzed_are_of_all_its_parts():
+    grid = "grid(0, 1, 60)"
+    found = effects(lambda a, b, c: a + b + c, {"a": grid, "b": grid, "c": grid}, "grid", None)
+    assert MOST_SHARED < 60**3
+    # errors of a share s of that many runs are about 2 s / sqrt(MOST_SHARED)
+    assert [found[name].share for name in "abc"] == pytest.approx([1.0 / 3.0] * 3, abs=0.01)
+    assert [found[name].rank for name in "abc"] == pytest.approx([found["a"].rank] * 3, abs=0.01)
+
+
+def test_runs_of_equal_values_are_taken_together():
+    grid = "grid(0, 1, 5)"
+    found = effects(lambda a, b, c: a + b + c, {"a": grid, "b": grid, "c": grid}, "grid", None)
+    assert [(found[name].low, found[name].high) for name in "abc"] == [pytest.approx((1.0, 2.0))] * 3
+
+
+@pytest.mark.parametrize("block", [1, 5])
+def test_runs_that_are_analyzed_are_all_or_one_of_each_part(block):
+    assert thinned(20, 20, block).tolist() == list(range(20))
+    chosen = thinned(1000, 7, block)
+    assert len(chosen) == 7 * block
+    assert np.all(np.diff(chosen) > 0)
+    starts = chosen.reshape(-1, block)
+    assert np.array_equal(starts, starts[:, :1] + np.arange(block))
+    assert np.all(starts[:, 0] % block == 0)
+    assert np.array_equal(starts[:, 0] * 7 // 1000, np.arange(7))
+
+
 def test_what_does_not_vary_has_no_effects():
     assert effects(lambda a: 1.0 + 1e-13 * a, {"a": "normal(0, 1)"}) == {}
     assert effects(lambda a: np.nan * a, {"a": "normal(0, 1)"}) == {}
 
 
-def test_runs_that_could_not_go_on_are_left_out():
-    found = effects(lambda a: np.where(a > 1.0, np.nan, a), {"a": "normal(0, 1)"}, "saltelli", 3 * 1024)
-    assert found["a"].share > 0.95
+def test_base_samples_with_runs_that_could_not_go_on_are_left_out():
+    def function(a, b, c, d):
+        values = a + 0.1 * b + 0.0 * (c + d)
+        values[7] = np.nan
+        return values
+
+    vary = dict.fromkeys("abcd", "normal(0, 1)")
+    found = effects(function, vary, "saltelli", 6 * 256)
+    assert [found[name].total for name in "abcd"] == pytest.approx([1.0, 0.01, 0.0, 0.0], abs=0.02)
+    few = effects(lambda a, b, c, d: np.where(np.abs(a) > 0.3, np.nan, a + b), vary, "saltelli", 6 * 256)
+    assert [few[name].share for name in "abcd"] == [None] * 4
+    assert few["b"].rank > 0.9
 
 
 def test_the_telling_number_of_a_variable_is_its_largest_that_varies():
     values = np.array([[1.0, 2.0, 9.0], [2.0, 4.0, 9.0]])
-    rows = [Scalar("peak", (k,), (str(k),), "N", values[:, k]) for k in range(3)]
+    rows = [Scalar("peak", (k,), (str(k),), "N", values[:, k], np.arange(2)) for k in range(3)]
     assert [scalar.label for scalar in telling(rows)] == ["peak 1"]
