@@ -51,7 +51,7 @@ SHORT, LONG = 1e-100, 1e100
 CAREFUL = 1e-9
 """Relative margin within which inertias are suspicious."""
 
-UNITS = dict.fromkeys((*LENGTHS, "rest_length"), "m") | {
+UNITS = dict.fromkeys((*LENGTHS, "rest_length", "first_side", "second_side"), "m") | {
     "gravity": "m/s^2",
     "mass": "kg",
     "inertia": "kg m^2",
@@ -60,6 +60,9 @@ UNITS = dict.fromkeys((*LENGTHS, "rest_length"), "m") | {
     "torque": "N m",
     "speed": "m/s",
     "air_density": "kg/m^3",
+    "angular_frequency": "rad/s",
+    "phase": "rad",
+    "period": "s",
 }
 """Of parameters by their attribute; those of `PointSpring` and of joint coordinates follow."""
 
@@ -70,6 +73,9 @@ UNITS_ALONG = {
     "target": ("m", "rad"),
     "feedforward": ("N", "N m"),
     "inertia": ("kg", "kg m^2"),
+    "resolution": ("m", "rad"),
+    "force_limit": ("N", "N m"),
+    "slew_limit": ("N/s", "N m/s"),
 }
 """Of parameters of what acts along slides and points, and of what acts about hinges and balls."""
 
@@ -157,6 +163,7 @@ def unit_of(scene: Scene, name: str) -> str:
         return f"{length}/s" if number.order else length
     (place,) = places(scene, [name]).values()
     what, _, attribute = place.owner
+    attribute = attribute.rpartition(".")[2]
     element = element_of(scene, place.owner)
     if attribute not in UNITS_ALONG or what == "bodies":
         return UNITS.get(attribute, "")
@@ -233,7 +240,7 @@ def _check_element(scene: Scene, places_of: Mapping[str, Place], found: RunValue
             stacks[owner] = np.repeat(own_value(scene, owner)[None], len(array), axis=0)
         columns = np.moveaxis(stacks[owner], 0, -1)  # a view
         columns[component] = array
-        if stacks[owner].ndim == 3:
+        if stacks[owner].shape[1:] == (3, 3):  # which are symmetric
             columns[component[::-1]] = array
     bad = np.zeros(0, dtype=int)
     for owner, stack in stacks.items():

@@ -300,7 +300,7 @@ def checked(scene: Scene, values: Mapping[str, object]) -> dict[str, Array]:
             needed = f"finite numbers of shape {own[name].shape}"
             raise MechanismError(f"parameter {name!r}", f"is {value!r:.200}", needed)
         arrays[name] = array
-    _substituted(scene, arrays, checked=True)
+    _substituted(scene, arrays, places(scene, arrays), checked=True)
     return arrays
 
 
@@ -327,7 +327,7 @@ def refusal(scene: Scene, values: Mapping[Owner, Array]) -> MechanismError | Non
 
 def rebuilt(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """The scene made anew with other values of some parameters, all of it checked."""
-    parts = _substituted(scene, values, checked=True)
+    parts = _substituted(scene, values, places(scene, values), checked=True)
     (changed,) = parts.pop("scene")
     mechanism = Mechanism(*(parts.pop(field) for field in MECHANICAL))
     return replace(changed, mechanism=mechanism, **{what: tuple(each) for what, each in parts.items()})
@@ -335,11 +335,12 @@ def rebuilt(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
 def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """The scene with other values of some parameters, scalars of any kind, which are not checked."""
-    parts = _substituted(scene, values, checked=False)
+    found = places(scene, values)
+    parts = _substituted(scene, values, found, checked=False)
     (changed,) = parts.pop("scene")
     _ = scene.mechanism.size  # the description's own makes residuals dimensionless
     mechanism = altered(scene.mechanism, **{field: tuple(parts.pop(field)) for field in MECHANICAL})
-    if any(is_kinematic(place) for place in places(scene, values).values()):
+    if any(map(is_kinematic, found.values())):
         vars(mechanism).pop("equations", None)
     changed = altered(changed, mechanism=mechanism, **{what: tuple(each) for what, each in parts.items()})
     vars(changed).pop("joint_forces", None)  # kept of the elements that have changed
@@ -365,12 +366,13 @@ def without_wind(scene: Scene) -> Scene:
     return changed
 
 
-def _substituted(scene: Scene, values: Mapping[str, Any], checked: bool) -> dict[str, list[Any]]:
-    """Return what has parameters, as of `_parts`, with other values of some."""
+def _substituted(
+    scene: Scene, values: Mapping[str, Any], found: Mapping[str, Place], checked: bool
+) -> dict[str, list[Any]]:
+    """Return what has parameters, as of `_parts`, with other values of some at these places."""
     parts = _parts(scene)
-    found = places(scene, values)
     fields: dict[tuple[str, int], dict[str, Any]] = {}
-    for (what, k, attribute), value in assigned(scene, values).items():
+    for (what, k, attribute), value in _assigned(parts, values, found).items():
         fields.setdefault((what, k), {})[attribute] = value
     for (what, k), attributes in fields.items():
         element = parts[what][k]
@@ -383,14 +385,15 @@ def _substituted(scene: Scene, values: Mapping[str, Any], checked: bool) -> dict
     return parts
 
 
-def assigned(scene: Scene, values: Mapping[str, Any]) -> dict[Owner, Any]:
+def _assigned(
+    parts: dict[str, list[Any]], values: Mapping[str, Any], places: Mapping[str, Place]
+) -> dict[Owner, Any]:
     """Return the values of all parameters that are changed, components put into the scene's own.
 
     The pieces of functions are left out.
     """
-    parts = _parts(scene)
     found: dict[Owner, Any] = {}
-    for name, (owner, component) in places(scene, values).items():
+    for name, (owner, component) in places.items():
         if name.endswith(PIECE):
             continue
         if component is None:

@@ -215,8 +215,8 @@ class Compound(Joint):
         offsets = []
         for offset, a, b in zip(self.offsets, self.hinges[:-1], self.hinges[1:], strict=True):
             link = np.stack([a, b, cross(a, b)])
-            shares = dual_axes(link) @ offset if link.dtype == object else np.linalg.solve(link.T, offset)
-            offsets.append(shares)
+            generic = object in (link.dtype, offset.dtype)
+            offsets.append(dual_axes(link) @ offset if generic else np.linalg.solve(link.T, offset))
         ends = first.point_to_body(self.point), second.point_to_body(self.reaction_point)
         return Separation(self._row(first, second), *ends, np.array(offsets))
 

@@ -77,15 +77,16 @@ class Variable:
     @property
     def variables(self) -> tuple[str, ...]:
         """Names of all that may change: of attributes, and of functions of time `ATTRIBUTE.PART`."""
-        values = {name: getattr(self, name) for name in self.parameters}
-        given = [name for name, value in values.items() if not isinstance(value, Mapping) or value]
-        parts = [
-            f"{name}.{part}"
-            for name, value in values.items()
-            for part in PARTS
-            if any(function.part(part) for function in functions_of(value))
-        ]
-        return (*given, *self.points, *parts)
+        names: list[str] = []
+        parts: list[str] = []
+        for name in self.parameters:
+            value = getattr(self, name)
+            if isinstance(value, Mapping) and not value:
+                continue
+            names.append(name)
+            functions = functions_of(value)
+            parts += [f"{name}.{part}" for part in PARTS if any(f.part(part) for f in functions)]
+        return (*names, *self.points, *parts)
 
     @property
     def constants(self) -> dict[str, str]:
@@ -126,8 +127,9 @@ class Variable:
 
 def functions_of(value: Any) -> tuple[Any, ...]:
     """Return the functions of time that an attribute is or, as a mapping, has for values."""
-    values = value.values() if isinstance(value, Mapping) else (value,)
-    return tuple(each for each in values if isinstance(each, Function))
+    if isinstance(value, Mapping):
+        return tuple(each for each in value.values() if isinstance(each, Function))
+    return (value,) if isinstance(value, Function) else ()
 
 
 def _numbers(value: Any, part: str) -> Any:

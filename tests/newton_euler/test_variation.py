@@ -414,16 +414,26 @@ def test_samples_of_a_motion(crank, formulation):
         assert np.abs(run.position - simulate(along(values)).position).max() < 1e-9
 
 
-@pytest.mark.parametrize("title", ["forces, rods", "gear, cut", "screw, cut", "compound, skew"])
-def test_numbers_that_open_the_initial_pose_and_others(title):
+OF_GEOMETRY = ("point_on_first", "point_on_second", "length", "axis", "1.axis", "offsets", "quaternion")
+
+
+@pytest.mark.parametrize(
+    ("title", "attributes"),
+    [
+        *((title, OF_GEOMETRY) for title in ("forces, rods", "gear, cut", "screw, cut", "compound, skew")),
+        ("compound, skew", ("offsets.0.2",)),
+    ],
+)
+def test_numbers_that_open_the_initial_pose_and_others(title, attributes):
     """The scene is described at another initial pose, from where coordinates are counted."""
     scene, rng = (ELEMENTS | COMPOUNDS)[title], np.random.default_rng(1)
     scene = replace(scene, duration=0.2, output_period=0.05)
     own = parameter_values(scene)
-    sided = ("point_on_first", "point_on_second", "length", "axis", "1.axis", "offsets", "quaternion")
     elements = (*scene.mechanism.joint_names, *scene.mechanism.body_names)
-    names = [f"{element}.{name}" for element in elements for name in sided]
-    values = {n: own[n] + 5e-3 * rng.uniform(-1.0, 1.0, own[n].shape) for n in names if n in own}
+    names = [f"{element}.{name}" for element in elements for name in attributes]
+    whole = {name: name.removesuffix(".0.2") for name in names if name.endswith(".0.2")}
+    own |= {name: own[base][0, 2] for name, base in whole.items() if base in own}
+    values = {n: own[n] + 5e-3 * rng.uniform(-1.0, 1.0, np.shape(own[n])) for n in names if n in own}
     batch = simulate_batch(scene, parameters={name: [value] for name, value in values.items()})
     expected = simulate(with_parameters(scene, values))
     # both are integrated to 1e-10 from starts that differ by round-off
@@ -533,3 +543,4 @@ def test_parameters_have_units(scene, name, unit):
 def test_units_along_slides_are_those_of_lengths(scene):
     names = ("rail.spring.damping", "rail.rotor.inertia", "line.stiffness", "wind.speed")
     assert [unit_of(scene, name) for name in names] == ["N s/m", "kg", "N/m", "m/s"]
+    assert unit_of(scene, "rail.feedforward.phase") == "rad"
