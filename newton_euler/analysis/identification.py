@@ -34,7 +34,7 @@ Given = Measurements | str | os.PathLike[str]
 SIMPLE = 0.02
 """Share by which a factor of a combination may differ from 0, 1 or -1 to be taken for it."""
 
-CHANCE = 1e-3
+CHANCE = 1e-4
 """Probability of residuals as large as those of a fit, by chance alone, below which the scene is wrong: what
 noise does not explain, of however many numbers, moves parameters by many of their standard deviations."""
 

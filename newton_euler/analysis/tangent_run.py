@@ -20,6 +20,7 @@ from newton_euler.equations.sparse import least_squares
 from newton_euler.errors import OptionError, SensitivityError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.options import FormulationName, Options
+from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.run import Integrator
 from newton_euler.integrators.singular import NEAR, UNSAFE
 from newton_euler.integrators.tangents import Tangents, evaluate_along, follow, methods
@@ -29,6 +30,8 @@ from newton_euler.scalars import Array, Scalar
 from newton_euler.simulate import CompiledScene
 from newton_euler.starts import Assembly, initial_numbers
 from newton_euler.variation import own_values, run_values
+
+TOO_NEAR = "the run comes too near to a singular configuration"
 
 ALONG = " along"
 RATES, SETTLED = "derivative" + ALONG, "settled" + ALONG
@@ -43,6 +46,12 @@ DIFFERENCE = 1e-4
 
 WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
 """Of the central difference of order 6."""
+
+SPACING = 0.05
+"""Motion between states whose pivot ratios are looked at, rad or as a share of the mechanism's size."""
+
+FINER = 20
+"""Pivot ratios between two that are beside a least one, twice."""
 
 ROOM = 2048
 """Steps of a run that there is room for; those of a longer one are taken twice."""
@@ -61,8 +70,8 @@ def components(scene: Scene, names: Sequence[str]) -> tuple[str, ...]:
         for index in np.ndindex(*value.shape):
             if value.shape == (3, 3) and index[0] > index[1]:
                 continue
-            letters = "".join("xyz"[k] for k in index)
-            component = letters if set(value.shape) == {3} else ".".join(map(str, index))
+            spatial = set(value.shape) == {3}
+            component = "".join("xyz"[k] for k in index) if spatial else ".".join(map(str, index))
             found.append(f"{name}.{component}" if component else name)
     return tuple(found)
 
@@ -152,7 +161,8 @@ class TangentCode(CompiledScene):
     @cached_property
     def moves_loops(self) -> bool:
         """True if parameters move the closed configurations: near singular ones without bound."""
-        return any(map(is_kinematic, places(self.scene, self._named).values()))
+        found = places(self.scene, self._named).values()
+        return any(is_kinematic(place) and place.owner[0] != "bodies" for place in found)
 
     def _traced(self, name: str, in_lanes: bool) -> Traced:
         if not name.endswith(ALONG):
@@ -237,6 +247,49 @@ def differentiated(scalars: Sequence[Scalar], x: Array, along: Array) -> list[Sc
     return differentiate_along(x[-1].graph, scalars, x.tolist(), along.tolist())
 
 
+class _Path:
+    """Motion through the steps of a run, by cubics through the states and rates at their ends."""
+
+    def __init__(self, code: TangentCode, steps: Array, begun: Array, end: Array) -> None:
+        """Of steps (m, n + 2), see `Dop853`, from x (inputs,) to another."""
+        n, system = code.size, code.system
+        self._rates, self._sizes = code.function("derivative"), steps[:, n + 1 :]
+        self._ends = np.tile(begun, (len(steps) + 1, 1))
+        self._ends[:-1, : n + 1] = steps[:, : n + 1]
+        self._ends[-1, : n + 1] = end[: n + 1]
+        self._slopes = at_rows(self._rates, self._ends)[:, :n]
+        speeds = np.abs(self._ends[:, system.nq : n] / system.velocity_units).max(axis=1, initial=0.0)
+        moved = self._sizes[:, 0] * np.maximum(speeds[:-1], speeds[1:])
+        self._counts = 1 + (moved / SPACING).astype(int)
+
+    def least_pivot_ratio(self) -> float:
+        """Find the least pivot ratio, independent of where steps end; not a number counts as 0."""
+        places = np.concatenate([k + np.arange(count) / count for k, count in enumerate(self._counts)])
+        places = np.append(places, len(self._counts))
+        ratios = self._pivot_ratios(places)
+        for _ in range(2):
+            padded = np.pad(ratios, 1, constant_values=np.inf)
+            lowest = np.flatnonzero((ratios <= padded[:-2]) & (ratios <= padded[2:]))
+            first, last = places[np.maximum(lowest - 1, 0)], places[np.minimum(lowest + 1, len(places) - 1)]
+            places = np.unique(np.linspace(first, last, 2 * FINER + 1))
+            ratios = self._pivot_ratios(places)
+        return float(ratios.min())
+
+    def _pivot_ratios(self, places: Array) -> Array:
+        """Return pivot ratios (k,) at places (k,): numbers of steps and shares of them."""
+        step = np.minimum(places.astype(int), len(self._counts) - 1)
+        share, size = (places - step)[:, None], self._sizes[step]
+        x, n = self._ends[step], self._slopes.shape[1]
+        begin, end = size * self._slopes[step], size * self._slopes[step + 1]
+        change = self._ends[step + 1, :n] - x[:, :n]
+        change -= 2.0 * np.pi * np.round((change - 0.5 * (begin + end)) / (2.0 * np.pi))  # of angles
+        bend = (1.0 - share) * (begin - change) + share * (change - end)
+        x[:, :n] += share * (change + (1.0 - share) * bend)
+        x[:, n] += share[:, 0] * size[:, 0]
+        ratios = at_rows(self._rates, x)[:, n]
+        return np.where(ratios > 0.0, ratios, 0.0)
+
+
 class FollowedRun:
     """Runs of a compiled scene with their derivatives along directions."""
 
@@ -281,6 +334,10 @@ class FollowedRun:
         if steps > len(integrator.steps):
             integrator = Integrator(code, interval.times, self._options, room=steps)
             integrator(begun)
+        if code.projects and code.moves_loops:
+            path = _Path(code, integrator.steps[:steps], begun, integrator.x)
+            if path.least_pivot_ratio() < NEAR:
+                raise SensitivityError(TOO_NEAR)
         self._turn_pieces(begun, interval, directions)
         functions = {name: code.function(name + ALONG) for name in self._programs}
         rates, settled = code.function(RATES), code.function(SETTLED) if code.projects else None
@@ -317,8 +374,8 @@ class FollowedRun:
             x[inputs:, :together] = beside
             tangents.at[:] = x
             methods()(follow, tangents, integrator.x)
-            if code.projects and tangents.least[0] < (NEAR if code.moves_loops else UNSAFE):
-                raise SensitivityError("the run comes too near to a singular configuration")
+            if code.projects and tangents.least[0] < UNSAFE:
+                raise SensitivityError(TOO_NEAR)
             beside[:n] = x[inputs : inputs + n, :together]
             for name, function in functions.items():
                 results, columns = found[name], directions.shape[1]
