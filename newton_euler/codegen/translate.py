@@ -6,9 +6,10 @@ import ast
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from newton_euler.codegen.native import Kind, NativeError, is_native, machine_type, signature_of
+from newton_euler.codegen.function_text import FunctionText, Value, is_whole
+from newton_euler.codegen.native import Kind, is_native, machine_type, signature_of
 from newton_euler.codegen.trigonometry import LANES, literal, vector_type
 
 COMPARISONS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
@@ -32,22 +33,8 @@ _SUFFIX = {"double": "f64", vector_type("double", LANES): f"v{LANES}f64"}
 """Of the names of LLVM's functions, by the type of their arguments."""
 
 
-class Value(NamedTuple):
-    """An LLVM operand with its type.
-
-    Attributes:
-        factors: of a product of doubles.
-        offset: of a vector that begins elsewhere in each lane, in elements.
-    """
-
-    type: Kind
-    operand: str
-    factors: tuple[str, str] | None = None
-    offset: str = ""
-
-
-class Translator:
-    """Translation of one function. Variables live in memory; LLVM moves them to registers.
+class Translator(FunctionText):
+    """Translation of one function.
 
     Attributes:
         tables: LLVM text of the tables that it uses, by name.
@@ -55,19 +42,13 @@ class Translator:
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        self.function = function
+        super().__init__(function)
         self.signature = signature_of(function)
         self.tables: dict[str, str] = {}
         self.callees: list[Callable[..., Any]] = []
-        self._lines: list[str] = []
-        self._slots: list[str] = []
-        self._records: dict[str, Value] = {}
         self._fields: dict[tuple[str, str], Value] = {}
         self._entry: list[str] = []
-        self._variables: dict[str, Value] = {}
         self._loops: list[tuple[str, str]] = []
-        self._count = 0
-        self._open = True
 
     def translate(self, linkage: str = "") -> str:
         """Translate the whole function."""
@@ -408,66 +389,6 @@ class Translator:
             self._emit(call)
             return Value("void", "")
         return Value(signature.result, self._new(call))
-
-    def _float(self, value: Value) -> Value:
-        if is_whole(value):
-            kind = str(value.type).replace("i64", "double")
-            return Value(kind, self._new(f"sitofp {value.type} {value.operand} to {kind}"))
-        if "double" not in str(value.type):
-            raise NativeError(f"{self.function.__name__}: {value.type} where a number is needed")
-        return value
-
-    # Instructions, variables and labels
-
-    def _store(self, name: str, value: Value, node: ast.expr | None = None) -> None:
-        known = self._variables.get(name)
-        if name in self._records:
-            raise self._error(node, f"assigns to {name!r}, which is a record")
-        if known is None:
-            known = self._variables[name] = Value(value.type, f"%{name}.slot")
-            self._slots.append(f"  {known.operand} = alloca {machine_type(value.type)}")
-        if known.type == "double":
-            value = self._float(value)
-        if known.type != value.type:
-            raise self._error(node, f"assigns {value.type} to {name!r}, which is {known.type}")
-        self._emit(f"store {machine_type(value.type)} {value.operand}, ptr {known.operand}")
-
-    def _load(self, name: str) -> Value:
-        slot = self._variables[name]
-        return Value(slot.type, self._new(f"load {machine_type(slot.type)}, ptr {slot.operand}"))
-
-    def _new(self, instruction: str) -> str:
-        self._count += 1
-        self._emit(f"%t{self._count} = {instruction}")
-        return f"%t{self._count}"
-
-    def _emit(self, instruction: str) -> None:
-        self._lines.append(f"  {instruction}")
-
-    def _labels(self, *names: str) -> list[str]:
-        self._count += 1
-        return [f"{name}{self._count}" for name in names]
-
-    def _begin(self, label: str) -> None:
-        self._lines.append(f"{label}:")
-        self._open = True
-
-    def _jump(self, label: str) -> bool:
-        """Jump unless the block has ended already; True if it jumps."""
-        jumped = self._open
-        if jumped:
-            self._emit(f"br label %{label}")
-        self._open = False
-        return jumped
-
-    def _error(self, node: ast.AST | None, problem: str) -> NativeError:
-        line = getattr(node, "lineno", 0)
-        return NativeError(f"{self.function.__name__}, line {line}: {problem}, which native code cannot")
-
-
-def is_whole(value: Value) -> bool:
-    """Return True for an integer, or several."""
-    return "i64" in str(value.type)
 
 
 def _scalar(kind: Kind) -> Kind:

@@ -22,10 +22,10 @@ from newton_euler.integrators.dop853 import (
     EXPONENT,
     LARGEST,
     SAFETY,
-    STAGES,
     Dop853,
     error_on_constraints,
 )
+from newton_euler.integrators.dop853_tableau import STAGES
 from newton_euler.integrators.projection import worst_joint
 from newton_euler.integrators.run import PythonCallback, native_method, vector_at
 from newton_euler.integrators.singular import FAR, HOP, HOPS, NEAR, UNSAFE, crossing_factor

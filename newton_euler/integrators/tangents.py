@@ -16,7 +16,7 @@ from functools import lru_cache
 
 from newton_euler.codegen.native import Callback, Record, Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.integrators.dop853 import COUPLING, DENSE, NODES, STAGES
+from newton_euler.integrators.dop853_tableau import COUPLING, DENSE, NODES, STAGES
 
 
 @dataclass(frozen=True, eq=False)
