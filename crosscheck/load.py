@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     Model: TypeAlias = str | os.PathLike[str] | Scene | MujocoModel | PinocchioModel
 
 EXERCISED = {"exercise": "on"}
-"""Options of models of other tools that crosschecks take unless told otherwise."""
+"""Options of models of other tools that crosschecks take by default."""
 
 
 def is_own(model: Model) -> bool:

@@ -29,8 +29,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 @contextmanager
-def _told() -> Iterator[None]:
-    """A block whose errors are told in one line, as of a file that is missing or an unknown engine."""
+def _failing() -> Iterator[None]:
+    """Fail a test with the error of a block, as of a missing file or an unknown engine, in one line."""
     from crosscheck.errors import CrosscheckError
     from newton_euler.errors import NewtonEulerError
 
@@ -40,7 +40,7 @@ def _told() -> Iterator[None]:
         yield
     except (CrosscheckError, NewtonEulerError) as error:
         problem = str(error)
-    if problem:  # out of the block above, whose error would be told as well
+    if problem:  # out of the block above, whose error would be reported as well
         pytest.fail(problem, pytrace=False)
 
 
@@ -77,7 +77,7 @@ class Checked:
         __tracebackhide__ = True
         found = self.verdict.crosscheck
         if found.source:
-            with _told():
+            with _failing():
                 guarded = guard(found.source, dict(found.options))
         else:
             scene, path = found.scene, self.home / f"{found.scene.name}.baseline.json"
@@ -87,7 +87,7 @@ class Checked:
         elif not guarded.path.exists():
             pytest.fail(f"no baseline {guarded.path}; pytest {UPDATE} REASON stores it", pytrace=False)
         else:
-            with _told():
+            with _failing():
                 comparison = compare(guarded.scene, guarded.baseline(), lambda stage: None, guarded.mapping)
             if comparison.moved:
                 pytest.fail(f"{terminal(tables([comparison]))}{comparison.verdict}", pytrace=False)
@@ -107,7 +107,7 @@ def crosscheck(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[..., 
         __tracebackhide__ = True
         if isinstance(model, str | os.PathLike) and (beside := request.path.parent / model).is_file():
             model = beside
-        with _told():
+        with _failing():
             verdict = check(model, *engines, **options)
         return Checked(verdict, tmp_path / "crosscheck", reason, request.path.parent)
 

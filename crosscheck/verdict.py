@@ -107,8 +107,8 @@ class Verdict:
         from crosscheck.recording.log import log_run
         from crosscheck.recording.show import show
 
-        told = to_record(self.crosscheck, self.report)
-        show(self.crosscheck.scene, lambda recording: log_run(recording, *told))
+        recorded = to_record(self.crosscheck, self.report)
+        show(self.crosscheck.scene, lambda recording: log_run(recording, *recorded))
 
 
 def check(

@@ -30,7 +30,7 @@ def unaccounted(model: Any, roots: Sequence[int], report: ImportReport) -> Itera
         roots: bodies with joints of their own.
         report: of a reading.
     """
-    told = {entry.element for entry in report.entries}
+    known = {entry.element for entry in report.entries}
     acting = model.tendon_stiffness != 0.0
     acting |= (model.tendon_damping != 0.0) | (model.tendon_armature != 0.0)
     numbers = {
@@ -41,7 +41,7 @@ def unaccounted(model: Any, roots: Sequence[int], report: ImportReport) -> Itera
         "tendon": np.flatnonzero(acting).tolist(),
     }
     names = (element_name(model, kind, k) for kind, each in numbers.items() for k in each)
-    yield from (name for name in names if name not in told)
+    yield from (name for name in names if name not in known)
 
 
 def without_force(report: ImportReport) -> set[str]:

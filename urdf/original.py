@@ -302,13 +302,13 @@ class UrdfOriginal(PinocchioOriginal):
 
     def _unaccounted(self, report: ImportReport) -> Iterator[str]:
         """Joints, mimics and closures that a report says nothing of."""
-        told = {entry.element for entry in report.entries}
+        known = {entry.element for entry in report.entries}
         elements = [f"joint {name!r}" for name in self._of[1:] if name != "root_joint"]
         for joint in self._root.findall("joint"):
             if joint.get("type") != "fixed" and joint.find("mimic") is not None:
                 elements.append(f"mimic of joint {joint.get('name')!r}")
         elements += [f"closed_loop {' and '.join(pair)}" for pair in self._loops.closed_loop]
-        yield from (element for element in elements if element not in told)
+        yield from (element for element in elements if element not in known)
 
 
 class ModelOriginal(PinocchioOriginal):
@@ -355,9 +355,9 @@ class ModelOriginal(PinocchioOriginal):
                 self._damping[place] = model.damping[place]
             if ARMATURE in topics:
                 model.armature[place] = 0.0
-        told = {entry.element for entry in report.entries}
+        known = {entry.element for entry in report.entries}
         elements = [*(f"joint {name!r}" for name in owners[1:]), *(each.element for each in closures)]
-        self.unaccounted = tuple(element for element in elements if element not in told)
+        self.unaccounted = tuple(element for element in elements if element not in known)
         self._begin(q, np.zeros(0), scene)
 
 

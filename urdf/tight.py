@@ -198,7 +198,7 @@ def lsoda(equations: Equations, rtol: float, atol: float) -> tuple[Array, int]:
     """
     from scipy.integrate import odeint
 
-    rows, told = odeint(
+    rows, info = odeint(
         equations.rates,
         equations.start,
         equations.system.scene.times,
@@ -208,9 +208,9 @@ def lsoda(equations: Equations, rtol: float, atol: float) -> tuple[Array, int]:
         full_output=True,
         mxstep=MOST_STEPS,
     )
-    if told["message"] != "Integration successful.":
-        raise IntegrationError(float(told["tcur"].max()), f"LSODA: {told['message']}")
-    return rows, int(told["nfe"][-1])
+    if info["message"] != "Integration successful.":
+        raise IntegrationError(float(info["tcur"].max()), f"LSODA: {info['message']}")
+    return rows, int(info["nfe"][-1])
 
 
 class Kinematics:

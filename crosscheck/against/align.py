@@ -124,8 +124,8 @@ def alignments(first: Scene, second: Scene) -> Iterator[Aligned]:
         (second, np.zeros_like(at_joints)),
     ):
         coordinates = _pair_coordinates(first.mechanism, placed.mechanism, joints)
-        told = _joint_notes(first.mechanism, placed.mechanism, joints, coordinates)
-        yield Aligned(first, placed, alone, names, joints, coordinates, centers, (*notes, *told))
+        of_joints = _joint_notes(first.mechanism, placed.mechanism, joints, coordinates)
+        yield Aligned(first, placed, alone, names, joints, coordinates, centers, (*notes, *of_joints))
 
 
 def _groups(mechanism: Mechanism) -> Groups:

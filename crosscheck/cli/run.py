@@ -42,7 +42,7 @@ HERE = "127.0.0.1"
 """Address of this machine for itself alone."""
 
 OUTPUT = Path("output")
-"""Where folders of results go unless told otherwise."""
+"""Where folders of results go by default."""
 
 
 @cli.command("run")

@@ -30,7 +30,7 @@ LONG = 10.0
 SENTENCE = 200
 """Characters of what a command does."""
 
-MOST_TOLD = 4
+MOST_LINES = 4
 """Elements of a file that are not simulated as they are, a line each."""
 
 AGREE, DISAGREE, BAD_INPUT, UNFINISHED = 0, 1, 2, 3
@@ -163,9 +163,9 @@ def tell(scene: str, mapping: ImportReport | None) -> None:
     """
     entries = mapping.entries if mapping else ()
     lines = [str(entry) for entry in entries if entry.fate != "exactly" and not entry.inert]
-    if len(lines) > MOST_TOLD + 1:
-        more = len(lines) - MOST_TOLD
-        lines[MOST_TOLD:] = [f"{more} more elements are not as in the file; crosscheck run -v names all"]
+    if len(lines) > MOST_LINES + 1:
+        more = len(lines) - MOST_LINES
+        lines[MOST_LINES:] = [f"{more} more elements are not as in the file; crosscheck run -v names all"]
     for line in lines:
         click.echo(wrapped(f"{scene}: {line}", sys.stderr), err=True)
 

@@ -26,7 +26,7 @@ class Option(NamedTuple):
 
     Attributes:
         values: what people give.
-        default: what it is unless told otherwise.
+        default: what it is by default.
         read: takes a value as given; raises `ValueError` for one that cannot be.
         needed: of a value.
     """
@@ -182,7 +182,7 @@ def report_lines(report: ImportReport, exact: bool = True) -> Iterator[str]:
     yield f"elements of the file: {fates_line(report)}"
 
     def how(entry: ImportedElement) -> tuple[str, str]:
-        return entry.element.split(" ")[0], entry.told
+        return entry.element.split(" ")[0], entry.account
 
     for fate in FATES if exact else FATES[1:]:
         entries = report.of(fate)

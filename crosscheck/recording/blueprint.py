@@ -67,16 +67,16 @@ def blueprint(
         eye_controls=eye,
         line_grid=grid,
     )
-    told: list[rrb.View] = [rrb.TextDocumentView(origin="/verdict", name="Verdict")]
+    texts: list[rrb.View] = [rrb.TextDocumentView(origin="/verdict", name="Verdict")]
     if moments:
         columns = rrb.TextLogColumns(timeline_columns=[TIME], text_log_columns=["body"])
-        told.append(rrb.TextLogView(origin="/worst", name="Worst moments: click a time", columns=columns))
+        texts.append(rrb.TextLogView(origin="/worst", name="Worst moments: click a time", columns=columns))
     rows = [[plot for plot in plots if plot.judges is judges] for judges in (False, True)]
     end = float(run.time[-1])
     plotted = [_row(row, end) for row in rows if row]
     return laid_out(
         rrb.Horizontal(
-            rrb.Vertical(scene_view, rrb.Tabs(*told, active_tab=0), row_shares=[1.0, LOWER]),
+            rrb.Vertical(scene_view, rrb.Tabs(*texts, active_tab=0), row_shares=[1.0, LOWER]),
             rrb.Vertical(*plotted, row_shares=[1.0, LOWER][: len(plotted)]),
             column_shares=[1.0, 1.2],
         ),

@@ -173,8 +173,8 @@ def recorded(scene: Scene, model: LinearModel, modes: Modes) -> bytes:
             line_grid=grid,
         )
         views.append(view)
-    told = rrb.TextDocumentView(origin="/modes", name="Modes")
-    recording.send_blueprint(laid_out(rrb.Vertical(rrb.Grid(*views), told, row_shares=[2.0, 1.0])))
+    text = rrb.TextDocumentView(origin="/modes", name="Modes")
+    recording.send_blueprint(laid_out(rrb.Vertical(rrb.Grid(*views), text, row_shares=[2.0, 1.0])))
     recording.send_recording_name(f"modes of {scene.name}")
     return bytes(memory.drain_as_bytes())
 

@@ -147,11 +147,11 @@ def check(
     from crosscheck.recording.log import recorded
 
     baselines = [each.baseline() for each in guarded]
-    told = [folder / name for name in REPORTS]
+    reports = [folder / name for name in REPORTS]
     for each in guarded:
         loops = [each.options["loops"]] if "loops" in each.options else []
-        check_no_source(told, [each.source, each.path, *loops])
-    check_writable(*told)
+        check_no_source(reports, [each.source, each.path, *loops])
+    check_writable(*reports)
     found, recordings, contents = [], dict[str, Path](), dict[Path, bytes]()
     for each, baseline in zip(guarded, baselines, strict=True):
         comparison = compare(each.scene, baseline, progress, each.mapping)
@@ -164,8 +164,8 @@ def check(
             contents[path] = recorded(regress_scene(each.scene), runs, text, title)
     summary = markdown(report(found, recordings))
     texts = as_json(found, recordings, contents), junit(found).encode(), summary.encode()
-    write_files(dict(zip(told, texts, strict=True)) | contents)
-    return found, recordings, told
+    write_files(dict(zip(reports, texts, strict=True)) | contents)
+    return found, recordings, reports
 
 
 def both_runs(scene: Scene, baseline: Baseline) -> dict[str, Trajectory]:

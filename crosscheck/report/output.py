@@ -26,7 +26,7 @@ PLAIN = re.compile(r"[\w:/.-]+", re.ASCII)
 MOMENT = re.compile(r"(?:(.*) at )?(\S+) s")
 """Where a figure of runs is worst."""
 
-TOLD = {
+RECORDS = {
     "crosscheck": ("summary.json",),
     "benchmark": ("bench.json", "rhs.json", "batch.json"),
 }
@@ -104,18 +104,18 @@ def check_own(folder: Path, sources: Sequence[str], results: str = "crosscheck")
     are may be anybody's.
 
     Args:
-        results: a key of `TOLD`.
+        results: a key of `RECORDS`.
     """
     elsewhere = "name another folder (--output), or this one to overwrite it"
-    told = [found for name in TOLD[results] if (found := _sources(folder / name))]
+    earlier = [found for name in RECORDS[results] if (found := _sources(folder / name))]
     # what begins with a dot was never ended
     runs = [path for path in folder.glob("*.npz") if not path.name.startswith(".")]
-    if results == "crosscheck" and runs and not told:
+    if results == "crosscheck" and runs and not earlier:
         raise CrosscheckError(f"{folder} holds trajectories of an unknown model; {elsewhere}")
-    for earlier in told:
-        if list(map(os.path.realpath, earlier)) != list(map(os.path.realpath, sources)):
+    for known in earlier:
+        if list(map(os.path.realpath, known)) != list(map(os.path.realpath, sources)):
             raise CrosscheckError(
-                f"{folder} holds a {results} of {' against '.join(earlier)}, not of "
+                f"{folder} holds a {results} of {' against '.join(known)}, not of "
                 f"{' against '.join(sources)}; {elsewhere}"
             )
 

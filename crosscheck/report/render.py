@@ -292,14 +292,14 @@ def junit(report: Report) -> str:
                 suite, "testcase", classname=_legal(owner), name=_legal(row[0].text), time="0"
             )
             if any(cell.verdict == "fails" for cell in row):
-                message = _legal(f"{heading}: {row[0].text}: {_told(part, row)}".removeprefix(": "))
+                message = _legal(f"{heading}: {row[0].text}: {_worded(part, row)}".removeprefix(": "))
                 failure = ElementTree.SubElement(case, "failure", message=message)
                 failure.text = _legal(report.verdict)
     ElementTree.indent(root, " ")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _told(table: Table, row: Sequence[Cell]) -> str:
+def _worded(table: Table, row: Sequence[Cell]) -> str:
     """The cells of a row but the first, each with its heading."""
     named = zip(table.columns[1:], row[1:], strict=False)
     return ", ".join(f"{column.heading} {cell.text}".strip() for column, cell in named if cell.text)

@@ -244,7 +244,7 @@ def _activity_lines(mapping: ImportReport) -> tuple[list[str], list[str]]:
             active.append(f"approximated: {entry.element}: {found}")
         elif entry.fate != "inactive":
             active.append(f"active, and left out: {entry.element}: {found}")
-    idle = [f"{entry.element}: {entry.told}" for entry in watched if entry.fate == "inactive"]
+    idle = [f"{entry.element}: {entry.account}" for entry in watched if entry.fate == "inactive"]
     counted = f"inactive in this run, {len(idle)} of {len(watched)} watched"
     return active, [f"{counted}: {'; '.join(idle)}"] if idle else []
 

@@ -113,15 +113,15 @@ class Loops:
         """Add a gear or a held joint, which replaces a polynomial by a `tangent` unless that is None."""
         if driver is None or ratio == 0.0:
             self.held.append(PrescribedMotion(follower[0], Polynomial((0.0,)), follower[1]))
-            told = f"joint {follower[0]!r} held, {how}"
+            how_kept = f"joint {follower[0]!r} held, {how}"
         else:
             name = self._name(index)
             self.gears.append(Gear(name, driver[0], follower[0], ratio, driver[1], follower[1]))
-            told = f"gear {name!r} of ratio {ratio:.6g}, {how}"
+            how_kept = f"gear {name!r} of ratio {ratio:.6g}, {how}"
         if tangent is None:
-            self._report.exactly(self._start.equality(index), told)
+            self._report.exactly(self._start.equality(index), how_kept)
         else:
-            self._report.approximated(self._start.equality(index), told, watches=[tangent])
+            self._report.approximated(self._start.equality(index), how_kept, watches=[tangent])
 
     def _add_tendon(self, index: int) -> None:
         """A rod, if it is straight and keeps its length; a gear or coupling, if a sum of coordinates."""
@@ -159,8 +159,8 @@ class Loops:
         elif terms:
             name = self._name(index)
             self.gears.append(LinearCoupling(name, tuple((*key, weight) for key, weight in terms)))
-            told = f"coupling {name!r} of {len(terms)} joint coordinates, {RIGID}"
-            self._report.exactly(self._start.equality(index), told)
+            how_kept = f"coupling {name!r} of {len(terms)} joint coordinates, {RIGID}"
+            self._report.exactly(self._start.equality(index), how_kept)
         else:
             self._leave(index, "couples nothing", inert=True)
 

@@ -103,8 +103,8 @@ def _checksums(words: Sequence[str]) -> Array:
     digits = [[*word.encode()] for word in kinds]
     values = [sum(d * BASE ** (len(each) - 1 - k) for k, d in enumerate(each)) % PRIME for each in digits]
     shifts = [BASE ** len(each) % PRIME for each in digits]
-    told = np.array([number[word] for word in words])
-    value, shift = np.array(values)[told], np.array(shifts)[told]
+    places = np.array([number[word] for word in words])
+    value, shift = np.array(values)[places], np.array(shifts)[places]
     total = np.zeros(len(words), dtype=np.int64)
     for back in range(min(WINDOW, len(words)) - 1, -1, -1):
         at = slice(0, len(words) - back)

@@ -76,7 +76,7 @@ def description(kind: type[C]) -> type[C]:
 
 
 def _in_one_line(thing: Any) -> str:
-    """Return a constructor with what is not as by default; long arrays are told by their shapes."""
+    """Return a constructor with what is not as by default; of long arrays the shapes."""
     found = []
     for each in fields(thing):
         value, default = getattr(thing, each.name), each.default

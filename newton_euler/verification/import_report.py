@@ -49,12 +49,12 @@ class ImportedElement:
     seen: str = ""
 
     @property
-    def told(self) -> str:
+    def account(self) -> str:
         """The fate in words, then what a run shows."""
         return "; ".join(filter(None, [self.how, self.seen]))
 
     def __str__(self) -> str:
-        return f"{self.element}: {self.fate}: {self.told}"
+        return f"{self.element}: {self.fate}: {self.account}"
 
 
 class ImportReport:

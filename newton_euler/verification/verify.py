@@ -93,18 +93,18 @@ def check(report: ImportReport) -> str:
     nearest = worst(found)
     originals = [original for original, _ in report.originals]
     samples = [sample for original in originals for sample in original.samples]
-    telling = [sample for sample in samples if sample.tells]
+    informative = [sample for sample in samples if sample.tells]
     moving = "moving " if any(np.any(sample.v) for sample in samples) else ""
-    loosest = max((sample.tolerance_of_motion for sample in telling or samples), default=LOOSEST)
+    loosest = max((sample.tolerance_of_motion for sample in informative or samples), default=LOOSEST)
     share = nearest.value / nearest.tolerance
-    at = f"{len(telling)} {moving}state{'s' * (len(telling) != 1)}"
-    to = f"to {loosest:.0e} at {at}" if telling else NOT_IN_MOTION.format(loosest)
+    at = f"{len(informative)} {moving}state{'s' * (len(informative) != 1)}"
+    to = f"to {loosest:.0e} at {at}" if informative else NOT_IN_MOTION.format(loosest)
     said = (
         f"verified against the file's own model {to} in {len(found)} figures, the largest "
         f"of them {share:.0e} of its tolerance: {nearest.quantity}"
     )
     limits = []
-    if blind := len(samples) - len(telling):
+    if blind := len(samples) - len(informative):
         limits.append(
             f"at {blind} more, next to singular configurations or with noise in loops, little shows"
         )

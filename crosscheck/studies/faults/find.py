@@ -312,8 +312,8 @@ def _is_named(element: str, where: str, report: ImportReport) -> bool:
     """True if the blamed element is this one, or one of the file's that became it."""
     if element in (where, EVERYTHING) or repr(element) in where:
         return True
-    told = where.split(":")[0]
-    return any(entry.element == told and repr(element) in entry.how for entry in report.entries)
+    blamed = where.split(":")[0]
+    return any(entry.element == blamed and repr(element) in entry.how for entry in report.entries)
 
 
 def _planted(fault: Fault, engine: Engine, scene: Scene) -> System:

@@ -57,15 +57,15 @@ def _cases(title: str, rows: Sequence[Row], engines: Sequence[str]) -> Table:
     lost = dict.fromkeys(row.case.name for row in rows if not row.passes)
     for name in lost:
         of_case = [row for row in rows if row.case.name == name]
-        told = "; ".join(_told(row) for row in of_case if not row.passes)
-        cells.append([name, *(_passes(of_case, engine) for engine in engines), told])
+        failing = "; ".join(_worded(row) for row in of_case if not row.passes)
+        cells.append([name, *(_passes(of_case, engine) for engine in engines), failing])
     if others := [row for row in rows if row.case.name not in lost]:
         count = len({row.case.name for row in others})
         cells.append([f"{count} others", *(_passes(others, engine) for engine in engines), ""])
     return Table(title, heads, cells, folded=True)
 
 
-def _told(row: Row) -> str:
+def _worded(row: Row) -> str:
     """Word a case that does not pass: engine, setting, verdict and figure."""
     setting, figure = row.case.setting, "" if row.figure is None else f" {row.figure:.1e}"
     return f"{setting.engine}, {setting}: {row.verdict}{figure}"

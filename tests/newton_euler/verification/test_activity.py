@@ -30,8 +30,8 @@ def after(path: Path, duration: float) -> ImportReport:
 
 
 def told(report: ImportReport, start: str) -> tuple[str, str]:
-    (entry,) = (e for e in report.entries if f"{e.element}: {e.told}".startswith(start))
-    return entry.fate, entry.told
+    (entry,) = (e for e in report.entries if f"{e.element}: {e.account}".startswith(start))
+    return entry.fate, entry.account
 
 
 def mjcf(folder: Path, text: str) -> Path:
