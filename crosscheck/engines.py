@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Final
 
 import numpy as np
@@ -67,6 +67,8 @@ class Engine:
         package: name of the package that does the work, for the record of versions.
         exact: runs a scene at its most exact, for figures that are known to many digits; `refined` if None.
         soft_start: the initial state under its own constraints where they are not rigid.
+        refined_in_full: as `refined`, with reactions and forces of actuators, which that may leave out;
+            `refined` if None.
     """
 
     name: str
@@ -79,6 +81,7 @@ class Engine:
     package: str
     exact: Callable[[Scene], Trajectory] | None = None
     soft_start: Callable[[Scene], Evaluation] | None = None
+    refined_in_full: Callable[[Scene], Trajectory] | None = None
 
 
 def adaptive(scene: Scene, steps: int, refined: bool) -> dict[str, Any]:
@@ -150,12 +153,13 @@ def _mujoco_run(scene: Scene) -> Trajectory:
     return mjcf.simulate(scene, timestep=steps[HALVINGS], integrator=IMPLICIT)
 
 
-def _mujoco_refined(scene: Scene) -> Trajectory:
+def _mujoco_refined(scene: Scene, in_full: bool = False) -> Trajectory:
     import mjcf
 
     settings = _mujoco_run(scene).settings
     step, integrator = 0.5 * settings["timestep"], settings["integrator"]
-    return mjcf.simulate(_motion_of(scene), timestep=step, integrator=integrator)
+    wanted = scene if in_full else _motion_of(scene)
+    return mjcf.simulate(wanted, timestep=step, integrator=integrator)
 
 
 def _motion_of(scene: Scene) -> Scene:
@@ -184,10 +188,11 @@ def _pinocchio_run(scene: Scene) -> Trajectory:
     return urdf.simulate(scene, **adaptive(scene, PYTHON_STEPS, refined=False))
 
 
-def _pinocchio_refined(scene: Scene) -> Trajectory:
+def _pinocchio_refined(scene: Scene, in_full: bool = False) -> Trajectory:
     import urdf
 
-    return urdf.simulate(_motion_of(scene), **adaptive(scene, PYTHON_STEPS, refined=True))
+    wanted = scene if in_full else _motion_of(scene)
+    return urdf.simulate(wanted, **adaptive(scene, PYTHON_STEPS, refined=True))
 
 
 def _pinocchio_systems(scene: Scene) -> tuple[System, ...]:
@@ -223,6 +228,7 @@ ENGINES: dict[str, Engine] = {
             energy_error=1e-8,
             package="mujoco",
             soft_start=_mujoco_soft,
+            refined_in_full=partial(_mujoco_refined, in_full=True),
         ),
         # as newton_euler, from Python
         Engine(
@@ -234,6 +240,7 @@ ENGINES: dict[str, Engine] = {
             drift=1e-9,
             energy_error=1e-8,
             package="pin",
+            refined_in_full=partial(_pinocchio_refined, in_full=True),
         ),
     )
 }

@@ -20,11 +20,7 @@ from crosscheck.cli.shared import (
     setting_options,
     show,
     verbose_option,
-    without_exercise,
 )
-
-ATOL = 0.01
-"""Absolute tolerance of steps by the relative one, SI, as `newton_euler.simulate` has it."""
 
 SAMPLINGS = ("random", "latin_hypercube", "sobol", "saltelli", "grid")
 
@@ -69,22 +65,22 @@ def sweep_command(
     keep: tuple[str, ...],
     check: int,
     output: Path | None,
-    rtol: float,
     **options: Any,
 ) -> int:
     """Run a scene many times with other numbers, and tell what comes of it and what matters.
 
-    SCENE is a name or a file, as of run. A sweep that was interrupted goes on where it was.
+    SCENE is a name or a file, which is exercised, as of run. A sweep that was interrupted goes on where it
+    was.
     """
+    from crosscheck.load import exercised
     from crosscheck.sweeps.distributions import parse_vary
-    from crosscheck.sweeps.sweep import sweep
+    from crosscheck.sweeps.sweep import own_scene, sweep
 
     vary = parse_vary(varied)
-    loaded = load_and_tell(scene, without_exercise(scene_options(settings), "runs are those of the scene"))
+    loaded = own_scene(scene, load_and_tell(scene, exercised(scene, scene_options(settings))))
     folder = output or Path("output/sweep") / loaded.name
     with progress_shown() as progress:
-        options |= {"rtol": rtol, "atol": ATOL * rtol, "progress": progress}
-        swept = sweep(loaded, vary, keep=keep, output=folder, **options)
+        swept = sweep(loaded, vary, keep=keep, output=folder, progress=progress, **options)
         if check:
             swept = swept.check(check, progress=progress)
         progress("analysis, pictures and recording")

@@ -1,4 +1,4 @@
-"""Quantiles of what a sweep kept, and the shares that each varied parameter has in their variance."""
+"""Quantiles of what a sweep kept, and how each varied parameter bears on it: ranks, shares of variance."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import rankdata
 
+from crosscheck.comparison.figure import ROUND_OFF
 from crosscheck.sweeps.plan import Parameters
 from crosscheck.sweeps.results import Results
 from crosscheck.sweeps.sampling import Samples
@@ -39,8 +40,19 @@ PER_BIN = 20
 LEAST_BASE = 64
 """Base samples of Saltelli's plan: of fewer its estimates are no better than guesses."""
 
+LEAST_BINS = 20
+"""Within which a normal number has 2 % of its variance; of fewer runs there are no shares, but ranks."""
+
+LEAST_RANKED = 4
+"""Runs that the error of a rank correlation is estimated from."""
+
+TWO_SIDED = 1.96
+"""Standard errors that a 95 % interval has to either side."""
+
 EXTREME = 0.1
 """Share of the runs with the smallest and the largest values of a parameter, whose means are compared."""
+
+EPSILON = float(np.finfo(float).eps)
 
 CONSTANT = 1e-9
 """Range of a number, by its magnitude, below which it varies by round-off alone."""
@@ -52,27 +64,31 @@ class Effect:
 
     Attributes:
         name: of the parameter.
-        share: of the number's variance that is explained by the parameter alone (a first-order Sobol index);
-            None of too few runs.
-        total: share that the parameter takes part in; None but for Saltelli's plan.
-        error: half of a 95 % interval of the share; None but for Saltelli's plan.
-        rank: Spearman's rank correlation; None of several parameters.
         low, high: mean of the number where the parameter is among its lowest and its highest tenth; of
             several parameters, where their regression is.
+        rank: Spearman's rank correlation; None of several parameters.
+        rank_error: half of a 95 % interval of the rank.
+        share: of the number's variance that is explained by the parameter alone (a first-order Sobol index);
+            None of too few runs.
+        error: half of a 95 % interval of the share.
+        total: share that the parameter takes part in; None but for Saltelli's plan.
     """
 
     name: str
-    share: float | None
-    total: float | None
-    error: float | None
-    rank: float | None
     low: float
     high: float
+    rank: float | None = None
+    rank_error: float = 0.0
+    share: float | None = None
+    error: float = 0.0
+    total: float | None = None
 
     @property
     def size(self) -> float:
-        """The share by which parameters are ordered: the larger of both, 0 if there is none."""
-        return max(self.share or 0.0, self.total or 0.0)
+        """The order of effects: the share, or the magnitude of the rank where there is none."""
+        if self.share is None:
+            return abs(self.rank or 0.0)
+        return max(self.share, self.total or 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +102,8 @@ class Scalar:
         unit: of its values.
         values: (n,) of the runs that are analyzed, not a number where one could not go on.
         runs: (n,) the numbers of these runs.
+        largest: magnitude of all numbers of the variable, beside which it is round-off or not.
+        reacts: whether it depends on forces of constraints.
     """
 
     variable: str
@@ -94,11 +112,23 @@ class Scalar:
     unit: str
     values: Array
     runs: Array
+    largest: float = 0.0
+    reacts: bool = False
 
     @property
     def label(self) -> str:
         """The variable and the place, as "peak:reaction_force slide_12"."""
         return " ".join([self.variable, *self.names])
+
+    @property
+    def heading(self) -> str:
+        """The label with the unit."""
+        return with_unit(self.label, self.unit)
+
+    @property
+    def scale(self) -> float:
+        """The number that errors are shares of: the largest, lengths, angles and times 1 SI unit at least."""
+        return max(self.largest, 1.0 if self.unit in ("m", "rad", "1", "s") else 0.0)
 
     @cached_property
     def quantiles(self) -> Array:
@@ -115,11 +145,16 @@ class Scalar:
     def varies(self) -> bool:
         """False where all runs have the same number, but for round-off."""
         low, high = self.quantiles[[0, -1]]
-        return bool(high - low > CONSTANT * max(abs(low), abs(high)))
+        return bool(high - low > max(CONSTANT * max(abs(low), abs(high)), ROUND_OFF * self.largest))
 
     def extreme(self, largest: bool) -> int:
         """Return the run with the largest or the least value."""
         return int(self.runs[np.nanargmax(self.values) if largest else np.nanargmin(self.values)])
+
+
+def with_unit(label: str, unit: str) -> str:
+    """Put a unit after a label, if there is one."""
+    return f"{label}, {unit}" if unit not in ("", "1") else label
 
 
 def thinned(count: int, most: int, block: int = 1) -> Array:
@@ -154,9 +189,10 @@ def scalars(swept: Results) -> list[Scalar]:
         for first in range(0, len(runs), BLOCK):
             part = variable[runs[first : first + BLOCK]].values
             columns[:, first : first + len(part)] = part.reshape(len(part), -1)[:, : len(places)].T
+        largest = float(np.max(np.abs(columns), initial=0.0, where=np.isfinite(columns)))
         for place, values in zip(places, columns, strict=True):
-            names = (_label(variable, d, k) for d, k in zip(variable.dims[1:], place, strict=True))
-            found.append(Scalar(each.name, place, tuple(names), each.unit, values, runs))
+            names = tuple(_label(variable, d, k) for d, k in zip(variable.dims[1:], place, strict=True))
+            found.append(Scalar(each.name, place, names, each.unit, values, runs, largest, each.reacts))
     return found
 
 
@@ -180,29 +216,37 @@ class Analysis:
         values = inputs(runs[self._places])
         self._inputs = [np.column_stack([values[name] for name in names]) for names, _ in samples.groups]
 
+    @property
+    def too_few(self) -> str:
+        """The reason why there are no shares; empty if there are."""
+        block = self._samples.block
+        runs, least = self._samples.runs, LEAST_BASE * block if block > 1 else LEAST_BINS * PER_BIN
+        return f"too few runs for shares of variance: {runs:,}; at least {least:,}" if runs < least else ""
+
     def effects(self, scalar: Scalar) -> list[Effect]:
-        """Return the effects on a number, the largest share first; empty if the number does not vary."""
+        """Return the effects on a number, the largest first; empty if it does not vary, or in three runs."""
         values = scalar.values[self._places]
         known = np.isfinite(values)
         y = values[known]
-        if not scalar.varies or len(y) < PER_BIN or np.ptp(y) == 0.0:
+        # most runs of Saltelli's plan repeat numbers of others
+        independent = 2 * len(y) // self._samples.block if self._samples.block > 1 else len(y)
+        if not scalar.varies or independent < LEAST_RANKED or np.ptp(y) == 0.0:
             return []
         sobol = self._sobol(values) if self._samples.block > 1 else None
         found = []
         ranks = rankdata(y)
         for k, (name, inputs) in enumerate(zip(self.names, self._inputs, strict=True)):
-            x, rank = inputs[known, 0], None
+            x, rank = inputs[known, 0], {}
             if inputs.shape[1] > 1:
                 x, share = _regression(inputs[known], y)
             else:
                 share = _share(x, y)
                 if np.ptp(x) > 0.0:
-                    rank = float(np.corrcoef(rankdata(x), ranks)[0, 1])
-            shares = sobol[k] if sobol else (share, None, None)
-            found.append(Effect(name, *shares, rank, *_tenths(x, y)))
+                    rank = _rank(float(np.corrcoef(rankdata(x), ranks)[0, 1]), independent)
+            found.append(Effect(name, **_tenths(x, y), **rank, **(sobol[k] if sobol else share)))
         return sorted(found, key=lambda effect: -effect.size)
 
-    def _sobol(self, y: Array) -> list[tuple[float | None, float | None, float | None]]:
+    def _sobol(self, y: Array) -> list[dict[str, float]]:
         """Estimate Sobol indices from Saltelli's plan by SALib: first order, total, and the first's error.
 
         The runs of a base sample are of use together alone.
@@ -214,13 +258,22 @@ class Analysis:
         whole = np.isfinite(y).reshape(-1, self._samples.block).all(axis=1)
         y = y[np.repeat(whole, self._samples.block)]
         if whole.sum() < LEAST_BASE or np.ptp(y) == 0.0:
-            return [(None, None, None)] * len(self.names)
+            return [{}] * len(self.names)
         # numbers about zero, as the estimators of products need
         y = (y - y.mean()) / y.std()
         seed = self._samples.seed % 2**32
         found = sobol.analyze(self._samples.problem, y, calc_second_order=False, seed=seed)
-        rows = zip(found["S1"], found["ST"], found["S1_conf"], strict=True)
-        return [(float(first), float(total), float(error)) for first, total, error in rows]
+        return [
+            {"share": float(first), "total": float(total), "error": float(error)}
+            for first, total, error in zip(found["S1"], found["ST"], found["S1_conf"], strict=True)
+        ]
+
+
+def _rank(rank: float, runs: int) -> dict[str, float]:
+    """Estimate the 95 % interval of a rank correlation (Bonett and Wright, Psychometrika 65, 2000)."""
+    half = TWO_SIDED * np.sqrt((1.0 + 0.5 * rank**2) / (runs - LEAST_RANKED + 1))
+    middle = np.arctanh(np.clip(rank, -1.0 + EPSILON, 1.0 - EPSILON))
+    return {"rank": rank, "rank_error": float(0.5 * (np.tanh(middle + half) - np.tanh(middle - half)))}
 
 
 def _bins(x: Array) -> Array:
@@ -232,32 +285,39 @@ def _bins(x: Array) -> Array:
     return members
 
 
-def _share(x: Array, y: Array) -> float:
+def _share(x: Array, y: Array) -> dict[str, float]:
     """Estimate the share of the variance of y that x explains alone, from any runs: of the means of bins.
 
     Of n runs in b bins the means of numbers that do not depend on x have a share of (b - 1)/(n - 1), which is
     taken off (the adjusted correlation ratio; E. Plischke, Reliability Engineering and System Safety 95,
     2010).
     """
+    if len(y) < LEAST_BINS * PER_BIN:
+        return {}
     bins = _bins(x)
     counts, excesses = np.bincount(bins), np.bincount(bins, y - y.mean())
     there = counts > 0
     return _adjusted(float(np.sum(excesses[there] ** 2 / counts[there])), y, int(there.sum()))
 
 
-def _adjusted(explained: float, y: Array, coefficients: int) -> float:
+def _adjusted(explained: float, y: Array, coefficients: int) -> dict[str, float]:
+    """Return an adjusted share of the variance of y (n,) and its error.
+
+    That is the error of a squared correlation R^2, 2 R (1 - R^2)/sqrt(n) (Kendall and Stuart, vol. 2), and
+    that of as many squares of noise as there are coefficients.
+    """
     n = len(y)
-    if n <= coefficients:
-        return 0.0
     unexplained = 1.0 - explained / float(np.sum((y - y.mean()) ** 2))
-    return max(0.0, 1.0 - unexplained * (n - 1) / (n - coefficients))
+    share = max(0.0, 1.0 - unexplained * (n - 1) / max(1, n - coefficients))
+    variance = (1.0 - share) ** 2 * (4.0 * share / n + 2.0 * (coefficients - 1) / n**2)
+    return {"share": share, "error": TWO_SIDED * variance**0.5}
 
 
-def _regression(x: Array, y: Array) -> tuple[Array, float | None]:
+def _regression(x: Array, y: Array) -> tuple[Array, dict[str, float]]:
     """Fit y (n,) by a polynomial of second order in parameters x (n, k), or of first in few runs or many.
 
     Returns:
-        Its values (n,), and the share of the variance of y that it explains, as of bins; None in fewer runs.
+        Its values (n,), and the share of the variance of y that it explains, as of bins; none in fewer runs.
     """
     n, k = x.shape
     x = x - x.mean(axis=0)
@@ -269,13 +329,14 @@ def _regression(x: Array, y: Array) -> tuple[Array, float | None]:
     solution, _, rank, _ = np.linalg.lstsq(terms, y, rcond=None)
     fitted = terms @ solution
     share = _adjusted(float(np.sum((fitted - y.mean()) ** 2)), y, int(rank))
-    return fitted, share if PER_BIN * rank <= n else None
+    return fitted, share if n >= PER_BIN * max(LEAST_BINS, rank) else {}
 
 
-def _tenths(x: Array, y: Array) -> tuple[float, float]:
+def _tenths(x: Array, y: Array) -> dict[str, float]:
     ordered = np.sort(x)
     count = max(1, int(EXTREME * len(x)))
-    return float(y[x <= ordered[count - 1]].mean()), float(y[x >= ordered[-count]].mean())
+    low, high = y[x <= ordered[count - 1]], y[x >= ordered[-count]]
+    return {"low": float(low.mean()), "high": float(high.mean())}
 
 
 def telling(found: list[Scalar]) -> list[Scalar]:

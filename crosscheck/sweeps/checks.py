@@ -2,48 +2,66 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
+from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 
-from crosscheck.engines import Engine
+from crosscheck.comparison.figure import OWN_ERROR, UNRESOLVED, Figure
+from crosscheck.comparison.runs import FALLS
+from crosscheck.engines import ENGINES, EXACT_ATOL, EXACT_RTOL, Engine
 from crosscheck.errors import CrosscheckError
 from crosscheck.run import Crosscheck, crosscheck
 from crosscheck.sweeps.analysis import Scalar
 from crosscheck.sweeps.expressions import Outputs
-from crosscheck.sweeps.plan import Plan
+from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.results import Results
+from crosscheck.sweeps.store import told
 from newton_euler.errors import NewtonEulerError
+from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 MOST_EXTREMES = 4
 """Runs that are checked beside those at random."""
 
+FINER = 0.01
+"""Of a sweep's tolerances, at which its own error is measured."""
 
-@dataclass(frozen=True, eq=False)
+KEPT = "kept"
+"""Level of figures that compare what a sweep keeps."""
+
+STORED = "checks"
+"""Attribute of a store that checks are kept in."""
+
+
+@dataclass(frozen=True)
 class Checked:
     """A run of a sweep that all engines made.
 
     Attributes:
         run: its number.
         why: it was chosen.
-        differs: whether engines differ.
         complete: whether all engines came to the end.
+        agrees: whether the engines agree with each other, as by `crosscheck run`.
         verdict: of its crosscheck, in a line.
-        apart: largest difference of a kept number between an engine and the sweep, as a share of the spread
-            of that number over the sweep.
-        where: the number and the engine with that difference.
+        kept: of each variable and engine the number whose difference from the sweep's is nearest its limit.
     """
 
     run: int
     why: str
-    differs: bool
     complete: bool
+    agrees: bool
     verdict: str
-    apart: float
-    where: str
+    kept: tuple[Figure, ...] = ()
+
+    @property
+    def differs(self) -> bool:
+        """True if engines differ from each other or from the sweep."""
+        return not self.agrees or not all(each.agrees for each in self.kept)
 
 
 def chosen(swept: Results, telling: Sequence[Scalar], random: int) -> dict[int, str]:
@@ -66,42 +84,114 @@ def check_runs(
     engines: Sequence[Engine],
     progress: Callable[[str], None],
 ) -> list[Checked]:
-    """Crosscheck runs, and compare what is kept of them; `found` are all numbers that are kept."""
+    """Crosscheck runs, and compare what is kept of them; `found` are all numbers that are kept.
+
+    Checks are kept with the sweep; those by the same engines in the same versions are not made again.
+    """
+    by = {each.name: version(each.package) for each in engines} | {"crosscheck": version("crosscheck")}
+    attributes = swept.store.group.attrs
+    stored = attributes.get(STORED, {})
+    known = stored["runs"] if stored.get("by") == by else {}
     checked = []
     for count, (run, why) in enumerate(runs.items(), start=1):
-        progress(f"cross-checking run {run}, {count} of {len(runs)}")
-        try:
-            result = crosscheck(swept.plan.scene_of(run), engines, lambda stage: None, "", {})
-        except (CrosscheckError, NewtonEulerError) as error:
-            checked.append(Checked(run, why, False, False, str(error), np.nan, ""))
+        if str(run) in known:
+            entry = known[str(run)]
+            kept = [Figure(**{**each, "between": tuple(each["between"])}) for each in entry["kept"]]
+            checked.append(Checked(**{**entry, "why": why, "kept": tuple(kept)}))
             continue
-        complete = not (result.left_out or result.unfinished)
-        apart = _apart(swept, found, run, result)
-        checked.append(Checked(run, why, result.differs, complete, result.verdict, *apart))
+        progress(f"cross-checking run {run}, {count} of {len(runs)}")
+        checked.append(_check(swept, found, run, why, engines))
+        known[str(run)] = asdict(checked[-1])
+        with told(swept.path):
+            attributes[STORED] = {"by": by, "runs": known}
     return checked
 
 
-def _apart(swept: Results, found: Sequence[Scalar], run: int, result: Crosscheck) -> tuple[float, str]:
-    """Return the largest difference of a kept number from the sweep's, by its spread, and where it is."""
-    worst, where = 0.0, ""
-    for engine, trajectory in result.trajectories.items():
-        if len(trajectory.time) < len(swept.scene.times):
+def _check(swept: Results, found: Sequence[Scalar], run: int, why: str, engines: Sequence[Engine]) -> Checked:
+    try:
+        result = crosscheck(swept.plan.scene_of(run), engines, lambda stage: None, "", {})
+        kept = tuple(_compared(swept, found, run, result, engines))
+    except (CrosscheckError, NewtonEulerError) as error:
+        return Checked(run, why, False, True, str(error))
+    complete = not (result.left_out or result.unfinished)
+    return Checked(run, why, complete, not result.differs, result.verdict, kept)
+
+
+def _compared(
+    swept: Results, found: Sequence[Scalar], run: int, result: Crosscheck, engines: Sequence[Engine]
+) -> Iterator[Figure]:
+    """Yield of each variable and engine the difference from the sweep that is nearest its limit.
+
+    As whole runs may be off, kept numbers may: an engine's and newton_euler's fixed shares, of the largest
+    number of the variable, and of 1 m, 1 rad or 1 s at least; beyond these, what finer runs of the engine and
+    of the sweep change, times `OWN_ERROR`. A number is not judged where that exceeds `UNRESOLVED`, where the
+    difference does not fall with finer runs, and where it is a reaction of soft constraints.
+    """
+    plan, scene = swept.plan, result.scene
+
+    @cache
+    def change_of_sweep() -> tuple[dict[str, Array], dict[str, Array]]:
+        """The run made again, for what is stored must not excuse itself, and made more finely."""
+        controls = plan.control, finer_control(plan.control)
+        coarse, fine = (
+            run_all(replace(plan, control=each), plan.parameters(run, run + 1)) for each in controls
+        )
+        return coarse.values, fine.values
+
+    for engine in engines:
+        trajectory = result.trajectories.get(engine.name)
+        if trajectory is None or len(trajectory.time) < len(scene.times):
             continue
-        kept = kept_of(swept.plan, trajectory)
+        kept = kept_of(plan, trajectory)
+        of_engine = cache(partial(_finer_of, plan, engine, scene))
+        figures: dict[str, list[Figure]] = {}
         for scalar in found:
-            if scalar.varies and scalar.spread > 0.0:
-                own = swept.dataset[scalar.variable][(run, *scalar.place)].item()
-                apart = abs(kept[scalar.variable][scalar.place] - own) / scalar.spread
-                if apart > worst:
-                    worst, where = float(apart), f"{scalar.label} of {engine}"
-    return worst, where
+            own = swept.dataset[scalar.variable][(run, *scalar.place)].item()
+            value = float(kept[scalar.variable][scalar.place])
+            soft = engine.soft_start is not None and scalar.reacts
+            fixed = (engine.trajectory_error + ENGINES["newton_euler"].trajectory_error) * scalar.scale
+            apart = 0.0 if np.isnan(value) and np.isnan(own) else abs(value - own)
+            limit, unsettled = fixed, ""
+            if apart > fixed and not soft:
+                fine = of_engine()[scalar.variable][scalar.place]
+                again, fine_own = (each[scalar.variable][0][scalar.place] for each in change_of_sweep())
+                limit += OWN_ERROR * float(abs(value - fine) + abs(again - fine_own))
+                falls = abs(fine - fine_own) <= max(FALLS * apart, fixed)
+                if limit > UNRESOLVED * scalar.scale or (apart <= limit and not falls):
+                    unsettled = engine.name
+            figures.setdefault(scalar.variable, []).append(
+                Figure(
+                    KEPT,
+                    scalar.heading,
+                    (engine.name, "sweep"),
+                    apart,
+                    limit,
+                    f"run {run}",
+                    soft or bool(unsettled),
+                    unsettled,
+                    "soft constraints" if soft else "",
+                )
+            )
+        for of_variable in figures.values():
+            yield max(of_variable, key=lambda each: np.inf if np.isnan(each.share) else each.share)
+
+
+def finer_control(control: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a control of steps with a hundredth of the tolerances, or half the step."""
+    finer = dict(control)
+    for name, least in (("rtol", EXACT_RTOL), ("atol", EXACT_ATOL)):
+        if name in control:
+            finer[name] = max(FINER * control[name], least)
+    if control.get("step"):
+        finer["step"] = 0.5 * control["step"]
+    return finer
+
+
+def _finer_of(plan: Plan, engine: Engine, scene: Scene) -> dict[str, Array]:
+    return kept_of(plan, (engine.refined_in_full or engine.refined)(scene))
 
 
 def kept_of(plan: Plan, trajectory: Trajectory) -> dict[str, Array]:
     """Return what is kept of a run by any engine, by name."""
-
-    def stacked(name: str) -> Array:
-        return np.asarray(getattr(trajectory, name))[None]
-
-    outputs = Outputs(plan.scene, trajectory.time, stacked)
+    outputs = Outputs(plan.scene, trajectory.time, lambda name: np.asarray(getattr(trajectory, name))[None])
     return {each.name: each.of(outputs)[0] for each in plan.kept}

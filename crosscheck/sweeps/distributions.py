@@ -3,151 +3,124 @@
 from __future__ import annotations
 
 import ast
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr, ndtri
+from scipy.stats import truncnorm
 
 from crosscheck.errors import CrosscheckError
 from newton_euler.errors import choices, is_finite_number, plain_number
 from newton_euler.scalars import Array
 
 LONGEST = 10_000
-"""Characters of a distribution's text."""
+"""Characters of a distribution's text, and numbers of a grid."""
 
 ROUND_OFF = 1e-12
 """Size of the smallest eigenvalue, negative by rounding, of a correlation that is singular."""
 
 
-def _number(where: str, name: str, value: object, positive: bool = False) -> float:
-    if not is_finite_number(value) or (positive and float(value) <= 0.0):  # type: ignore[arg-type]
-        needed = "a positive number" if positive else "a finite number"
-        raise CrosscheckError(f"{where}: {name} is {value!r:.100}; needed: {needed}")
-    return float(value)  # type: ignore[arg-type]
+def _of_values(u: Array, *numbers: float) -> Array:
+    return np.array(numbers)[np.minimum((u * len(numbers)).astype(int), len(numbers) - 1)]
 
 
-def _arguments(*numbers: float) -> str:
-    return ", ".join(f"{number:.17g}" for number in numbers)
+def _of_truncated(u: Array, mean: float, deviation: float, low: float, high: float) -> Array:
+    bounds = (low - mean) / deviation, (high - mean) / deviation
+    return np.clip(truncnorm.ppf(u, *bounds, loc=mean, scale=deviation), low, high)
 
 
-class Distribution(ABC):
-    """The distribution of one number."""
+class Kind(NamedTuple):
+    """Names of the numbers of a kind of distributions, and its quantiles (n,) by shares (n,) and numbers."""
 
-    @abstractmethod
+    numbers: tuple[str, ...]
+    quantile: Callable[..., Array]
+
+
+KINDS = {
+    "values": Kind(("A", "B", "..."), _of_values),
+    "grid": Kind(("LOW", "HIGH", "COUNT"), lambda u, *range_: _of_values(u, *_spaced(*range_))),
+    "uniform": Kind(("LOW", "HIGH"), lambda u, low, high: low + (high - low) * u),
+    "normal": Kind(("MEAN", "DEVIATION"), lambda u, mean, deviation: mean + deviation * ndtri(u)),
+    "truncated_normal": Kind(("MEAN", "DEVIATION", "LOW", "HIGH"), _of_truncated),
+}
+"""Values, equally likely, of which a full grid takes each; a grid of as many, evenly spaced; between two
+bounds, equally likely; Gauss's; Gauss's without what lies outside two bounds, by the numbers before."""
+
+FORMS = "; ".join(f"{name}({', '.join(kind.numbers)})" for name, kind in KINDS.items())
+FORMS += (
+    "; NAME,NAME=normal([MEANS], [[COVARIANCE]]); NAME,NAME=correlated(DISTRIBUTION, ..., [[CORRELATION]])"
+)
+
+
+def _spaced(low: float, high: float, count: float) -> Array:
+    return np.linspace(low, high, int(count))
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """The distribution of one number.
+
+    Attributes:
+        kind: one of `KINDS`.
+        numbers: its own.
+
+    Raises:
+        CrosscheckError: for numbers that it cannot have.
+    """
+
+    kind: str
+    numbers: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        names = KINDS[self.kind].numbers
+        if self.kind == "values":
+            names = tuple(f"number {k + 1}" for k in range(len(self.numbers)))
+        if len(self.numbers) != len(names):
+            count = len(self.numbers)
+            raise CrosscheckError(f"{self.kind} takes {len(names)} numbers, {', '.join(names)}, not {count}")
+        given = dict(zip(names, self.numbers, strict=True))
+        for name, value in given.items():
+            positive = name == "DEVIATION"
+            if not is_finite_number(value) or (positive and value <= 0.0):
+                needed = f"a {'positive' if positive else 'finite'} number"
+                raise CrosscheckError(f"{self.kind}: {name} is {value!r:.100}; needed: {needed}")
+        object.__setattr__(self, "numbers", tuple(map(float, self.numbers)))
+        steps = given.get("COUNT", 2.0)
+        if not (steps % 1.0 == 0.0 and 2 <= steps <= LONGEST):
+            raise CrosscheckError(f"grid: COUNT is {steps:g}; needed: a whole number, 2 to {LONGEST}")
+        low, high = (given.get(name, bound) for name, bound in (("LOW", 0.0), ("HIGH", 1.0)))
+        if not self.numbers or not low < high:
+            needed = "LOW < HIGH" if self.numbers else "one number or more"
+            raise CrosscheckError(f"{self} is an empty distribution; needed: {needed}")
+        if not np.isfinite(self.quantile(np.array([0.5]))[0]):
+            raise CrosscheckError(f"{self} is an empty distribution: next to nothing lies between its bounds")
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """The values that a full grid takes; empty for a distribution without gaps."""
+        if self.kind == "grid":
+            return tuple(_spaced(*self.numbers).tolist())
+        return self.numbers if self.kind == "values" else ()
+
     def quantile(self, u: Array) -> Array:
         """Return the values (n,) below which shares u (n,) between 0 and 1 of all values lie."""
+        return KINDS[self.kind].quantile(u, *self.numbers)
 
     def of_normal(self, z: Array) -> Array:
         """Return the values (n,) that are as likely as the standard normal z (n,)."""
+        if self.kind == "normal":
+            return self.numbers[0] + self.numbers[1] * z
         return self.quantile(ndtr(z))
 
-
-@dataclass(frozen=True)
-class Values(Distribution):
-    """Numbers, equally likely; a full grid takes each of them."""
-
-    numbers: tuple[float, ...]
-
-    def __init__(self, numbers: Iterable[float]) -> None:
-        given = tuple(numbers)
-        if not given:
-            raise CrosscheckError("values() is an empty distribution; needed: one number or more")
-        checked = tuple(_number(f"values, number {k + 1}", "it", each) for k, each in enumerate(given))
-        object.__setattr__(self, "numbers", checked)
-
-    @classmethod
-    def spaced(cls, low: float, high: float, count: float) -> Values:
-        """Return `count` numbers from low to high, evenly spaced."""
-        _ordered("grid", low, high)
-        if not is_finite_number(count) or count != int(count) or not 2 <= count <= LONGEST:
-            raise CrosscheckError(f"grid: count is {count!r:.100}; needed: a whole number, 2 to {LONGEST}")
-        return cls(np.linspace(low, high, int(count)).tolist())
-
-    def quantile(self, u: Array) -> Array:
-        numbers = np.array(self.numbers)
-        return numbers[np.minimum((u * len(numbers)).astype(int), len(numbers) - 1)]
-
     def __str__(self) -> str:
-        return f"values({_arguments(*self.numbers)})"
+        return f"{self.kind}({_texts(self.numbers)})"
 
 
-@dataclass(frozen=True)
-class Uniform(Distribution):
-    """Numbers between two bounds, equally likely."""
-
-    low: float
-    high: float
-
-    def __post_init__(self) -> None:
-        _ordered("uniform", self.low, self.high)
-
-    def quantile(self, u: Array) -> Array:
-        return self.low + (self.high - self.low) * u
-
-    def __str__(self) -> str:
-        return f"uniform({_arguments(self.low, self.high)})"
-
-
-@dataclass(frozen=True)
-class Normal(Distribution):
-    """Gauss's distribution."""
-
-    mean: float
-    deviation: float
-
-    def __post_init__(self) -> None:
-        _number("normal", "mean", self.mean)
-        _number("normal", "deviation", self.deviation, positive=True)
-
-    def quantile(self, u: Array) -> Array:
-        return self.of_normal(ndtri(u))
-
-    def of_normal(self, z: Array) -> Array:
-        return self.mean + self.deviation * z
-
-    def __str__(self) -> str:
-        return f"normal({_arguments(self.mean, self.deviation)})"
-
-
-@dataclass(frozen=True)
-class TruncatedNormal(Distribution):
-    """Gauss's distribution without what lies outside two bounds; mean and deviation are those before."""
-
-    mean: float
-    deviation: float
-    low: float
-    high: float
-
-    def __post_init__(self) -> None:
-        where = "truncated_normal"
-        _number(where, "mean", self.mean)
-        _number(where, "deviation", self.deviation, positive=True)
-        _ordered(where, self.low, self.high)
-        if not np.diff(ndtr(self._bounds))[0] > 0.0:
-            bounds = f"[{self.low:g}, {self.high:g}]"
-            raise CrosscheckError(f"{where} is an empty distribution: next to nothing lies in {bounds}")
-
-    @property
-    def _bounds(self) -> Array:
-        """(2,) the bounds in deviations from the mean, mirrored to where tails are small numbers."""
-        bounds = (np.array([self.low, self.high]) - self.mean) / self.deviation
-        return -bounds[::-1] if bounds[0] > 0.0 else bounds
-
-    def quantile(self, u: Array) -> Array:
-        mirrored = self.low > self.mean
-        low, high = ndtr(self._bounds)
-        z = ndtri(low + (high - low) * (1.0 - u if mirrored else u))
-        return np.clip(self.mean + self.deviation * (-z if mirrored else z), self.low, self.high)
-
-    def __str__(self) -> str:
-        return f"truncated_normal({_arguments(self.mean, self.deviation, self.low, self.high)})"
-
-
-def _ordered(where: str, low: object, high: object) -> None:
-    if not _number(where, "low", low) < _number(where, "high", high):
-        raise CrosscheckError(f"{where}({low:.9g}, {high:.9g}) is an empty distribution; needed: low < high")
+def _texts(numbers: Iterable[float]) -> str:
+    """Write numbers as short as they are read back the same."""
+    return ", ".join(repr(float(number)).removesuffix(".0") for number in numbers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,15 +131,17 @@ class Correlated:
         distributions: of each number, n.
         correlation: (n, n) of the normal numbers that each is made of (a Gaussian copula): the correlation
             itself where the distributions are normal.
+
+    Raises:
+        CrosscheckError: for a matrix that is none of correlations.
     """
 
     distributions: tuple[Distribution, ...]
     correlation: Array
 
     def __init__(self, distributions: Sequence[Distribution], correlation: object) -> None:
-        count = len(distributions)
-        matrix = _matrix("correlated", "correlation", correlation, count)
-        if not np.array_equal(np.diag(matrix), np.ones(count)):
+        matrix = _matrix("correlated: correlation", correlation, len(distributions))
+        if not np.array_equal(np.diag(matrix), np.ones(len(matrix))):
             raise CrosscheckError("correlated: the diagonal of correlation is not all 1")
         object.__setattr__(self, "distributions", tuple(distributions))
         object.__setattr__(self, "correlation", matrix)
@@ -174,9 +149,9 @@ class Correlated:
     @classmethod
     def normal(cls, means: Sequence[float], covariance: object) -> Correlated:
         """Return normal numbers of some means (n,) and covariance (n, n)."""
-        matrix = _matrix("normal", "covariance", covariance, len(means))
+        matrix = _matrix("normal: covariance", covariance, len(means))
         deviations = np.sqrt(np.diag(matrix))
-        normals = [Normal(m, float(d)) for m, d in zip(means, deviations, strict=True)]
+        normals = [Distribution("normal", pair) for pair in zip(means, deviations.tolist(), strict=True)]
         correlation = matrix / np.outer(deviations, deviations)
         np.fill_diagonal(correlation, 1.0)
         return cls(normals, correlation)
@@ -190,25 +165,23 @@ class Correlated:
         return np.stack(columns, axis=1)
 
     def __str__(self) -> str:
-        rows = ", ".join(f"[{_arguments(*row)}]" for row in self.correlation)
+        rows = ", ".join(f"[{_texts(row)}]" for row in self.correlation)
         return f"correlated({', '.join(map(str, self.distributions))}, [{rows}])"
 
 
-def _matrix(where: str, name: str, given: object, count: int) -> Array:
+def _matrix(what: str, given: object, count: int) -> Array:
     """Return a matrix (count, count); raises `CrosscheckError` unless it is symmetric and not negative."""
     try:
         matrix = np.array(given, dtype=float)
     except (TypeError, ValueError):
         matrix = np.full(1, np.nan)
     if matrix.shape != (count, count) or not np.all(np.isfinite(matrix)):
-        raise CrosscheckError(f"{where}: {name} is no matrix of {count} rows of {count} finite numbers")
+        raise CrosscheckError(f"{what} is no matrix of {count} rows of {count} finite numbers")
     scale = np.sqrt(np.abs(np.diag(matrix)))
     if not np.all(np.diag(matrix) > 0.0) or not np.array_equal(matrix, matrix.T):
-        raise CrosscheckError(f"{where}: {name} is not symmetric with a positive diagonal")
+        raise CrosscheckError(f"{what} is not symmetric with a positive diagonal")
     if np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] < -ROUND_OFF:
-        raise CrosscheckError(
-            f"{where}: {name} has a negative eigenvalue; no numbers vary together like that"
-        )
+        raise CrosscheckError(f"{what} has a negative eigenvalue; no numbers vary together like that")
     return matrix
 
 
@@ -229,18 +202,6 @@ def _cholesky(matrix: Array) -> Array:
     return root
 
 
-KINDS: dict[str, tuple[Callable[..., Distribution], int | None]] = {
-    "values": (lambda *numbers: Values(numbers), None),
-    "grid": (Values.spaced, 3),
-    "uniform": (Uniform, 2),
-    "normal": (Normal, 2),
-    "truncated_normal": (TruncatedNormal, 4),
-}
-"""Distributions of one number by name, with how many arguments each takes."""
-
-FORMS = "values(A, B, ...), grid(LOW, HIGH, COUNT), uniform(LOW, HIGH), normal(MEAN, DEVIATION), \
-truncated_normal(MEAN, DEVIATION, LOW, HIGH)"
-
 Vary = Mapping[str | tuple[str, ...], "Distribution | Correlated | str | Iterable[float]"]
 """Distributions, or texts of them or numbers, by the parameter that varies, or by several together."""
 
@@ -260,7 +221,10 @@ def parse_vary(given: Iterable[str]) -> dict[str | tuple[str, ...], Distribution
         key = names if len(names) > 1 else names[0]
         if key in found:
             raise CrosscheckError(f"--vary {name} is given twice")
-        found[key] = parse(distribution.strip())
+        try:
+            found[key] = parse(distribution.strip())
+        except CrosscheckError as error:
+            raise CrosscheckError(f"--vary {text!r:.200}: {error}") from None
     return found
 
 
@@ -270,19 +234,27 @@ def parse(text: str) -> Distribution | Correlated:
     These are `normal([MEANS], [[COVARIANCE]])` and `correlated(DISTRIBUTION, ..., [[CORRELATION]])`.
 
     Raises:
-        CrosscheckError: quoting the text.
+        CrosscheckError: saying what is wrong with the text.
     """
+    found: object = None
     try:
         if len(text) > LONGEST:
             raise ValueError(f"is longer than {LONGEST} characters")
         found = _read(ast.parse(text, mode="eval").body, text)
-    except SyntaxError:
-        raise CrosscheckError(f"{text!r:.100} is no distribution; choose from: {FORMS}") from None
+    except SyntaxError as error:
+        raise CrosscheckError(wrong_syntax(error, text)) from None
     except (ValueError, RecursionError, MemoryError) as error:
-        raise CrosscheckError(f"{text!r:.100} is no distribution: {error}"[:400]) from None
+        raise CrosscheckError(f"it is no distribution: {error}"[:400]) from None
     if not isinstance(found, Distribution | Correlated):
-        raise CrosscheckError(f"{text!r:.100} is no distribution; choose from: {FORMS}")
+        raise CrosscheckError(f"it is no distribution; choose from: {FORMS}")
     return found
+
+
+def wrong_syntax(error: SyntaxError, text: str) -> str:
+    """Word what Python does not understand in a text, as brackets that are not closed."""
+    if ";" in text:
+        return "there is a semicolon, where commas are needed"
+    return f"{error.msg} at character {min(error.offset or 1, len(text))} of {text[:100]!r}"
 
 
 def _read(node: ast.expr, text: str) -> object:
@@ -297,19 +269,12 @@ def _read(node: ast.expr, text: str) -> object:
 
 def _made(kind: str, arguments: list[object]) -> Distribution | Correlated:
     if kind == "correlated":
-        *distributions, matrix = arguments or [None]
-        if not distributions or not all(isinstance(each, Distribution) for each in distributions):
-            raise ValueError(
-                "correlated(DISTRIBUTION, DISTRIBUTION, ..., [[CORRELATION]]) takes other things"
-            )
-        return Correlated(distributions, matrix)  # type: ignore[arg-type]
+        distributions = [each for each in arguments[:-1] if isinstance(each, Distribution)]
+        if not distributions or len(distributions) < len(arguments) - 1:
+            raise ValueError("correlated takes DISTRIBUTION, DISTRIBUTION, ..., [[CORRELATION]]")
+        return Correlated(distributions, arguments[-1])
     if kind == "normal" and len(arguments) == 2 and isinstance(arguments[0], list):
         return Correlated.normal(arguments[0], arguments[1])
     if kind not in KINDS:
         raise ValueError(f"unknown kind {kind!r:.50}; {choices(kind, (*KINDS, 'correlated'))}")
-    make, count = KINDS[kind]
-    if count not in (None, len(arguments)):
-        raise ValueError(f"{kind} takes {count} numbers, not {len(arguments)}")
-    if not all(isinstance(each, float) for each in arguments):
-        raise ValueError(f"{kind} takes numbers")
-    return make(*arguments)
+    return Distribution(kind, tuple(arguments))  # type: ignore[arg-type]

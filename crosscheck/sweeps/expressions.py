@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.sweeps.distributions import wrong_syntax
 from newton_euler.assemble import initial_state
 from newton_euler.errors import UnknownNameError, choices, plain_number
 from newton_euler.model.euler_parameters import continuous
@@ -160,23 +161,21 @@ class Expression:
         """Parse and check an expression.
 
         Raises:
-            CrosscheckError: quoting the expression.
+            CrosscheckError: saying what is wrong with it.
         """
         self.text, self.quantities, self.signed = text.strip(), set[str](), False
         self._labels, self._works = labels(scene), bool(scene.control or scene.forces or scene.motions)
         try:
             if len(text) > LONGEST:
-                raise ValueError(f"is longer than {LONGEST} characters")
+                raise ValueError(f"the expression is longer than {LONGEST} characters")
             self._root = self._look_up(self.text) or self._node(ast.parse(self.text, mode="eval").body)
             self.example = self.evaluate(_nothing(scene))
-        except SyntaxError:
-            raise CrosscheckError(
-                f"{text!r:.100} is no expression over outputs, as panel.position.z"
-            ) from None
+        except SyntaxError as error:
+            raise CrosscheckError(wrong_syntax(error, self.text)) from None
         except UnknownNameError as error:
-            raise CrosscheckError(f"{text!r:.100}: {error}") from None
+            raise CrosscheckError(str(error)) from None
         except (ValueError, RecursionError, MemoryError) as error:
-            raise CrosscheckError(f"{text!r:.100}: {error}"[:400]) from None
+            raise CrosscheckError(f"{error}"[:400]) from None
 
     def evaluate(self, outputs: Outputs) -> Value:
         """Return the values at all times of all runs; not a number where there is none."""
@@ -235,7 +234,7 @@ class Expression:
         found = self._quantity(text, signed=True)
         if found is None:
             name = text.rpartition(".")[2]
-            raise ValueError(f"unknown output {name!r:.100}; {choices(name, ASKED)}")
+            raise ValueError(f"unknown output {name!r:.100}; {choices(name, (*ASKED, 'time'))}")
         return found
 
     def _quantity(self, text: str, signed: bool) -> Callable[[Outputs], Value] | None:

@@ -29,11 +29,6 @@ Effects = Sequence[tuple[Scalar, Sequence[Effect]]]
 """Numbers that vary, and the effects of parameters on each."""
 
 
-def heading(scalar: Scalar) -> str:
-    """Return the label of a number with its unit."""
-    return f"{scalar.label}, {scalar.unit}" if scalar.unit not in ("", "1") else scalar.label
-
-
 def pictures(
     effects: Effects, points: Array, inputs: Mapping[str, Array], nominal: Mapping[str, float]
 ) -> dict[str, bytes]:
@@ -69,6 +64,9 @@ def _tornado(axes: Array, effects: Effects) -> None:
     """Draw the means of the runs in which a parameter is low and high, and its share of the variance."""
     for ax, (scalar, found) in zip(axes, effects, strict=True):
         bars = list(found[:MOST_BARS])[::-1]
+        beside = "rank" if bars and bars[0].share is None else "share of variance"
+        if len(found) > len(bars):
+            beside += f"; {len(found) - len(bars)} smaller ones are not shown"
         middle = float(np.nanmean(scalar.values))
         for end, color, label in (("low", LOW, "low"), ("high", HIGH, "high")):
             widths = [getattr(effect, end) - middle for effect in bars]
@@ -78,18 +76,23 @@ def _tornado(axes: Array, effects: Effects) -> None:
             ax.annotate(f" {share_of(effect)}", (ends, row), va="center", fontsize="small")
         ax.axvline(middle, color="black", linewidth=0.8)
         ax.margins(x=0.2)
-        ax.set_title(
-            f"{heading(scalar)}: mean where a parameter is low or high; share of variance", fontsize="small"
-        )
+        ax.set_title(f"{scalar.heading}: mean where a parameter is low or high; {beside}", fontsize="small")
         ax.legend(fontsize="small", loc="lower right")
 
 
 def share_of(effect: Effect) -> str:
-    """Word the share of a parameter."""
+    """Word the share of a parameter and its 95 % interval, or its rank where there is none."""
     if effect.share is None:
-        return "too few runs"
-    text = f"{100.0 * effect.share:.0f} %"
+        return rank_of(effect)
+    text = f"{100.0 * effect.share:.0f} ± {np.ceil(100.0 * effect.error):.0f} %"
     return text if effect.total is None else f"{text}, in all {100.0 * effect.total:.0f} %"
+
+
+def rank_of(effect: Effect) -> str:
+    """Word the rank correlation of a parameter and its 95 % interval."""
+    if effect.rank is None:
+        return ""
+    return f"{effect.rank:+.2f} ± {np.ceil(100.0 * effect.rank_error) / 100.0:.2f}"
 
 
 def _histograms(axes: Array, effects: Effects, nominal: Mapping[str, float]) -> None:
@@ -98,7 +101,7 @@ def _histograms(axes: Array, effects: Effects, nominal: Mapping[str, float]) -> 
         for level in scalar.quantiles[[1, 2, 3]]:
             ax.axvline(level, color="black", linewidth=0.8, linestyle=":")
         ax.axvline(nominal[scalar.label], color=HIGH, label="nominal")
-        ax.set_title(f"{heading(scalar)}; dotted: 5 %, 50 %, 95 %", fontsize="small")
+        ax.set_title(f"{scalar.heading}; dotted: 5 %, 50 %, 95 %", fontsize="small")
         ax.set_ylabel("runs")
         ax.legend(fontsize="small")
 
@@ -112,4 +115,4 @@ def _scatter(axes: Array, effects: Effects, points: Array, inputs: Mapping[str, 
             ax.tick_params(labelsize="small")
         for ax in row[len(names) :]:
             ax.set_visible(False)
-        row[0].set_title(heading(scalar), fontsize="small", loc="left")
+        row[0].set_title(scalar.heading, fontsize="small", loc="left")

@@ -93,6 +93,11 @@ class Reduction:
     unit: str
 
     @property
+    def reacts(self) -> bool:
+        """True if it depends on forces of constraints, which soft ones get wrong at any step."""
+        return not self.expression.quantities.isdisjoint(("reaction_force", "reaction_torque"))
+
+    @property
     def needs_all_times(self) -> bool:
         """False if the end of a run suffices."""
         return self.kind != "final" or self.expression.signed
@@ -167,59 +172,50 @@ def _reduction(text: str, scene: Scene) -> Reduction:
     parts = ITEM.fullmatch(text)
     if parts is None:
         raise CrosscheckError(f"--keep {text!r:.200} is not of the form {FORM}")
+    try:
+        return _parsed(text, parts, scene)
+    except (CrosscheckError, ValueError) as error:
+        raise CrosscheckError(f"--keep {text!r:.200}: {error}"[:500]) from None
+
+
+def _parsed(text: str, parts: re.Match[str], scene: Scene) -> Reduction:
+    """Make the reduction of a text of the form `ITEM`; raises `CrosscheckError` or `ValueError`."""
     kind, of, times = parts["kind"], parts["of"].strip(), parts["times"]
-    kinds = (*KINDS, AT, WHEN)
-    if kind not in kinds or (times is None) != (kind != AT):
-        raise CrosscheckError(
-            f"--keep {text!r:.200}: unknown reduction; {choices(kind, [*KINDS, 'at(TIME; ...)', WHEN])}"
-        )
+    if kind not in (*KINDS, AT, WHEN) or (times is None) != (kind != AT):
+        raise ValueError(f"unknown reduction; {choices(kind, [*KINDS, 'at(TIME; ...)', WHEN])}")
     if kind == WHEN:
         left, sign, right = of.partition(">" if ">" in of else "<")
         if not sign or not left.strip() or not right.strip():
-            raise CrosscheckError(f"--keep {text!r:.200}: when needs a comparison, as when:a > b")
+            raise ValueError("when needs a comparison, as when:a > b")
         higher, lower = (left, right) if sign == ">" else (right, left)
-        expression = Expression(f"({higher.strip()}) - ({lower.strip()})", scene)
-    else:
-        expression = Expression(of, scene)
+        of = f"({higher.strip()}) - ({lower.strip()})"
+    expression = Expression(of, scene)
     if not expression.plain and not parts["name"]:
-        raise CrosscheckError(
-            f"--keep {text!r:.200} is an expression; give it a name (--keep NAME={text:.100})"
-        )
-    example = expression.example
-    dimensions, unit = example.dimensions, example.unit
-    try:
-        if kind in OF_MAGNITUDES:
-            dimensions = magnitude(example).dimensions
-    except CrosscheckError as error:
-        raise CrosscheckError(f"--keep {text!r:.200}: {error}") from None
-    if kind == WHEN:
-        if dimensions:
-            raise CrosscheckError(
-                f"--keep {text!r:.200}: when compares numbers, not ({', '.join(dimensions)})"
-            )
-        unit = "s"
-    places = _places(text, times, scene) if kind == AT else ()
+        raise ValueError(f"it is an expression; give it a name (--keep NAME={text:.100})")
+    example = magnitude(expression.example) if kind in OF_MAGNITUDES else expression.example
+    dimensions = example.dimensions
+    if kind == WHEN and dimensions:
+        raise ValueError(f"when compares numbers, not ({', '.join(dimensions)})")
+    places = _places(times, scene) if kind == AT else ()
     if kind == AT:
         dimensions = ("time", *dimensions)
     own = text if parts["name"] is None else text.partition("=")[2].strip()
+    unit = "s" if kind == WHEN else example.unit
     return Reduction(parts["name"] or own, own, kind, places, expression, dimensions, unit)
 
 
-def _places(text: str, given: str, scene: Scene) -> tuple[int, ...]:
-    """Return the numbers of the outputs at times, s, of all if none is given."""
+def _places(given: str, scene: Scene) -> tuple[int, ...]:
+    """Return the numbers of the outputs at times, s, of all if none is given; raises `ValueError`."""
     if not given.strip():
         return tuple(range(len(scene.times)))
-    places = []
-    for part in given.split(";"):
-        try:
-            time = plain_number(part.strip())
-        except ValueError as error:
-            raise CrosscheckError(f"--keep {text!r:.200}: {error}") from None
-        place = int(np.argmin(np.abs(scene.times - time)))
+    if "," in given:
+        raise ValueError("times have semicolons between them, as at(0.5; 1)")
+    times = [plain_number(part.strip()) for part in given.split(";")]
+    places = [int(np.argmin(np.abs(scene.times - time))) for time in times]
+    for time, place in zip(times, places, strict=True):
         if abs(scene.times[place] - time) > SAME_TIME * scene.output_period:
             period = f"outputs are every {scene.output_period:g} s up to {scene.duration:g} s"
-            raise CrosscheckError(f"--keep {text!r:.200}: there is no output at {time:.9g} s; {period}")
-        places.append(place)
+            raise ValueError(f"there is no output at {time:.9g} s; {period}")
     return tuple(places)
 
 

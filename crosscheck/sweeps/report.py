@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from crosscheck.comparison.figure import Figure
 from crosscheck.files import check_writable, write_files
 from crosscheck.report.render import as_json, markdown
-from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
-from crosscheck.sweeps.analysis import LEVELS, Analysis, Effect, Scalar, analyzed, scalars, telling, thinned
+from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, Verdict, figures, texts
+from crosscheck.sweeps.analysis import (
+    LEVELS,
+    Analysis,
+    Effect,
+    Scalar,
+    analyzed,
+    scalars,
+    telling,
+    thinned,
+    with_unit,
+)
 from crosscheck.sweeps.checks import Checked
+from crosscheck.sweeps.distributions import Distribution
 from crosscheck.sweeps.expressions import Outputs
-from crosscheck.sweeps.pictures import MOST_POINTS, heading, pictures, share_of
+from crosscheck.sweeps.pictures import MOST_POINTS, pictures, rank_of, share_of
 from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.reductions import AT, OF_MAGNITUDES, Reduction, magnitude
 from crosscheck.sweeps.results import Results
@@ -30,7 +44,7 @@ if TYPE_CHECKING:
 
 FILES = ("sweep.json", "sweep.rrd", "tornado.png", "histograms.png", "scatter.png")
 
-MOST_ROWS, MOST_CHARTS, MOST_BARS = 6, 2, 4
+MOST_ROWS, MOST_CHARTS, MOST_BARS, MOST_REASONS = 6, 2, 4, 3
 """Of tables that are printed, so that all fits 25 lines."""
 
 BAR = 10
@@ -39,8 +53,8 @@ BAR = 10
 LEAST_DIGITS, MOST_DIGITS = 4, 6
 """Of quantiles."""
 
-LEAST_SHARE = 0.005
-"""Of the variance; parameters with less are not printed."""
+NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.])")
+"""In the reason of a run; reasons that differ in numbers alone are one."""
 
 SAMPLE = 100
 """Runs that envelopes over time are made of."""
@@ -59,6 +73,8 @@ class Findings:
         nominal: their values in the nominal run, by label.
         effects: of parameters on the most telling number of each variable.
         checked: crosschecks of some runs.
+        too_few: why there are no shares of variance; empty if there are.
+        left_out: how many numbers of a run are not analyzed.
     """
 
     swept: Results
@@ -66,45 +82,75 @@ class Findings:
     nominal: dict[str, float]
     effects: list[tuple[Scalar, list[Effect]]]
     checked: list[Checked]
+    too_few: str
+    left_out: int
 
     @property
     def verdict(self) -> str:
         """One line: whether the engines agree on the runs that were checked, and how many came to an end."""
-        runs, count = self.swept.plan.samples.runs, len(self.checked)
-        stopped = len(self.swept.errors)
+        runs, stopped = self.swept.plan.samples.runs, len(self.swept.errors)
         ended = f"{runs - stopped:,} of {runs:,} runs came to their end"
-        if not count:
-            return f"{ended}; none was cross-checked"
-        wrong = [each for each in self.checked if each.differs]
-        missing = [each for each in self.checked if not each.complete]
+        checks = f"{self._checks}; {ended}" if self.checked else f"{ended}; none was cross-checked"
+        return f"{self._word}: {checks}" if self._word else checks
+
+    @property
+    def _word(self) -> str:
+        if any(each.differs for each in self.checked):
+            return "DISAGREE"
+        if self.swept.errors or not all(each.complete for each in self.checked):
+            return "UNFINISHED"
+        return "AGREE" if self.checked else ""
+
+    @property
+    def _checks(self) -> str:
+        """Word what the cross-checks found: the first that is not in order, or what is nearest its limit."""
+        count = len(self.checked)
         random = sum(each.why == "at random" for each in self.checked)
-        kinds = f"{count} runs cross-checked, {random} at random and {count - random} extreme"
-        if wrong:
-            return (
-                f"DISAGREE: run {wrong[0].run} ({wrong[0].why}): {wrong[0].verdict}; {len(wrong)} of {kinds}"
-            )
-        if missing:
-            return f"UNFINISHED: run {missing[0].run} ({missing[0].why}): {missing[0].verdict}; {kinds}"
-        worst = max(self.checked, key=lambda each: each.apart)
-        near = f"kept numbers within {100.0 * worst.apart:.2g} % of their spread"
-        return f"AGREE: all engines, {kinds}, {near}; {ended}"
+        kinds = f"{random} at random and {count - random} extreme"
+        for each in sorted(self.checked, key=lambda each: not each.differs):
+            named = f"run {each.run} ({each.why})"
+            if not (each.agrees and each.complete):
+                return f"{named}: {each.verdict}; {count} runs cross-checked, {kinds}"
+            wrong = [figure for figure in each.kept if not figure.agrees]
+            if wrong:
+                return f"{named}: {told(max(wrong, key=_share))}; {count} runs cross-checked, {kinds}"
+        kept = [figure for each in self.checked for figure in each.kept]
+        judged = [figure for figure in kept if not figure.informs]
+        found = f"all engines in all figures of {count} runs, {kinds}"
+        if judged:
+            found += f"; kept numbers as well, nearest its limit {told(max(judged, key=_share))}"
+        soft = sorted({figure.between[0] for figure in kept if figure.detail})
+        unsettled = sum(bool(figure.unsettled) for figure in kept)
+        open_ = [f"reactions of {name}, whose constraints are soft" for name in soft]
+        open_ += [f"{unsettled} numbers that finer runs change by more"] if unsettled else []
+        return f"{found}; not judged: {', '.join(open_)}" if open_ else found
 
     @property
     def judged(self) -> Cell:
         """The verdict in one word."""
-        if not self.checked:
-            return Cell("made")
-        if any(each.differs for each in self.checked):
-            return Cell("DISAGREE", "fails")
-        whole = all(each.complete for each in self.checked)
-        return Cell("AGREE", "holds") if whole else Cell("UNFINISHED", "doubtful")
+        verdicts: dict[str, Verdict] = {"DISAGREE": "fails", "UNFINISHED": "doubtful", "AGREE": "holds"}
+        return Cell(self._word or "made", verdicts.get(self._word, ""))
+
+
+def _share(figure: Figure) -> float:
+    return np.inf if np.isnan(figure.share) else figure.share
+
+
+def told(figure: Figure) -> str:
+    """Word the difference of a kept number between an engine and the sweep."""
+    name, _, unit = figure.quantity.rpartition(", ")
+    quantity, unit = (name, f" {unit}") if name else (figure.quantity, "")
+    compared = f"{figure.value:.1e} {'<' if figure.agrees else '>'} {figure.tolerance:.1e}{unit}"
+    return f"{quantity}, {figure.between[0]} in {figure.where}: {compared}"
 
 
 def findings(swept: Results, checked: Sequence[Checked] = ()) -> Findings:
     """Analyze a sweep of which some runs have been crosschecked."""
     found, analysis = scalars(swept), Analysis(swept.plan.samples, analyzed(swept), swept.inputs)
     effects = [(scalar, analysis.effects(scalar)) for scalar in telling(found)]
-    return Findings(swept, found, _nominal(swept.plan, found), effects, list(checked))
+    kept = sum(int(np.prod(swept.dataset[each.name].shape[1:])) for each in swept.plan.kept)
+    nominal = _nominal(swept.plan, found)
+    return Findings(swept, found, nominal, effects, list(checked), analysis.too_few, kept - len(found))
 
 
 def _nominal(plan: Plan, found: Sequence[Scalar]) -> dict[str, float]:
@@ -119,41 +165,81 @@ def report(found: Findings) -> Report:
     title = f"{swept.scene.name}: {samples.runs:,} runs, {samples.sampling}, seed {samples.seed}"
     if swept.made:
         title += f"; {swept.made:,} made at {swept.made / swept.wall_time:,.0f} per s"
-    errors = [f"run {run}: {reason}" for run, reason in swept.errors.items()]
-    parts: list[Part] = [_quantiles(found, found.scalars, True), _effects(found.effects, None)]
-    if found.checked:
-        parts.extend(_checks(found.checked))
+    of_runs, notes, failed = "", [], _failures(found)
+    if (count := len(analyzed(swept))) < samples.runs:
+        of_runs = f"of {count:,} runs from all parts of the sweep"
+        notes.append(f"quantiles and extremes are {of_runs}")
+    if found.left_out:
+        notes.append(f"of {found.left_out + len(found.scalars):,} numbers of a run the first are analyzed")
+    parts: list[Part] = [_quantiles(found, found.scalars, f"quantiles {of_runs}".rstrip())]
+    parts += [_effects(*each, None) for each in found.effects]
+    parts += [Lines("", [found.too_few])] if found.too_few else []
+    parts += _checks(found.checked) if found.checked else []
     parts.append(_varied(swept.plan))
-    if errors:
-        parts.append(Lines("runs that could not go on", errors[:MOST_ROWS] + _more(errors), folded=True))
+    if failed:
+        parts.append(Lines("runs that could not go on", failed))
     varying = [scalar for scalar in found.scalars if scalar.varies]
     first = [scalar for scalar, _ in found.effects]
     rows = sorted(
         (first + [each for each in varying if each not in first])[:MOST_ROWS], key=found.scalars.index
     )
-    summary: list[Part] = [_quantiles(found, rows, False), _effects(found.effects[:MOST_CHARTS], MOST_BARS)]
-    if (count := len(analyzed(swept))) < samples.runs:
-        part = f"of {count:,} runs"
-        parts = [replace(each, title=f"{each.title} {part}") for each in parts[:1]] + parts[1:]
-        summary.append(Lines("", [f"quantiles and extremes are {part}"], brief=True))
-    if errors:
-        summary.append(Lines("", [f"{len(errors)} runs could not go on, {errors[0]}"], brief=True))
+    summary: list[Part] = [_quantiles(found, rows, "")]
+    summary += [_effects(*each, MOST_BARS) for each in found.effects[:MOST_CHARTS]]
+    notes += [*filter(None, [found.too_few]), *_not_shown(found, rows), *failed[:MOST_REASONS]]
+    if len(failed) > MOST_REASONS:
+        notes.append(f"{len(failed) - MOST_REASONS} more reasons why runs could not go on; -v prints all")
+    summary.append(Lines("", notes))
     return Report(title, found.verdict, found.judged, parts, swept.wall_time, summary)
 
 
-def _more(errors: Sequence[str]) -> list[str]:
-    return [f"and {len(errors) - MOST_ROWS} more"] if len(errors) > MOST_ROWS else []
+def _not_shown(found: Findings, rows: Sequence[Scalar]) -> list[str]:
+    """Word what the terminal leaves out, and where it is."""
+    constant = sum(not each.varies for each in found.scalars)
+    counts = {
+        "numbers that do not vary": constant,
+        "other numbers": len(found.scalars) - constant - len(rows),
+        "charts of what matters": len(found.effects) - MOST_CHARTS,
+    }
+    said = [f"{count} {what}" for what, count in counts.items() if count > 0]
+    return [f"not shown: {', '.join(said)}; -v prints all"] if said else []
 
 
-def _quantiles(found: Findings, rows: Sequence[Scalar], full: bool) -> Table:
+def _failures(found: Findings) -> list[str]:
+    """Word each reason why runs could not go on: how many, the first in full, and what may help."""
+    reasons: dict[str, list[tuple[int, str]]] = {}
+    for run, reason in found.swept.errors.items():
+        reasons.setdefault(NUMBER.sub("#", reason), []).append((run, reason))
+    lines = []
+    for members in sorted(reasons.values(), key=len, reverse=True):
+        (run, reason), count = members[0], len(members)
+        which = f"run {run}" if count == 1 else f"{count} runs could not go on, as run {run}"
+        lines.append(f"{which}: {reason}{_hint(found.swept.plan, reason)}")
+    return lines
+
+
+def _hint(plan: Plan, reason: str) -> str:
+    """Name the distribution that keeps a normal number from values that make no sense."""
+    for (name, *_), each in plan.samples.groups:
+        if isinstance(each, Distribution) and each.kind == "normal" and f"{name!r}" in reason:
+            mean, deviation = each.numbers
+            return f"; {name}=truncated_normal({mean:g}, {deviation:g}, LOW, HIGH) stays within bounds"
+    return ""
+
+
+def _quantiles(found: Findings, rows: Sequence[Scalar], title: str) -> Table:
     names = ["least", "5 %", "median", "95 %", "most"]
-    wanted = range(len(LEVELS)) if full else (1, 2, 3, 4)
-    columns = [Column("of each run", brief=True), *figures("nominal", *(names[k] for k in wanted))]
+    wanted = range(len(LEVELS)) if title else (1, 2, 3, 4)
+    columns = [Column("of each run"), *figures("nominal", *(names[k] for k in wanted))]
     content: Rows = []
-    for each in rows:
-        values = [found.nominal[each.label], *(each.quantiles[k] for k in wanted)]
-        content.append([heading(each), *(f"{value:.{_digits(each)}g}" for value in values)])
-    return Table("quantiles" if full else "", columns, content)
+    for variable, members in groupby(rows, key=lambda each: each.variable):
+        of_variable = list(members)
+        if len(of_variable) > 1:
+            content.append([with_unit(variable, of_variable[0].unit)])
+        for each in of_variable:
+            name = each.heading if len(of_variable) == 1 else f"  {' '.join(each.names)}"
+            values = [found.nominal[each.label], *(each.quantiles[k] for k in wanted)]
+            content.append([name, *(f"{value:.{_digits(each)}g}" for value in values)])
+    return Table(title, columns, content)
 
 
 def _digits(scalar: Scalar) -> int:
@@ -165,37 +251,45 @@ def _digits(scalar: Scalar) -> int:
     return max(LEAST_DIGITS, hidden + 2) if hidden + 2 <= MOST_DIGITS else LEAST_DIGITS
 
 
-def _effects(effects: Sequence[tuple[Scalar, Sequence[Effect]]], most: int | None) -> Table:
-    """Make the tornado chart: shares of parameters in the variance of numbers, the largest first."""
+def _effects(scalar: Scalar, found: Sequence[Effect], most: int | None) -> Table:
+    """Make the tornado chart: what matters for a number, the largest first."""
     rows: Rows = []
-    for scalar, found in effects:
-        of = scalar.label
-        for effect in found[:most]:
-            if most is None or of or effect.size > LEAST_SHARE:
-                rank = "" if effect.rank is None else f"{effect.rank:+.2f}"
-                bar = "=" * round(BAR * min(1.0, effect.share or 0.0))
-                rows.append([of, effect.name, share_of(effect), rank, bar])
-                of = ""
-    columns = [
-        Column("variance of", brief=most is not None),
-        *texts("explained by"),
-        *figures("share", "rank"),
-    ]
-    return Table("" if most else "what matters", [*columns, Column("")], rows)
+    for effect in found[:most]:
+        bar = "=" * round(BAR * min(1.0, effect.size))
+        shares = [] if effect.share is None else [share_of(effect)]
+        rows.append([effect.name, *shares, rank_of(effect), bar])
+    if len(found) > len(rows):
+        rows.append([f"{len(found) - len(rows)} more with less: -v"])
+    heads = ["share of variance"] if found and found[0].share is not None else []
+    columns = [Column(f"{scalar.label} by"), *figures(*heads, "rank"), Column("")]
+    return Table("" if most else f"what matters for {scalar.label}", columns, rows)
 
 
 def _checks(checked: Sequence[Checked]) -> list[Part]:
-    """Make the table of runs that were cross-checked, and the verdicts of those that are not in order."""
+    """Make the tables of runs that were cross-checked, and the verdicts of those that are not in order."""
     rows: Rows = []
+    kept: Rows = []
     for each in checked:
         judged = Cell("differ", "fails") if each.differs else Cell("agree", "holds")
         if not each.complete:
             judged = Cell("not all", "doubtful")
-        rows.append([str(each.run), each.why, judged, f"{100.0 * each.apart:.2g}", each.where])
-    columns = [*figures("run"), *texts("chosen", "engines"), *figures("apart, % of spread"), *texts("at")]
+        rows.append([str(each.run), each.why, judged])
+        kept.append(f"run {each.run}")
+        for figure in each.kept:
+            unsettled = "finer runs differ by more" if figure.unsettled else "not judged"
+            verdict = figure.detail or unsettled if figure.informs else _limit(figure)
+            kept.append([figure.quantity, figure.between[0], f"{figure.value:.1e}", verdict])
+    columns = [*figures("run"), *texts("chosen", "engines")]
+    beside = [*texts("kept number", "engine"), *figures("difference"), *texts("limit")]
     parts: list[Part] = [Table("runs that were cross-checked", columns, rows, folded=True)]
-    wrong = [f"run {each.run}: {each.verdict}" for each in checked if each.differs or not each.complete]
+    parts.append(Table("kept numbers of these, each variable's nearest its limit", beside, kept, folded=True))
+    wrong = [f"run {each.run}: {each.verdict}" for each in checked if not (each.agrees and each.complete)]
     return [*parts, Lines("", wrong)] if wrong else parts
+
+
+def _limit(figure: Figure) -> Cell:
+    """The limit of a figure, judged."""
+    return Cell(f"{figure.tolerance:.1e}", "holds" if figure.agrees else "fails")
 
 
 def _varied(plan: Plan) -> Table:
@@ -285,7 +379,7 @@ def _envelopes(found: Findings, runs: Mapping[str, Trajectory]) -> Iterator[Enve
             name: _course(reduction, Outputs(plan.scene, run.time, _stacked(run)), scalar)[0]
             for name, run in runs.items()
         }
-        yield Envelope(heading(scalar), scene.times, sample, lines)
+        yield Envelope(scalar.heading, scene.times, sample, lines)
 
 
 def _stacked(run: Trajectory) -> Callable[[str], Array]:

@@ -16,10 +16,13 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable
 from crosscheck.limit import tidied_up
 from crosscheck.sweeps.execute import Pace, Workers, in_any_order, probed
+from crosscheck.sweeps.expressions import labels
 from crosscheck.sweeps.plan import STOPPED, Parameters, Plan, run_all, run_chunk
 from crosscheck.sweeps.store import ERROR, NAME, STATUS, Store, store_chunk
+from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
+from newton_euler.variation import own_values
 
 TASK = 1.0
 """s that a task takes about: its overhead is small beside it, and little is lost with one."""
@@ -34,6 +37,10 @@ TASKS_PER_WORKER = 4
 """At least, if there are runs enough: so that all have work to the end."""
 
 
+VECTORS = "BODY.center_of_mass.x, BODY.inertia.xy, JOINT.point.z"
+"""Examples of numbers that vary alone."""
+
+
 @dataclass(frozen=True, eq=False)
 class Results:
     """The runs of a sweep.
@@ -41,16 +48,21 @@ class Results:
     Attributes:
         plan: all that its runs depend on.
         dataset: an xarray Dataset of what varied and what was kept, by runs; on disk where there is a path.
-        path: of its Zarr store; None in memory.
+        store: that holds it.
         made: runs that were made now; the others were there.
         wall_time: s that they took.
     """
 
     plan: Plan
     dataset: Any
-    path: Path | None
+    store: Store
     made: int
     wall_time: float
+
+    @property
+    def path(self) -> Path | None:
+        """Of the Zarr store; None in memory."""
+        return self.store.path
 
     @property
     def scene(self) -> Scene:
@@ -88,26 +100,25 @@ def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[
         made = _make(plan, store, at, progress)
     dataset = store.dataset()
     wall_time = time.perf_counter() - start
-    return Results(plan, dataset.load() if path is None else dataset, path, made, wall_time)
+    return Results(plan, dataset.load() if path is None else dataset, store, made, wall_time)
 
 
 def _check_names(plan: Plan) -> None:
-    """Raise `CrosscheckError` for a thing that is kept by the name of another one."""
-    taken = {
-        *plan.samples.names,
-        STATUS,
-        ERROR,
-        "run",
-        "time",
-        "body",
-        "joint",
-        "actuator",
-        "axis",
-        "component",
-    }
+    """Raise `CrosscheckError` for names that are taken, and for parameters that are no number."""
+    taken = {*plan.samples.names, STATUS, ERROR, "run", "time", *labels(plan.scene)}
     for each in plan.kept:
         if each.name in taken:
             raise CrosscheckError(f"{each.name!r} is the name of something else; keep it by another one")
+    for name in plan.samples.names:
+        try:
+            shape = own_values(plan.scene, [name])[name].shape
+        except NewtonEulerError as error:
+            hint = f"; vectors by components, as {VECTORS}; starts as start.JOINT"
+            raise CrosscheckError(f"--vary {name}: {error}{hint}") from error
+        if shape:
+            parts = {(3,): "xyz", (3, 3): ("xx", "xy")}.get(shape, ())
+            example = " or ".join(f"{name}.{part}" for part in parts)
+            raise CrosscheckError(f"--vary {name}: it has {np.prod(shape)} numbers; name one, {example}")
 
 
 def _opened(plan: Plan, path: Path | None, at: Workers) -> tuple[Store, Plan]:

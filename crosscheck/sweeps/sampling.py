@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.sweeps.distributions import Correlated, Distribution, Values, Vary, parse
+from crosscheck.sweeps.distributions import Correlated, Distribution, Vary, parse
 from newton_euler.errors import check_choice, is_count
 from newton_euler.scalars import Array
 
@@ -85,12 +85,13 @@ class Samples:
         """The values of each parameter of a full grid."""
         found = []
         for names, distribution in self.groups:
-            if not isinstance(distribution, Values):
+            levels = distribution.levels if isinstance(distribution, Distribution) else ()
+            if not levels:
                 needed = "values(...) or grid(...) of each parameter"
                 raise CrosscheckError(
                     f"--sampling grid of {', '.join(names)}={distribution}; needed: {needed}"
                 )
-            found.append(distribution.numbers)
+            found.append(levels)
         return found
 
     def values(self, first: int, last: int) -> Array:
@@ -181,10 +182,13 @@ def samples_of(vary: Vary, sampling: SamplingName, runs: int | None, seed: int) 
 
 
 def _distribution(names: tuple[str, ...], given: object) -> Distribution | Correlated:
-    if isinstance(given, str):
-        given = parse(given)
-    elif not isinstance(given, Distribution | Correlated) and isinstance(given, Iterable):
-        given = Values(given)
+    try:
+        if isinstance(given, str):
+            given = parse(given)
+        elif not isinstance(given, Distribution | Correlated) and isinstance(given, Iterable):
+            given = Distribution("values", tuple(given))
+    except CrosscheckError as error:
+        raise CrosscheckError(f"{', '.join(names)}={given!r:.200}: {error}") from None
     if not isinstance(given, Distribution | Correlated):
         raise CrosscheckError(f"{', '.join(names)}: {given!r:.100} is no distribution")
     count = len(given.distributions) if isinstance(given, Correlated) else 1

@@ -201,7 +201,7 @@ class Store:
             elif name == "solver":
                 what = "another version of newton_euler"
             else:
-                what = f"another plan: {name} {own.get(name)!r:.100}, not {value!r:.100}"
+                what = f"another plan: {_difference(name, own.get(name), value)}"
             elsewhere = "name another folder (--output), or remove this one"
             raise CrosscheckError(f"{self.path} holds a sweep of {what}; {elsewhere}")
         return Plan(plan.scene, plan.samples, plan.keep, plan.control, int(own["chunk"]))
@@ -237,6 +237,25 @@ class Store:
         """Return an xarray Dataset of all that is there; variables are read when they are used."""
         xarray, _ = libraries()
         return xarray.open_zarr(self.group.store, consolidated=False, chunks=None)
+
+
+def _difference(name: str, old: Any, new: Any) -> str:
+    """Word the first part of a plan that differs: its name, what it was and what it is."""
+    if name == "vary":
+        old, new = ({", ".join(names): text for *names, text in each} for each in (old, new))
+    if isinstance(new, list | dict) and sorted(old) == sorted(new) and list(old) != list(new):
+        name, old, new = f"order of {name}", ", ".join(old), ", ".join(new)
+    elif isinstance(new, dict):
+        part = next(key for key in [*old, *new] if old.get(key) != new.get(key))
+        name, old, new = (f"vary {part}" if name == "vary" else part), old.get(part), new.get(part)
+    elif isinstance(new, list):
+        gone, come = (", ".join(x for x in one if x not in two) for one, two in ((old, new), (new, old)))
+        old, new = gone or "without it", come or "without it"
+    words = [
+        f"{value:g}" if isinstance(value, float) else "not given" if value is None else str(value)
+        for value in (old, new)
+    ]
+    return f"{name} was {words[0]:.80}, is {words[1]:.80}"
 
 
 @contextmanager

@@ -8,10 +8,11 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack, cast
 
 from crosscheck.engines import ENGINES, choose
-from crosscheck.load import load_scene
+from crosscheck.load import exercised, load_scene
+from crosscheck.report.output import own_name
 from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal
 from crosscheck.report.table import Report
@@ -25,7 +26,8 @@ from crosscheck.sweeps.report import Findings, findings, report, to_record, writ
 from crosscheck.sweeps.results import Results, results_of
 from crosscheck.sweeps.sampling import SamplingName, samples_of
 from crosscheck.sweeps.store import libraries
-from newton_euler.integrators.options import IntegratorName, StepControl
+from newton_euler.integrators.options import IntegratorName, Options, StepControl
+from newton_euler.model.scene import Scene
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -41,6 +43,21 @@ class Execution(StepControl, total=False):
     executor: Executor | None
     cluster: Client | str | None
     progress: Callable[[str], None]
+
+
+ATOL = 0.01
+"""Absolute tolerance of steps by the relative one unless told otherwise, SI, as `newton_euler` has it."""
+
+
+def _control(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return all that is chosen of a method and its steps, whoever left what to defaults."""
+    method = given.get("integrator", Options.integrator)
+    steps = cast(StepControl, {name: value for name, value in given.items() if name != "integrator"})
+    options = Options.of(method, steps)
+    chosen = {"integrator": method, "step": options.step, "most_steps": options.most_steps}
+    if options.step is None:
+        chosen |= {"rtol": options.rtol, "atol": given.get("atol", ATOL * options.rtol), "rest": options.rest}
+    return {name: value for name, value in chosen.items() if value}
 
 
 def _quiet(stage: str) -> None:
@@ -136,6 +153,13 @@ class Sweep:
         show(scene, lambda recording: log_sweep(recording, scene, *told))
 
 
+def own_scene(model: Model, scene: Scene) -> Scene:
+    """Return a scene by the name of the file that it was loaded from, which may have another one inside."""
+    if isinstance(model, Scene) or not isinstance(model, str | os.PathLike):
+        return scene
+    return replace(scene, name=own_name(os.fspath(model)))
+
+
 def sweep(
     scene: Model,
     vary: Vary,
@@ -150,7 +174,7 @@ def sweep(
     """Run a scene many times with parameters from distributions, and keep chosen numbers of each run.
 
     Args:
-        scene: as of `check`.
+        scene: as of `check`; files are exercised like there.
         vary: distributions by the names of parameters, see `newton_euler.equations.parameters`: texts such as
             "normal(14, 0.5)", numbers, or a `Distribution`.
         runs: their number; None for all combinations of a grid.
@@ -159,8 +183,8 @@ def sweep(
         seed: of all random numbers.
         output: folder on disk; a sweep that was interrupted goes on there. In memory if None.
         options: `threads`, `executor` (of concurrent.futures) or `cluster` (a Dask client or an address), on
-            which it runs; `progress`, which is told how far it is; `integrator`, `rtol`, `atol`, `step` as of
-            `newton_euler.simulate`.
+            which it runs; `progress`, which is told how far it is; `integrator`, `rtol`, `atol` (a hundredth
+            of rtol unless given), `step` as of `newton_euler.simulate`.
 
     Raises:
         CrosscheckError, NewtonEulerError: for an unknown name, an impossible plan, a folder with another one,
@@ -174,11 +198,11 @@ def sweep(
         ('run', 'joint')
     """
     libraries()
-    loaded, _ = load_scene(scene, {})
+    loaded = own_scene(scene, load_scene(scene, exercised(scene, {}))[0])
     threads, executor = options.pop("threads", None), options.pop("executor", None)
     cluster, progress = options.pop("cluster", None), options.pop("progress", _quiet)
     kept = reductions(keep, loaded)
     texts = tuple(each.text if each.name == each.text else f"{each.name}={each.text}" for each in kept)
-    plan = Plan(loaded, samples_of(vary, sampling, runs, seed), texts, dict(options), 1)
+    plan = Plan(loaded, samples_of(vary, sampling, runs, seed), texts, _control(options), 1)
     with workers(threads, executor, cluster) as at:
         return Sweep(results_of(plan, None if output is None else Path(output), at, progress))

@@ -9,12 +9,6 @@ import pytest
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.sweeps.distributions import (
-    Correlated,
-    Distribution,
-    Normal,
-    TruncatedNormal,
-    Uniform,
-    Values,
     parse,
     parse_vary,
 )
@@ -65,7 +59,7 @@ def test_samples_have_the_moments_of_their_distributions(sampling):
 
 
 def test_a_latin_hypercube_has_one_run_in_each_share():
-    values = samples_of({"a": Uniform(0.0, RUNS)}, "latin_hypercube", RUNS, 1).values(0, RUNS)
+    values = samples_of({"a": f"uniform(0, {RUNS})"}, "latin_hypercube", RUNS, 1).values(0, RUNS)
     assert np.array_equal(np.sort(values[:, 0].astype(int)), np.arange(RUNS))
 
 
@@ -85,19 +79,19 @@ def test_seeds_decide(sampling):
     ("distribution", "reference"),
     [
         # half of the tail beyond 8, 6.2e-16 of all, lies beyond 8.0849; its mirror image alone is accurate
-        (TruncatedNormal(0.0, 1.0, 8.0, 20.0), 8.0849),
-        (TruncatedNormal(0.0, 1.0, -20.0, -8.0), -8.0849),
-        (Normal(1.0, 2.0), 1.0),
-        (Values([3.0, 1.0]), 1.0),
-        (Uniform(1.0, 3.0), 2.0),
+        ("truncated_normal(0, 1, 8, 20)", 8.0849),
+        ("truncated_normal(0, 1, -20, -8)", -8.0849),
+        ("normal(1, 2)", 1.0),
+        ("values(3, 1)", 1.0),
+        ("uniform(1, 3)", 2.0),
     ],
 )
-def test_medians(distribution: Distribution, reference):
-    assert distribution.quantile(np.array([0.5]))[0] == pytest.approx(reference, abs=5e-5)
+def test_medians(distribution, reference):
+    assert parse(distribution).quantile(np.array([0.5]))[0] == pytest.approx(reference, abs=5e-5)
 
 
 def test_correlated_numbers_keep_their_own_distributions():
-    group = Correlated((Uniform(0.0, 1.0), Normal(0.0, 1.0)), [[1.0, 1.0], [1.0, 1.0]])
+    group = "correlated(uniform(0, 1), normal(0, 1), [[1, 1], [1, 1]])"
     values = samples_of({("a", "b"): group}, "sobol", RUNS, 3).values(0, RUNS)
     assert np.array_equal(np.argsort(values[:, 0]), np.argsort(values[:, 1]))
     assert values[:, 0].mean() == pytest.approx(0.5, abs=1e-3)
@@ -116,24 +110,26 @@ def test_texts_of_distributions_are_read_back(text):
         ("=normal(1,2)", "not of the form NAME=DISTRIBUTION"),
         ("a=normal", "is no number"),
         ("a=3", "is no distribution"),
-        ("a=normal(1,2", "is no distribution; choose from"),
-        ("a=normal(1)", "normal takes 2 numbers, not 1"),
+        ("a=normal(1,2", "'(' was never closed"),
+        ("a=normal(1)", "normal takes 2 numbers, MEAN, DEVIATION, not 1"),
         ("a=norml(1,2)", "did you mean 'normal'?"),
         ("a=normal(1,2)+1", "is no number"),
         ("a=normal(1,1_0)", "'1_0' is no number"),
         ("a=normal(1,1e999)", "is no number"),
         ("a=normal(1,nan)", "is no number"),
-        ("a=normal(1,0)", "deviation is 0.0; needed: a positive number"),
+        ("a=normal(1,0)", "DEVIATION is 0.0; needed: a positive number"),
         ("a=uniform(2,2)", "uniform(2, 2) is an empty distribution"),
-        ("a=truncated_normal(0,1,50,60)", "is an empty distribution"),
+        ("a=truncated_normal(0,1,60,50)", "is an empty distribution"),
         ("a=values()", "values() is an empty distribution"),
-        ("a=grid(0,1,1.5)", "count is 1.5"),
+        ("a=grid(0,1,1.5)", "COUNT is 1.5"),
         ("a=__import__('os')", "is no number"),
         ("a,b=normal([1,2],[[1,2],[2,1]])", "covariance has a negative eigenvalue"),
         ("a,b=normal([1,2],[[1,2],[3,1]])", "covariance is not symmetric"),
         ("a,b=correlated(normal(1,2),uniform(1,2),[[1,0.5]])", "no matrix of 2 rows"),
-        ("a,b=correlated([[1]])", "takes other things"),
-        ("a=" + "(" * 5000 + ")" * 5000, "is no distribution"),
+        ("a,b=correlated([[1]])", "correlated takes DISTRIBUTION"),
+        ("a=normal(1;2)", "--vary 'a=normal(1;2)': there is a semicolon, where commas are needed"),
+        ("a,b=normal([1,2],[[1,0],[0,1])", "does not match"),
+        ("a=" + "(" * 5000 + ")" * 5000, "too many nested parentheses"),
     ],
 )
 def test_texts_that_are_no_distribution_are_one_line(text, words):

@@ -142,13 +142,19 @@ def test_runs_that_cannot_go_on_keep_their_error():
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"seed": 1}, "another plan: seed 0, not 1"),
-        ({"runs": 61}, "another plan: runs 60, not 61"),
-        ({"vary": {"dumbbell.mass": "uniform(1, 3)", "gravity.y": "uniform(-10, -9)"}}, "another plan: vary"),
+        ({"seed": 1}, "another plan: seed was 0, is 1;"),
+        ({"runs": 61}, "another plan: runs was 60, is 61;"),
+        (
+            {"vary": {"dumbbell.mass": "uniform(1, 3)", "gravity.y": "uniform(-10, -9)"}},
+            "another plan: vary dumbbell.mass was uniform(1, 2), is uniform(1, 3);",
+        ),
         # whose columns of random numbers would change places
-        ({"vary": {"gravity.y": "uniform(-10, -9)", "dumbbell.mass": "uniform(1, 2)"}}, "another plan: vary"),
-        ({"keep": "peak:reaction_force"}, "another plan: keep"),
-        ({"rtol": 1e-6}, "another plan: control"),
+        (
+            {"vary": {"gravity.y": "uniform(-10, -9)", "dumbbell.mass": "uniform(1, 2)"}},
+            "another plan: order of vary was dumbbell.mass, gravity.y, is gravity.y, dumbbell.mass;",
+        ),
+        ({"keep": "peak:reaction_force"}, "another plan: keep was at(1;2):dumbbell.position, is without it;"),
+        ({"rtol": 1e-6}, "another plan: rtol was 1e-10, is 1e-06;"),
         ({"scene": replace(load("pendulum"), duration=9.0)}, "another scene"),
     ],
 )
@@ -168,6 +174,7 @@ def test_another_plan_or_scene_is_refused(tmp_path, changed, words):
     ("changed", "words"),
     [
         ({"vary": {"dumbell.mass": "uniform(1, 2)"}}, "unknown parameter 'dumbell.mass'"),
+        ({"vary": {"gravity": "uniform(1, 2)"}}, "--vary gravity: it has 3 numbers; name one, gravity.x"),
         ({"keep": "final:nothing"}, "unknown output 'nothing'"),
         ({"keep": "status=peak:reaction_force"}, "'status' is the name of something else"),
         ({"keep": ()}, "nothing is kept"),
