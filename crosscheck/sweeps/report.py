@@ -33,11 +33,10 @@ from crosscheck.sweeps.pictures import MOST_POINTS, pictures, rank_of, share_of
 from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.reductions import AT, OF_MAGNITUDES, Reduction, magnitude
 from crosscheck.sweeps.results import Results
-from crosscheck.sweeps.store import unit_of
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 from newton_euler.simulate import simulate
-from newton_euler.variation import own_values
+from newton_euler.variation import own_values, unit_of
 
 if TYPE_CHECKING:
     from crosscheck.recording.sweep import Envelope
@@ -297,7 +296,7 @@ def _varied(plan: Plan) -> Table:
     rows: Rows = []
     for names, distribution in plan.samples.groups:
         nominal = ", ".join(f"{own[name]:.6g}" for name in names)
-        rows.append([", ".join(names), unit_of(names[0]), nominal, str(distribution)])
+        rows.append([", ".join(names), unit_of(plan.scene, names[0]), nominal, str(distribution)])
     return Table("what varies", texts("parameter", "unit", "nominal", "distribution"), rows, folded=True)
 
 

@@ -20,6 +20,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.sweeps.expressions import labels
 from crosscheck.sweeps.plan import DONE, STOPPED, Chunk, Plan, run_chunk
 from newton_euler.scalars import Array
+from newton_euler.variation import unit_of
 
 NAME = "sweep.zarr"
 
@@ -35,26 +36,7 @@ ABANDONED = 60.0
 FREE = ("chunk", "versions")
 """Parts of a plan's record that results do not depend on."""
 
-UNITS = {
-    "mass": "kg",
-    "inertia": "kg m^2",
-    "gravity": "m/s^2",
-    "point": "m",
-    "center_of_mass": "m",
-    "rest_length": "m",
-    "force": "N",
-    "torque": "N m",
-    "speed": "m/s",
-    "air_density": "kg/m^3",
-}
-"""Of parameters whose unit does not depend on the joint, by the last part of their names."""
-
 KEPT_GOES_ON = "what is stored is kept, the same command goes on from there"
-
-
-def unit_of(parameter: str) -> str:
-    """Return the unit of a parameter; empty where its name does not say."""
-    return next((UNITS[part] for part in reversed(parameter.split(".")) if part in UNITS), "")
 
 
 def libraries() -> tuple[Any, Any]:
@@ -136,7 +118,7 @@ class Store:
         runs, names = plan.samples.runs, labels(plan.scene)
         coordinates: dict[str, Array] = {}
         for name in plan.samples.names:
-            self._variable(name, (runs,), plan.chunk, ("run",), "f8", unit_of(name), name)
+            self._variable(name, (runs,), plan.chunk, ("run",), "f8", unit_of(plan.scene, name), name)
         for each in plan.kept:
             dimensions, sizes = [], []
             for dimension in each.dimensions:

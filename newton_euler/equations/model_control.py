@@ -23,9 +23,8 @@ from newton_euler.equations.parameters import (
     places,
     with_laws,
     with_values,
-    without_wind,
 )
-from newton_euler.equations.redundancy import mobility, rows_in_use
+from newton_euler.equations.redundancy import inherit_mobility, mobility, rows_in_use
 from newton_euler.equations.sparse import solve_constrained
 from newton_euler.equations.system import at_time
 from newton_euler.errors import MechanismError, SingularityError
@@ -34,6 +33,7 @@ from newton_euler.model.digital_control import Digital
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.model.variable import altered
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array, Scalar
 
@@ -94,6 +94,16 @@ def known_scene(scene: Scene, model: Mapping[str, Any]) -> Scene:
             raise MechanismError("model of control laws", problem, "parameters of bodies and other forces")
     numbers = {name: value if value.ndim else float(value) for name, value in values.items()}
     return without_wind(with_values(scene, numbers))
+
+
+def without_wind(scene: Scene) -> Scene:
+    """The scene without its wind, for equations alone."""
+    calm = tuple(force for force in scene.forces if not isinstance(force, WindLoad))
+    if len(calm) == len(scene.forces):
+        return scene
+    changed = altered(scene, forces=calm)
+    inherit_mobility(changed, scene)
+    return changed
 
 
 def without_control(scene: Scene, keys: Sequence[Key]) -> Scene:

@@ -72,7 +72,6 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import on_piece, piece_numbers
 from newton_euler.model.scene import Scene
 from newton_euler.model.variable import altered, functions_of
-from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import NUMBERS, Array
 
 PIECE = ".piece"
@@ -352,16 +351,6 @@ def with_laws(scene: Scene, laws: Iterable[Law]) -> Scene:
     """The scene with other control laws, which are not checked, for equations alone: nothing is output."""
     changed = altered(scene, control=tuple(laws), outputs=frozenset())
     vars(changed).pop("joint_forces", None)  # kept of the laws that have changed
-    inherit_mobility(changed, scene)
-    return changed
-
-
-def without_wind(scene: Scene) -> Scene:
-    """The scene without its wind, for equations alone."""
-    calm = tuple(force for force in scene.forces if not isinstance(force, WindLoad))
-    if len(calm) == len(scene.forces):
-        return scene
-    changed = altered(scene, forces=calm)
     inherit_mobility(changed, scene)
     return changed
 
