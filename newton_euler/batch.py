@@ -32,6 +32,7 @@ from newton_euler.integrators.options import (
     StepControl,
 )
 from newton_euler.integrators.outputs import named
+from newton_euler.integrators.run import PREPARING
 from newton_euler.integrators.side_by_side import Runs, SideBySide, go_in_lanes, load_lanes
 from newton_euler.integrators.stepper import COUNTS, counted
 from newton_euler.model.scene import Scene
@@ -155,8 +156,9 @@ def simulate_batch(
     workers = thread_count(threads)
     initial = initial_numbers(scene, parameters)
     names = tuple(name for name in parameters if name not in initial)
-    compiled = _compiled(scene, formulation, stabilization, alpha, names)
-    load_lanes(compiled, integrator)
+    with PREPARING:
+        compiled = _compiled(scene, formulation, stabilization, alpha, names)
+        load_lanes(compiled, integrator)
     count = _count(states, parameters)
     try:
         results = np.empty((count, len(scene.times), compiled.function("output").outputs))

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib.metadata import version
+from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,6 +37,9 @@ RECORDED = ("crosscheck", "numpy", "scipy", "xarray", "zarr")
 
 PLANS = 4
 """Of which a process makes runs by turns."""
+
+RESTORING = Lock()
+"""Held while a plan that was sent is restored: threads of a worker have the same one, and its code."""
 
 DONE, STOPPED = 1, 2
 """Status of a run that came to its end, and of one that could not; 0 of one that has not been made."""
@@ -74,15 +78,15 @@ class Plan:
     control: Mapping[str, Any]
     chunk: int
 
-    @cached_property
+    @property
     def kept(self) -> tuple[Reduction, ...]:
         """The reductions of each run."""
-        return reductions(self.keep, self.scene)
+        return _kept(self.scene, self.keep)[0]
 
-    @cached_property
+    @property
     def lean(self) -> Scene:
-        """The scene with those outputs alone that are needed."""
-        return pruned(self.scene, self.kept)
+        """The scene with those outputs alone that are needed: one for plans that keep the same."""
+        return _kept(self.scene, self.keep)[1]
 
     @property
     def chunks(self) -> int:
@@ -157,8 +161,21 @@ class Plan:
 
 
 @lru_cache(maxsize=PLANS)
+def _kept(scene: Scene, keep: tuple[str, ...]) -> tuple[tuple[Reduction, ...], Scene]:
+    kept = reductions(keep, scene)
+    return kept, pruned(scene, kept)
+
+
 def _restored(content: bytes) -> Plan:
-    return Plan(*pickle.loads(content))
+    with RESTORING:
+        return _plan(content)
+
+
+@lru_cache(maxsize=PLANS)
+def _plan(content: bytes) -> Plan:
+    plan = Plan(*pickle.loads(content))
+    _kept(plan.scene, plan.keep)
+    return plan
 
 
 def run_chunk(plan: Plan, k: int) -> Chunk:

@@ -41,7 +41,7 @@ COUNTED = 2**53
 """Steps that doubles count one by one."""
 
 PREPARING = threading.Lock()
-"""Held while functions are compiled in the middle of a run: other threads may be there, too."""
+"""Held while functions are compiled: threads that need the same wait for one of them."""
 
 METHODS: dict[str, Callable[..., None]] = {
     "DOP853": integrate_dop853,

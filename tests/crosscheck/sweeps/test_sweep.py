@@ -22,6 +22,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from crosscheck.sweeps.store import NAME, Store
 from newton_euler import simulate_batch
+from newton_euler.codegen.compile import NativeModule
 from newton_euler.errors import NewtonEulerError
 
 ARGUMENTS = (
@@ -74,6 +75,18 @@ def test_results_depend_on_no_thread_chunk_or_disk(reference, tmp_path, threads,
     found = sweep(*ARGUMENTS, threads=threads, output=tmp_path if on_disk else None)
     assert found.results.plan.chunk == 7
     assert_equal(found, reference)
+
+
+def test_code_is_made_once_for_all_threads_and_chunks(monkeypatch):
+    made, prepare = [], NativeModule.__init__
+
+    def noted(module, identity, *others):
+        made.append(identity)
+        prepare(module, identity, *others)
+
+    monkeypatch.setattr(NativeModule, "__init__", noted)
+    sweep(replace(load("pendulum"), duration=2.0), *ARGUMENTS[1:], threads=4)
+    assert 0 < len(made) == len(set(made))
 
 
 def test_executors_give_the_same(reference, tmp_path):
