@@ -119,7 +119,7 @@ def _newton_euler_exact(scene: Scene) -> Trajectory:
 
 
 def _newton_euler_systems(scene: Scene) -> tuple[System, ...]:
-    from newton_euler.integrators.compiled import FORMULATIONS, formulate
+    from newton_euler.integrators.formulations import FORMULATIONS, formulate
 
     return tuple(formulate(scene, name) for name in FORMULATIONS)
 

@@ -19,7 +19,7 @@ from crosscheck.report.plots import curve, png
 from crosscheck.scenes import load
 from crosscheck.scenes.tracker import TARGET_HEIGHT
 from newton_euler import simulate
-from newton_euler.integrators.compiled import STABILIZATIONS
+from newton_euler.integrators.options import STABILIZATIONS
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory

@@ -23,7 +23,8 @@ from newton_euler.errors import (
     OptionError,
     check_type,
 )
-from newton_euler.integrators.compiled import Code, baumgarte_alpha, check_formulation
+from newton_euler.integrators.compiled import Code
+from newton_euler.integrators.formulations import check_formulation
 from newton_euler.integrators.interpreted import integrate
 from newton_euler.integrators.options import (
     FormulationName,
@@ -31,6 +32,7 @@ from newton_euler.integrators.options import (
     Options,
     StabilizationName,
     StepControl,
+    baumgarte_alpha,
 )
 from newton_euler.integrators.outputs import named
 from newton_euler.integrators.run import load
@@ -64,7 +66,7 @@ def simulate(
     Args:
         scene: a mechanism with its surroundings, start and duration.
         formulation: "relative" (joint coordinates) or "cartesian" (the paper's equation 21); if None, the one
-            whose code is made sooner, see `newton_euler.integrators.compiled.cheaper_formulation`. The
+            whose code is made sooner, see `newton_euler.integrators.formulations.cheaper_formulation`. The
             trajectory's settings say which it is.
         integrator: one of `newton_euler.integrators.options.INTEGRATORS`.
         stabilization: "projection", "baumgarte" or "none".

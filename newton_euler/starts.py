@@ -38,7 +38,8 @@ from newton_euler.equations.parameters import (
 )
 from newton_euler.errors import MechanismError
 from newton_euler.integrators import stepper as m
-from newton_euler.integrators.compiled import NEUTRAL, Code, formulate
+from newton_euler.integrators.compiled import NEUTRAL, Code
+from newton_euler.integrators.formulations import formulate
 from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.projection import project, worst_joint
 from newton_euler.integrators.run import Fallback, equations, native_method

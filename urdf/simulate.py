@@ -6,8 +6,13 @@ from dataclasses import replace
 from typing import Any, Unpack
 
 from newton_euler.errors import OptionError, check_type
-from newton_euler.integrators.compiled import baumgarte_alpha
-from newton_euler.integrators.options import IntegratorName, Options, StabilizationName, StepControl
+from newton_euler.integrators.options import (
+    IntegratorName,
+    Options,
+    StabilizationName,
+    StepControl,
+    baumgarte_alpha,
+)
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.simulate import run

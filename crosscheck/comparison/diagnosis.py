@@ -15,7 +15,7 @@ from typing import Any
 from crosscheck.comparison.figure import FILE, LEVELS, OF_RUNS, OPEN, READING, REFERENCE, Figure
 from crosscheck.comparison.known_figures import Measured
 from newton_euler.equations.redundancy import NearlyRedundant
-from newton_euler.integrators.compiled import FORMULATIONS
+from newton_euler.integrators.formulations import FORMULATIONS
 
 SYSTEMS = tuple(FORMULATIONS)
 """Formulations of `OWNER`; its runs are those of the first."""

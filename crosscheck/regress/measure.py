@@ -30,8 +30,8 @@ from newton_euler import compile_scene
 from newton_euler.assemble import initial_state
 from newton_euler.equations.system import Evaluation, System, at_time
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators.compiled import FORMULATIONS, PAPER_ALPHA, formulate
-from newton_euler.integrators.options import FormulationName, IntegratorName
+from newton_euler.integrators.formulations import FORMULATIONS, formulate
+from newton_euler.integrators.options import PAPER_ALPHA, FormulationName, IntegratorName
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.state import State

@@ -22,7 +22,7 @@ from newton_euler.analysis.measurements import Measurements, measurements_from_c
 from newton_euler.analysis.sensitivity import checked_names
 from newton_euler.analysis.tangent_run import components
 from newton_euler.errors import IdentificationWarning, MechanismError, OptionError, check_type
-from newton_euler.integrators.compiled import check_formulation
+from newton_euler.integrators.formulations import check_formulation
 from newton_euler.integrators.options import FormulationName, Options, StepControl
 from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import path_text

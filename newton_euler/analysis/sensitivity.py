@@ -27,7 +27,7 @@ from newton_euler.analysis.tangent_run import (
     tangent_code,
 )
 from newton_euler.errors import OptionError, SensitivityError, check_type
-from newton_euler.integrators.compiled import check_formulation
+from newton_euler.integrators.formulations import check_formulation
 from newton_euler.integrators.options import FormulationName, Options, StepControl
 from newton_euler.integrators.outputs import named
 from newton_euler.model.scene import Scene

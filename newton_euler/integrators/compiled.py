@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from functools import cache, cached_property
 from itertools import accumulate
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, Program, differentiate
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.codegen.trigonometry import LANES
-from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.model_control import share_model_control
 from newton_euler.equations.parameters import is_kinematic, parameter_values, pieces, places, with_values
@@ -29,11 +28,10 @@ from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, m
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import Rows, RowsInUse, is_zero, least_squares
 from newton_euler.equations.system import Observation, at_time
-from newton_euler.errors import OptionError, UnknownNameError, check_choice, is_finite_number
-from newton_euler.integrators.options import FormulationName, StabilizationName
-from newton_euler.model.mechanism import Mechanism
+from newton_euler.errors import UnknownNameError
+from newton_euler.integrators.formulations import cheaper_formulation, formulate
+from newton_euler.integrators.options import baumgarte_alpha
 from newton_euler.model.scene import Scene
-from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array, Scalar, minimum
 
 SIDE_BY_SIDE = (("output",), ("position", "velocity"))
@@ -41,11 +39,6 @@ SIDE_BY_SIDE = (("output",), ("position", "velocity"))
 
 OF_POSITIONS = frozenset({"violation"})
 """Outputs that depend on q alone, as poses do."""
-
-FORMULATIONS: dict[FormulationName, Callable[[Scene, float], Formulation]] = {
-    "relative": Relative,
-    "cartesian": Cartesian,
-}
 
 NEUTRAL = frozenset(
     {"description", "duration", "output_period", "controller", "shapes", "meshes", "times", "values"}
@@ -55,48 +48,8 @@ NEUTRAL = frozenset(
 KINEMATIC = ("position", "velocity")
 """Programs that no parameter enters but those of geometry and motions; coverage takes those of the run."""
 
-STABILIZATIONS: tuple[StabilizationName, ...] = get_args(StabilizationName)
-
-PAPER_ALPHA = 10.0
-"""The paper's choice for K_D = 2 alpha, K_P = alpha^2 (Appendix B), 1/s."""
-
-PRODUCTS_PER_BODY = 75
-"""Of `SpanningTree.products`, whose elimination takes as many operations as a body and its joint take in the
-Cartesian form: 1,660 in chains, and 20 for each product. A chain of 20 takes 34,000 either way."""
-
 OPEN_TOLERANCE = 1e-9
 """Sizes of the mechanism, or rad, that a constraint may stay open after projection."""
-
-
-def baumgarte_alpha(stabilization: str, alpha: float | None) -> float:
-    """Return the alpha that equations take; raises `OptionError` for impossible choices."""
-    check_choice("stabilization", stabilization, STABILIZATIONS)
-    if alpha is None:
-        return PAPER_ALPHA if stabilization == "baumgarte" else 0.0
-    if not is_finite_number(alpha) or alpha < 0.0:
-        raise OptionError("alpha", alpha, "a number of 1/s, zero or more")
-    if stabilization != "baumgarte" and alpha > 0.0:
-        raise OptionError("alpha", alpha, f"none: stabilization is {stabilization!r}, not 'baumgarte'")
-    return float(alpha)
-
-
-def cheaper_formulation(mechanism: Mechanism) -> str:
-    """Choose the form of the equations whose code is made sooner: "relative", except along long paths."""
-    tree = SpanningTree(mechanism)
-    return "cartesian" if tree.products > PRODUCTS_PER_BODY * len(mechanism.bodies) else "relative"
-
-
-def check_formulation(formulation: str | None) -> None:
-    """Raise `UnknownNameError` for what is neither one of the `FORMULATIONS` nor None, the cheaper one."""
-    if formulation is not None:
-        check_choice("formulation", formulation, FORMULATIONS)
-
-
-def formulate(scene: Scene, formulation: str, alpha: float = 0.0) -> Formulation:
-    """Return the equations of motion of a scene in one of the `FORMULATIONS`; alpha is Baumgarte's, 1/s."""
-    if formulation not in FORMULATIONS:
-        raise UnknownNameError("formulation", formulation, tuple(FORMULATIONS))
-    return FORMULATIONS[formulation](scene, alpha)
 
 
 class Code:

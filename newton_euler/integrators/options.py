@@ -25,7 +25,12 @@ FormulationName = Literal["relative", "cartesian"]
 """The equations' unknowns: joint coordinates, or those of the bodies."""
 
 StabilizationName = Literal["projection", "baumgarte", "none"]
-"""What keeps loops closed."""
+"""Method that keeps loops closed."""
+
+STABILIZATIONS: tuple[StabilizationName, ...] = get_args(StabilizationName)
+
+PAPER_ALPHA = 10.0
+"""The paper's choice for K_D = 2 alpha, K_P = alpha^2 (Appendix B), 1/s."""
 
 MOST_FIXED_STEPS = 20_000_000
 """Of a run, if it does not say; seconds of native code for a pendulum, minutes for the largest mechanisms."""
@@ -39,6 +44,18 @@ class StepControl(TypedDict, total=False):
     step: float | None
     most_steps: int | None
     rest: float
+
+
+def baumgarte_alpha(stabilization: str, alpha: float | None) -> float:
+    """Return the alpha that equations take; raises `OptionError` for impossible choices."""
+    check_choice("stabilization", stabilization, STABILIZATIONS)
+    if alpha is None:
+        return PAPER_ALPHA if stabilization == "baumgarte" else 0.0
+    if not is_finite_number(alpha) or alpha < 0.0:
+        raise OptionError("alpha", alpha, "a number of 1/s, zero or more")
+    if stabilization != "baumgarte" and alpha > 0.0:
+        raise OptionError("alpha", alpha, f"none: stabilization is {stabilization!r}, not 'baumgarte'")
+    return float(alpha)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from mjcf.reader import Reading
 from mjcf.reading.joints import Ties
 from newton_euler import NewtonEulerError
 from newton_euler.assemble import initial_state
-from newton_euler.integrators.compiled import FORMULATIONS, formulate
+from newton_euler.integrators.formulations import FORMULATIONS, formulate
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.couplings import Gear
 from newton_euler.model.joint_kinds import (

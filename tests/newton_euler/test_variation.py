@@ -16,7 +16,7 @@ from newton_euler import simulate, simulate_batch, start, with_parameters
 from newton_euler.equations.parameters import parameter_values, unambiguous, with_values
 from newton_euler.equations.redundancy import inherit_mobility, mobility
 from newton_euler.errors import MechanismError, OptionError, UnknownNameError
-from newton_euler.integrators.compiled import formulate
+from newton_euler.integrators.formulations import formulate
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
 from newton_euler.model.digital_control import Digital

@@ -43,7 +43,8 @@ from newton_euler.batch import simulate_batch, thread_count
 from newton_euler.codegen.compile import uncollected
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
-from newton_euler.integrators.compiled import FORMULATIONS, STABILIZATIONS
+from newton_euler.integrators.formulations import FORMULATIONS
+from newton_euler.integrators.options import STABILIZATIONS
 from newton_euler.integrators.options import Options as OfMethod
 from newton_euler.integrators.outputs import named
 from newton_euler.integrators.run import Integrator

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 
 from crosscheck.errors import CrosscheckError
 from newton_euler import compile_scene
-from newton_euler.integrators.compiled import FORMULATIONS, STABILIZATIONS
-from newton_euler.integrators.options import FormulationName, StabilizationName
+from newton_euler.integrators.formulations import FORMULATIONS
+from newton_euler.integrators.options import STABILIZATIONS, FormulationName, StabilizationName
 from newton_euler.integrators.run import load
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array

@@ -26,7 +26,7 @@ from crosscheck.studies.stress.runs import (
 )
 from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators.compiled import FORMULATIONS
+from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array

@@ -25,7 +25,8 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators.compiled import FORMULATIONS, Code
+from newton_euler.integrators.compiled import Code
+from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.scene import Scene
 
 NATIVE_TOLERANCE = 1e-8

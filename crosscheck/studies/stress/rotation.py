@@ -21,7 +21,7 @@ from crosscheck.studies.stress.runs import (
     symmetric_top,
     top_error,
 )
-from newton_euler.integrators.compiled import FORMULATIONS
+from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.control import PD
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism

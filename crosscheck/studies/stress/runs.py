@@ -14,7 +14,7 @@ import urdf
 from crosscheck.comparison.energy import Balance, energy_balance
 from crosscheck.comparison.runs import positions_apart
 from newton_euler.assemble import initial_state
-from newton_euler.integrators.compiled import FORMULATIONS
+from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector
 from newton_euler.model.euler_parameters import product as quaternion_product
 from newton_euler.model.joint_kinds import Free

@@ -30,7 +30,7 @@ from newton_euler import BallArmature, BallSpring, JointSpring, Mechanism
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.exercise import random_states
-from newton_euler.integrators.compiled import FORMULATIONS, formulate
+from newton_euler.integrators.formulations import FORMULATIONS, formulate
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import UrdfError

@@ -12,7 +12,7 @@ import newton_euler
 from newton_euler import Armature, JointSpring
 from newton_euler.assemble import initial_state
 from newton_euler.errors import MechanismError
-from newton_euler.integrators.compiled import FORMULATIONS, formulate
+from newton_euler.integrators.formulations import FORMULATIONS, formulate
 from newton_euler.model.compound_joint import Compound
 
 both = pytest.mark.parametrize("formulation", FORMULATIONS)

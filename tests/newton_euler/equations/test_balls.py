@@ -16,7 +16,7 @@ from newton_euler.codegen.expression import Graph, differentiate
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
 from newton_euler.exercise import random_states
-from newton_euler.integrators.compiled import FORMULATIONS
+from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.balls import rotation_by, rotation_vector, spin, spin_rate
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint_kinds import Spherical

@@ -15,7 +15,7 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.system import at_time, constraint_rate
-from newton_euler.integrators.compiled import FORMULATIONS
+from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.scalars import Array
 from urdf.dynamics import PinocchioSystem
 

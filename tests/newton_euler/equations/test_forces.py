@@ -20,7 +20,7 @@ from mechanisms import (
 import newton_euler
 from newton_euler import PD, Body, JointSpring, Mechanism, PointSpring, Scene, State, Wrench
 from newton_euler.assemble import initial_state
-from newton_euler.integrators.compiled import FORMULATIONS, formulate
+from newton_euler.integrators.formulations import FORMULATIONS, formulate
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.joint_kinds import Free, Revolute
 

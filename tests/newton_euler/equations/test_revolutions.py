@@ -14,7 +14,7 @@ from newton_euler import Body, Gear, Mechanism, Polynomial, PrescribedMotion, Sc
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import Coupling, revolutions
 from newton_euler.errors import MechanismError
-from newton_euler.integrators.compiled import formulate
+from newton_euler.integrators.formulations import formulate
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Revolute, Screw, Translational

@@ -23,7 +23,7 @@ from newton_euler.equations.redundancy import rows_in_use
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation, System, at_time, constraint_rate
 from newton_euler.exercise import random_states
-from newton_euler.integrators.compiled import FORMULATIONS
+from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector
 from newton_euler.model.joint_kinds import Fixed, Free
 from newton_euler.model.mechanism import Body, Mechanism

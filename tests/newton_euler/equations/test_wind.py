@@ -28,7 +28,7 @@ from newton_euler import (
     wind_turbulence,
 )
 from newton_euler.equations.applied_forces import surroundings
-from newton_euler.integrators.compiled import FORMULATIONS
+from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.verification.wrenches import Wrenches
 

@@ -21,7 +21,8 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import constraint_rate
 from newton_euler.exercise import random_states
-from newton_euler.integrators.compiled import FORMULATIONS, Code, formulate
+from newton_euler.integrators.compiled import Code
+from newton_euler.integrators.formulations import FORMULATIONS, formulate
 from newton_euler.integrators.options import Options
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation

@@ -8,7 +8,7 @@ from elements import coupled_loop, coupled_tree
 
 import newton_euler
 from newton_euler.equations.relative import Relative
-from newton_euler.integrators.compiled import FORMULATIONS
+from newton_euler.integrators.formulations import FORMULATIONS
 
 
 @pytest.mark.parametrize(

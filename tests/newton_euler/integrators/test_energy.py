@@ -19,7 +19,7 @@ from crosscheck.comparison.energy import energy_balance
 from crosscheck.engines import ENGINES
 from crosscheck.scenes import load
 from newton_euler import PD, Body, JointSpring, Mechanism, Scene
-from newton_euler.integrators.compiled import FORMULATIONS
+from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.smooth_functions import Sine

@@ -15,9 +15,8 @@ from crosscheck.scenes import load
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import OptionError, UnknownNameError
-from newton_euler.integrators.compiled import STABILIZATIONS
 from newton_euler.integrators.interpreted import integrate
-from newton_euler.integrators.options import INTEGRATORS, Options
+from newton_euler.integrators.options import INTEGRATORS, STABILIZATIONS, Options
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.simulate import run

@@ -9,8 +9,7 @@ from crosscheck.scenes import load
 from newton_euler.codegen.compile import NativeFunction
 from newton_euler.codegen.native import Record
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.integrators.compiled import STABILIZATIONS
-from newton_euler.integrators.options import FIXED, Options
+from newton_euler.integrators.options import FIXED, STABILIZATIONS, Options
 from newton_euler.integrators.run import METHODS, Integrator
 from newton_euler.integrators.stepper import DONE, STATUS
 from newton_euler.simulate import CompiledScene

@@ -12,7 +12,7 @@ import newton_euler
 from newton_euler import PD, JointSpring, PointSpring, Wrench
 from newton_euler.assemble import initial_state
 from newton_euler.errors import MechanismError, UnknownNameError
-from newton_euler.integrators.compiled import FORMULATIONS
+from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.simulate import compile_scene
 

@@ -13,7 +13,7 @@ from mechanisms import ball_loop, bar, carts
 
 from newton_euler.errors import MechanismError
 from newton_euler.exercise import random_states
-from newton_euler.integrators.compiled import formulate
+from newton_euler.integrators.formulations import formulate
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.digital_control import Digital, Sampled
 from newton_euler.model.geometry import Box, Cylinder, Mesh, Sphere

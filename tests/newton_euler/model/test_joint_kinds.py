@@ -15,7 +15,8 @@ from newton_euler import Body, Mechanism, Scene, State
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
 from newton_euler.exercise import random_states
-from newton_euler.integrators.compiled import FORMULATIONS, Code
+from newton_euler.integrators.compiled import Code
+from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Planar, PointOnLine, Revolute, Rod, Spherical
