@@ -12,7 +12,16 @@ from math import sqrt
 
 from newton_euler.codegen.native import Record, Vector, native
 from newton_euler.integrators.dense_projection import Closing, close
-from newton_euler.integrators.dop853_tableau import COUPLING, DENSE, ERROR_3, ERROR_5, NODES, STAGES
+from newton_euler.integrators.dop853_tableau import (
+    COUPLING,
+    DENSE,
+    ERROR_3,
+    ERROR_5,
+    NODES,
+    SECOND,
+    SECOND_OF_STEP,
+    STAGES,
+)
 from newton_euler.integrators.projection import begin_adaptive, finish_step, project_rows
 from newton_euler.integrators.singular import HOP, HOPS, NEAR, UNSAFE, crossing_factor, evaluate
 from newton_euler.integrators.stepper import (
@@ -101,9 +110,10 @@ def stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> in
     now = method.now
     k = method.k
     weights = COUPLING[16 * s :]
+    second = int(SECOND[s])
     for i in range(n):
-        change = 0.0
-        for j in range(s):
+        change = 0.0 + weights[0] * k[i]
+        for j in range(second, s):
             change += weights[j] * k[row * j + i]
         at[i] = now[i] + h * change  # once, for each sum with the state loses digits
     at[n] = now[n] + NODES[s] * h
@@ -121,9 +131,9 @@ def error_norm(system: Equations, h: float, method: Dop853) -> float:
     third = 0.0
     for i in range(system.n):
         scale = method.atol + method.rtol * max(abs(now[i]), abs(end[i]))
-        five = 0.0
-        three = 0.0
-        for j in range(STAGES + 1):
+        five = 0.0 + ERROR_5[0] * k[i]
+        three = 0.0 + ERROR_3[0] * k[i]
+        for j in range(SECOND_OF_STEP, STAGES):
             five += ERROR_5[j] * k[row * j + i]
             three += ERROR_3[j] * k[row * j + i]
         fifth += (five / scale) * (five / scale)
@@ -146,8 +156,8 @@ def prepare_dense(n: int, h: float, method: Dop853) -> None:
         terms[2 * n + i] = 2.0 * change - h * (k[last + i] + k[i])
     for row in range(4):
         for i in range(n):
-            term = 0.0
-            for j in range(16):
+            term = 0.0 + DENSE[16 * row] * k[i]
+            for j in range(SECOND_OF_STEP, 16):
                 term += DENSE[16 * row + j] * k[(n + 1) * j + i]
             terms[(3 + row) * n + i] = h * term
 

@@ -51,6 +51,9 @@ COUPLING = (
 )
 """a, sixteen a row: the weights of earlier stages in the state of each stage."""
 
+SECOND = (1, 1, 1, 2, 2, 3, 3, 3, 3, 3, 3, 3, 5, 6, 5, 5)
+"""The second stage that has a weight in the state of each stage; the first one is stage 0."""
+
 ERROR_3 = (
     -0.18980075407240762, 0, 0, 0, 0, 4.450312892752409, 1.8915178993145003, -5.801203960010585,
     -0.4226823213237919, -0.1521609496625161, 0.20136540080403034, 0.02265179219836082, 0,
@@ -79,3 +82,6 @@ DENSE = (
 )
 """Weights of stages 0 to 15 in the last four terms of the dense output, sixteen a row."""
 # fmt: on
+
+SECOND_OF_STEP = 5
+"""The second stage that has a weight in error estimates and dense output; the first one is stage 0."""
