@@ -24,7 +24,7 @@ from newton_euler.codegen.emit import declarations, emit_straight
 from newton_euler.codegen.expression import Program
 from newton_euler.codegen.native import Signature
 from newton_euler.codegen.rolled import emit_rolled
-from newton_euler.codegen.trigonometry import LANES
+from newton_euler.codegen.trigonometry import LANES, REGISTER
 from newton_euler.scalars import Array
 
 LARGE = 9_500
@@ -127,7 +127,7 @@ class Traced(NamedTuple):
 
     Attributes:
         program: its operations.
-        many: True for code that takes several x at once.
+        many: True for code that takes several x at once, as many as there are `lanes`.
         layout: where the program has its results, for callers: anything that JSON can hold.
         straight: True for straight-line code, whatever its size.
     """
@@ -136,6 +136,7 @@ class Traced(NamedTuple):
     many: bool = False
     layout: Any = None
     straight: bool = False
+    lanes: int = REGISTER
 
 
 class NativeFunction:
@@ -163,13 +164,13 @@ class NativeFunction:
             traced = trace()
             program, many, layout = traced.program, traced.many, traced.layout
             straight = traced.straight or program.operations < LARGE
-            lanes = LANES if many else 1
+            lanes = traced.lanes if many else 1
             body = emit_straight(program, "f", lanes) if straight else emit_rolled(program, "f", lanes)
             description = program.inputs, len(program.outputs), lanes, program.operations, layout
             written = declarations(lanes) + body + _constant(DESCRIPTION, json.dumps(description))
             return written, LEVEL if straight else QUICK_LEVEL
 
-        known = f"{identity}, rolled from {LARGE}, {LANES} lanes" if identity else text()[0]
+        known = f"{identity}, rolled from {LARGE}, {REGISTER} or {LANES} lanes" if identity else text()[0]
         self.module = NativeModule(known, text, {"f": PROGRAM})
         description = json.loads(self.module.constant(DESCRIPTION))
         self.inputs, self.outputs, self.lanes, self.operations, self.layout = description

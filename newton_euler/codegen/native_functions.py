@@ -8,7 +8,7 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from newton_euler.codegen import lanes, native, translate
+from newton_euler.codegen import lanes, native, translate, trigonometry
 from newton_euler.codegen.compile import LEVEL, NativeModule
 from newton_euler.codegen.native import (
     Kind,
@@ -91,7 +91,7 @@ def text(functions: list[Callable[..., Any]]) -> str:
 def sources(functions: list[Callable[..., Any]]) -> str:
     """Read all that their text depends on: the files of native functions they may call, and the
     translator."""
-    files = {__file__, *(str(module.__file__) for module in (lanes, native, translate))}
+    files = {__file__, *(str(module.__file__) for module in (lanes, native, translate, trigonometry))}
     waiting = list(functions)
     while waiting:
         function = waiting.pop()

@@ -15,8 +15,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-LANES = 4
-"""Doubles in a vector register of today's processors."""
+REGISTER = 4
+"""Doubles in a vector register of most processors: states that a run evaluates together."""
+
+LANES = 2 * REGISTER
+"""Runs side by side: one long register, or two, of which each computes while the other waits for results."""
 
 FAR = 1e5
 """rad: up to here the number of quarter revolutions times a part of pi/2 is exact."""

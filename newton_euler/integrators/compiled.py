@@ -20,7 +20,7 @@ from newton_euler.codegen.cache import cache_key, read_cache, write_cache
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, Program, differentiate
 from newton_euler.codegen.fingerprint import fingerprint
-from newton_euler.codegen.trigonometry import LANES
+from newton_euler.codegen.trigonometry import LANES, REGISTER
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.model_control import share_model_control
 from newton_euler.equations.parameters import is_kinematic, parameter_values, pieces, places, with_values
@@ -137,8 +137,6 @@ class Code:
     def function(self, name: str, in_lanes: bool = False) -> NativeFunction:
         """Return one of the functions, traced and compiled when first needed; of `LANES` states if wanted."""
         key = f"{name} in lanes" if in_lanes else name
-        if in_lanes and name in self.functions and self.functions[name].lanes == LANES:
-            return self.functions[name]
         if key not in self.functions:
             known = self._identity_of(name)
             identity = known and f"{known} {key}"
@@ -159,7 +157,8 @@ class Code:
         """Return one of the programs with its layout."""
         group = next((group for group in SIDE_BY_SIDE if name in group), ())
         many = len(group) > 0 and all(self.program(other).operations < LARGE for other in group)
-        return Traced(self.program(name), many or in_lanes, self._layouts.get(name))
+        lanes = LANES if in_lanes else REGISTER
+        return Traced(self.program(name), many or in_lanes, self._layouts.get(name), lanes=lanes)
 
     def _identity_of(self, name: str) -> str | None:
         """Fingerprint of everything that a program, or the choice of "rows", depends on."""

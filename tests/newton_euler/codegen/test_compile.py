@@ -24,7 +24,7 @@ from newton_euler.codegen.compile import LEVEL, NativeFunction, NativeModule, Tr
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.native import Callback, NativeError, Record, Signature, Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions, text
-from newton_euler.codegen.trigonometry import LANES
+from newton_euler.codegen.trigonometry import REGISTER
 from newton_euler.errors import OptionError
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.run import load, native_method
@@ -346,9 +346,9 @@ def test_native_functions_mean_what_python_means(cache):
 def test_several_at_once_are_what_each_is_alone(cache):
     program = traced(everything, 3)
     many = NativeFunction(lambda: Traced(program, many=True))
-    assert many.lanes == LANES > 1
+    assert many.lanes == REGISTER > 1
     rng = np.random.default_rng(0)
-    near = rng.standard_normal((3, LANES))
+    near = rng.standard_normal((3, REGISTER))
     far = near.copy()
     far[:, 1] *= 1e7  # beyond the polynomials of sine and cosine, in one lane alone
     for given in (near, far):

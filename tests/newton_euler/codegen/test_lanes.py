@@ -155,7 +155,7 @@ def scalar_and_lanes(function, seed: int, f=None) -> tuple[list[np.ndarray], lis
         row = Row(4, 0.7, own[1], shared, f and NativeFunction(lambda: Traced(f)))
         NativeFunctions([function])(function, row, own[0])
         alone.append(own)
-    row = Row(4, 0.7, y, shared, f and NativeFunction(lambda: Traced(f, many=True)))
+    row = Row(4, 0.7, y, shared, f and NativeFunction(lambda: Traced(f, many=True, lanes=LANES)))
     NativeFunctions([function], side_by_side=True)(function, row, x)
     return [np.stack(each, axis=1) for each in zip(*alone, strict=True)], [x, y]
 
@@ -180,7 +180,7 @@ def test_programs_are_the_same_in_lanes(emit, monkeypatch):
     monkeypatch.setattr("newton_euler.codegen.compile.LARGE", 1 if emit is emit_rolled else 10**9)
     program = traced(everything, 3)
     single = NativeFunction(lambda: Traced(program))
-    many = NativeFunction(lambda: Traced(program, many=True))
+    many = NativeFunction(lambda: Traced(program, many=True, lanes=LANES))
     given = np.random.default_rng(0).standard_normal((3, LANES))
     given[1, 2] *= 1e7
     alone = np.stack([single(np.ascontiguousarray(lane)) for lane in given.T], axis=1)

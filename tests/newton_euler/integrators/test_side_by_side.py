@@ -7,7 +7,7 @@ import pytest
 
 from crosscheck.scenes import load
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.codegen.trigonometry import LANES
+from newton_euler.codegen.trigonometry import LANES, REGISTER
 from newton_euler.exercise import random_states
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.dense_projection import ROUND_OFF
@@ -21,7 +21,7 @@ from newton_euler.simulate import CompiledScene
 
 def recorded(code, times, table):
     """The rows after the first, and what came of it."""
-    assert code.function("position").lanes == code.function("velocity").lanes == LANES > 1
+    assert code.function("position").lanes == code.function("velocity").lanes == REGISTER > 1
     counts, table = np.zeros(m.COUNTS), table.copy()
     system = equations(code, Fallback(code), code.function("derivative"), np.zeros(code.size), counts)
     x = code.start.copy()
@@ -35,7 +35,7 @@ def recorded(code, times, table):
 def test_rows_are_what_each_is_alone(scene, far):
     """A group of as many as there are lanes and one of fewer, with and without rows that need more steps."""
     code, rng = CompiledScene(load(scene)), np.random.default_rng(0)
-    rows, start = 1 + LANES + 2, code.start
+    rows, start = 1 + REGISTER + 2, code.start
     times, table = np.linspace(0.0, 1.0, rows), np.tile(start[: code.size], (rows, 1))
     table[1:] += 1e-6 * rng.standard_normal((rows - 1, code.size))
     for row in far:
@@ -56,12 +56,12 @@ def test_rows_are_what_each_is_alone(scene, far):
 
 def test_a_row_that_cannot_be_closed_ends_it_and_those_before_it_are_kept():
     code = CompiledScene(load("four_bar"))
-    rows = 1 + 2 * LANES
+    rows = 1 + 2 * REGISTER
     times, table = np.linspace(0.0, 1.0, rows), np.tile(code.start[: code.size], (rows, 1))
-    table[1 + LANES + 1] = np.nan
+    table[1 + REGISTER + 1] = np.nan
     status, found, written = recorded(code, times, table)
     assert status != m.DONE
-    assert written == 1 + LANES + 1
+    assert written == 1 + REGISTER + 1
     assert np.isfinite(found[:written]).all()
 
 
@@ -77,20 +77,23 @@ def test_states_without_constraints_are_left_as_they_are() -> None:
 # Runs
 
 
+RUNS = LANES + 3
+"""So that some lanes make a second one."""
+
 FIXED = {"integrator": "RK4", "step": 5e-3}
 
 
 @pytest.fixture(scope="module")
 def starts():
-    """Compiled scenes, and states of seven runs of each."""
+    """Compiled scenes, and states of runs of each."""
     known = {}
 
     def of(name, formulation, parameters=()):
         if (name, formulation) not in known:
             scene = replace(load(name), duration=1.5, output_period=0.1)
             code = CompiledScene(scene, formulation, parameters=parameters)
-            x = np.tile(code.start, (7, 1))
-            for k, state in enumerate(random_states(scene, 7)):
+            x = np.tile(code.start, (RUNS, 1))
+            for k, state in enumerate(random_states(scene, RUNS)):
                 x[k, : code.size] = np.concatenate(code.system.coordinates(state))
             known[name, formulation] = code, x
         return known[name, formulation]
@@ -128,7 +131,9 @@ def in_groups(code, x, options, groups):
     return runs.results, [m.counted(counts) for counts in runs.counts], errors
 
 
-@pytest.mark.parametrize("groups", [[[*range(7)]], [[6, 0], [3], [5, 4, 2, 1]]], ids=["one", "three"])
+@pytest.mark.parametrize(
+    "groups", [[[*range(RUNS)]], [[6, 0], [3], [5, 4, 2, 1, *range(7, RUNS)]]], ids=["one", "three"]
+)
 @pytest.mark.parametrize(
     ("name", "formulation", "control"),
     [
@@ -171,7 +176,7 @@ def test_a_run_that_fails_leaves_the_others_as_they_are(starts):
     x[[2, 5], code.place("gravity")] = 1e200
     results, counts, errors = one_by_one(code, x, options)
     assert list(errors) == [2, 5]
-    found = in_groups(code, x, options, [[*range(7)]])
+    found = in_groups(code, x, options, [[*range(RUNS)]])
     assert found[0].tobytes() == results.tobytes()
     assert found[1:] == (counts, errors)
 
@@ -184,5 +189,6 @@ def test_large_programs_run_in_lanes(starts, monkeypatch):
     options = Options(rtol=1e-6, atol=1e-8)
     assert code.function("derivative", in_lanes=True).lanes == LANES
     assert (
-        in_groups(code, x, options, [[*range(7)]])[0].tobytes() == one_by_one(code, x, options)[0].tobytes()
+        in_groups(code, x, options, [[*range(RUNS)]])[0].tobytes()
+        == one_by_one(code, x, options)[0].tobytes()
     )
