@@ -5,17 +5,16 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from pathlib import Path
-from types import FunctionType
 from typing import Any
 
-from newton_euler.codegen import lanes, native, translate, trigonometry
+from newton_euler.codegen import lanes, translate
 from newton_euler.codegen.compile import LEVEL, NativeModule
+from newton_euler.codegen.fingerprint import SOURCE
 from newton_euler.codegen.native import (
     Kind,
     NativeError,
     Signature,
     address_of,
-    is_native,
     signature_of,
 )
 
@@ -36,7 +35,9 @@ class NativeFunctions:
         """Compile them, for one run or for several side by side, see `newton_euler.codegen.lanes`."""
         written = lanes.text_of if side_by_side else text
         signatures = {function.__name__: signature_of(function) for function in functions}
-        identity = f"{written.__name__} {' '.join(signatures)}" + sources(functions)
+        files = sorted({function.__code__.co_filename for function in functions})  # of users, perhaps
+        texts = [Path(file).read_text(encoding="utf-8") for file in files]
+        identity = "\n".join([SOURCE.hex(), written.__name__, *signatures, *texts])
         self.module = NativeModule(identity, lambda: (written(functions), LEVEL), signatures, optimize=True)
         self._calls = {
             name: _ctypes(signature)(self.module.addresses[name]) for name, signature in signatures.items()
@@ -86,18 +87,3 @@ def text(functions: list[Callable[..., Any]]) -> str:
                     raise NativeError(f"two tables are called {name}")
             waiting.extend(translator.callees)
     return "\n".join([DECLARATIONS, *tables.values(), *done.values()])
-
-
-def sources(functions: list[Callable[..., Any]]) -> str:
-    """Read all that their text depends on: the files of native functions they may call, and the
-    translator."""
-    files = {__file__, *(str(module.__file__) for module in (lanes, native, translate, trigonometry))}
-    waiting = list(functions)
-    while waiting:
-        function = waiting.pop()
-        if function.__code__.co_filename not in files:
-            files.add(function.__code__.co_filename)
-            waiting += (
-                f for f in function.__globals__.values() if isinstance(f, FunctionType) and is_native(f)
-            )
-    return "".join(Path(file).read_text(encoding="utf-8") for file in sorted(files))
