@@ -19,6 +19,7 @@ from crosscheck.sweeps.sampling import Samples
 from newton_euler.batch import Batch, simulate_batch
 from newton_euler.codegen.fingerprint import SOURCE, fingerprint
 from newton_euler.errors import NewtonEulerError
+from newton_euler.integrators.options import Options
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 from newton_euler.variation import with_parameters
@@ -79,14 +80,19 @@ class Plan:
     chunk: int
 
     @property
+    def integrator(self) -> str:
+        """The method."""
+        return str(self.control.get("integrator", Options.integrator))
+
+    @property
     def kept(self) -> tuple[Reduction, ...]:
         """The reductions of each run."""
-        return _kept(self.scene, self.keep)[0]
+        return _kept(self.scene, self.keep, self.integrator)[0]
 
     @property
     def lean(self) -> Scene:
         """The scene with those outputs alone that are needed: one for plans that keep the same."""
-        return _kept(self.scene, self.keep)[1]
+        return _kept(self.scene, self.keep, self.integrator)[1]
 
     @property
     def chunks(self) -> int:
@@ -161,9 +167,9 @@ class Plan:
 
 
 @lru_cache(maxsize=PLANS)
-def _kept(scene: Scene, keep: tuple[str, ...]) -> tuple[tuple[Reduction, ...], Scene]:
+def _kept(scene: Scene, keep: tuple[str, ...], integrator: str) -> tuple[tuple[Reduction, ...], Scene]:
     kept = reductions(keep, scene)
-    return kept, pruned(scene, kept)
+    return kept, pruned(scene, kept, integrator)
 
 
 def _restored(content: bytes) -> Plan:
@@ -174,7 +180,7 @@ def _restored(content: bytes) -> Plan:
 @lru_cache(maxsize=PLANS)
 def _plan(content: bytes) -> Plan:
     plan = Plan(*pickle.loads(content))
-    _kept(plan.scene, plan.keep)
+    _kept(plan.scene, plan.keep, plan.integrator)
     return plan
 
 

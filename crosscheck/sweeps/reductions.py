@@ -15,6 +15,7 @@ import numpy as np
 from crosscheck.errors import CrosscheckError
 from crosscheck.sweeps.expressions import ASKED, Expression, Outputs, Value, norm
 from newton_euler.errors import choices, plain_number
+from newton_euler.integrators.options import FIXED
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
@@ -219,9 +220,12 @@ def _places(given: str, scene: Scene) -> tuple[int, ...]:
     return tuple(places)
 
 
-def pruned(scene: Scene, kept: Iterable[Reduction]) -> Scene:
-    """Return the scene with the outputs alone that reductions take, and the last alone if that suffices."""
+def pruned(scene: Scene, kept: Iterable[Reduction], integrator: str) -> Scene:
+    """Return the scene with the outputs alone that reductions take, and the last alone if that suffices.
+
+    Steps of fixed size divide the time between outputs, so that these methods need all.
+    """
     asked = {ASKED[name] for each in kept for name in each.expression.quantities}
     outputs = frozenset(name for name in asked if name)
-    alone = not any(each.needs_all_times for each in kept)
+    alone = integrator not in FIXED and not any(each.needs_all_times for each in kept)
     return replace(scene, outputs=outputs, output_period=scene.duration if alone else scene.output_period)

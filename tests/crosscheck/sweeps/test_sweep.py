@@ -77,6 +77,15 @@ def test_results_depend_on_no_thread_chunk_or_disk(reference, tmp_path, threads,
     assert_equal(found, reference)
 
 
+def test_what_else_is_kept_changes_no_steps_of_fixed_size():
+    steps = {"integrator": "Euler", "step": 7e-3}
+    alone, beside = (
+        sweep(*ARGUMENTS[:2], 3, keep, **steps).dataset["final:dumbbell.position"].values
+        for keep in ("final:dumbbell.position", "final:dumbbell.position,peak:reaction_force")
+    )
+    assert np.array_equal(alone, beside)
+
+
 def test_code_is_made_once_for_all_threads_and_chunks(monkeypatch):
     made, prepare = [], NativeModule.__init__
 
