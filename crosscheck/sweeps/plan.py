@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import platform
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -17,6 +18,7 @@ from crosscheck.sweeps.expressions import ASKED, DIMENSIONS, Outputs, labels
 from crosscheck.sweeps.reductions import Reduction, pruned, reductions
 from crosscheck.sweeps.sampling import Samples
 from newton_euler.batch import Batch, simulate_batch
+from newton_euler.codegen.compile import llvm_binding
 from newton_euler.codegen.fingerprint import SOURCE, fingerprint
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.options import Options
@@ -159,11 +161,19 @@ class Plan:
             "sampling": self.samples.sampling,
             "runs": self.samples.runs,
             "seed": self.samples.seed,
+            "samples": self.samples.digest,
+            "processor": processor(),
             "keep": list(self.keep),
             "control": dict(self.control),
             "chunk": self.chunk,
             "versions": {name: version(name) for name in RECORDED},
         }
+
+
+def processor() -> str:
+    """Word what results depend on to the last bit: native code adds products in one operation if it can."""
+    fused = llvm_binding().get_host_cpu_features().get("fma", False)
+    return f"{platform.machine()} {'with' if fused else 'without'} FMA"
 
 
 @lru_cache(maxsize=PLANS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
+from hashlib import sha256
 from math import prod
 from typing import Literal, get_args
 
@@ -30,6 +31,9 @@ MOST_RUNS = 2**32
 
 LARGEST_DESIGN = 2**26
 """Numbers of a plan that is made as a whole, 512 MB; others are made where they are needed."""
+
+DIGESTED = 1024
+"""Runs whose values are hashed."""
 
 WHOLE = ("latin_hypercube", "saltelli")
 """Samplings whose plan is made as a whole."""
@@ -110,6 +114,11 @@ class Samples:
             else:
                 parts.append(distribution.quantile(own[:, 0])[:, None])
         return np.concatenate(parts, axis=1)
+
+    @property
+    def digest(self) -> str:
+        """A hash of the first runs' values: other versions of packages may draw others by the same seed."""
+        return sha256(self.values(0, min(self.runs, DIGESTED)).tobytes()).hexdigest()[:16]
 
     def _shares(self, first: int, last: int) -> Array:
         """Return shares between 0 and 1 (last - first, parameters)."""

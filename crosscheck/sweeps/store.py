@@ -34,7 +34,7 @@ ABANDONED = 60.0
 """s after which these are those of a process that was killed."""
 
 FREE = ("chunk", "versions")
-"""Parts of a plan's record that results do not depend on."""
+"""Parts of a plan's record that results do not depend on: of packages, samples do, which are compared."""
 
 KEPT_GOES_ON = "what is stored is kept, the same command goes on from there"
 
@@ -180,6 +180,10 @@ class Store:
                 what = f"another scene, or another version of {own.get('scene')!r:.100}"
                 if own.get("solver") != record["solver"]:
                     continue  # which is in the fingerprint, too
+            elif name == "samples":
+                what = "other samples by the same seed, of other versions of packages"
+            elif name == "processor":
+                what = f"other processors, {own.get(name)!r:.100}, not {value}"
             elif name == "solver":
                 what = "another version of newton_euler"
             else:

@@ -12,6 +12,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from random import Random
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,9 +21,10 @@ import crosscheck.sweeps.results
 from crosscheck import Sweep, sweep
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
+from crosscheck.sweeps.sampling import _whole
 from crosscheck.sweeps.store import NAME, Store
 from newton_euler import simulate_batch
-from newton_euler.codegen.compile import NativeModule
+from newton_euler.codegen.compile import NativeModule, llvm_binding
 from newton_euler.errors import NewtonEulerError
 
 ARGUMENTS = (
@@ -190,6 +192,28 @@ def test_another_plan_or_scene_is_refused(tmp_path, changed, words):
     assert words in str(caught.value)
     assert "name another folder" in str(caught.value)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("crosscheck.sweeps.sampling.qmc.LatinHypercube", "other samples"),
+        ("crosscheck.sweeps.plan.llvm_binding", "other processors"),
+    ],
+)
+def test_another_package_or_processor_is_refused(tmp_path, monkeypatch, place, words):
+    def other(size=0, seed=0):
+        features = {"fma": not llvm_binding().get_host_cpu_features().get("fma", False)}
+        return SimpleNamespace(
+            random=lambda runs: np.full((runs, size), 0.5), get_host_cpu_features=lambda: features
+        )
+
+    sweep(*ARGUMENTS, sampling="latin_hypercube", output=tmp_path)
+    _whole.cache_clear()
+    monkeypatch.setattr(place, other)
+    with pytest.raises(CrosscheckError, match=f"holds a sweep of {words}"):
+        sweep(*ARGUMENTS, sampling="latin_hypercube", output=tmp_path)
+    _whole.cache_clear()
 
 
 @pytest.mark.parametrize(
