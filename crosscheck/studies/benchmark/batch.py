@@ -1,4 +1,4 @@
-"""Many runs of one scene: runs per second of newton_euler and MuJoCo, on one thread and on all cores.
+"""Many runs of one scene: runs per second of newton_euler and others, on one thread and on all cores.
 
 newton_euler's runs are side by side in the lanes of vector registers; as many as `ALONE` says are also made
 one by one by scalar code, on one thread, with the same results to the last bit.
@@ -6,8 +6,8 @@ one by one by scalar code, on one thread, with the same results to the last bit.
 Runs start from random consistent states. Each engine has the setting that runs a sample of these very states
 in the least time with none of them further off than the wanted error. newton_euler delivers the poses of all
 bodies at all outputs. `mujoco.rollout` delivers MuJoCo's full physics state (time, qpos, qvel) after every
-step, of which qpos at outputs is kept; poses are not worked out. States are made, and turned into each
-engine's own, before.
+step, of which qpos at outputs is kept; poses are not worked out. Exudyn, where it is installed, delivers its
+coordinates at outputs. States are made, and turned into each engine's own, before.
 """
 
 from __future__ import annotations
@@ -18,13 +18,16 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError
+from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import time_limit
 from crosscheck.report.table import Lines, Part, Rows, Table, figures, texts
+from crosscheck.studies.benchmark import exudyn
 from crosscheck.studies.benchmark.ladders import (
     JUDGED,
     STEPS,
@@ -82,6 +85,7 @@ DELIVERED = {
     JUDGED: "poses of all bodies at all outputs",
     SCALAR: "the same, by scalar code",
     "mujoco": "time, qpos and qvel after every step, of which qpos at outputs is kept",
+    "exudyn": "coordinates at all outputs",
 }
 """Included in the time of a run, by engine."""
 
@@ -212,6 +216,37 @@ class MuJoCo:
         return Done(seconds, begun - start, lambda: [rollout.poses(qpos) for qpos in runs])
 
 
+class Exudyn:
+    """`exudyn.processing.ParameterVariation`, whose threads are processes."""
+
+    name = "exudyn"
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._redundant = exudyn.redundant(scene)
+
+    def ladders(self) -> Iterator[Ladder]:
+        yield from exudyn.ladders(output_interval(self._scene), self._redundant)
+
+    def run(self, options: Options, states: Sequence[State], threads: int) -> Done:
+        start = time.perf_counter()
+        left_out = self._redundant[options["element"]]
+        with TemporaryDirectory() as folder:
+            task = Path(folder) / "task"
+            model = exudyn.prepare(task, self._scene, options, left_out, states)
+            begun = time.perf_counter()
+            runs = exudyn.vary(task, len(states), threads)
+            seconds = time.perf_counter() - begun
+
+        def poses() -> list[Poses]:
+            rows = [run for run in runs if run is not None]
+            if len(rows) < len(runs):
+                raise CrosscheckError(f"Exudyn cannot go on in {len(runs) - len(rows)} runs")
+            return [model.poses(each) for each in rows]
+
+        return Done(seconds, begun - start, poses, sum(run is None for run in runs))
+
+
 # Settings
 
 
@@ -248,7 +283,7 @@ def cheapest(
         reaching = [choice for choice in tried if choice.error <= error]
     if not reaching:
         least = min(choice.error for choice in tried)
-        reason = f"does not reach an error of {error:g} on all of {len(states)} runs"
+        reason = f"does not reach an error of {error:g} on all of {len(states)} runs in {LONGEST:g} s"
         raise CrosscheckError(f"{engine.name} {reason}; the least is {least:.1e}")
     return min(reaching, key=lambda choice: choice.seconds)
 
@@ -304,13 +339,14 @@ class Rate(Timed):
 
 @dataclass(frozen=True)
 class BatchBenchmark:
-    """Rates of both engines.
+    """Rates of all engines.
 
     Attributes:
         duration, outputs: s and number of outputs of each run.
         error: m or rad, what settings had to reach.
         uncertainty: m or rad, of the sample's reference.
         sample, unknown: runs of the sample with and without a reference.
+        missing: engines that take no part, and why.
     """
 
     duration: float
@@ -320,6 +356,7 @@ class BatchBenchmark:
     sample: int
     unknown: int
     rates: tuple[Rate, ...]
+    missing: dict[str, str]
 
 
 def thread_counts() -> tuple[int, ...]:
@@ -341,10 +378,10 @@ def rarer(scene: Scene, runs: int) -> Scene:
 
 
 def benchmark_batch(given: Scene, runs: int, error: float, progress: Progress) -> BatchBenchmark:
-    """Measure the throughput of both engines at an error; `progress` is told each stage.
+    """Measure the throughput of all engines at an error; `progress` is told each stage.
 
     Raises:
-        CrosscheckError: for a scene that cannot be benchmarked, and an error that an engine cannot reach.
+        CrosscheckError: for a scene that cannot be benchmarked, and an error that newton_euler cannot reach.
         NewtonEulerError: for a mechanism that hardly ever closes from nearby.
     """
     scene = rarer(poses_only(given), runs)
@@ -355,23 +392,34 @@ def benchmark_batch(given: Scene, runs: int, error: float, progress: Progress) -
     if uncertainty > error:
         raise CrosscheckError(f"--error {error:g}: the reference is known to {uncertainty:.1e} only")
     known, poses = [sample[k] for k in exact], list(exact.values())
-    engines: tuple[Engine, ...] = Own(scene), MuJoCo(scene, given.output_period)
-    choices = [cheapest(engine, known, poses, error, progress) for engine in engines]
-    most = LIMIT * len(known) / choices[1].seconds
-    shares = [states, states[: max(len(known), int(most))]]
-    cases = [*product(zip(engines, choices, shares, strict=True), thread_counts())]
-    cases.append(((Scalar(scene), choices[0], states[:: min(ALONE, runs)]), 1))
+    own = Own(scene)
+    choice = cheapest(own, known, poses, error, progress)
+    shares: list[tuple[Engine, Choice, Sequence[State]]] = [(own, choice, states)]
+    missing: dict[str, str] = {}
+    others: dict[str, Callable[[Scene], Engine]]
+    others = {"mujoco": partial(MuJoCo, period=given.output_period), "exudyn": Exudyn}
+    for name, load in others.items():
+        try:
+            other = load(scene)
+            found = cheapest(other, known, poses, error, progress)
+        except (NewtonEulerError, CrosscheckError) as reason:
+            missing[name] = reason_of(reason)
+            continue
+        most = LIMIT * len(known) / found.seconds
+        shares.append((other, found, states[: max(len(known), int(most))]))
+    cases = [*product(shares, thread_counts())]
+    cases.append(((Scalar(scene), choice, states[:: min(ALONE, runs)]), 1))
     firsts: dict[str, Done] = {}
     calls = [partial(_timed, *case, threads, firsts) for case, threads in cases]
     times = in_turns(calls, [REPEATS] * len(calls), progress)
     rates = []
-    for ((engine, choice, own), threads), row in zip(cases, times, strict=True):
+    for ((engine, chosen, share), threads), row in zip(cases, times, strict=True):
         first = firsts[engine.name]
-        of_sample = engine.name, choice.name, choice.error
-        rates.append(Rate(*of_sample, threads, len(own), first.setup, first.failed, row))
+        of_sample = engine.name, chosen.name, chosen.error
+        rates.append(Rate(*of_sample, threads, len(share), first.setup, first.failed, row))
     unknown = len(sample) - len(known)
-    outputs = len(scene.times)
-    return BatchBenchmark(scene.duration, outputs, error, uncertainty, len(known), unknown, tuple(rates))
+    made = scene.duration, len(scene.times), error, uncertainty, len(known), unknown
+    return BatchBenchmark(*made, tuple(rates), missing)
 
 
 def _timed(
@@ -418,4 +466,5 @@ def parts(result: BatchBenchmark) -> list[Part]:
             failed = f"; {rate.failed} runs could not go on" if rate.failed else ""
             made = f"{rate.setting} (error {rate.error:.1e}); delivers {DELIVERED[rate.engine]}"
             lines.append(f"{rate.engine}: {made}{failed}")
+    lines += [f"{name} takes no part: {reason}" for name, reason in result.missing.items()]
     return [table, Lines("", lines)]

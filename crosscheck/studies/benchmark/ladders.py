@@ -107,7 +107,7 @@ def _by_tolerance(method: str, first: int, last: int, share: float, **options: A
     return Ladder(f"{method}, atol = {share:g} rtol", finer, range(first, last + 1))
 
 
-def _by_step(method: str, option: str, interval: float, numbers: Sequence[int], **options: Any) -> Ladder:
+def by_step(method: str, option: str, interval: float, numbers: Sequence[int], **options: Any) -> Ladder:
     """A ladder of numbers of steps from one output to the next, `interval` s later; `option` sets them."""
 
     def finer(number: int) -> tuple[str, Options]:
@@ -156,7 +156,7 @@ def _load_own(scene: Scene, formulation: FormulationName, stabilization: Stabili
     ladders, interval = adaptive_ladders(formulation, stabilization), output_interval(scene)
     for integrator in ("RK4", "Euler"):
         method, numbers = f"{formulation}, {stabilization}, {integrator}", (1, 2, 5, 10, 20, 50)
-        ladders.append(_by_step(method, "step", interval, numbers, integrator=integrator))
+        ladders.append(by_step(method, "step", interval, numbers, integrator=integrator))
 
     def run(options: Options) -> Run:
         found = compiled.simulate(**options)
@@ -181,7 +181,7 @@ step (10 ms) where they do."""
 def mujoco_ladders(interval: float, numbers: Sequence[int] = STEPS) -> list[Ladder]:
     """MuJoCo's methods, with outputs `interval` s apart."""
     return [
-        _by_step(
+        by_step(
             f"{integrator}, solref (2 steps, {ratio:g})",
             "number",
             interval,

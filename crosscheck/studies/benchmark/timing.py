@@ -14,7 +14,7 @@ import numpy as np
 
 from newton_euler.codegen.compile import uncollected
 
-PACKAGES = ("crosscheck", "numpy", "scipy", "llvmlite", "mujoco", "pin")
+PACKAGES = ("crosscheck", "numpy", "scipy", "llvmlite", "mujoco", "pin", "exudyn")
 """Whose versions are recorded."""
 
 MESSAGES = 5

@@ -157,7 +157,11 @@ def test_the_setting_is_the_quickest_of_all_methods():
         choice([method(1, 0.5)], 1e-10)
 
 
-def test_a_batch_is_measured_for_both_engines(monkeypatch, tracker):
+def refused(scene):
+    raise CrosscheckError("made up")
+
+
+def test_a_batch_is_measured_for_the_engines_that_can(monkeypatch, tracker):
     monkeypatch.setattr(batch, "LIMIT", 0.5)
     monkeypatch.setattr(batch, "SAMPLE", 2)
     monkeypatch.setattr(batch, "REPEATS", 2)
@@ -166,6 +170,7 @@ def test_a_batch_is_measured_for_both_engines(monkeypatch, tracker):
     for engine, setting in ((Own, own_setting), (MuJoCo, other_setting)):
         ladder = Ladder("method", lambda n, setting=setting: ("setting", setting), [1])
         monkeypatch.setattr(engine, "ladders", lambda self, ladder=ladder: iter([ladder]))
+    monkeypatch.setattr(batch, "Exudyn", refused)
     result = batch.benchmark_batch(tracker, 4, 1e-5, lambda message: None)
     counts = batch.thread_counts()
     own, other = result.rates[: len(counts)], result.rates[len(counts) : -1]
@@ -181,6 +186,7 @@ def test_a_batch_is_measured_for_both_engines(monkeypatch, tracker):
     assert (result.rates[-1].engine, result.rates[-1].threads) == (batch.SCALAR, 1)
     assert len(table.rows) == 2 * len(counts) + 1
     assert lines.lines[2].startswith("newton_euler: method, setting (error ")
+    assert lines.lines[-1] == "exudyn takes no part: made up"
     for rate in result.rates:
         assert len(rate.times) == 2
         assert rate.per_second == rate.runs / np.median(rate.times)
