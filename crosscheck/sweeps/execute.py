@@ -40,6 +40,9 @@ USUAL_WORKERS = 32
 RETRIES = 3
 """Times that a cluster makes a task again whose worker was lost."""
 
+PROBE = 0.05
+"""s that runs take by which their speed is told."""
+
 PATIENCE = "10s"
 """For a cluster to answer."""
 
@@ -192,11 +195,11 @@ def span(seconds: float) -> str:
 
 def probed(make: Callable[[int], Any], runs: int) -> float:
     """Measure the runs per second of one worker with as few as tell it; the code is compiled before."""
-    make(1)
-    count, taken = 4, 0.0
-    while taken < 0.05 and count < runs:
-        count = min(4 * count, runs)
+    count = 1
+    while True:
         start = time.perf_counter()
         make(count)
         taken = time.perf_counter() - start
-    return count / max(taken, 1e-3)
+        if taken >= PROBE or count == runs:
+            return count / max(taken, 1e-3)
+        count = min(4 * count, runs)

@@ -96,7 +96,7 @@ def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[
     with tidied_up():
         progress("compiling")
         run_all(plan, plan.parameters(0, 1))
-        store, plan = _opened(plan, path, at)
+        store, plan = _opened(plan, path, at, progress)
         made = _make(plan, store, at, progress)
     dataset = store.dataset()
     wall_time = time.perf_counter() - start
@@ -121,7 +121,9 @@ def _check_names(plan: Plan) -> None:
             raise CrosscheckError(f"--vary {name}: it has {np.prod(shape)} numbers; name one, {example}")
 
 
-def _opened(plan: Plan, path: Path | None, at: Workers) -> tuple[Store, Plan]:
+def _opened(
+    plan: Plan, path: Path | None, at: Workers, progress: Callable[[str], None]
+) -> tuple[Store, Plan]:
     """Open the store of a sweep, or make one; returns it and the plan with its chunks."""
     if path is not None:
         if path.exists():
@@ -130,6 +132,7 @@ def _opened(plan: Plan, path: Path | None, at: Workers) -> tuple[Store, Plan]:
             return store, store.check_same(plan)
         check_writable(path)
     runs = plan.samples.runs
+    progress("timing some runs")
     rate = probed(lambda count: run_all(plan, plan.parameters(0, count)), runs)
     most = -(-runs // (TASKS_PER_WORKER * at.count()))
     task = max(TASK, OVERHEAD * at.count())

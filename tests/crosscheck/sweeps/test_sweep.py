@@ -17,10 +17,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import crosscheck.sweeps.execute
 import crosscheck.sweeps.results
 from crosscheck import Sweep, sweep
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
+from crosscheck.sweeps.execute import probed
 from crosscheck.sweeps.sampling import _whole
 from crosscheck.sweeps.store import NAME, Store
 from newton_euler import simulate_batch
@@ -98,6 +100,20 @@ def test_code_is_made_once_for_all_threads_and_chunks(monkeypatch):
     monkeypatch.setattr(NativeModule, "__init__", noted)
     sweep(replace(load("pendulum"), duration=2.0), *ARGUMENTS[1:], threads=4)
     assert 0 < len(made) == len(set(made))
+
+
+@pytest.mark.parametrize(("of_a_run", "counts"), [(10.0, [1]), (0.02, [1, 4]), (1e-9, [1, 4, 16, 50])])
+def test_long_runs_are_not_probed_by_many(monkeypatch, of_a_run, counts):
+    now, made = [0.0], []
+    monkeypatch.setattr(crosscheck.sweeps.execute.time, "perf_counter", lambda: now[0])
+
+    def make(count):
+        made.append(count)
+        now[0] += count * of_a_run
+
+    rate = probed(make, 50)
+    assert made == counts
+    assert rate == pytest.approx(1.0 / max(of_a_run, 1e-3 / 50))
 
 
 def test_executors_give_the_same(reference, tmp_path):
