@@ -20,10 +20,10 @@ import numpy as np
 from newton_euler.analysis.fit import SETTLED, Fit, split
 from newton_euler.analysis.measurements import Measurements, measurements_from_csv
 from newton_euler.analysis.sensitivity import checked_names
-from newton_euler.analysis.tangent_run import components
+from newton_euler.analysis.tangent_run import components, tangent_options
 from newton_euler.errors import IdentificationWarning, MechanismError, OptionError, check_type
 from newton_euler.integrators.formulations import check_formulation
-from newton_euler.integrators.options import FormulationName, Options, StepControl
+from newton_euler.integrators.options import FormulationName, StepControl
 from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import path_text
 from newton_euler.scalars import Array, Floats
@@ -163,7 +163,7 @@ def identify(
         parameters: names as of `sensitivities`; all numbers of those that are arrays are fitted.
         measurements: of a run, or of several: CSV files, see `measurements_from_csv`, or `Measurements`.
         formulation: as of `simulate`.
-        control: of steps, as of `simulate`.
+        control: of steps of DOP853, as of `simulate`, with projection; other methods have no derivatives.
 
     Raises:
         NewtonEulerError: for an unknown parameter or column, times beyond the scene, fewer numbers measured
@@ -191,7 +191,7 @@ def identify(
     if count < len(names):
         needed = f"at least {len(names)}, one for each that is fitted"
         raise MechanismError("measurements", f"are {count} numbers", needed)
-    fit = Fit(scene, names, runs, formulation, Options.of("DOP853", control))
+    fit = Fit(scene, names, runs, formulation, tangent_options(control))
     change = fit.solve()
     residuals, jacobian = fit.residuals(change), fit.jacobian(change)
     strong, weak = split(jacobian, fit.excess)

@@ -25,10 +25,11 @@ from newton_euler.analysis.tangent_run import (
     components,
     own_numbers,
     tangent_code,
+    tangent_options,
 )
 from newton_euler.errors import OptionError, SensitivityError, check_type
 from newton_euler.integrators.formulations import check_formulation
-from newton_euler.integrators.options import FormulationName, Options, StepControl
+from newton_euler.integrators.options import FormulationName, StepControl
 from newton_euler.integrators.outputs import named
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import JointMotion, Trajectory, coordinate_names
@@ -118,7 +119,7 @@ def sensitivities(
         parameters: names, see `newton_euler.equations.parameters`, and `newton_euler.starts` for initial
             coordinates; by each number of those that are arrays.
         formulation: as of `simulate`.
-        control: of steps, as of `simulate`.
+        control: of steps of DOP853, as of `simulate`, with projection; other methods have no derivatives.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, a run that cannot go on, and for one
@@ -132,7 +133,7 @@ def sensitivities(
     check_type("scene", scene, Scene)
     check_formulation(formulation)
     names = checked_names(parameters)
-    options = Options.of("DOP853", control)
+    options = tangent_options(control)
     labels = components(scene, names)
     code = tangent_code(scene, labels, formulation)
     start, directions = Starts(code, labels)(own_numbers(scene, labels))

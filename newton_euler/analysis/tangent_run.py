@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from newton_euler.equations.parameters import is_kinematic, pieces, places
 from newton_euler.equations.sparse import least_squares
 from newton_euler.errors import OptionError, SensitivityError
 from newton_euler.integrators import stepper as m
-from newton_euler.integrators.options import FormulationName, Options
+from newton_euler.integrators.options import FormulationName, Options, StepControl
 from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.run import Integrator
 from newton_euler.integrators.singular import NEAR, UNSAFE
@@ -61,6 +61,19 @@ def tangent_code(scene: Scene, names: Sequence[str], formulation: FormulationNam
     """Return the code of a scene with derivatives by numbers that are parameters, see `components`."""
     initial = initial_numbers(scene, names)
     return TangentCode(scene, formulation, parameters=[name for name in names if name not in initial])
+
+
+def tangent_options(control: Mapping[str, Any]) -> Options:
+    """Return the options of DOP853 with projection, of which alone there are derivatives.
+
+    Raises:
+        OptionError: for another integrator or stabilization, and for options that it does not have.
+    """
+    chosen = dict(control)
+    for name, only in (("integrator", "DOP853"), ("stabilization", "projection"), ("rest", 0.0)):
+        if (value := chosen.pop(name, only)) != only:
+            raise OptionError(name, value, f"{only}, which derivatives are of")
+    return Options.of("DOP853", cast(StepControl, chosen))
 
 
 def components(scene: Scene, names: Sequence[str]) -> tuple[str, ...]:
@@ -298,8 +311,6 @@ class FollowedRun:
         scene = code.scene
         if scene.sampled:
             raise SensitivityError(f"sampled controller of joint {scene.sampled[0].joint!r} has none")
-        if options.integrator != "DOP853" or options.rest:
-            raise OptionError("rest", options.rest, "0 for derivatives")
         self._code, self._options, self._programs = code, options, programs
 
     def __call__(self, x: Array, directions: Array, times: Array | None = None) -> Followed:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from armed_scenes import COMPOUNDS, armed
 from ball_scenes import with_balls
-from elements import driven_loop, forced, geared_loop, planar_loop, windy
+from elements import driven_loop, forced, geared_loop, planar_loop, rod_loop, windy
 from finite_difference import derivative
 from mechanisms import ball_loop, carts, pendulum, planar_four_bar
 from scipy.integrate import solve_ivp
@@ -20,8 +20,10 @@ from newton_euler.equations.parameters import is_kinematic, parameter_values, pl
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.options import Options
 from newton_euler.model.control import PD, StateFeedback
+from newton_euler.model.couplings import LinearCoupling
 from newton_euler.model.digital_control import Sampled
 from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import Polynomial, Sine, Spline, Steps, Sum
 from newton_euler.starts import initial_numbers, own_initial
 
@@ -60,6 +62,13 @@ def carts_along_functions():
     return carts(feedback, PD("rail_1", 40.0, 3.0, spline, feedforward=jumps), duration=0.3)
 
 
+def coupled_carts():
+    """A sum of the coordinates of two carts that stays 0, pulled at by both."""
+    scene = carts(PD("rail_0", 40.0, 3.0, 0.2), PD("rail_1", 30.0, 1.0, Sine(0.3, 9.0)), duration=0.3)
+    coupling = LinearCoupling("sum", (("rail_0", 0, 1.0), ("rail_1", 0, 0.5)))
+    return replace(scene, mechanism=Mechanism(scene.mechanism.bodies, scene.mechanism.joints, (coupling,)))
+
+
 TRACKER = (
     "ball_57.point",
     "hinge_14.axis",
@@ -76,14 +85,19 @@ SCENES = {
     "tracker": (short(load("tracker_gravity"), 0.5), TRACKER),
     "slider crank": (short(load("slider_crank")), LOOP),
     "rate of the start": (short(load("slider_crank")), ("start.pivot.rate", "pivot.point.z")),
-    "coupled": (short(geared_loop()), ("chain.ratio", "gravity")),
+    "gear": (short(geared_loop()), ("chain.ratio", "gravity")),
+    "coupling": (coupled_carts(), ("sum.terms", "rail_0.target", "rail_1.target", "start.rail_0.rate")),
+    "rods": (short(rod_loop()), ("coupler.length", "stay.length", "bob.quaternion")),
     "springs and wrenches": (short(forced(planar_loop())), ()),
     "rotors": (short(armed(ball_loop())), ()),
     "balls": (short(with_balls(ball_loop())), ()),
     "compound joints": (short(armed(COMPOUNDS["compound, cut"])), ()),
     "wind": (short(windy(pendulum())), ("wind.speed", "wind.air_density", "wind.direction")),
     "functions of time": (short(carts_along_functions()), ()),
-    "prescribed motion": (short(forced(driven_loop())), ()),
+    "screw and prescribed motion": (
+        short(driven_loop()),
+        ("at_c.pitch", "at_c.1.motion.function", "at_a.axis", "coupler.mass"),
+    ),
 }
 
 
@@ -111,7 +125,7 @@ def by_differences(scene, formulation, values, direction, step):
     return np.split(derivative(flat, step), np.cumsum(sizes)[:-1])
 
 
-QUICK = ("slider crank", "springs and wrenches", "functions of time")
+QUICK = ("slider crank", "functions of time", "coupling")
 """Scenes whose Cartesian form compiles in a second or two."""
 
 CASES = [
@@ -298,6 +312,14 @@ def test_a_four_bar_against_complex_steps():
         ({"parameters": "rod.mass"}, "parameters is 'rod.mass'"),
         ({"parameters": ["rod.color"]}, "unknown parameter 'rod.color'"),
         ({"parameters": ["rod.mass"], "rest": 1e-6}, "rest is 1e-06; needed: 0"),
+        (
+            {"parameters": ["rod.mass"], "integrator": "RK4"},
+            "integrator is 'RK4'; needed: DOP853, which deriv",
+        ),
+        (
+            {"parameters": ["rod.mass"], "stabilization": "none"},
+            "stabilization is 'none'; needed: projection",
+        ),
         ({"parameters": ["rod.mass"], "rtol": 2.0}, "rtol is 2.0"),
         ({"parameters": ["rod.mass"], "formulation": "lagrange"}, "unknown formulation 'lagrange'"),
     ],
