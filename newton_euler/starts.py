@@ -44,11 +44,12 @@ from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.projection import project, worst_joint
 from newton_euler.integrators.run import Fallback, equations, native_method
 from newton_euler.integrators.stepper import DONE, Equations
-from newton_euler.model.joint import POINTS, Key
+from newton_euler.model.joint import Key
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
+from newton_euler.model.variable import UNITS
 from newton_euler.scalars import Array
 from newton_euler.simulate import KEPT
 
@@ -57,9 +58,6 @@ PREFIX, RATE = "start.", ".rate"
 
 FINER = 16
 """More steps for runs that few ones have lost."""
-
-LENGTHS = frozenset({*POINTS, "length", "center_of_mass", "offsets"})
-"""Parameters in m."""
 
 NAMED = 3
 """Values of a run that messages show."""
@@ -283,7 +281,7 @@ class Assembly:
         for name in self._names.values():
             count = max(1, math.prod(code.parameters[name]))
             attribute = name.partition("].")[2].partition(".")[0]
-            units[code.place(name) :][:count] = size if attribute in LENGTHS else 1.0
+            units[code.place(name) :][:count] = size if UNITS.get(attribute) == "m" else 1.0
         for key, name in self._motions.items():
             units[code.place(name)] = size if self.scene.mechanism.is_slide(*key) else 1.0
             units[code.place(name) + 1] = np.inf  # rates move nothing

@@ -33,8 +33,9 @@ from newton_euler.model.initial_pose import described_at
 from newton_euler.model.mechanism import LEAST, REALISABLE_TOLERANCE
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.model.variable import UNITS, UNITS_ALONG
 from newton_euler.scalars import Array
-from newton_euler.starts import LENGTHS, Assembly, assembly_of, initial_numbers, own_initial
+from newton_euler.starts import Assembly, assembly_of, initial_numbers, own_initial
 
 RESTRICTED = frozenset({"axis_on_first", "axis_on_second", "first_side", "second_side", "stroke"})
 """Attributes whose numbers restrict each other, or those of another attribute."""
@@ -50,34 +51,6 @@ SHORT, LONG = 1e-100, 1e100
 
 CAREFUL = 1e-9
 """Relative margin within which inertias are suspicious."""
-
-UNITS = dict.fromkeys((*LENGTHS, "rest_length", "first_side", "second_side"), "m") | {
-    "gravity": "m/s^2",
-    "mass": "kg",
-    "inertia": "kg m^2",
-    "pitch": "m/rad",
-    "force": "N",
-    "torque": "N m",
-    "speed": "m/s",
-    "air_density": "kg/m^3",
-    "angular_frequency": "rad/s",
-    "phase": "rad",
-    "period": "s",
-}
-"""Of parameters by their attribute; those of `PointSpring` and of joint coordinates follow."""
-
-UNITS_ALONG = {
-    "stiffness": ("N/m", "N m/rad"),
-    "damping": ("N s/m", "N m s/rad"),
-    "rest": ("m", "rad"),
-    "target": ("m", "rad"),
-    "feedforward": ("N", "N m"),
-    "inertia": ("kg", "kg m^2"),
-    "resolution": ("m", "rad"),
-    "force_limit": ("N", "N m"),
-    "slew_limit": ("N/s", "N m/s"),
-}
-"""Of parameters of what acts along slides and points, and of what acts about hinges and balls."""
 
 
 class RunValues(NamedTuple):

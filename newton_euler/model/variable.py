@@ -22,6 +22,36 @@ PARTS = ("angular_frequency", "phase")
 WHICH = "which coordinate it is"
 """Reason why an index does not vary."""
 
+UNITS = {
+    **dict.fromkeys(("center_of_mass", "point", "point_on_first", "point_on_second"), "m"),
+    **dict.fromkeys(("length", "rest_length", "offsets", "first_side", "second_side"), "m"),
+    "gravity": "m/s^2",
+    "mass": "kg",
+    "inertia": "kg m^2",
+    "pitch": "m/rad",
+    "force": "N",
+    "torque": "N m",
+    "speed": "m/s",
+    "air_density": "kg/m^3",
+    "angular_frequency": "rad/s",
+    "phase": "rad",
+    "period": "s",
+}
+"""Of parameters by their attribute; those of `PointSpring` and of joint coordinates follow."""
+
+UNITS_ALONG = {
+    "stiffness": ("N/m", "N m/rad"),
+    "damping": ("N s/m", "N m s/rad"),
+    "rest": ("m", "rad"),
+    "target": ("m", "rad"),
+    "feedforward": ("N", "N m"),
+    "inertia": ("kg", "kg m^2"),
+    "resolution": ("m", "rad"),
+    "force_limit": ("N", "N m"),
+    "slew_limit": ("N/s", "N m/s"),
+}
+"""Of parameters of what acts along slides and points, and of what acts about hinges and balls."""
+
 
 def altered(thing: T, **fields: Any) -> T:
     """Return a copy of a frozen object with other values, whatever they are."""

@@ -13,7 +13,7 @@ from mechanisms import line_spring, mass_on_rail
 import crosscheck
 from crosscheck.scenes import load
 from newton_euler import simulate, simulate_batch, start, with_parameters
-from newton_euler.equations.parameters import parameter_values, unambiguous, with_values
+from newton_euler.equations.parameters import parameter_values, places, refusal, unambiguous, with_values
 from newton_euler.equations.redundancy import inherit_mobility, mobility
 from newton_euler.errors import MechanismError, OptionError, UnknownNameError
 from newton_euler.integrators.formulations import formulate
@@ -150,6 +150,27 @@ def test_bad_values_are_found_among_many(scene):
     values = np.random.default_rng(0).normal(0.5, 1.0, 2000)
     found = run_values(scene, {"mass.mass": values, "rail.target": values})
     assert sorted(found.errors) == np.flatnonzero(values < 0.0).tolist()
+
+
+@pytest.mark.parametrize(
+    "title", ["screw, cut", "forces, rods", "gear, cut", "wind, cut at a ball", "compound, skew"]
+)
+def test_values_are_refused_where_constructors_refuse_them(title):
+    """Those of an element together, and one by one: zeros, others of the opposite sign, and far away."""
+    scene, rng, runs = (ELEMENTS | COMPOUNDS)[title], np.random.default_rng(0), 20
+    own, elements = parameter_values(scene), {}
+    for name, place in places(scene, own).items():
+        elements.setdefault(place.owner[:2], {})[name] = place.owner
+    for owners in elements.values():
+        values = {}
+        for name in owners:
+            each = (runs,) + (1,) * own[name].ndim
+            factors, far = rng.choice([1.0, 0.0, -1.0, 1.001], each), rng.choice([0.0, 0.0, 0.1, 3.0], each)
+            values[name] = factors * own[name] + far * rng.normal(size=(runs, *own[name].shape))
+        for names in ([*owners], *([name] for name in owners)):
+            rows = [{owners[name]: values[name][run] for name in names} for run in range(runs)]
+            refused = [run for run, row in enumerate(rows) if refusal(scene, row)]
+            assert sorted(run_values(scene, {name: values[name] for name in names}).errors) == refused, names
 
 
 def test_a_batch_goes_on_without_its_bad_runs(scene):

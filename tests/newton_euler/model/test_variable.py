@@ -24,7 +24,7 @@ from newton_euler.model.motions import PrescribedMotion, Sum, TimeFunction
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Spline, Steps
 from newton_euler.model.state import State
-from newton_euler.model.variable import PARTS, Variable
+from newton_euler.model.variable import PARTS, UNITS, UNITS_ALONG, Variable
 
 SCENES = [*ELEMENTS.values(), *COUPLED.values(), *COMPOUNDS.values()]
 
@@ -115,6 +115,16 @@ def test_every_number_varies_or_is_said_to_be_none_that_does(kind):
 def _has(element, name):
     """Tell if a field of an element, or of what it is made of, has numbers at all."""
     return any(name in path for path, _ in numbers(element))
+
+
+MIXED = {"axis", "axis_on_first", "axis_on_second", "direction", "quaternion", "ratio", "terms"}
+MIXED |= {"gains", "targets", "function", "stroke", "held"}
+"""Numbers without a unit, and with several."""
+
+
+def test_units_are_known():
+    last = {name.rpartition(".")[2] for element in EXAMPLES.values() for name in element.variables}
+    assert last == {*UNITS, *UNITS_ALONG} | MIXED
 
 
 def test_the_list_of_parameters_is_complete():
