@@ -23,50 +23,19 @@ from crosscheck.sweeps.distributions import wrong_syntax
 from newton_euler.assemble import initial_state
 from newton_euler.errors import UnknownNameError, choices, plain_number
 from newton_euler.model.euler_parameters import continuous
-from newton_euler.model.scene import OutputName, Scene
+from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import coordinate_name
+from newton_euler.model.trajectory import QUANTITIES, SHAPES
 from newton_euler.scalars import Array
 
 LONGEST = 2_000
 """Characters of an expression."""
 
-ASKED: dict[str, OutputName | None] = {
-    "position": None,
-    "quaternion": None,
-    "linear_velocity": "velocities",
-    "angular_velocity": "velocities",
-    "reaction_force": "reactions",
-    "reaction_torque": "reactions",
-    "actuator_force": "actuation",
-    "kinetic_energy": "energy",
-    "potential_energy": "energy",
-    "work": "energy",
-}
-"""Quantities, and what a scene has to be asked for them."""
+DIMENSION = {"b": "body", "j": "joint", "a": "actuator", "3": "axis", "4": "component"}
+"""Names of dimensions, by their letters in `SHAPES`."""
 
-DIMENSIONS: dict[str, tuple[str, ...]] = {
-    "position": ("body", "axis"),
-    "quaternion": ("body", "component"),
-    "linear_velocity": ("body", "axis"),
-    "angular_velocity": ("body", "axis"),
-    "reaction_force": ("joint", "axis"),
-    "reaction_torque": ("joint", "axis"),
-    "actuator_force": ("actuator",),
-}
-"""Of quantities, after runs and times; the others have none."""
-
-UNITS = {
-    "position": "m",
-    "quaternion": "1",
-    "linear_velocity": "m/s",
-    "angular_velocity": "rad/s",
-    "reaction_force": "N",
-    "reaction_torque": "N m",
-    "kinetic_energy": "J",
-    "potential_energy": "J",
-    "work": "J",
-    "time": "s",
-}
+DIMENSIONS = {name: tuple(DIMENSION[letter] for letter in SHAPES[name][1:]) for name in QUANTITIES}
+"""Of quantities, after runs and times."""
 
 COMPONENTS = {"axis": tuple("xyz"), "component": tuple("wxyz")}
 
@@ -111,7 +80,7 @@ class Outputs:
         Args:
             signed: whether signs of quaternions matter, which follow one another then.
         """
-        dimensions = DIMENSIONS.get(name, ())
+        dimensions = DIMENSIONS[name]
         array = self.stacked(name)
         place: slice | int = slice(None)
         if element:
@@ -125,7 +94,7 @@ class Outputs:
 
     def _unit(self, name: str, element: str) -> str:
         if name != "actuator_force":
-            return UNITS[name]
+            return QUANTITIES[name].unit
         laws = zip(self.labels["actuator"], self.scene.control, strict=True)
         mechanism = self.scene.mechanism
         units = {
@@ -234,18 +203,18 @@ class Expression:
         found = self._quantity(text, signed=True)
         if found is None:
             name = text.rpartition(".")[2]
-            raise ValueError(f"unknown output {name!r:.100}; {choices(name, (*ASKED, 'time'))}")
+            raise ValueError(f"unknown output {name!r:.100}; {choices(name, (*QUANTITIES, 'time'))}")
         return found
 
     def _quantity(self, text: str, signed: bool) -> Callable[[Outputs], Value] | None:
         """Return what looks up [ELEMENT.]QUANTITY[.COMPONENT]; None if no quantity is named."""
         before, _, last = text.rpartition(".")
         component = ""
-        if last not in ASKED:
+        if last not in QUANTITIES:
             component, (before, _, last) = last, before.rpartition(".")
-        if last not in ASKED:
+        if last not in QUANTITIES:
             return None
-        dimensions = DIMENSIONS.get(last, ())
+        dimensions = DIMENSIONS[last]
         if before and not dimensions:
             raise ValueError(f"{last} is of the whole mechanism, not of {before!r:.100}")
         if before and before not in self._labels[dimensions[0]]:
@@ -273,7 +242,7 @@ def _nothing(scene: Scene) -> Outputs:
     sizes = {dimension: len(names) for dimension, names in labels(scene).items()}
 
     def zeros(name: str) -> Array:
-        return np.zeros((1, 2, *(sizes[dimension] for dimension in DIMENSIONS.get(name, ()))))
+        return np.zeros((1, 2, *(sizes[dimension] for dimension in DIMENSIONS[name])))
 
     return Outputs(scene, np.array([0.0, 1.0]), zeros)
 

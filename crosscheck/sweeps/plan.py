@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.sweeps.expressions import ASKED, DIMENSIONS, Outputs, labels
+from crosscheck.sweeps.expressions import DIMENSIONS, Outputs, labels
 from crosscheck.sweeps.reductions import Reduction, pruned, reductions
 from crosscheck.sweeps.sampling import Samples
 from newton_euler.batch import Batch, simulate_batch
@@ -23,6 +23,7 @@ from newton_euler.codegen.fingerprint import SOURCE, fingerprint
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.options import Options
 from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import QUANTITIES
 from newton_euler.scalars import Array
 from newton_euler.variation import with_parameters
 
@@ -119,9 +120,9 @@ class Plan:
         """The number of runs whose outputs are in memory at a time."""
         sizes = {dimension: len(names) for dimension, names in labels(self.scene).items()}
         numbers = sum(
-            int(np.prod([sizes[dimension] for dimension in DIMENSIONS.get(name, ())]))
-            for name, asked in ASKED.items()
-            if asked is None or asked in self.lean.outputs
+            int(np.prod([sizes[dimension] for dimension in DIMENSIONS[name]]))
+            for name, quantity in QUANTITIES.items()
+            if quantity.output is None or quantity.output in self.lean.outputs
         )
         runs = ROOM // (8 * numbers * len(self.lean.times))
         return max(LANES, runs // LANES * LANES)

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.sweeps.expressions import ASKED, Expression, Outputs, Value, norm
+from crosscheck.sweeps.expressions import Expression, Outputs, Value, norm
 from newton_euler.errors import choices, plain_number
 from newton_euler.integrators.options import FIXED
 from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import QUANTITIES
 from newton_euler.scalars import Array
 
 ITEM = re.compile(
@@ -225,7 +226,7 @@ def pruned(scene: Scene, kept: Iterable[Reduction], integrator: str) -> Scene:
 
     Steps of fixed size divide the time between outputs, so that these methods need all.
     """
-    asked = {ASKED[name] for each in kept for name in each.expression.quantities}
+    asked = {QUANTITIES[name].output for each in kept for name in each.expression.quantities}
     outputs = frozenset(name for name in asked if name)
     alone = integrator not in FIXED and not any(each.needs_all_times for each in kept)
     return replace(scene, outputs=outputs, output_period=scene.duration if alone else scene.output_period)

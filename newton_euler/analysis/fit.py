@@ -29,8 +29,9 @@ from newton_euler.analysis.tangent_run import ALONG, Followed, FollowedRun, Star
 from newton_euler.equations.parameters import own_value, places
 from newton_euler.errors import MechanismError, NewtonEulerError, UnknownNameError
 from newton_euler.integrators.options import FormulationName, Options
-from newton_euler.model.scene import OUTPUTS, OutputName, Scene
+from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.source_file import SourceError
+from newton_euler.model.trajectory import QUANTITIES
 from newton_euler.scalars import Array, Floats
 from newton_euler.starts import initial_numbers
 from newton_euler.variation import unit_of
@@ -70,17 +71,6 @@ MOST_EVALUATIONS = 200
 FAR = 1e3
 """Stands for residuals of numbers that make no sense, times those at the beginning."""
 
-OF_OUTPUTS: dict[str, OutputName] = {
-    "linear_velocity": "velocities",
-    "angular_velocity": "velocities",
-    "reaction_force": "reactions",
-    "reaction_torque": "reactions",
-    "actuator_force": "actuation",
-    "kinetic_energy": "energy",
-    "potential_energy": "energy",
-}
-"""What a scene has to ask for so that a column can be computed."""
-
 
 class Evaluated(NamedTuple):
     """All runs at the same numbers: residuals (n, m) of each, and their derivatives (n, m, p)."""
@@ -110,7 +100,8 @@ class Fit:
     ) -> None:
         self.evaluations, self.excess, self.stopped, self._refused = 0, 1.0, "", ""
         self._runs = list(runs.values())
-        wanted = {OF_OUTPUTS.get(name.split(".")[0]) for run in self._runs for name in run.columns}
+        kinds = {name.split(".")[0] for run in self._runs for name in run.columns}
+        wanted = {QUANTITIES[kind].output for kind in kinds if kind in QUANTITIES}
         asked = replace(scene, outputs=frozenset(output for output in OUTPUTS if output in wanted))
         code = tangent_code(asked, names, formulation)
         layouts = (code.function(name).layout for name in ("output", "output" + ALONG))

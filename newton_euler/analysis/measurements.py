@@ -23,7 +23,7 @@ from newton_euler.model.csv_source import Row, TimeTable, check_names, csv_rows,
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import SourceError, path_text, read_text
-from newton_euler.model.trajectory import COMPONENTS, SHAPES
+from newton_euler.model.trajectory import COMPONENTS, QUANTITIES, SHAPES
 from newton_euler.scalars import Array, Floats
 from newton_euler.starts import PREFIX, RATE
 
@@ -44,19 +44,6 @@ UNITS = {unit: (unit, 1.0) for unit in ("s", "m", "rad", "m/s", "rad/s", "N", "N
 
 HEADING = re.compile(r"(.*?)\s*(?:\[([^]]*)\])?")
 """A column's name, and its unit in brackets if it has one."""
-
-COLUMN_UNITS = {
-    "position": "m",
-    "quaternion": "1",
-    "linear_velocity": "m/s",
-    "angular_velocity": "rad/s",
-    "reaction_force": "N",
-    "reaction_torque": "N m",
-    "kinetic_energy": "J",
-    "potential_energy": "J",
-    "work": "J",
-}
-"""Of columns whose units do not depend on the joint."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,7 +252,8 @@ def column_of(scene: Scene, name: str, values: Places, derivatives: Places) -> C
         near = get_close_matches(name, derivatives, NEAREST, 0.0)
         raise UnknownNameError("column", name, tuple(near))
     kind, _, rest = name.partition(".")
-    mechanism, body, unit = scene.mechanism, -1, COLUMN_UNITS.get(kind, "")
+    mechanism, body = scene.mechanism, -1
+    unit = QUANTITIES[kind].unit if kind in QUANTITIES else ""
     if kind in ("coordinate", "rate"):
         joint, _, number = rest.rpartition(".")
         key = (rest, 0) if rest in mechanism.joint_names else (joint, int(number))

@@ -19,6 +19,7 @@ from newton_euler.errors import MechanismError, NewtonEulerError
 from newton_euler.limits import MB, exceeded
 from newton_euler.model.joint import Joint
 from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import OutputName
 from newton_euler.model.source_file import SourceError, read_content
 from newton_euler.model.state import stacked_frames
 from newton_euler.scalars import Array, Floats, unstacked
@@ -40,6 +41,33 @@ SHAPES = {
     "work": "n",
 }
 """Of the arrays of a trajectory: n times, b bodies, j joints, a actuators."""
+
+
+class Quantity(NamedTuple):
+    """A computed array of a trajectory.
+
+    Attributes:
+        unit: SI, "" where it depends on the joint.
+        output: which a scene has to be asked for; None for what all runs have.
+    """
+
+    unit: str
+    output: OutputName | None = None
+
+
+QUANTITIES = {
+    "position": Quantity("m"),
+    "quaternion": Quantity("1"),
+    "linear_velocity": Quantity("m/s", "velocities"),
+    "angular_velocity": Quantity("rad/s", "velocities"),
+    "reaction_force": Quantity("N", "reactions"),
+    "reaction_torque": Quantity("N m", "reactions"),
+    "actuator_force": Quantity("", "actuation"),
+    "kinetic_energy": Quantity("J", "energy"),
+    "potential_energy": Quantity("J", "energy"),
+    "work": Quantity("J", "energy"),
+}
+"""Quantities of bodies, joints and mechanisms, by name."""
 
 UNREADABLE = (OSError, EOFError, KeyError, RuntimeError, MemoryError, BadZipFile, ZlibError)
 """What broken archives raise, beside ValueError."""

@@ -76,6 +76,13 @@ def test_poses_may_be_measured_with_either_sign_of_quaternions():
     assert found.values == pytest.approx([-9.81], rel=1e-7)
 
 
+def test_work_alone_may_be_measured():
+    truth = with_parameters(sprung(), {"line.damping": 2.0})
+    run = simulate(truth)
+    found = identify(sprung(), ["line.damping"], Measurements(run.time, {"work": run.work}))
+    assert found.values == pytest.approx([2.0], rel=1e-7)
+
+
 def test_initial_coordinates_are_fitted():
     truth = start(pendulum(), pivot=(0.1, -0.4))
     wrong = start(pendulum(), pivot=(0.0, 0.0))
