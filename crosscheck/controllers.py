@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
+from crosscheck.limit import paced
 from crosscheck.report.table import Column, Rows, Table, figures, texts
 from crosscheck.scenes import SCENES, load
 from crosscheck.scenes.options import options_of
@@ -109,21 +111,18 @@ def compared(
 ) -> list[Table]:
     """Run a scene with each of its controllers in each engine: a table for slides, one for hinges."""
     kinds: dict[str, Rows] = {}
-    for name, loaded in controllers(scene, given):
+    pairs = list(product(controllers(scene, given), engines))
+    for (name, loaded), engine in paced(pairs, progress, "run"):
         wanted = replace(
             loaded,
             output_period=min(loaded.output_period, loaded.duration / OUTPUTS),
             outputs=frozenset({"actuation"}),
         )
-        heads = set[str]()
-        for engine in engines:
-            progress(f"running {name} in {engine}")
-            for kind, found in performance(loaded, ENGINES[engine].simulate(wanted)).items():
-                rows = kinds.setdefault(kind, [])
-                if kind not in heads:
-                    rows.append(name)
-                    heads.add(kind)
-                rows.append([f"  {engine}", *(f"{value:.3g}" for value in found)])
+        for kind, found in performance(loaded, ENGINES[engine].simulate(wanted)).items():
+            rows = kinds.setdefault(kind, [])
+            if name not in rows:
+                rows.append(name)
+            rows.append([f"  {engine}", *(f"{value:.3g}" for value in found)])
     return [Table(kind if len(kinds) > 1 else "", columns(kind), rows) for kind, rows in kinds.items()]
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import TypeVar
 
 from crosscheck.errors import CrosscheckError
 from newton_euler.limits import limit, too_small
@@ -19,6 +20,9 @@ PERIOD = 0.5
 
 SHORTER = "a run of a shorter duration, or of other engines (--engines), may end"
 """What to do about one that takes too long."""
+
+
+Item = TypeVar("Item")
 
 
 class TooLongError(CrosscheckError):
@@ -104,3 +108,20 @@ def tidied_up() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def paced(items: Sequence[Item], progress: Callable[[str], None], what: str) -> Iterator[Item]:
+    """Yield work to do one after another; `progress` is told the number of each and the time that is left."""
+    start = time.perf_counter()
+    for count, item in enumerate(items):
+        left = span((time.perf_counter() - start) / count * (len(items) - count)) if count else "unknown time"
+        progress(f"{what} {count + 1} of {len(items)}, {left} left")
+        yield item
+
+
+def span(seconds: float) -> str:
+    """Word a time that something takes."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    minutes = seconds / 60.0
+    return f"{minutes:.0f} min" if minutes < 90.0 else f"{minutes / 60.0:.1f} h"

@@ -9,6 +9,7 @@ import click
 
 from crosscheck.cli.shared import AGREE, cli, progress_shown, say, show, verbose_option
 from crosscheck.errors import CrosscheckError
+from crosscheck.limit import paced
 
 
 @cli.command("sun")
@@ -27,8 +28,12 @@ from crosscheck.errors import CrosscheckError
 @click.option("--deadband", type=float, default=0.0, show_default=True, help="Degrees off before it moves.")
 @click.option("--most-tilt", type=float, default=30.0, show_default=True, help="Degrees from the horizontal.")
 @click.option("--pitch", type=float, default=float("inf"), help="Distance of rows in lengths of the panel.")
-@click.option("--stow", type=float, help="Wind, m/s, from which the panel lies flat.")
-@click.option("--wind", metavar="SPEED|CSV", help="Wind over the day: m/s, or time (s) and speed in a CSV.")
+@click.option("--stow", type=float, help="Wind, m/s, from which the panel lies flat; needs --wind.")
+@click.option(
+    "--wind",
+    metavar="SPEED|CSV",
+    help="Wind over the day, m/s, or time (s) and speed in a CSV; needs --stow.",
+)
 @click.option(
     "--output", type=click.Path(path_type=Path), default=Path("output/sun"), show_default=True, help="Folder."
 )
@@ -55,7 +60,8 @@ def sun_command(
     from crosscheck.solar.wind import wind_over_day
 
     if (stow is None) != (wind is None):
-        raise CrosscheckError("--stow and --wind have an effect together alone; give both or none")
+        given, other = ("--wind", "--stow SPEED") if stow is None else ("--stow", "--wind SPEED|CSV")
+        raise CrosscheckError(f"{given} has an effect with {other} alone; give both or none")
     calm = float("inf")
     tracking = Tracking(
         numbers["deadband"], numbers["most_tilt"], numbers["pitch"], calm if stow is None else stow
@@ -65,9 +71,10 @@ def sun_command(
     places = [Place(latitude, numbers["longitude"], numbers["altitude"]) for latitude in latitudes]
     scene, days = sun_tracker(), []
     with progress_shown() as progress:
-        for place, date in product(places, dates):
-            progress(f"{place}, {date}")
+        pairs = list(product(places, dates))
+        for place, date in paced(pairs, progress, "day"):
             days.append(tracker_day(scene, PANEL_NORMAL, place, date, zone, tracking, period, speeds))
+        progress("sunlight on other panels, plots and recording")
         report = survey_report(days) if days[1:] else day_report(days[0])
         written = write_survey(report, output) if days[1:] else write(days[0], report, output)
     show(report)

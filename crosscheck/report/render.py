@@ -74,8 +74,7 @@ def terminal(parts: Iterable[Part]) -> str:
                     console.print()
             else:
                 for line in part.lines:
-                    fitted = _cut(line, console) if part.brief else wrapped(line)
-                    console.print(Text(fitted), soft_wrap=True)
+                    console.print(Text(wrapped(line)), soft_wrap=True)
     return "".join(f"{line.rstrip()}\n" for line in capture.get().splitlines())
 
 
@@ -103,14 +102,6 @@ def wrapped(line: str, stream: TextIO | None = None) -> str:
 def _has_width(console: Console) -> bool:
     """False for files and pipes, whose lines may be as long as they are."""
     return console.is_terminal or "COLUMNS" in os.environ
-
-
-def _cut(line: str, console: Console) -> str:
-    """The beginning of a sentence, in one line of the terminal."""
-    text = Text(line)
-    if _has_width(console):
-        text.truncate(console.width, overflow="ellipsis")
-    return text.plain
 
 
 def _blocks(table: Table, width: int) -> Iterator[Table]:

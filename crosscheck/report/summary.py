@@ -29,7 +29,7 @@ def summary(result: Crosscheck, notes: Sequence[str]) -> list[Part]:
         parts.append(engines_table(result))
     if notes:
         most = MOST_NOTES if result.agrees else MOST_OF_FAILING
-        parts.append(Lines("", list(notes[:most]), brief=True))
+        parts.append(Lines("", list(notes[:most])))
     if result.advice:
         parts.append(Lines("", [f"advice, {advice}" for advice in result.advice]))
     return parts
@@ -70,7 +70,7 @@ def levels_table(result: Crosscheck) -> Table:
         ]
         rows.append([level.partition(" and ")[0], held, *map(_worst, of_each), nearest(at_level)])
     heads = [Column("worst of level"), *figures("figures", *columns)]
-    return Table("", [*heads, Column("share of tolerance, where", brief=True)], rows)
+    return Table("", [*heads, Column("share of tolerance, where")], rows)
 
 
 def _worst(rows: Sequence[Figure]) -> Cell:
@@ -87,7 +87,8 @@ def nearest(rows: Sequence[Figure]) -> Cell:
     text = f"{100.0 * share:.0f} %" if share >= LEAST_SHARE else "<1 %"
     if share > 1.0:
         text = f"{share:.0f} x" if MANY > share >= FEW else f"{share:.2g} x"
-    place = ", ".join(filter(None, [worst.where, quantity or unit]))
+    where = worst.where.removeprefix("random ")  # as all states are at which equations are compared
+    place = ", ".join(filter(None, [where, quantity or unit]))
     about = worst.where.partition(" at ")[0]
     return Cell(f"{text:>4}  {place}", "" if worst.agrees else "fails", about)
 

@@ -82,12 +82,11 @@ class Table:
 
 @dataclass(frozen=True)
 class Lines:
-    """Sentences, one per line; `folded` as of a `Table`; `brief` ones the terminal cuts to one line."""
+    """Sentences, one per line; `folded` as of a `Table`."""
 
     title: str
     lines: list[str]
     folded: bool = False
-    brief: bool = False
 
 
 Part = Table | Lines

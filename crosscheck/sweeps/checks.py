@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.comparison.figure import OWN_ERROR, UNRESOLVED, Figure
-from crosscheck.comparison.runs import FALLS
+from crosscheck.comparison.runs import FALLS, rests
 from crosscheck.engines import ENGINES, EXACT_ATOL, EXACT_RTOL, Engine
 from crosscheck.errors import CrosscheckError
 from crosscheck.run import Crosscheck, crosscheck
@@ -49,6 +49,7 @@ class Checked:
         agrees: whether the engines agree with each other, as by `crosscheck run`.
         verdict: of its crosscheck, in a line.
         kept: of each variable and engine the number whose difference from the sweep's is nearest its limit.
+        moves: whether anything does.
     """
 
     run: int
@@ -57,6 +58,7 @@ class Checked:
     agrees: bool
     verdict: str
     kept: tuple[Figure, ...] = ()
+    moves: bool = True
 
     @property
     def differs(self) -> bool:
@@ -114,7 +116,8 @@ def _check(swept: Results, found: Sequence[Scalar], run: int, why: str, engines:
     except (CrosscheckError, NewtonEulerError) as error:
         return Checked(run, why, False, True, str(error))
     complete = not (result.left_out or result.unfinished)
-    return Checked(run, why, complete, not result.differs, result.verdict, kept)
+    moves = not rests(result.scene, engines, result.trajectories)
+    return Checked(run, why, complete, not result.differs, result.verdict, kept, moves)
 
 
 def _compared(

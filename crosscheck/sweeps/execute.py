@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.limit import span
 from crosscheck.sweeps.store import KEPT_GOES_ON, missing
 from newton_euler.batch import thread_count
 from newton_euler.errors import OptionError
@@ -183,14 +184,6 @@ class Pace:
     def made(self) -> int:
         """The number of runs that were counted."""
         return self._made
-
-
-def span(seconds: float) -> str:
-    """Word a time that something takes."""
-    if seconds < 90.0:
-        return f"{seconds:.0f} s"
-    minutes = seconds / 60.0
-    return f"{minutes:.0f} min" if minutes < 90.0 else f"{minutes / 60.0:.1f} h"
 
 
 def probed(make: Callable[[int], Any], runs: int) -> float:

@@ -122,7 +122,8 @@ class Findings:
         unsettled = sum(bool(figure.unsettled) for figure in kept)
         open_ = [f"reactions of {name}, whose constraints are soft" for name in soft]
         open_ += [f"{unsettled} numbers that finer runs change by more"] if unsettled else []
-        return f"{found}; not judged: {', '.join(open_)}" if open_ else found
+        found += f"; not judged: {', '.join(open_)}" if open_ else ""
+        return found if any(each.moves for each in self.checked) else f"{found}; nothing moves"
 
     @property
     def judged(self) -> Cell:

@@ -97,15 +97,17 @@ def test_engines_have_their_time_their_error_and_why_they_stopped():
     assert brief_settings({}) == ""
 
 
-def test_few_notes_are_shown_each_cut_to_a_line(monkeypatch):
+def test_few_notes_are_shown_each_whole(monkeypatch):
     monkeypatch.setenv("COLUMNS", "60")
-    notes = [f"{letter * 70}" for letter in "abcdef"]
+    notes = [f"{letter * 40} {letter * 30}" for letter in "abcdef"]
     shown = terminal(summary(result([figure("model", ("newton_euler", "mujoco"), 0.0)]), notes)).splitlines()
-    assert shown[-MOST_NOTES:] == [letter * 59 + "…" for letter in "abcdef"[:MOST_NOTES]]
+    lines = [line for letter in "abcdef"[:MOST_NOTES] for line in (letter * 40, f"  {letter * 30}")]
+    assert shown[-2 * MOST_NOTES :] == lines
     failing = terminal(
         summary(result([figure("model", ("newton_euler", "mujoco"), 1.0)], agrees=False), notes)
     )
-    assert failing.count("…") == MOST_OF_FAILING
+    assert failing.count("a" * 40) == MOST_OF_FAILING == 1
+    assert "b" * 40 not in failing
 
 
 def test_a_run_of_a_file_is_told_in_25_lines_of_80_columns(capsys, tmp_path, monkeypatch):
