@@ -189,7 +189,8 @@ def _changed_values(own: Mapping[Any, Any], part: str, value: Any, change: Chang
     for key, each in own.items():
         count = np.size(_numbers(each, part))
         if count:
-            found[key] = _changed(each, part, numbers if isinstance(each, Function) else numbers[0], change)
+            of_one = numbers[:count] if isinstance(each, Function) else numbers[0]
+            found[key] = _changed(each, part, of_one, change)
         numbers = numbers[count:]
     return found
 

@@ -19,6 +19,7 @@ from newton_euler.model.couplings import JointCoupling, LinearCoupling
 from newton_euler.model.digital_control import Digital, Law, Sampled
 from newton_euler.model.elements import OnBall
 from newton_euler.model.forces import Armature, BallArmature, BallSpring, Force, JointSpring, Wrench
+from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import JOINT_KINDS, Prismatic
 from newton_euler.model.motions import PrescribedMotion, Sum, TimeFunction
 from newton_euler.model.smooth_functions import Polynomial, Sine
@@ -38,7 +39,7 @@ FUNCTION = Sum(
 )
 SMOOTH = Sum((Sine(0.3, 2.0, 0.4, 0.5), Spline((0.0, 1.0), (0.1, 0.2))))
 GAINS = {"rail": (1.0, 2.0), "pole": (3.0, 4.0), "arm": (0.1, 0.2)}
-TARGETS = {"pole": FUNCTION, "arm": 0.3}
+TARGETS = {"pole": Polynomial((0.1, 0.2)), "arm": 0.3}
 FEEDBACK = StateFeedback("rail", GAINS, 0.5, feedforward=SMOOTH, targets=TARGETS)
 LIMITS = {"resolution": 0.1, "force_limit": 3.0, "slew_limit": 4.0, "stroke": (-1.0, 1.0)}
 
@@ -141,3 +142,14 @@ def test_the_list_of_parameters_is_complete():
     assert {name.rpartition(".")[2] for name in of_functions} == set(PARTS)
     listed = {name for name in documented if not name.startswith("newton_euler") and not name.endswith(PARTS)}
     assert names - of_functions == listed | {"held"}
+
+
+@pytest.mark.parametrize("kind", [kind for kind, each in EXAMPLES.items() if not isinstance(each, Joint)])
+def test_numbers_that_are_given_are_those_that_are_had(kind):
+    """One after the other, as parts of a function and terms of a sum share it."""
+    element, rng = EXAMPLES[kind], np.random.default_rng(0)
+    for name in [name for name in element.variables if name not in element.points]:
+        value = element.number(name) + rng.uniform(0.01, 0.02, element.number(name).shape)
+        element = element.varied({name: value})
+        scale = np.linalg.norm(value) if name == "quaternion" else 1.0
+        assert np.array_equal(element.number(name), value / scale)
