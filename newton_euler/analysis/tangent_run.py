@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from newton_euler.codegen.compile import LARGE, Traced
+from newton_euler.codegen.compile import VERY_LARGE, Traced
 from newton_euler.codegen.expression import Graph, Program, differentiate_along
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.parameters import is_kinematic, pieces, places
@@ -36,10 +36,6 @@ TOO_NEAR = "the run comes too near to a singular configuration"
 ALONG = " along"
 RATES, SETTLED = "derivative" + ALONG, "settled" + ALONG
 """Names of programs that have a direction behind x."""
-
-BESIDE = 6 * LARGE
-"""Operations of derivatives of rates up to which several directions are taken side by side, by straight-line
-code: it takes 8 s to compile."""
 
 DIFFERENCE = 1e-4
 """Of parameters of starts, as a share of the mechanism's size, m, or of their own value beyond 1."""
@@ -181,7 +177,7 @@ class TangentCode(CompiledScene):
         if not name.endswith(ALONG):
             return super()._traced(name, in_lanes)
         program = self.program(name)
-        many = program.operations < BESIDE if name == RATES else self.function(RATES).lanes > 1
+        many = program.operations < VERY_LARGE if name == RATES else self.function(RATES).lanes > 1
         return Traced(program, many, self._layouts.get(name), straight=many)
 
     def _identity_of(self, name: str) -> str | None:

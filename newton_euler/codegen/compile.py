@@ -31,6 +31,10 @@ LARGE = 9_500
 """Operations from which on a program is rolled up into loops: written out it would run twice as fast and
 take four times as long to compile."""
 
+VERY_LARGE = 6 * LARGE
+"""The same of a program for runs or directions side by side, which are many: written out it takes 8 s to
+compile."""
+
 LEVEL, QUICK_LEVEL = 1, 0
 """LLVM's levels of code generation, of straight-line and of rolled code: 2, its default, makes the same code
 in a sixth more time; 0 is ten times as fast as 1, and its straight-line code takes twice as long to run."""
@@ -129,7 +133,7 @@ class Traced(NamedTuple):
         program: its operations.
         many: True for code that takes several x at once, as many as there are `lanes`.
         layout: where the program has its results, for callers: anything that JSON can hold.
-        straight: True for straight-line code, whatever its size.
+        straight: True for straight-line code, whatever its size; results are those of rolled code.
     """
 
     program: Program
@@ -165,12 +169,16 @@ class NativeFunction:
             program, many, layout = traced.program, traced.many, traced.layout
             straight = traced.straight or program.operations < LARGE
             lanes = traced.lanes if many else 1
-            body = emit_straight(program, "f", lanes) if straight else emit_rolled(program, "f", lanes)
+            if straight:
+                body = emit_straight(program, "f", lanes, fuses=program.operations < LARGE)
+            else:
+                body = emit_rolled(program, "f", lanes)
             description = program.inputs, len(program.outputs), lanes, program.operations, layout
             written = declarations(lanes) + body + _constant(DESCRIPTION, json.dumps(description))
             return written, LEVEL if straight else QUICK_LEVEL
 
-        known = f"{identity}, rolled from {LARGE}, {REGISTER} or {LANES} lanes" if identity else text()[0]
+        limits = LARGE, VERY_LARGE, REGISTER, LANES
+        known = f"{identity} {limits}" if identity else text()[0]
         self.module = NativeModule(known, text, {"f": PROGRAM})
         description = json.loads(self.module.constant(DESCRIPTION))
         self.inputs, self.outputs, self.lanes, self.operations, self.layout = description

@@ -2,7 +2,7 @@
 
 In straight-line code a product that one sum alone uses is rounded with it, once, on processors that can. That
 is decided here and not by LLVM, whose choice depends on the code around: results are the same in all lanes of
-vector code as in scalar code.
+vector code as in scalar code. Large programs, rolled up or not, round each operation by itself.
 """
 
 from __future__ import annotations
@@ -119,9 +119,10 @@ outputs at x, the values of all lanes side by side, in the lanes that are bits o
 ARGUMENTS = "ptr noalias nocapture readonly %x, ptr noalias nocapture %y, i64 %on"
 
 
-def emit_straight(program: Program, name: str, lanes: int = 1) -> str:
-    """Emit the program as straight-line code; an `Emitter`."""
-    out, fused = Instructions(lanes), _fused(program)
+def emit_straight(program: Program, name: str, lanes: int = 1, fuses: bool = True) -> str:
+    """Emit the program as straight-line code, which rounds a product with its sum if it `fuses`; an
+    `Emitter`."""
+    out, fused = Instructions(lanes), _fused(program) if fuses else {}
     absorbed = set(fused.values())
     values: list[str] = []
     for k, (op, a, b) in enumerate(program.nodes):

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from newton_euler.codegen.cache import cache_key, read_cache, write_cache
-from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
+from newton_euler.codegen.compile import LARGE, VERY_LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, Program, differentiate
 from newton_euler.codegen.fingerprint import fingerprint
-from newton_euler.codegen.trigonometry import LANES, REGISTER
+from newton_euler.codegen.trigonometry import LANES
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.model_control import share_model_control
 from newton_euler.equations.parameters import is_kinematic, parameter_values, pieces, places, with_values
@@ -157,8 +157,10 @@ class Code:
         """Return one of the programs with its layout."""
         group = next((group for group in SIDE_BY_SIDE if name in group), ())
         many = len(group) > 0 and all(self.program(other).operations < LARGE for other in group)
-        lanes = LANES if in_lanes else REGISTER
-        return Traced(self.program(name), many or in_lanes, self._layouts.get(name), lanes=lanes)
+        program, layout = self.program(name), self._layouts.get(name)
+        if in_lanes:
+            return Traced(program, True, layout, program.operations < VERY_LARGE, LANES)
+        return Traced(program, many, layout)
 
     def _identity_of(self, name: str) -> str | None:
         """Fingerprint of everything that a program, or the choice of "rows", depends on."""

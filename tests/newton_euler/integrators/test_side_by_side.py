@@ -181,10 +181,14 @@ def test_a_run_that_fails_leaves_the_others_as_they_are(starts):
     assert found[1:] == (counts, errors)
 
 
-def test_large_programs_run_in_lanes(starts, monkeypatch):
-    """Rolled up into loops."""
+@pytest.mark.parametrize("very_large", [1, 10**9], ids=["rolled", "written out"])
+def test_large_programs_run_in_lanes(starts, monkeypatch, very_large):
+    """One by one they are rolled up into loops."""
     monkeypatch.setattr("newton_euler.codegen.compile.LARGE", 1)
-    code, x = starts("chain", "relative")
+    for module in ("codegen.compile", "integrators.compiled"):
+        monkeypatch.setattr(f"newton_euler.{module}.VERY_LARGE", very_large)
+    first, x = starts("chain", "relative")
+    code = CompiledScene(first.scene)
     load_lanes(code, "DOP853")
     options = Options(rtol=1e-6, atol=1e-8)
     assert code.function("derivative", in_lanes=True).lanes == LANES
