@@ -9,7 +9,6 @@ import click
 
 from crosscheck.cli.shared import AGREE, cli, progress_shown, say, show, verbose_option
 from crosscheck.errors import CrosscheckError
-from crosscheck.limit import paced
 
 
 @cli.command("sun")
@@ -52,6 +51,7 @@ def sun_command(
 
     Of several latitudes or dates a table compares the days.
     """
+    from crosscheck.limit import paced
     from crosscheck.scenes.tracker_sun import PANEL_NORMAL, sun_tracker
     from crosscheck.solar.day import check_period, tracker_day
     from crosscheck.solar.place import Place, seconds_of_day
