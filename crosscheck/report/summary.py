@@ -1,4 +1,4 @@
-"""The summary of a crosscheck: what is printed in about 25 lines of 80 columns unless more is asked for."""
+"""The summary of a crosscheck: what is printed in about 26 lines of 80 columns unless more is asked for."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, figu
 from crosscheck.run import Crosscheck
 
 MOST_NOTES = 3
-"""Of one line each."""
+"""Sentences, which wrap."""
 
 MOST_OF_FAILING = 1
 """Where the verdict takes more lines."""

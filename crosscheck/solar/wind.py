@@ -14,7 +14,7 @@ from newton_euler.scalars import Array
 
 COLUMNS = ("time", "speed")
 
-NEEDED = "columns time, s since midnight, and speed, m/s"
+NEEDED = "columns time, s since midnight, and speed, m/s, with commas between them"
 
 
 def wind_over_day(given: str, seconds: Array) -> Array:
