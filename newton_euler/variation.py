@@ -33,7 +33,7 @@ from newton_euler.model.initial_pose import described_at
 from newton_euler.model.mechanism import LEAST, REALISABLE_TOLERANCE
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.model.variable import UNITS, UNITS_ALONG
+from newton_euler.model.variable import UNITS, UNITS_ALONG, functions_of
 from newton_euler.scalars import Array
 from newton_euler.starts import Assembly, assembly_of, initial_numbers, own_initial
 
@@ -135,9 +135,10 @@ def unit_of(scene: Scene, name: str) -> str:
         length = "m" if mechanism.is_slide(*number.key) else "rad"
         return f"{length}/s" if number.order else length
     (place,) = places(scene, [name]).values()
-    what, _, attribute = place.owner
-    attribute = attribute.rpartition(".")[2]
-    element = element_of(scene, place.owner)
+    what, _, name = place.owner
+    element, attribute = element_of(scene, place.owner), name.rpartition(".")[2]
+    if functions_of(getattr(element, name, None)):
+        return ""
     if attribute not in UNITS_ALONG or what == "bodies":
         return UNITS.get(attribute, "")
     if isinstance(element, ComputedTorque) or own_value(scene, place.owner).ndim:

@@ -565,3 +565,5 @@ def test_units_along_slides_are_those_of_lengths(scene):
     names = ("rail.spring.damping", "rail.rotor.inertia", "line.stiffness", "wind.speed")
     assert [unit_of(scene, name) for name in names] == ["N s/m", "kg", "N/m", "m/s"]
     assert unit_of(scene, "rail.feedforward.phase") == "rad"
+    gusty = with_force(scene, 2, speed=Polynomial((9.0, 1.0)))
+    assert unit_of(gusty, "wind.speed.1") == ""  # m/s^2, and others of other coefficients
