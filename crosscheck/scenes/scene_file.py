@@ -20,6 +20,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.files import write_files
 from crosscheck.scenes.entries import ENTRIES, SCENE
 from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
@@ -30,7 +31,6 @@ from newton_euler.model.mechanism import Body
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
 from newton_euler.model.source_file import SourceError, read_text, shortened
 from newton_euler.model.state import State
-from newton_euler.model.trajectory import atomic_file
 from newton_euler.model.yaml_source import parse_yaml
 
 
@@ -153,11 +153,7 @@ def write_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
         text = json.dumps(found, indent=1, allow_nan=False) + "\n"
     else:
         text = yaml.dump(found, Dumper=_NoAliases, sort_keys=False, width=110)
-    try:
-        with atomic_file(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CrosscheckError(f"cannot write {os.fspath(path)}: {error.strerror}") from error
+    write_files({Path(path): text.encode()})
 
 
 def _content(scene: Scene) -> dict[str, Any]:

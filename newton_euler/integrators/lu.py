@@ -27,6 +27,14 @@ def zero_block(n: int, a: Vector) -> int:
 
 
 @native
+def exchange(x: Vector, i: int, j: int) -> None:
+    """Exchange two elements of a vector."""
+    kept = x[i]
+    x[i] = x[j]
+    x[j] = kept
+
+
+@native
 def factor_real(n: int, m: int, a: Vector, pivots: Vector) -> int:
     """Factor a (n, n), which begins with a diagonal block of m rows, in place; 1 if it is singular, else 0.
 
@@ -43,9 +51,7 @@ def factor_real(n: int, m: int, a: Vector, pivots: Vector) -> int:
             return 1
         if best != k:
             for j in range(n):
-                kept = a[n * j + k]
-                a[n * j + k] = a[n * j + best]
-                a[n * j + best] = kept
+                exchange(a, n * j + k, n * j + best)
         inverse = 1.0 / a[n * k + k]
         below = m if k < m else k + 1
         for i in range(below, n):
@@ -62,10 +68,7 @@ def factor_real(n: int, m: int, a: Vector, pivots: Vector) -> int:
 def solve_real(n: int, m: int, a: Vector, pivots: Vector, x: Vector) -> None:
     """Solve A x = x (n,) in place by the factors of `factor_real`."""
     for k in range(m, n):
-        place = int(pivots[k])
-        kept = x[k]
-        x[k] = x[place]
-        x[place] = kept
+        exchange(x, k, int(pivots[k]))
     for k in range(n):
         share = x[k]
         for i in range(m if k < m else k + 1, n):
@@ -95,12 +98,8 @@ def factor_complex(n: int, m: int, a: Vector, b: Vector, pivots: Vector) -> int:
             return 1
         if best != k:
             for j in range(n):
-                kept = a[n * j + k]
-                a[n * j + k] = a[n * j + best]
-                a[n * j + best] = kept
-                kept = b[n * j + k]
-                b[n * j + k] = b[n * j + best]
-                b[n * j + best] = kept
+                exchange(a, n * j + k, n * j + best)
+                exchange(b, n * j + k, n * j + best)
         square = a[n * k + k] * a[n * k + k] + b[n * k + k] * b[n * k + k]
         re = a[n * k + k] / square
         im = -b[n * k + k] / square
@@ -123,13 +122,8 @@ def factor_complex(n: int, m: int, a: Vector, b: Vector, pivots: Vector) -> int:
 def solve_complex(n: int, m: int, a: Vector, b: Vector, pivots: Vector, x: Vector, y: Vector) -> None:
     """Solve (A + iB) (x + iy) = x + iy (n,) in place by the factors of `factor_complex`."""
     for k in range(m, n):
-        place = int(pivots[k])
-        kept = x[k]
-        x[k] = x[place]
-        x[place] = kept
-        kept = y[k]
-        y[k] = y[place]
-        y[place] = kept
+        exchange(x, k, int(pivots[k]))
+        exchange(y, k, int(pivots[k]))
     for k in range(n):
         re = x[k]
         im = y[k]
