@@ -209,8 +209,8 @@ class Fit:
         """Compute the derivatives of all residuals by the changes."""
         return self._weighted(self._evaluated(change).jacobians) * self.scale
 
-    def apart(self, change: Array) -> list[dict[str, Floats]]:
-        """Return measured less computed, by column for each run."""
+    def by_column(self, change: Array) -> list[dict[str, Floats]]:
+        """Return residuals, measured less computed, by column for each run."""
         found = self._evaluated(change).residuals
         pairs = zip(self._runs, found, strict=True)
         return [dict(zip(run.columns, -each.T, strict=True)) for run, each in pairs]
@@ -218,7 +218,7 @@ class Fit:
     def misfits(self, change: Array) -> dict[str, float]:
         """Return the root mean squares of the residuals of columns, in units of their noise."""
         weighted: dict[str, list[Array]] = {}
-        for run, residuals in zip(self._runs, self.apart(change), strict=True):
+        for run, residuals in zip(self._runs, self.by_column(change), strict=True):
             for name, column in residuals.items():
                 weighted.setdefault(name, []).append(column / run.noise.get(name, self.noise[name]))
         return {name: float(np.sqrt(np.mean(np.concatenate(x) ** 2))) for name, x in weighted.items()}

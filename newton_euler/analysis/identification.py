@@ -211,7 +211,7 @@ def identify(
         misfit=math.sqrt(squares / freedom),
         degrees_of_freedom=freedom,
         probability=float(chdtrc(freedom, squares)) if fit.some_noise_is_known else math.nan,
-        residuals=tuple(fit.apart(change)),
+        residuals=tuple(fit.by_column(change)),
         undetermined=tuple(_lines(names, fit, weak)),
         stopped=fit.stopped if fit.unsettled(change) > SETTLED else "",
         evaluations=fit.evaluations,

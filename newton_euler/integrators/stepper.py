@@ -101,7 +101,7 @@ class Table(Record):
         count: of output times.
         kept: number of elements of a state that outputs need, nq or n; the others are anything.
         runs: their number.
-        apart: from a run to the next that is made after it: 1, or the number of lanes.
+        stride: from a run to the next that is made after it: 1, or the number of lanes.
         first: (1,) number of the first run.
         times: (count,) s.
         ends: (runs, inputs) states with time and parameters: where runs start, and, once they are made, end.
@@ -112,7 +112,7 @@ class Table(Record):
     count: int
     kept: int
     runs: int
-    apart: int
+    stride: int
     first: Vector
     times: Shared
     ends: Shared
@@ -177,7 +177,7 @@ def finish(system: Equations, table: Table, run: int, status: int, now: Vector) 
         end[i] = now[i]
     for i in range(COUNTS):
         tally[i] = counts[i]
-    return table.runs if counts[WISH] == STOP else run + table.apart
+    return table.runs if counts[WISH] == STOP else run + table.stride
 
 
 @native
