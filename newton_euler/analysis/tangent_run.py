@@ -56,7 +56,9 @@ ROOM = 2048
 def tangent_code(scene: Scene, names: Sequence[str], formulation: FormulationName | None) -> TangentCode:
     """Return the code of a scene with derivatives by numbers that are parameters, see `components`."""
     initial = initial_numbers(scene, names)
-    return TangentCode(scene, formulation, parameters=[name for name in names if name not in initial])
+    code = TangentCode(scene, formulation, parameters=[name for name in names if name not in initial])
+    code.alone = len(names) == 1
+    return code
 
 
 def tangent_options(control: Mapping[str, Any]) -> Options:
@@ -162,6 +164,9 @@ class TangentCode(CompiledScene):
     are taken side by side.
     """
 
+    alone = False
+    """True if there is a single direction."""
+
     @cached_property
     def kept(self) -> int:
         """All elements of a state: derivatives need them, whatever the outputs."""
@@ -177,11 +182,12 @@ class TangentCode(CompiledScene):
         if not name.endswith(ALONG):
             return super()._traced(name, in_lanes)
         program = self.program(name)
-        many = program.operations < VERY_LARGE if name == RATES else self.function(RATES).lanes > 1
-        return Traced(program, many, self._layouts.get(name), straight=many)
+        straight = program.operations < VERY_LARGE
+        return Traced(program, not self.alone, self._layouts.get(name), straight=straight)
 
     def _identity_of(self, name: str) -> str | None:
-        return super()._identity_of(name.removesuffix(ALONG))
+        known = super()._identity_of(name.removesuffix(ALONG))
+        return known and f"{known}{' alone' * self.alone}"
 
     def _trace(self, name: str) -> Program:
         if not name.endswith(ALONG):
