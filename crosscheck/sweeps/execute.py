@@ -38,9 +38,6 @@ COUNT_AFTER = 2.0
 USUAL_WORKERS = 32
 """Of an executor that does not say how many it has."""
 
-RETRIES = 3
-"""Times that a cluster makes a task again whose worker was lost."""
-
 PROBE = 0.05
 """s that runs take by which their speed is told."""
 
@@ -85,7 +82,7 @@ def workers(
     if cluster is not None:
         with _client(cluster) as client:
             # what is sent along says all; a key made of it would be made anew for each task
-            of_client = client.get_executor(pure=False, retries=RETRIES)
+            of_client = client.get_executor(pure=False)
             yield Workers(of_client, lambda: sum(client.ncores().values()) or 1, True)
     elif executor is not None:
         if not isinstance(executor, Executor):
@@ -111,14 +108,24 @@ def _client(cluster: Client | str) -> Iterator[Client]:
     if not isinstance(cluster, str):
         raise OptionError("cluster", cluster, "a Client of Dask or an address such as tcp://10.0.0.1:8786")
     # what goes wrong is raised; its log on standard error would be a second voice
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+    log = logging.getLogger("distributed.client")
+    level = log.level
+    log.setLevel(logging.CRITICAL)
     try:
-        client = distributed.Client(cluster, timeout=PATIENCE, set_as_default=False)
+        with _connected(cluster) as client:
+            yield client
+    finally:
+        log.setLevel(level)
+
+
+def _connected(address: str) -> Client:
+    import distributed
+
+    try:
+        return distributed.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TypeError, RuntimeError) as error:
         reason = " ".join(str(error).split())
-        raise CrosscheckError(f"cannot reach the cluster {cluster}: {reason}"[:300]) from error
-    with client:
-        yield client
+        raise CrosscheckError(f"cannot reach the cluster {address}: {reason}"[:300]) from error
 
 
 def in_any_order(

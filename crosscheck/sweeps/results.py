@@ -33,6 +33,9 @@ OVERHEAD = 0.01
 LARGEST_CHUNK = 2**16
 """Runs of a task."""
 
+BLOCK = 2**20
+"""Runs whose status is read at a time."""
+
 TASKS_PER_WORKER = 4
 """At least, if there are runs enough: so that all have work to the end."""
 
@@ -76,11 +79,14 @@ class Results:
     @cached_property
     def errors(self) -> dict[int, str]:
         """Why runs could not go on, by their number."""
-        stopped = np.flatnonzero(self.dataset[STATUS].values == STOPPED)
-        if not len(stopped):
-            return {}
-        reasons = self.dataset[ERROR].values
-        return {int(run): str(reasons[run]) for run in stopped}
+        found: dict[int, str] = {}
+        for first in range(0, self.plan.samples.runs, BLOCK):
+            status = self.dataset[STATUS][first : first + BLOCK].values
+            stopped = first + np.flatnonzero(status == STOPPED)
+            if len(stopped):
+                reasons = self.dataset[ERROR][stopped].values
+                found |= {int(run): str(reason) for run, reason in zip(stopped, reasons, strict=True)}
+        return found
 
 
 def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[[str], None]) -> Results:

@@ -102,6 +102,9 @@ class Store:
         """
         _, zarr = libraries()
         record = plan.record()
+        for abandoned in path.parent.glob(f".{path.stem}-????????{path.suffix}"):
+            if _is_abandoned(abandoned):
+                shutil.rmtree(abandoned, ignore_errors=True)
         made = path.parent / f".{path.stem}-{os.urandom(4).hex()}{path.suffix}"
         try:
             with told(path):
@@ -200,8 +203,8 @@ class Store:
     def tidy(self) -> None:
         """Remove files that a process which was killed has not ended."""
         for path in self.path.rglob(UNFINISHED) if self.path else ():
-            with suppress(OSError):  # another process may have been quicker
-                if time.time() - path.stat().st_mtime > ABANDONED:
+            if _is_abandoned(path):
+                with suppress(OSError):
                     path.unlink()
 
     def write(self, plan: Plan, k: int, chunk: Chunk) -> None:
@@ -242,6 +245,13 @@ def _difference(name: str, old: Any, new: Any) -> str:
         for value in (old, new)
     ]
     return f"{name} was {words[0]:.80}, is {words[1]:.80}"
+
+
+def _is_abandoned(path: Path) -> bool:
+    try:
+        return time.time() - path.stat().st_mtime > ABANDONED
+    except OSError:  # another process has been quicker
+        return False
 
 
 @contextmanager

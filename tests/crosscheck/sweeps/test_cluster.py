@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import logging
 import os
 import shutil
 import signal
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -15,6 +18,7 @@ from distributed import Client, LocalCluster
 import crosscheck.sweeps.results
 from crosscheck import sweep
 from crosscheck.errors import CrosscheckError
+from crosscheck.sweeps.execute import in_any_order, workers
 
 ARGUMENTS = ("pendulum", {"dumbbell.mass": "uniform(1, 2)"}, 90, "peak:reaction_force")
 
@@ -46,7 +50,20 @@ def assert_equal(found, reference):
 @pytest.mark.parametrize("on_disk", [False, True])
 def test_a_cluster_gives_what_threads_give(cluster, tmp_path, on_disk):
     output = tmp_path / "out" if on_disk else None
+    level = logging.getLogger("distributed.client").level
     assert_equal(sweep(*ARGUMENTS, cluster=cluster.scheduler_address, output=output), sweep(*ARGUMENTS))
+    assert logging.getLogger("distributed.client").level == level
+
+
+def test_a_task_that_fails_is_not_made_again(cluster, tmp_path):
+    def fail(number: int) -> None:
+        (tmp_path / str(time.time_ns())).touch()
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    words = "No space left on device"
+    with workers(cluster=cluster.scheduler_address) as at, pytest.raises(CrosscheckError, match=words):
+        list(in_any_order(fail, [0], at))
+    assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_a_worker_that_dies_loses_nothing(cluster, tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import multiprocessing
+import os
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import xarray
 
 import crosscheck.sweeps.execute
 import crosscheck.sweeps.results
@@ -164,6 +166,32 @@ def test_a_full_disk_is_one_line_and_loses_nothing(reference, tmp_path, monkeypa
     assert_equal(found, reference)
 
 
+def test_folders_of_starts_that_were_killed_are_removed(tmp_path):
+    old, new = tmp_path / ".sweep-0123abcd.zarr", tmp_path / ".sweep-4567abcd.zarr"
+    for folder in (old, new):
+        (folder / "status").mkdir(parents=True)
+    os.utime(old, (0.0, 0.0))
+    sweep(*ARGUMENTS, output=tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {NAME, new.name}
+
+
+def test_reasons_are_read_of_runs_that_stopped_alone(monkeypatch):
+    read = []
+
+    class Reasons:
+        def __getitem__(self, runs):
+            read.append(runs.tolist())
+            return SimpleNamespace(values=np.array([f"reason {run}" for run in runs]))
+
+    monkeypatch.setattr(crosscheck.sweeps.results, "BLOCK", 4)
+    status = xarray.DataArray([1, 1, 1, 1, 1, 2, 2, 1, 1, 1], dims="run")
+    dataset = {"status": status, "error": Reasons()}
+    plan = SimpleNamespace(samples=SimpleNamespace(runs=10))
+    found = crosscheck.sweeps.results.Results(plan, dataset, None, 0, 0.0)
+    assert found.errors == {5: "reason 5", 6: "reason 6"}
+    assert read == [[5, 6]]
+
+
 def test_runs_that_cannot_go_on_keep_their_error():
     found = sweep(
         "pendulum",
@@ -270,15 +298,24 @@ sweep(*arguments, rtol=1e-6, output=sys.argv[1])
 """
 
 
+def stored(path):
+    """The number of runs that a sweep on disk has."""
+    return int(np.count_nonzero(Store.at(path).group["status"][:]))
+
+
 @pytest.mark.slow  # a sweep of seconds, begun ten times
 def test_a_sweep_killed_ten_times_is_the_one_that_was_not(tmp_path, monkeypatch):
     monkeypatch.undo()
-    random = Random(1)
-    for _ in range(10):
+    random, store = Random(1), tmp_path / "killed" / NAME
+    for kill in range(1, 11):
         process = subprocess.Popen([sys.executable, "-c", KILLED, tmp_path / "killed"])
-        time.sleep(random.uniform(1.5, 4.0))
+        # in the midst of the runs, of which each process makes some
+        while process.poll() is None and (not store.exists() or stored(store) < 150 * kill):
+            time.sleep(0.001)
+        time.sleep(random.uniform(0.0, 0.05))
         process.send_signal(signal.SIGKILL)
         process.wait()
+        assert 0 < stored(store) < 2000
     arguments = ("tracker", {"panel_7.mass": "normal(0.89, 0.05)"}, 2000, "peak:reaction_force")
     found = sweep(*arguments, rtol=1e-6, output=tmp_path / "killed").dataset
     other = sweep(*arguments, rtol=1e-6, output=tmp_path / "other").dataset
