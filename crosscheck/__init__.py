@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from crosscheck.errors import CrosscheckError
     from crosscheck.sweeps.sweep import Sweep, sweep
     from crosscheck.verdict import Verdict, check
 else:
@@ -16,10 +17,12 @@ else:
             raise AttributeError(f"module 'crosscheck' has no attribute {name!r}")
         if name in ("Sweep", "sweep"):
             from crosscheck.sweeps import sweep as module
+        elif name == "CrosscheckError":
+            from crosscheck import errors as module
         else:
             from crosscheck import verdict as module
 
         return getattr(module, name)
 
 
-__all__ = ["Sweep", "Verdict", "check", "sweep"]
+__all__ = ["CrosscheckError", "Sweep", "Verdict", "check", "sweep"]

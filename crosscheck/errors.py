@@ -9,7 +9,15 @@ NO_MEMORY = ("failed to map segment", "llocate", "start new thread", "spawn back
 
 
 class CrosscheckError(Exception):
-    """Base of every error that `crosscheck` raises on purpose; reads as one line."""
+    """Base of every error that `crosscheck` raises on purpose; reads as one line.
+
+    Examples:
+        >>> try:
+        ...     sweep("pendulum", {"dumbbell.mass": "normal(1, 0.1)"}, 0, "peak:reaction_force")
+        ... except CrosscheckError as error:
+        ...     print(error)
+        runs is 0; needed: a whole number, 1 to 4294967296
+    """
 
 
 def short_of_memory(error: BaseException | None) -> bool:

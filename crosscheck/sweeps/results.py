@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -39,6 +40,9 @@ BLOCK = 2**20
 TASKS_PER_WORKER = 4
 """At least, if there are runs enough: so that all have work to the end."""
 
+
+TIMES = re.compile(r"time\d*")
+"""Names of the times of what is kept at some."""
 
 VECTORS = "BODY.center_of_mass.x, BODY.inertia.xy, JOINT.point.z"
 """Examples of numbers that vary alone."""
@@ -111,9 +115,9 @@ def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[
 
 def _check_names(plan: Plan) -> None:
     """Raise `CrosscheckError` for names that are taken, and for parameters that are no number."""
-    taken = {*plan.samples.names, STATUS, ERROR, "run", "time", *labels(plan.scene)}
+    taken = {*plan.samples.names, STATUS, ERROR, "run", *labels(plan.scene)}
     for each in plan.kept:
-        if each.name in taken:
+        if each.name in taken or TIMES.fullmatch(each.name):
             raise CrosscheckError(f"{each.name!r} is the name of something else; keep it by another one")
     for name in plan.samples.names:
         try:

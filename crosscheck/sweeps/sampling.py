@@ -168,6 +168,8 @@ def samples_of(vary: Vary, sampling: SamplingName, runs: int | None, seed: int) 
             numbers of runs that a plan cannot have.
     """
     check_choice("sampling", sampling, SAMPLINGS)
+    runs = int(runs) if isinstance(runs, np.integer) else runs
+    seed = int(seed) if isinstance(seed, np.integer) else seed
     groups: list[tuple[tuple[str, ...], Distribution | Correlated]] = []
     for key, given in vary.items():
         names = (key,) if isinstance(key, str) else tuple(key)

@@ -10,6 +10,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack, cast
 
+import numpy as np
+
 from crosscheck.engines import ENGINES, choose
 from crosscheck.load import exercised, load_scene
 from crosscheck.report.output import own_name
@@ -26,6 +28,7 @@ from crosscheck.sweeps.report import Findings, findings, report, to_record, writ
 from crosscheck.sweeps.results import Results, results_of
 from crosscheck.sweeps.sampling import SamplingName, samples_of
 from crosscheck.sweeps.store import libraries
+from newton_euler.errors import OptionError, check_choice, is_count
 from newton_euler.integrators.options import IntegratorName, Options, StepControl
 from newton_euler.model.scene import Scene
 
@@ -57,7 +60,8 @@ def _control(given: Mapping[str, Any]) -> dict[str, Any]:
     chosen = {"integrator": method, "step": options.step, "most_steps": options.most_steps}
     if options.step is None:
         chosen |= {"rtol": options.rtol, "atol": given.get("atol", ATOL * options.rtol), "rest": options.rest}
-    return {name: value for name, value in chosen.items() if value}
+    # numbers of Python, which the record of a sweep is made of
+    return {name: np.asarray(value).item() for name, value in chosen.items() if value}
 
 
 def _quiet(stage: str) -> None:
@@ -127,7 +131,10 @@ class Sweep:
 
         Raises:
             CrosscheckError: for an unknown engine.
+            OptionError: for an impossible number of random runs.
         """
+        if random != 0 and not is_count(random):
+            raise OptionError("random", random, "a whole number, 0 or more")
         found = scalars(self.results)
         runs = chosen(self.results, telling(found), random)
         checked = check_runs(self.results, found, runs, choose(list(engines)), progress)
@@ -176,7 +183,7 @@ def sweep(
     Args:
         scene: as of `check`; files are exercised like there.
         vary: distributions by the names of parameters, see `newton_euler.equations.parameters`: texts such as
-            "normal(14, 0.5)", numbers, or a `Distribution`.
+            "normal(14, 0.5)", or numbers, one as likely as the other.
         runs: their number; None for all combinations of a grid.
         keep: reductions, as "peak:reaction_force, final:panel_7.quaternion".
         sampling: "random", "latin_hypercube", "sobol", "saltelli" (for Sobol indices) or "grid".
@@ -198,6 +205,8 @@ def sweep(
         ('run', 'joint')
     """
     libraries()
+    for name in options:
+        check_choice("option", name, tuple(Execution.__annotations__))
     loaded = own_scene(scene, load_scene(scene, exercised(scene, {}))[0])
     threads, executor = options.pop("threads", None), options.pop("executor", None)
     cluster, progress = options.pop("cluster", None), options.pop("progress", _quiet)
