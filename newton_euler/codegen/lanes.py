@@ -201,14 +201,7 @@ class LaneTranslator(Translator):
     def _uniform_if(self, test: Value, statement: ast.If) -> None:
         yes, no, after = self._labels("if", "else", "endif")
         self._emit(f"br i1 {test.operand}, label %{yes}, label %{no}")
-        self._begin(yes)
-        self._block(statement.body)
-        reached = self._jump(after)
-        self._begin(no)
-        self._block(statement.orelse)
-        reached = self._jump(after) or reached
-        if reached:
-            self._begin(after)
+        self._sides(statement, yes, no, after)
 
     def _varying_if(self, test: Value, statement: ast.If) -> None:
         yes, between, no, after = self._labels("if", "between", "else", "endif")

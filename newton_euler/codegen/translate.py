@@ -105,6 +105,10 @@ class Translator(FunctionText):
     def _on_if(self, statement: ast.If) -> None:
         yes, no, after = self._labels("if", "else", "endif")
         self._branch(statement.test, yes, no)
+        self._sides(statement, yes, no, after)
+
+    def _sides(self, statement: ast.If, yes: str, no: str, after: str) -> None:
+        """Emit both sides of an `if` at their labels, and go on behind them if either ends."""
         self._begin(yes)
         self._block(statement.body)
         reached = self._jump(after)
