@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import rankdata
 
-from crosscheck.comparison.figure import ROUND_OFF
 from crosscheck.sweeps.plan import Parameters
 from crosscheck.sweeps.results import Results
 from crosscheck.sweeps.sampling import Samples
@@ -55,7 +54,7 @@ EXTREME = 0.1
 EPSILON = float(np.finfo(float).eps)
 
 CONSTANT = 1e-9
-"""Range of a number, by its magnitude, below which it varies by round-off alone."""
+"""Range of a number, by the magnitude of its variable, below which it varies by errors of runs alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +144,7 @@ class Scalar:
     def varies(self) -> bool:
         """False where all runs have the same number, but for round-off."""
         low, high = self.quantiles[[0, -1]]
-        return bool(high - low > max(CONSTANT * max(abs(low), abs(high)), ROUND_OFF * self.largest))
+        return bool(high - low > CONSTANT * max(abs(low), abs(high), self.largest))
 
     def extreme(self, largest: bool) -> int:
         """Return the run with the largest or the least value."""

@@ -66,10 +66,10 @@ class Checked:
         return not self.agrees or not all(each.agrees for each in self.kept)
 
 
-def chosen(swept: Results, telling: Sequence[Scalar], random: int) -> dict[int, str]:
+def chosen(swept: Results, kept: Sequence[Scalar], telling: Sequence[Scalar], random: int) -> dict[int, str]:
     """Choose runs to check by number, each with the reason: some at random, and extreme ones."""
     found: dict[int, str] = {}
-    known = telling[0].runs[np.isfinite(telling[0].values)] if telling else np.zeros(0, dtype=int)
+    known = kept[0].runs[~np.isin(kept[0].runs, list(swept.errors))]
     generator = np.random.default_rng([swept.plan.samples.seed, swept.plan.samples.runs])
     for run in generator.choice(known, min(random, len(known)), replace=False):
         found[int(run)] = "at random"

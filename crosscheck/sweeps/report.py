@@ -115,7 +115,7 @@ class Findings:
                 return f"{named}: {told(max(wrong, key=_share))}; {count} runs cross-checked, {kinds}"
         kept = [figure for each in self.checked for figure in each.kept]
         judged = [figure for figure in kept if not figure.informs]
-        found = f"all engines in all figures of {count} runs, {kinds}"
+        found = f"all engines in all figures of {count} run{'s'[: count - 1]}, {kinds}"
         if judged:
             found += f"; kept numbers as well, nearest its limit {told(max(judged, key=_share))}"
         soft = sorted({figure.between[0] for figure in kept if figure.detail})
@@ -172,19 +172,22 @@ def report(found: Findings) -> Report:
     if found.left_out:
         notes.append(f"of {found.left_out + len(found.scalars):,} numbers of a run the first are analyzed")
     parts: list[Part] = [_quantiles(found, found.scalars, f"quantiles {of_runs}".rstrip())]
-    parts += [_effects(*each, None) for each in found.effects]
+    parts += [_effects(*each, None) for each in found.effects if each[1]]
     parts += [Lines("", [found.too_few])] if found.too_few else []
     parts += _checks(found.checked) if found.checked else []
     parts.append(_varied(swept.plan))
     if failed:
         parts.append(Lines("runs that could not go on", failed))
     varying = [scalar for scalar in found.scalars if scalar.varies]
+    if not varying:
+        varying = found.scalars
+        notes.append("what varies has no effect on what is kept")
     first = [scalar for scalar, _ in found.effects]
     rows = sorted(
         (first + [each for each in varying if each not in first])[:MOST_ROWS], key=found.scalars.index
     )
     summary: list[Part] = [_quantiles(found, rows, "")]
-    summary += [_effects(*each, MOST_BARS) for each in found.effects[:MOST_CHARTS]]
+    summary += [_effects(*each, MOST_BARS) for each in found.effects[:MOST_CHARTS] if each[1]]
     notes += [*filter(None, [found.too_few]), *_not_shown(found, rows), *failed[:MOST_REASONS]]
     if len(failed) > MOST_REASONS:
         notes.append(f"{len(failed) - MOST_REASONS} more reasons why runs could not go on; -v prints all")
@@ -194,14 +197,13 @@ def report(found: Findings) -> Report:
 
 def _not_shown(found: Findings, rows: Sequence[Scalar]) -> list[str]:
     """Word what the terminal leaves out, and where it is."""
-    constant = sum(not each.varies for each in found.scalars)
     counts = {
-        "numbers that do not vary": constant,
-        "other numbers": len(found.scalars) - constant - len(rows),
+        "numbers that do not vary": sum(not each.varies and each not in rows for each in found.scalars),
+        "other numbers": sum(each.varies and each not in rows for each in found.scalars),
         "charts of what matters": len(found.effects) - MOST_CHARTS,
     }
-    said = [f"{count} {what}" for what, count in counts.items() if count > 0]
-    return [f"not shown: {', '.join(said)}; -v prints all"] if said else []
+    said = [f"{what}: {count}" for what, count in counts.items() if count > 0]
+    return [f"not shown, -v prints all: {'; '.join(said)}"] if said else []
 
 
 def _failures(found: Findings) -> list[str]:

@@ -136,7 +136,7 @@ class Sweep:
         if random != 0 and not is_count(random):
             raise OptionError("random", random, "a whole number, 0 or more")
         found = scalars(self.results)
-        runs = chosen(self.results, telling(found), random)
+        runs = chosen(self.results, found, telling(found), random)
         checked = check_runs(self.results, found, runs, choose(list(engines)), progress)
         return replace(self, checks=tuple(checked))
 

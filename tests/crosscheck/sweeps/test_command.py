@@ -69,6 +69,27 @@ def test_extreme_runs_and_some_at_random_are_cross_checked():
     swept.check(1, progress=lambda stage: pytest.fail(stage))
 
 
+def test_what_has_no_effect_is_said_and_checked_all_the_same():
+    short = replace(load("pendulum"), duration=1.0)
+    swept = sweep(short, {"dumbbell.mass": "uniform(1, 2)"}, 3, "final:dumbbell.position.z").check(1)
+    assert [each.why for each in swept.checks] == ["at random"]
+    assert "what varies has no effect on what is kept" in str(swept)
+    assert swept.report.verdict.startswith(
+        "AGREE: all engines in all figures of 1 run, 1 at random and 0 ext"
+    )
+
+
+def test_runs_that_fail_are_counted_by_reason(capsys, tmp_path):
+    vary = ("--vary", "dumbbell.mass=normal(1, 2)", "--runs", "20", "--keep", KEEP, "--check", "0")
+    status, out, _ = run(capsys, "sweep", "pendulum", *vary, "--output", tmp_path)
+    assert status == 3
+    said = " ".join(out.split())
+    failed = 20 - int(said.partition("UNFINISHED: ")[2].partition(" of 20 runs came to their end")[0])
+    assert f"{failed} runs could not go on, as run " in said
+    assert "; needed: a positive mass" in said
+    assert "dumbbell.mass=truncated_normal(1, 2, LOW, HIGH) stays within bounds" in said
+
+
 def test_a_kept_number_that_engines_do_not_confirm_is_named():
     short, vary = replace(load("pendulum"), duration=1.0), {"dumbbell.mass": "uniform(1, 2)"}
     swept = sweep(short, vary, 4, "final:kinetic_energy")
