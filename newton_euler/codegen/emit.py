@@ -143,7 +143,8 @@ def emit_straight(program: Program, name: str, lanes: int = 1, fuses: bool = Tru
     mask = out.mask("%mask", "%on")
     for k, output in enumerate(program.outputs):
         out.store(f"%y{k}", values[output], "%y", k, mask)
-    return "\n".join([f"define void @{name}({ARGUMENTS}) {{", *out.lines, "  ret void\n}"])
+    aligned = ' "stackrealign"' if lanes > 1 else ""  # registers are saved within lines of the cache
+    return "\n".join([f"define void @{name}({ARGUMENTS}){aligned} {{", *out.lines, "  ret void\n}"])
 
 
 def _fused(program: Program) -> dict[int, int]:
