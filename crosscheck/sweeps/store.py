@@ -196,9 +196,17 @@ class Store:
         return Plan(plan.scene, plan.samples, plan.keep, plan.control, int(own["chunk"]))
 
     def missing(self, plan: Plan) -> list[int]:
-        """Return the chunks that are not there."""
+        """Return the chunks that are not there.
+
+        Raises:
+            CrosscheckError: for files that are damaged.
+        """
         status = self.group[STATUS]
-        return [k for k in range(plan.chunks) if not status[plan.bounds(k)[0]]]
+        try:
+            return [k for k in range(plan.chunks) if not status[plan.bounds(k)[0]]]
+        except (OSError, RuntimeError, ValueError) as error:
+            problem = f"{self.path} is damaged: {STATUS}: {error}"[:300]
+            raise CrosscheckError(f"{problem}; name another folder (--output), or remove this one") from error
 
     def tidy(self) -> None:
         """Remove files that a process which was killed has not ended."""

@@ -311,6 +311,14 @@ def test_a_folder_with_something_else_is_refused(tmp_path):
         sweep(*ARGUMENTS, output=tmp_path)
 
 
+def test_a_damaged_folder_is_one_line(tmp_path):
+    sweep(*ARGUMENTS, output=tmp_path)
+    chunk = tmp_path / NAME / "status" / "c" / "3"
+    chunk.write_bytes(chunk.read_bytes()[:-4])
+    with pytest.raises(CrosscheckError, match="is damaged: status"):
+        sweep(*ARGUMENTS, output=tmp_path)
+
+
 KILLED = """
 import sys
 import crosscheck.sweeps.results
