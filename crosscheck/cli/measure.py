@@ -54,6 +54,7 @@ def figures_command(output: Path) -> int:
     metavar="RUNS",
     help="Runs per second from random states instead.",
 )
+@click.option("--sensitivities", is_flag=True, help="Time derivatives of runs by parameters instead.")
 @folder_option("output/bench/SCENE")
 @verbose_option
 def bench_command(
@@ -62,6 +63,7 @@ def bench_command(
     error: float,
     rhs: bool,
     batch: int | None,
+    sensitivities: bool,
     output: Path | None,
 ) -> int:
     """Measure run time against error of every engine.
@@ -71,13 +73,15 @@ def bench_command(
     from crosscheck.load import exercised
     from crosscheck.studies.benchmark.run import Wanted, bench
 
-    if rhs and batch is not None:
-        raise CrosscheckError("--rhs and --batch are different benchmarks; choose one")
+    asked = {"rhs": rhs, "batch": batch is not None, "sensitivities": sensitivities}
+    kinds = [kind for kind, is_asked in asked.items() if is_asked] or ["runs"]
+    if len(kinds) > 1:
+        names = " and ".join(f"--{kind}" for kind in kinds)
+        raise CrosscheckError(f"{names} are different benchmarks; choose one")
     options = exercised(scene, scene_options(settings))
     wanted = Wanted(load_and_tell(scene, options), scene, options, error, batch or 0)
-    kind = "rhs" if rhs else "runs" if batch is None else "batch"
     with progress_shown() as progress:
-        found, written = bench(wanted, kind, output, progress)
+        found, written = bench(wanted, kinds[0], output, progress)
     folder = quote(str(written[0].parent))
     show(found, f"wrote {', '.join(map(str, written))}", f"more  -v; crosscheck report {folder}")
     return AGREE

@@ -14,7 +14,7 @@ from crosscheck.report.output import check_own
 from crosscheck.report.render import as_json
 from crosscheck.report.table import Cell, Lines, Part, Report
 from crosscheck.scenes.options import titled
-from crosscheck.studies.benchmark import batch, report, rhs
+from crosscheck.studies.benchmark import batch, report, rhs, sensitivities
 from crosscheck.studies.benchmark.ladders import ENGINES, poses_only
 from crosscheck.studies.benchmark.reference import reference
 from crosscheck.studies.benchmark.timing import Progress, machine
@@ -110,9 +110,15 @@ def _batch(wanted: Wanted, progress: Progress) -> Found:
     return Found(asdict(result), batch.parts(result))
 
 
+def _sensitivities(wanted: Wanted, progress: Progress) -> Found:
+    costs = sensitivities.time_sensitivities(wanted.scene, progress)
+    return Found({"sensitivities": [asdict(cost) for cost in costs]}, sensitivities.parts(costs))
+
+
 KINDS: dict[str, tuple[tuple[str, ...], Callable[[Wanted, Progress], Found]]] = {
     "runs": (("bench.json", "work_precision.png"), _whole_runs),
     "rhs": (("rhs.json",), _right_hand_sides),
     "batch": (("batch.json",), _batch),
+    "sensitivities": (("sensitivities.json",), _sensitivities),
 }
-"""Files that each benchmark writes, and what measures: whole runs, right-hand sides, many runs."""
+"""Files that each benchmark writes, and what measures."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import signal
 import time
 from functools import partial
@@ -339,7 +340,8 @@ def test_mujoco_delivers_poses_of_its_own_outputs(short, integrator):
         (["tracker", "--error", "-1"], "--error is -1"),
         (["tracker", "--error", "nan"], "--error is nan"),
         (["--rhs", "nowhere"], "unknown scene 'nowhere'"),
-        (["--rhs", "--batch", "10"], "choose one"),
+        (["--rhs", "--batch", "10"], "--rhs and --batch are different benchmarks; choose one"),
+        (["--rhs", "--sensitivities"], "choose one"),
         (["--batch", "1"], "--batch"),
         (["--batch", "10", "--error", "0"], "--error is 0"),
     ],
@@ -353,9 +355,19 @@ def test_bad_usage_is_one_line(capsys, tmp_path, arguments, message):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("flags", [[], ["--rhs"], ["--batch", "9"]])
+@pytest.mark.parametrize("flags", [[], ["--rhs"], ["--batch", "9"], ["--sensitivities"]])
 def test_a_folder_that_cannot_be_written_is_found_before_the_measurement(capsys, tmp_path, flags):
     (tmp_path / "file").write_text("in the way")
     status, out, err = run(capsys, "bench", *flags, "--output", tmp_path / "file" / "folder")
     assert (status, out) == (2, "")
     assert err.startswith("crosscheck: error: cannot write ")
+
+
+def test_derivatives_are_timed_in_runs(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("crosscheck.studies.benchmark.sensitivities.REPEATS", 2)
+    status, out, _ = run(capsys, "bench", "slider_crank", "--sensitivities", "--output", tmp_path)
+    assert status == 0
+    assert "parameters  operations" in out
+    costs = json.loads((tmp_path / "sensitivities.json").read_text())["sensitivities"]
+    assert [cost["parameters"] for cost in costs] == [0, 1, 2]  # of three bodies
+    assert all(len(cost["times"]) == 2 and min(cost["times"]) > 0.0 for cost in costs)
