@@ -265,28 +265,22 @@ def _aligned(a: Value, b: Value) -> tuple[Array, Array, tuple[str, ...]]:
     return left, right, dimensions
 
 
-def _sum(function: Callable[[Array, Array], Array]) -> Callable[[Value, Value], Value]:
+def _combined(
+    function: Callable[[Array, Array], Array], is_sum: bool = False
+) -> Callable[[Value, Value], Value]:
     def apply(a: Value, b: Value) -> Value:
         left, right, dimensions = _aligned(a, b)
-        return Value(function(left, right), dimensions, a.unit if a.unit == b.unit else "")
-
-    return apply
-
-
-def _product(function: Callable[[Array, Array], Array]) -> Callable[[Value, Value], Value]:
-    def apply(a: Value, b: Value) -> Value:
-        left, right, dimensions = _aligned(a, b)
-        return Value(function(left, right), dimensions)
+        return Value(function(left, right), dimensions, a.unit if is_sum and a.unit == b.unit else "")
 
     return apply
 
 
 OPERATORS: Mapping[type[ast.operator], Callable[[Value, Value], Value]] = {
-    ast.Add: _sum(operator.add),
-    ast.Sub: _sum(operator.sub),
-    ast.Mult: _product(operator.mul),
-    ast.Div: _product(operator.truediv),
-    ast.Pow: _product(operator.pow),
+    ast.Add: _combined(operator.add, is_sum=True),
+    ast.Sub: _combined(operator.sub, is_sum=True),
+    ast.Mult: _combined(operator.mul),
+    ast.Div: _combined(operator.truediv),
+    ast.Pow: _combined(operator.pow),
 }
 
 
