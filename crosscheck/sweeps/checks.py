@@ -50,6 +50,7 @@ class Checked:
         verdict: of its crosscheck, in a line.
         kept: of each variable and engine the number whose difference from the sweep's is nearest its limit.
         moves: whether anything does.
+        engines: that made it.
     """
 
     run: int
@@ -59,6 +60,7 @@ class Checked:
     verdict: str
     kept: tuple[Figure, ...] = ()
     moves: bool = True
+    engines: tuple[str, ...] = ()
 
     @property
     def differs(self) -> bool:
@@ -73,7 +75,7 @@ def chosen(swept: Results, kept: Sequence[Scalar], telling: Sequence[Scalar], ra
     generator = np.random.default_rng([swept.plan.samples.seed, swept.plan.samples.runs])
     for run in generator.choice(known, min(random, len(known)), replace=False):
         found[int(run)] = "at random"
-    extremes = [(scalar, largest) for largest in (True, False) for scalar in telling]
+    extremes = [(scalar, largest) for scalar in telling for largest in (True, False)]
     for scalar, largest in extremes[:MOST_EXTREMES]:
         found.setdefault(scalar.extreme(largest), f"{'most' if largest else 'least'} {scalar.label}")
     return found
@@ -99,7 +101,8 @@ def check_runs(
         if str(run) in known:
             entry = known[str(run)]
             kept = [Figure(**{**each, "between": tuple(each["between"])}) for each in entry["kept"]]
-            checked.append(Checked(**{**entry, "why": why, "kept": tuple(kept)}))
+            own = {"why": why, "kept": tuple(kept), "engines": tuple(entry["engines"])}
+            checked.append(Checked(**{**entry, **own}))
             continue
         progress(f"cross-checking run {run}, {count} of {len(runs)}")
         checked.append(_check(swept, found, run, why, engines))
@@ -110,14 +113,15 @@ def check_runs(
 
 
 def _check(swept: Results, found: Sequence[Scalar], run: int, why: str, engines: Sequence[Engine]) -> Checked:
+    names = tuple(each.name for each in engines)
     try:
         result = crosscheck(swept.plan.scene_of(run), engines, lambda stage: None, "", {})
         kept = tuple(_compared(swept, found, run, result, engines))
     except (CrosscheckError, NewtonEulerError) as error:
-        return Checked(run, why, False, True, str(error))
+        return Checked(run, why, False, True, str(error), engines=names)
     complete = not (result.left_out or result.unfinished)
     moves = not rests(result.scene, engines, result.trajectories)
-    return Checked(run, why, complete, not result.differs, result.verdict, kept, moves)
+    return Checked(run, why, complete, not result.differs, result.verdict, kept, moves, names)
 
 
 def _compared(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crosscheck.comparison.figure import Figure
+from crosscheck.engines import ENGINES
 from crosscheck.files import check_writable, write_files
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, Verdict, figures, texts
@@ -106,6 +107,9 @@ class Findings:
         count = len(self.checked)
         random = sum(each.why == "at random" for each in self.checked)
         kinds = f"{random} at random and {count - random} extreme"
+        extremes = {scalar.extreme(largest) for scalar, _ in self.effects for largest in (True, False)}
+        if left := len(extremes.difference(each.run for each in self.checked)):
+            kinds += f" of {count - random + left}"
         for each in sorted(self.checked, key=lambda each: not each.differs):
             named = f"run {each.run} ({each.why})"
             if not (each.agrees and each.complete):
@@ -115,7 +119,10 @@ class Findings:
                 return f"{named}: {told(max(wrong, key=_share))}; {count} runs cross-checked, {kinds}"
         kept = [figure for each in self.checked for figure in each.kept]
         judged = [figure for figure in kept if not figure.informs]
-        found = f"all engines in all figures of {count} run{'s'[: count - 1]}, {kinds}"
+        engines = self.checked[0].engines
+        who = "all engines" if set(engines) == set(ENGINES) else ", ".join(engines)
+        who += " alone" if len(engines) == 1 else ""
+        found = f"{who} in all figures of {count} run{'s'[: count - 1]}, {kinds}"
         if judged:
             found += f"; kept numbers as well, nearest its limit {told(max(judged, key=_share))}"
         soft = sorted({figure.between[0] for figure in kept if figure.detail})
