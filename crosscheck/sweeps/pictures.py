@@ -75,7 +75,7 @@ def _tornado(axes: Array, effects: Effects) -> None:
             ends = max(effect.low, effect.high, middle)
             ax.annotate(f" {share_of(effect)}", (ends, row), va="center", fontsize="small")
         ax.axvline(middle, color="black", linewidth=0.8)
-        ax.margins(x=0.2)
+        ax.margins(x=0.35)
         ax.set_title(f"{scalar.heading}: mean where a parameter is low or high; {beside}", fontsize="small")
         ax.legend(fontsize="small", loc="lower right")
 
@@ -84,7 +84,7 @@ def share_of(effect: Effect) -> str:
     """Word the share of a parameter and its 95 % interval, or its rank where there is none."""
     if effect.share is None:
         return rank_of(effect)
-    text = f"{100.0 * effect.share:.0f} ± {np.ceil(100.0 * effect.error):.0f} %"
+    text = f"{round(100.0 * effect.share)} ± {np.ceil(100.0 * effect.error):.0f} %"
     return text if effect.total is None else f"{text}, in all {100.0 * effect.total:.0f} %"
 
 
