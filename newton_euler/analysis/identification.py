@@ -233,8 +233,8 @@ def _runs(scene: Scene, given: Given | Sequence[Given]) -> dict[str, Measurement
         else:
             where, run = path_text(one), measurements_from_csv(one)  # type: ignore[arg-type]
         if run.time[-1] > scene.duration * (1.0 + 1e-12):
-            problem = f"go on to {run.time[-1]:.9g} s"
-            raise MechanismError(where, problem, f"times up to the scene's {scene.duration:g} s")
+            problem = f"times go on to {run.time[-1]:.9g} s"
+            raise MechanismError(where, problem, f"at most the scene's {scene.duration:g} s")
         if where in runs:
             raise OptionError("measurements", where, "each file once")
         runs[where] = run
