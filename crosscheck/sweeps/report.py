@@ -157,7 +157,11 @@ def findings(swept: Results, checked: Sequence[Checked] = ()) -> Findings:
     effects = [(scalar, analysis.effects(scalar)) for scalar in telling(found)]
     kept = sum(int(np.prod(swept.dataset[each.name].shape[1:])) for each in swept.plan.kept)
     nominal = _nominal(swept.plan, found)
-    return Findings(swept, found, nominal, effects, list(checked), analysis.too_few, kept - len(found))
+    without = [scalar.label for scalar, each in effects if each and each[0].share is None]
+    lost = f"no shares of variance of {', '.join(without)}: too many runs without it" if without else ""
+    return Findings(
+        swept, found, nominal, effects, list(checked), analysis.too_few or lost, kept - len(found)
+    )
 
 
 def _nominal(plan: Plan, found: Sequence[Scalar]) -> dict[str, float]:

@@ -6,6 +6,7 @@ import json
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from command_line import run
 from rerun.chunk import RrdReader
@@ -99,6 +100,16 @@ def test_each_variable_has_its_most_and_its_least_checked_and_engines_are_named(
     assert why == ["most final:kinetic_energy", "least final:kinetic_energy"]
     words = "AGREE: newton_euler alone in all figures of 2 runs, 0 at random and 2 extreme of 3; "
     assert swept.report.verdict.startswith(words)
+
+
+def test_shares_that_lost_runs_leave_none_of_are_named():
+    short, vary = replace(load("pendulum"), duration=0.1), {"gravity.y": "uniform(-10, -9)"}
+    keep = "late=when:dumbbell.linear_velocity.y < -0.475"
+    swept = sweep(short, vary, 3 * 64, keep, sampling="saltelli")
+    late = swept.dataset["late"].values
+    assert 0.2 < np.isnan(late).mean() < 0.8
+    words = "no shares of variance of late: too many runs without it"
+    assert words in str(swept)
 
 
 def test_a_kept_number_that_engines_do_not_confirm_is_named():
