@@ -32,16 +32,18 @@ def parts(found: Identification) -> list[Part]:
     heads, *rows = found.table
     names = [*texts(*heads[:2]), *figures(*heads[2:])]
     tables: list[Part] = [Table("", names, [list(row) for row in rows]), _columns(found)]
-    return [*tables, Lines("", [found.fit, *found.doubts, *_correlated(found)])]
+    return [*tables, Lines("", [found.fit, *found.doubts, *found.notes, *_correlated(found)])]
 
 
 def _columns(found: Identification) -> Table:
     """Return a table of measured columns: noise and residuals."""
     rows: Rows = []
-    for name, noise in found.noise.items():
+    for name, misfit in found.misfits.items():
+        levels = [run[name] for run in found.noise if name in run]
+        noise = " to ".join(dict.fromkeys(f"{level:.3g}" for level in (min(levels), max(levels))))
         residuals = np.concatenate([run[name] for run in found.residuals if name in run])
         rms, peak = np.sqrt(np.mean(residuals**2)), np.abs(residuals).max()
-        rows.append([name, f"{noise:.3g}", f"{rms:.3g}", f"{peak:.3g}", f"{found.misfits[name]:.3g}"])
+        rows.append([name, noise, f"{rms:.3g}", f"{peak:.3g}", f"{misfit:.3g}"])
     return Table("", [Column("measured"), *figures("noise", "residual", "largest", "by noise")], rows)
 
 
@@ -59,7 +61,7 @@ def _correlated(found: Identification) -> Iterator[str]:
 
 
 def as_json(found: Identification) -> bytes:
-    """Write the numbers of a fit; deviations that are infinite are null."""
+    """Write the numbers of a fit; what is not finite is null."""
     deviations = found.standard_deviations
     content = {
         "scene": found.scene.name,
@@ -83,6 +85,7 @@ def as_json(found: Identification) -> bytes:
         "is_wrong": found.is_wrong,
         "undetermined": list(found.undetermined),
         "stopped": found.stopped,
+        "curvature": finite(np.array(found.curvature)),
     }
     return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()
 

@@ -3,7 +3,8 @@
 A fit has three steps, each by scipy's trust-region method:
 
 1. All numbers are pulled to where they were, by as much as a residual that is its noise for a change by the
-   scale of the number. So combinations that the data say nothing about stay, and steps are bounded.
+   scale of the number. So combinations that the data say nothing about stay, and steps are bounded. Numbers
+   that become larger nevertheless have larger scales from then on: the first guess may be far too small.
 2. Residuals that are larger than their noise, of a scene that cannot move as was measured, count as noise
    from then on, as do those of columns whose noise is not known. 1 is repeated with them.
 3. Combinations that are determined, those beyond this noise, are fitted without the pull, the others left.
@@ -47,10 +48,20 @@ NOTHING = 1e-12
 """Below which a coordinate of a start, m or rad, or a change, in units of its scale, is round-off."""
 
 ROUNDS = 8
-"""Fits at most, each with the noise that the last one left."""
+"""Fits at most, each with the noise, or the scales, that the last one left."""
+
+LARGER = 2.0
+"""Factor by which numbers may outgrow their scales."""
+
+NEAR = 1e-6
+"""Change, in units of its scale, within which a number is at the edge of what the scene can have."""
 
 SAME = 0.1
 """Share by which noise that is taken from residuals may differ from that of the fit before."""
+
+FINE = 1e-3
+"""Noise of columns whose noise is not known, as a share of their standard deviation, to begin with: so little
+that first guesses which are far off are left."""
 
 EXACT = 1e-9
 """Noise of columns whose noise is not known, as a share of their standard deviation, that runs may have
@@ -85,7 +96,6 @@ class Fit:
     Attributes:
         before, scale: (p,) the scene's own numbers, and changes of them that are large.
         units: (p,) of them.
-        noise: of columns by name.
         excess: of residuals over their noise, 1 or more.
         stopped: why the last fit ended if it was too early.
     """
@@ -110,33 +120,44 @@ class Fit:
         self._models = []
         for run, columns in zip(self._runs, self._columns, strict=True):
             programs = sorted({column.program for column in columns})
-            held = {name: number for name, number in run.start.items() if name not in names}
-            self._models.append((Starts(code, names, held), FollowedRun(code, options, programs)))
+            self._models.append((Starts(code, names, run.start), FollowedRun(code, options, programs)))
         self.before, self.scale, self.units = _scales(scene, names)
-        self.noise = {name: level for run in self._runs for name, level in run.noise.items()}
-        self.some_noise_is_known = bool(self.noise)
+        self.some_noise_is_known = any(run.noise for run in self._runs)
+        self._unknown: dict[str, float] = {}
         for run in self._runs:
             for name, column in run.columns.items():
-                self.noise.setdefault(name, float(np.std(column)) or 1.0)
-        self._exact = {name: EXACT * noise for name, noise in self.noise.items()}
+                if name not in run.noise:
+                    self._unknown.setdefault(name, FINE * (float(np.std(column)) or 1.0))
+        self._exact = {name: EXACT / FINE * noise for name, noise in self._unknown.items()}
         self._known: tuple[bytes, Evaluated] | None = None
         self._far = np.inf
 
     def solve(self) -> Array:
         """Return the changes of the numbers (p,) in units of their scales that make residuals least."""
-        own = change = np.zeros(len(self.before))
+        change, scale = np.zeros(len(self.before)), self.scale
         for _ in range(ROUNDS):
-            excess = self.excess
-            change = self._least(change, np.eye(len(change)), pull=1.0)
-            if self._noise_is_settled(change):
+            change, before = self._pulled(change), self._levels
+            self._take_residuals(change)
+            growth = [self._levels[name] / level for name, level in before.items()]
+            if min(growth) > 1.0 - SAME and max(growth) < 1.0 + SAME:
                 break
-            if self.excess > excess:  # where numbers may have gone too far
-                change = own
+            if max(growth) > 1.0 + SAME:  # where numbers may have gone too far
+                change, self.scale = np.zeros(len(change)), scale
         unsettled = np.inf
         while SETTLED**2 < (now := self.unsettled(change)) < 0.5 * unsettled:
             unsettled = now
-            strong, _ = split(self.jacobian(change), self.excess)
+            strong = split(self.jacobian(change), self.excess).strong
             change = self._least(change, strong.T / np.linalg.norm(strong, axis=1), pull=0.0)
+        return change
+
+    def _pulled(self, change: Array) -> Array:
+        """Return the changes (p,) with the least squares of residuals and of themselves."""
+        for _ in range(ROUNDS):
+            change = self._least(change, np.eye(len(change)), pull=1.0)
+            larger = np.maximum(self.scale, np.abs(self.values(change)))
+            if np.all(larger <= LARGER * self.scale):
+                break
+            change, self.scale = change * self.scale / larger, larger
         return change
 
     def _least(self, begin: Array, basis: Array, pull: float) -> Array:
@@ -173,25 +194,80 @@ class Fit:
         0 for round-off.
         """
         jacobian = self.jacobian(change)
-        strong, _ = split(jacobian, self.excess)
+        strong = split(jacobian, self.excess).strong
         deviations = strong @ (jacobian.T @ self.residuals(change))
         if np.abs(strong.T @ deviations).max() < ROUND_OFF:
             return 0.0
         return float(np.linalg.norm(deviations)) / self.excess
 
-    def _noise_is_settled(self, change: Array) -> bool:
-        """Take residuals for noise that is not known, and for the excess; True if they were taken before."""
-        before = {**self.noise, "": self.excess}
+    @property
+    def _levels(self) -> dict[str, float]:
+        """Noise that is not known by column, and the excess."""
+        return self._unknown | {"": self.excess}
+
+    def _take_residuals(self, change: Array) -> None:
+        """Take residuals for noise that is not known, and for the excess."""
         squares: dict[str, list[Array]] = {}
-        for run, residuals in zip(self._runs, self._evaluated(change).residuals, strict=True):
-            for name, column in zip(run.columns, residuals.T, strict=True):
+        for run, residuals in zip(self._runs, self.by_column(change), strict=True):
+            for name, column in residuals.items():
                 if name not in run.noise:
                     squares.setdefault(name, []).append(column**2)
+        larger = self._share_of_noise(change) ** -0.5
         for name, found in squares.items():
-            self.noise[name] = max(self._exact[name], float(np.sqrt(np.mean(np.concatenate(found)))))
+            level = larger * float(np.sqrt(np.mean(np.concatenate(found))))
+            self._unknown[name] = max(self._exact[name], level)
         self.excess = max(1.0, float(np.sqrt(np.mean(self.residuals(change) ** 2))))
-        now = {**self.noise, "": self.excess}
-        return all(abs(now[name] - level) < SAME * level for name, level in before.items())
+
+    def _share_of_noise(self, change: Array) -> float:
+        """Return degrees of freedom per number measured, of columns whose noise is not known.
+
+        The others are those of combinations of parameters which these columns determine: the trace of their
+        part of the matrix that projects measurements on what the fit can be.
+        """
+        is_unknown = np.concatenate(
+            [np.tile([name not in run.noise for name in run.columns], run.time.size) for run in self._runs]
+        )
+        count = int(np.count_nonzero(is_unknown))
+        if not count:
+            return 1.0
+        jacobian = self.jacobian(change)
+        fitted = np.sum((jacobian[is_unknown] @ split(jacobian, self.excess).strong.T) ** 2)
+        return max(1.0, count - float(fitted)) / count
+
+    @property
+    def noise(self) -> tuple[dict[str, float], ...]:
+        """Standard deviations of columns by name, for each run."""
+        return tuple(
+            {name: {**self._unknown, **run.noise}[name] for name in run.columns} for run in self._runs
+        )
+
+    def is_at_edge(self, change: Array) -> list[bool]:
+        """Tell for each number whether the scene cannot have one that is a little larger or smaller."""
+        starts, _ = self._models[0]
+        found = []
+        for number in np.eye(len(change)):
+            try:
+                for near in (NEAR, -NEAR):
+                    starts(self.values(change + near * number))
+                found.append(False)
+            except NewtonEulerError:
+                found.append(True)
+        return found
+
+    def curvature(self, change: Array) -> float:
+        """Return by how much derivatives two standard deviations away are others, in units of those here.
+
+        Away by equal parts of all combinations that are determined; infinite if the scene cannot be there.
+        """
+        jacobian = self.jacobian(change)
+        strong = split(jacobian, self.excess).strong
+        if not len(strong):
+            return 0.0
+        try:
+            away = self.jacobian(change + 2.0 / np.sqrt(len(strong)) * strong.sum(axis=0))
+        except NewtonEulerError:
+            return np.inf
+        return float(np.linalg.norm((away - jacobian) @ strong.T, 2))
 
     def values(self, change: Array) -> Array:
         """Return the numbers (p,) after a change in units of their scales."""
@@ -218,33 +294,34 @@ class Fit:
     def misfits(self, change: Array) -> dict[str, float]:
         """Return the root mean squares of the residuals of columns, in units of their noise."""
         weighted: dict[str, list[Array]] = {}
-        for run, residuals in zip(self._runs, self.by_column(change), strict=True):
+        for noise, residuals in zip(self.noise, self.by_column(change), strict=True):
             for name, column in residuals.items():
-                weighted.setdefault(name, []).append(column / run.noise.get(name, self.noise[name]))
+                weighted.setdefault(name, []).append(column / noise[name])
         return {name: float(np.sqrt(np.mean(np.concatenate(x) ** 2))) for name, x in weighted.items()}
 
     def _weighted(self, tables: list[Array]) -> Array:
         parts = []
-        for run, table in zip(self._runs, tables, strict=True):
-            weights = np.array([1.0 / run.noise.get(name, self.noise[name]) for name in run.columns])
+        for noise, table in zip(self.noise, tables, strict=True):
+            weights = 1.0 / np.array(list(noise.values()))
             weighted = table * weights.reshape(-1, *[1] * (table.ndim - 2))
             parts.append(weighted.reshape(table.shape[0] * table.shape[1], *table.shape[2:]))
         return np.concatenate(parts)
 
     def _evaluated(self, change: Array) -> Evaluated:
         """Run all with a change, computed less measured; that of the last call if it is the same."""
-        if self._known is None or self._known[0] != change.tobytes():
+        values = self.values(change)
+        if self._known is None or self._known[0] != values.tobytes():
             self.evaluations += 1
             found = Evaluated([], [])
             for run, columns, (starts, followed) in zip(self._runs, self._columns, self._models, strict=True):
-                x, directions = starts(self.values(change))
-                values, derivatives = _selected(followed(x, directions, run.time), columns)
-                residuals, jacobian = compared(values, derivatives, run, columns)
+                x, directions = starts(values)
+                computed, derivatives = _selected(followed(x, directions, run.time), columns)
+                residuals, jacobian = compared(computed, derivatives, run, columns)
                 if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
                     raise MechanismError("measurements", "have no finite derivatives", "other columns")
                 found.residuals.append(residuals)
                 found.jacobians.append(jacobian)
-            self._known = change.tobytes(), found
+            self._known = values.tobytes(), found
         return self._known[1]
 
 
@@ -296,21 +373,33 @@ def _columns(scene: Scene, where: str, run: Measurements, places: Sequence[Place
     return columns
 
 
-def split(jacobian: Array, excess: float) -> tuple[Array, Array]:
+class Split(NamedTuple):
+    """The space of parameters, in units of their scales, by what the data determine.
+
+    Attributes:
+        strong: (s, p) orthogonal directions that they determine, of the lengths of standard deviations.
+        weak: (p - s, p) a basis of the others, with as many zeros as can be had.
+        covariance: (p, p) along all of them.
+    """
+
+    strong: Array
+    weak: Array
+    covariance: Array
+
+
+def split(jacobian: Array, excess: float) -> Split:
     """Split the space of parameters in what the data determine and what they do not.
 
     Args:
         jacobian: of residuals in units of their noise, by parameters in units of their scales.
         excess: of residuals over their noise.
-
-    Returns:
-        Orthogonal directions of the one, each of the length of its standard deviation, and a basis (d, p) of
-        the other with as many zeros as can be had.
     """
     _, values, right = np.linalg.svd(jacobian, full_matrices=False)
-    known = (values > LOST * values[0]) & (values * WEAK > excess)
+    least = LOST * values[0]
+    known = (values > least) & (values * WEAK > excess)
     weak = right[~known]
-    return right[known] / values[known, None], _sparse_basis(weak) if len(weak) else weak
+    every = right / np.maximum(values, least or 1.0)[:, None]
+    return Split(every[known], _sparse_basis(weak) if len(weak) else weak, every.T @ every)
 
 
 def _sparse_basis(rows: Array) -> Array:

@@ -48,8 +48,10 @@ class Identification:
         parameters: their names.
         units: (p,) of them, SI; empty for pure numbers.
         before, values: (p,) as they were, and as they are fitted.
-        covariance: (p, p) of the values; infinite on the diagonal for those that are not determined.
-        noise: standard deviations of columns by name, those that were given, or else of the residuals.
+        covariance: (p, p) of the values; for those that are not determined infinite on the diagonal and not
+            numbers beside it, for those at the edge of what the scene can have not numbers at all.
+        noise: standard deviations of columns, for each run by name, those that were given, or else of the
+            residuals.
         misfits: roots of the mean squares of residuals of columns by name, in units of their noise.
         misfit: that of all residuals, by degrees of freedom: about 1 if the scene can move as was measured
             and the noise is known.
@@ -58,6 +60,8 @@ class Identification:
         residuals: measured less computed, for each run by column, (n,) each.
         undetermined: a line for each combination of parameters that the data do not determine.
         stopped: why the fit ended before the sum of squares was least; empty if it is.
+        curvature: by how much derivatives two standard deviations away are others, in units of those at the
+            values. Above 1 the covariance holds for parameters one by one, not for all together.
         evaluations: runs of all measurements, with derivatives.
 
     Examples:
@@ -77,7 +81,7 @@ class Identification:
     before: Floats
     values: Floats
     covariance: Floats
-    noise: dict[str, float]
+    noise: tuple[dict[str, float], ...]
     misfits: dict[str, float]
     misfit: float
     degrees_of_freedom: int
@@ -85,6 +89,7 @@ class Identification:
     residuals: tuple[dict[str, Floats], ...]
     undetermined: tuple[str, ...]
     stopped: str
+    curvature: float
     evaluations: int
 
     def __repr__(self) -> str:
@@ -93,12 +98,12 @@ class Identification:
 
     @property
     def standard_deviations(self) -> Floats:
-        """(p,) of the values; infinite for those that are not determined."""
+        """(p,) of the values; infinite if they are not determined, not a number if they are at an edge."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def correlation(self) -> Floats:
-        """(p, p) of the values; not a number for those that are not determined."""
+        """(p, p) of the values; not a number for those that are not determined or at an edge."""
         deviations = self.standard_deviations
         with np.errstate(invalid="ignore"):
             return self.covariance / np.outer(deviations, deviations)
@@ -110,7 +115,7 @@ class Identification:
         for name, unit, *figures in self.table:
             shown = (figure.rjust(width) for figure, width in zip(figures, widths[2:], strict=True))
             lines.append("  ".join([name.ljust(widths[0]), unit.ljust(widths[1]), *shown]))
-        return [*lines, self.fit, *self.doubts]
+        return [*lines, self.fit, *self.doubts, *self.notes]
 
     @property
     def table(self) -> list[tuple[str, str, str, str, str]]:
@@ -118,8 +123,10 @@ class Identification:
         rows = [("parameter", "unit", "before", "fitted", "deviation")]
         for k, (name, unit) in enumerate(zip(self.parameters, self.units, strict=True)):
             deviation = self.standard_deviations[k]
-            known = f"{deviation:.2g}" if np.isfinite(deviation) else "-"
-            rows.append((name, unit, f"{self.before[k]:.6g}", f"{self.values[k]:.6g}", known))
+            shown = f"{deviation:.2g}" if np.isfinite(deviation) else "-"
+            if np.isnan(deviation):
+                shown = "at edge"
+            rows.append((name, unit, f"{self.before[k]:.6g}", f"{self.values[k]:.6g}", shown))
         return rows
 
     @property
@@ -147,6 +154,13 @@ class Identification:
                 f"largest residuals: {worst}, {self.misfits[worst]:.3g} times its noise",
             ]
         return [*lines, *self.undetermined, *[self.stopped] * bool(self.stopped)]
+
+    @property
+    def notes(self) -> list[str]:
+        """Lines on what the covariance does not say."""
+        if self.is_wrong or self.curvature <= 1.0:
+            return []
+        return ["the region of all parameters together is bent: deviations are of single ones"]
 
 
 def identify(
@@ -186,19 +200,23 @@ def identify(
     check_type("scene", scene, Scene)
     check_formulation(formulation)
     names = components(scene, checked_names(parameters))
-    runs = _runs(scene, measurements)
+    runs = _runs(scene, names, measurements)
     count = sum(run.time.size * len(run.columns) for run in runs.values())
-    if count < len(names):
-        needed = f"at least {len(names)}, one for each that is fitted"
+    is_unknown = any(set(run.columns) != set(run.noise) for run in runs.values())
+    if count < len(names) + is_unknown:
+        more = ", and another one for noise that is not known" if is_unknown else ""
+        needed = f"at least {len(names) + is_unknown}, one for each that is fitted{more}"
         raise MechanismError("measurements", f"are {count} numbers", needed)
     fit = Fit(scene, names, runs, formulation, tangent_options(control))
     change = fit.solve()
     residuals, jacobian = fit.residuals(change), fit.jacobian(change)
-    strong, weak = split(jacobian, fit.excess)
-    covariance = strong.T @ strong
-    covariance[np.diag_indices(len(names))] += np.where(np.any(np.abs(weak) > SIMPLE, axis=0), np.inf, 0.0)
+    strong, weak, covariance = split(jacobian, fit.excess)
     squares, freedom = float(residuals @ residuals), max(1, count - len(strong))
-    values = fit.values(change)
+    values, stopped = fit.values(change), fit.stopped if fit.unsettled(change) > SETTLED else ""
+    edge = fit.is_at_edge(change) if stopped else [False] * len(names)
+    for k in np.flatnonzero(np.any(np.abs(weak) > SIMPLE, axis=0) | edge):
+        covariance[k, :] = covariance[:, k] = np.nan
+        covariance[k, k] = np.nan if edge[k] else np.inf
     found = Identification(
         scene=with_parameters(scene, dict(zip(names, values.tolist(), strict=True))),
         parameters=names,
@@ -212,8 +230,9 @@ def identify(
         degrees_of_freedom=freedom,
         probability=float(chdtrc(freedom, squares)) if fit.some_noise_is_known else math.nan,
         residuals=tuple(fit.by_column(change)),
-        undetermined=tuple(_lines(names, fit, weak)),
-        stopped=fit.stopped if fit.unsettled(change) > SETTLED else "",
+        undetermined=tuple(_lines(names, values, fit, weak)),
+        stopped=stopped,
+        curvature=fit.curvature(change),  # last of all: it is another point
         evaluations=fit.evaluations,
     )
     if found.doubts:
@@ -221,7 +240,7 @@ def identify(
     return found
 
 
-def _runs(scene: Scene, given: Given | Sequence[Given]) -> dict[str, Measurements]:
+def _runs(scene: Scene, names: Sequence[str], given: Given | Sequence[Given]) -> dict[str, Measurements]:
     """Return the measurements of each run, by the name of its file or its number."""
     each = list(given) if isinstance(given, list | tuple) else [given]
     if not each:
@@ -232,6 +251,8 @@ def _runs(scene: Scene, given: Given | Sequence[Given]) -> dict[str, Measurement
             where, run = f"measurements of run {k}" if len(each) > 1 else "measurements", one
         else:
             where, run = path_text(one), measurements_from_csv(one)  # type: ignore[arg-type]
+        if twice := [name for name in run.start if name in names]:
+            raise MechanismError(where, f"give {twice[0]!r}, which is fitted", "one of the two")
         if run.time[-1] > scene.duration * (1.0 + 1e-12):
             problem = f"times go on to {run.time[-1]:.9g} s"
             raise MechanismError(where, problem, f"at most the scene's {scene.duration:g} s")
@@ -241,7 +262,7 @@ def _runs(scene: Scene, given: Given | Sequence[Given]) -> dict[str, Measurement
     return runs
 
 
-def _lines(names: Sequence[str], fit: Fit, weak: Array) -> list[str]:
+def _lines(names: Sequence[str], values: Array, fit: Fit, weak: Array) -> list[str]:
     """Say what the data do not determine."""
     lines = []
     found = [([k for k, x in enumerate(row) if abs(x) > SIMPLE], row) for row in weak]
@@ -250,8 +271,8 @@ def _lines(names: Sequence[str], fit: Fit, weak: Array) -> list[str]:
             lines.append(f"{names[parts[0]]} is not determined")
             continue
         change = row * fit.scale
-        if len(parts) == 2 and fit.before[parts].all():
-            x, y = change[parts] / fit.before[parts]
+        if len(parts) == 2 and values[parts].all():
+            x, y = change[parts] / values[parts]
             if abs(abs(x) - abs(y)) < SIMPLE * abs(x):
                 lines.append(
                     f"only {names[parts[0]]} {'/' if x * y > 0.0 else '*'} {names[parts[1]]} is determined"

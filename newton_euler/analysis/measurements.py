@@ -14,7 +14,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -77,17 +77,19 @@ class Measurements:
     units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for what in ("columns", "noise", "start", "units"):
+            if not isinstance(given := getattr(self, what), Mapping):
+                raise MechanismError("measurements", f"{what} is {given!r:.100}", "a mapping of names")
         factors = {name: _factor(name, unit) for name, unit in self.units.items()}
         time = _numbers("time", self.time, factors.get("time", 1.0))
         if len(time) < 2 or time[0] < 0.0 or np.any(np.diff(time) <= 0.0):
             raise MechanismError("measurements", "have no times in ascending order", "two or more, from 0 on")
         object.__setattr__(self, "time", time)
-        given: Any = self.columns
-        if not isinstance(given, Mapping) or not given:
-            raise MechanismError("measurements", f"columns are {given!r:.100}", "columns by name")
+        if not self.columns:
+            raise MechanismError("measurements", "columns are {}", "columns by name")
         columns = {
             name: _numbers(f"column {name!r:.100}", column, factors.get(name, 1.0))
-            for name, column in given.items()
+            for name, column in self.columns.items()
         }
         for name, column in columns.items():
             if len(column) != len(time):
@@ -107,7 +109,7 @@ class Measurements:
                 raise MechanismError("measurements", f"have a unit of {name!r:.100}", "columns alone")
         object.__setattr__(self, "units", {name: UNITS[unit][0] for name, unit in self.units.items()})
         for name, number in self.start.items():
-            if not name.startswith(PREFIX) or not is_finite_number(number):
+            if not isinstance(name, str) or not name.startswith(PREFIX) or not is_finite_number(number):
                 problem = f"start with {name!r:.100} = {number!r:.100}"
                 raise MechanismError("measurements", problem, f"finite numbers by {PREFIX}JOINT")
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mechanisms import line_spring, mass_on_rail, pendulum, planar_four_bar
+from scipy.stats import chi2
 
 from crosscheck.scenes import load
 from newton_euler import (
@@ -19,6 +20,7 @@ from newton_euler import (
     start,
     with_parameters,
 )
+from newton_euler.analysis.fit import split
 
 
 def sprung():
@@ -95,9 +97,44 @@ def test_noise_that_is_not_known_is_that_of_the_residuals():
     data = measured(truth, "pivot", noise=1e-3)
     found = identify(truth, ["rod.mass", "start.pivot"], replace(data, noise={}))
     # 21 numbers tell their deviation to 1 / sqrt(2 * 21) = 15 %, of which five are allowed
-    assert found.noise["rate.pivot"] == pytest.approx(1e-3, rel=0.75)
+    (noise,) = found.noise
+    assert noise["rate.pivot"] == pytest.approx(1e-3, rel=0.75)
     known = identify(truth, ["rod.mass", "start.pivot"], data)
     assert found.standard_deviations == pytest.approx(known.standard_deviations, rel=0.75)
+
+
+def test_noise_is_taken_from_residuals_by_degrees_of_freedom():
+    """Six numbers and three parameters: sums of chi squared of three, of 40 motions."""
+    scene = replace(with_parameters(sprung(), {"line.damping": 1.0}), duration=1.0, output_period=0.2)
+    names, noise, trials = ["line.stiffness", "line.damping", "line.rest_length"], 1e-4, 40
+    run, total = simulate(scene), 0.0
+    for seed in range(trials):
+        column = run.joint("rail").coordinates[:, 0]
+        column = column + noise * np.random.default_rng(seed).normal(size=len(column))
+        (found,) = identify(scene, names, Measurements(run.time, {"coordinate.rail": column})).noise
+        total += 3.0 * (found["coordinate.rail"] / noise) ** 2
+    # beyond these once in a million times on either side
+    assert chi2.ppf(1e-6, 3 * trials) < total < chi2.isf(1e-6, 3 * trials)
+
+
+def test_noise_of_a_column_is_that_of_each_run():
+    scene = sprung()
+    runs = [measured(scene, "rail", noise=noise) for noise in (1e-3, 1e-1)]
+    found = identify(scene, ["line.stiffness"], runs)
+    assert [noise["rate.rail"] for noise in found.noise] == [1e-3, 1e-1]
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+@pytest.mark.parametrize("guess", [1e-4, 0.01, 5.0])
+def test_what_is_determined_does_not_depend_on_the_guess(is_known, guess):
+    data = measured(with_parameters(sprung(), {"line.damping": 1.0}), "rail", noise=1e-2)
+    data = data if is_known else replace(data, noise={})
+    found = identify(with_parameters(sprung(), {"line.damping": guess}), ["line.damping"], data)
+    assert found.doubts == []
+    # its deviation from 82 numbers of this noise; five of them once in two million times
+    (deviation,) = found.standard_deviations
+    assert deviation == pytest.approx(0.0115, rel=0.1)
+    assert abs(found.values[0] - 1.0) < 5.0 * deviation
 
 
 RATIO = "only mass.mass / line.stiffness is determined"
@@ -124,12 +161,57 @@ RATIO = "only mass.mass / line.stiffness is determined"
 def test_what_the_data_do_not_determine_is_named(scene, joint, parameters, lines):
     with pytest.warns(IdentificationWarning, match=r"is (not )?determined"):
         found = identify(scene, parameters, measured(scene, joint, noise=1e-4))
+    # ten deviations of what is determined, the frequency
+    assert found.values == pytest.approx(found.before, rel=1e-4, abs=1e-12)
     assert sorted(found.undetermined) == sorted(lines)
     is_known = np.isfinite(found.standard_deviations)
     named = " ".join(lines)
     assert [name for name, known in zip(parameters, is_known, strict=True) if not known] == [
         name for name in parameters if name in named
     ]
+
+
+@pytest.mark.parametrize("guess", [2.6, 4.0])
+def test_a_ratio_is_fitted_by_the_least_change(guess):
+    """From (m, k): the nearest of k / m = 25 1/s^2, each in units of its own."""
+    data = measured(sprung(), "rail", noise=1e-4)
+    wrong = with_parameters(sprung(), {"mass.mass": guess})
+    with pytest.warns(IdentificationWarning):
+        found = identify(wrong, ["mass.mass", "line.stiffness"], data)
+    assert found.undetermined == (RATIO,)
+    slope = 25.0 * guess / 50.0
+    shares = (1.0 + slope) / (1.0 + slope**2) * np.array([1.0, slope])
+    # ten deviations of the ratio
+    assert found.values == pytest.approx(shares * found.before, rel=1e-4)
+    assert np.isnan(found.correlation).all()
+    assert np.isinf(found.standard_deviations).all()
+
+
+def test_deviations_are_those_along_combinations_that_are_not_determined_too():
+    """Of the second parameter, a hundredth of what is known to 100 units of the first."""
+    jacobian = np.array([[-100.0, 1e4], [1e-2, 1e-4]])
+    covariance = split(jacobian, 1.0).covariance
+    assert covariance == pytest.approx(np.linalg.inv(jacobian.T @ jacobian), rel=1e-6)
+    assert covariance[1, 1] == pytest.approx(1.0, rel=1e-3)
+
+
+def test_parameters_at_the_edge_of_what_may_be_have_no_deviation():
+    """No damping, which the noise would have less than nothing."""
+    scene = with_parameters(sprung(), {"line.damping": 0.1})
+    with pytest.warns(IdentificationWarning, match="beyond is what the scene cannot be"):
+        found = identify(scene, ["line.damping", "mass.mass"], measured(sprung(), "rail", noise=1e-4))
+    assert found.values == pytest.approx([0.0, 2.0], abs=1e-4)
+    assert np.isnan(found.standard_deviations).tolist() == [True, False]
+    assert [row[-1] == "at edge" for row in found.table] == [False, True, False]
+
+
+def test_a_mass_that_a_wrong_scene_makes_nothing_of_has_no_deviation():
+    scene = replace(load("slider_crank"), duration=1.0, output_period=0.02)
+    data = measured(with_parameters(scene, {"ball.point.z": 2e-2}), "pivot", "guide", noise=1e-5)
+    with pytest.warns(IdentificationWarning, match="cannot move as was measured"):
+        found = identify(scene, ["crank.mass"], data)
+    assert found.values[0] < 1e-6
+    assert np.isnan(found.covariance).all()
 
 
 def test_combinations_of_many_parameters_are_named_by_their_shares():
@@ -260,9 +342,9 @@ TIMES = np.array([0.0, 0.5, 1.0])
         (["rod.color"], {"coordinate.pivot": TIMES}, "unknown parameter 'rod.color'"),
         (["rod.mass"], {"coordinate.pivto": TIMES}, "did you mean 'coordinate.pivot'?"),
         (
-            ["rod.mass", "rod.inertia"],
+            ["rod.mass", "gravity.x", "gravity.z"],
             {"coordinate.pivot": TIMES},
-            "are 3 numbers; needed: at least 7",
+            "are 3 numbers; needed: at least 4, one for each that is fitted, and another one for noise",
         ),
         (["rod.mass"], {"coordinate.pivot": [0.0, np.nan, 1.0]}, "needed: finite numbers in a row"),
         (["rod.mass"], {"coordinate.pivot": [0.0, 1.0]}, "has 2 numbers; needed: 3, one for each time"),
@@ -280,3 +362,17 @@ def test_times_beyond_the_scene_are_refused():
     late = Measurements([0.0, 3.0], {"coordinate.pivot": [0.0, 0.0]})
     with pytest.raises(NewtonEulerError, match=r"times go on to 3 s; needed: at most the scene's 2 s"):
         identify(pendulum(), ["rod.mass"], late)
+
+
+def test_a_start_that_is_fitted_is_not_given():
+    begun = Measurements([0.0, 1.0], {"coordinate.pivot": [0.0, 0.0]}, start={"start.pivot": 0.1})
+    with pytest.raises(
+        NewtonEulerError, match=r"give 'start.pivot', which is fitted; needed: one of the two"
+    ):
+        identify(pendulum(), ["start.pivot"], begun)
+
+
+@pytest.mark.parametrize("what", ["noise", "start", "units"])
+def test_numbers_without_names_are_refused(what):
+    with pytest.raises(NewtonEulerError, match=f"{what} is None; needed: a mapping of names"):
+        Measurements([0.0, 1.0], {"work": [0.0, 0.0]}, **{what: None})
