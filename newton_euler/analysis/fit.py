@@ -7,7 +7,8 @@ A fit has three steps, each by scipy's trust-region method:
    that become larger nevertheless have larger scales from then on: the first guess may be far too small.
 2. Residuals that are larger than their noise, of a scene that cannot move as was measured, count as noise
    from then on, as do those of columns whose noise is not known. 1 is repeated with them.
-3. Combinations that are determined, those beyond this noise, are fitted without the pull, the others left.
+3. Combinations that are determined, those beyond this noise, are fitted without the pull; what noise has
+   changed of the others is taken back.
 """
 
 from __future__ import annotations
@@ -143,7 +144,7 @@ class Fit:
                 break
             if max(growth) > 1.0 + SAME:  # where numbers may have gone too far
                 change, self.scale = np.zeros(len(change)), scale
-        unsettled = np.inf
+        change, unsettled = self._determined(change), np.inf
         while SETTLED**2 < (now := self.unsettled(change)) < 0.5 * unsettled:
             unsettled = now
             strong = split(self.jacobian(change), self.excess).strong
@@ -159,6 +160,19 @@ class Fit:
                 break
             change, self.scale = change * self.scale / larger, larger
         return change
+
+    def _determined(self, change: Array) -> Array:
+        """Return the part of changes (p,) that is determined, or all if the scene cannot be there."""
+        strong, weak, _ = split(self.jacobian(change), self.excess)
+        if not len(weak):
+            return change
+        directions = strong / np.linalg.norm(strong, axis=1)[:, None]
+        part = np.asarray((directions @ change) @ directions)
+        try:
+            self._evaluated(part)
+        except NewtonEulerError:
+            return change
+        return part
 
     def _least(self, begin: Array, basis: Array, pull: float) -> Array:
         """Return the changes (p,) that are `begin` and some of a basis (p, k), with the least squares.

@@ -167,6 +167,20 @@ def test_what_the_data_do_not_determine_is_named(scene, joint, parameters, lines
     ]
 
 
+def test_noise_does_not_move_what_is_not_determined():
+    """Damping of a third of its deviation, and mass and stiffness by one factor."""
+    scene = with_parameters(sprung(), {"line.damping": 0.01})
+    with pytest.warns(IdentificationWarning):
+        found = identify(
+            scene,
+            ["line.damping", "mass.mass", "line.stiffness"],
+            measured(scene, "rail", noise=0.03, seed=4),
+        )
+    assert np.isinf(found.standard_deviations).all()
+    # the frequency is known to 1e-3, of which ten are allowed
+    assert found.values == pytest.approx(found.before, rel=1e-2)
+
+
 @pytest.mark.parametrize("guess", [2.6, 4.0])
 def test_a_ratio_is_fitted_by_the_least_change(guess):
     """From (m, k): the nearest of k / m = 25 1/s^2, each in units of its own."""
