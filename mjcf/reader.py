@@ -168,8 +168,7 @@ def _exercised(where: str, model: Any, key: str | None, request: Request, found:
     driven = _reading(where, copy.copy(model), key, request, plan.control, plan.swings)
     said = []
     if plan.swings:
-        sines = f"sines of {LOWEST:g} to {HIGHEST:g} Hz within their ranges"
-        said.append(f"{_count(plan.swings, 'actuator')} driven by {sines}")
+        said.append(f"{_count(plan.swings, 'actuator')} driven at {LOWEST:g} to {HIGHEST:g} Hz")
     if plan.moved:
         said.append(f"{_count(plan.moved, 'control')} moved off the ends of their ranges")
     if kept := [k for k in range(model.nactuator) if k not in plan.swings]:

@@ -166,14 +166,20 @@ def not_compared(rows: Sequence[Figure]) -> Iterator[str]:
     """A line for each level at which pairs part: those after it were not compared."""
     levels = ("model", START, *OF_EQUATIONS[1:], *OF_RUNS)
     pairs = (row.between for row in rows if len(row.between) == 2 and FILE not in row.between)
-    parted: dict[str, list[str]] = {}
+    parted: dict[str, list[Sequence[str]]] = {}
     for between in dict.fromkeys(pairs):
         failed = [row for row in rows if row.between == between and not row.agrees]
         last = max((levels.index(row.level) for row in failed), default=len(levels) - 1)
         if last + 1 < len(levels):
-            parted.setdefault(levels[last], []).append(" and ".join(between))
-    for level, names in parted.items():
-        yield f"levels after {level!r} not compared: {'; '.join(names)}"
+            parted.setdefault(levels[last], []).append(between)
+    for level, found in parted.items():
+        words = "; ".join(" and ".join(between) for between in found)
+        shared = set(found[0]).intersection(*found[1:])
+        if len(shared) == 1:
+            (one,) = shared
+            others = [name for between in found for name in between if name != one]
+            words = f"{one} with {' and '.join(others)}"
+        yield f"not compared after {level!r}: {words}"
 
 
 def reach(scene: Scene, position: Array) -> float:

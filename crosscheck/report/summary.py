@@ -1,11 +1,11 @@
-"""The summary of a crosscheck: what is printed in about 26 lines of 80 columns unless more is asked for."""
+"""The summary of a crosscheck: what is printed in about 25 lines of 80 columns unless more is asked for."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from crosscheck.comparison.figure import FILE, OF_EQUATIONS, OF_RUNS, READING, REFERENCE, START, Figure
+from crosscheck.comparison.figure import FILE, OF_EQUATIONS, OF_RUNS, OPEN, READING, REFERENCE, START, Figure
 from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, figures, seconds
 from crosscheck.run import Crosscheck
 
@@ -69,7 +69,7 @@ def levels_table(result: Crosscheck) -> Table:
             for name in columns
         ]
         rows.append([level.partition(" and ")[0], held, *map(_worst, of_each), nearest(at_level)])
-    heads = [Column("worst of level"), *figures("figures", *columns)]
+    heads = [Column("worst of"), *figures("figures", *columns)]
     return Table("", [*heads, Column("share of tolerance, where")], rows)
 
 
@@ -86,11 +86,13 @@ def nearest(rows: Sequence[Figure]) -> Cell:
     share, (quantity, _, unit) = worst.share, worst.quantity.rpartition(", ")
     text = f"{100.0 * share:.0f} %" if share >= LEAST_SHARE else "<1 %"
     if share > 1.0:
-        text = f"{share:.0f} x" if MANY > share >= FEW else f"{share:.2g} x"
-    where = worst.where.removeprefix("random ")  # as all states are at which equations are compared
-    place = ", ".join(filter(None, [where, quantity or unit]))
+        text = f"{share:.0f} x" if MANY > share >= FEW else f"{share:.1g} x"
+    # random as all states are at which equations are compared
+    where = worst.where.removeprefix("random ").replace(" at ", ", ")
+    words = "" if worst.quantity == OPEN else quantity or unit  # drift is of little else
+    place = ", ".join(filter(None, [where, words]))
     about = worst.where.partition(" at ")[0]
-    return Cell(f"{text:>4}  {place}", "" if worst.agrees else "fails", about)
+    return Cell(f"{text:>4} {place}", "" if worst.agrees else "fails", about)
 
 
 def engines_table(result: Crosscheck) -> Table:

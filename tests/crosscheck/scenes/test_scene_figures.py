@@ -204,7 +204,7 @@ def test_an_engine_that_cannot_express_a_scene_is_left_out(capsys, tmp_path, mon
 def test_one_scene_of_the_library(tmp_path):
     found = outcome("pendulum", ("newton_euler", "pinocchio"), tmp_path)
     assert found.agrees
-    assert re.fullmatch(r" *\d+ %  .+", found.nearest.text)
+    assert re.fullmatch(r" *\d+ % .+", found.nearest.text)
     assert {path.name for path in (tmp_path / "pendulum").iterdir()} == {
         "newton_euler.npz", "pinocchio.npz", "summary.json", "pendulum.rrd",
     }  # fmt: skip
@@ -226,7 +226,7 @@ OUTCOMES = [
         1.0,
         True,
         "AGREE",
-        Cell(" 10 %  rod, positions"),
+        Cell(" 10 % rod, positions"),
         Cell("AGREE", "holds"),
     ),
     Outcome(
@@ -240,7 +240,7 @@ OUTCOMES = [
 
 def test_the_table_of_the_library():
     good, bad = ([cell.text for cell in row] for _, row in outcomes_table(OUTCOMES).sections())
-    assert good == ["good", "AGREE", "1.0", " 10 %  rod, positions"]
+    assert good == ["good", "AGREE", "1.0", " 10 % rod, positions"]
     assert bad == ["bad", "FAILS", "2.0", ""]
     assert list(outcome_lines(OUTCOMES)) == [
         "bad: DISAGREE: bad parts",
