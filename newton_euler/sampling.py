@@ -178,7 +178,8 @@ def integrate_intervals(
         carry: called after each interval that was run to its end.
     """
     start = time.perf_counter()
-    scene = code.parametrized(x)
+    changes = code.piecewise or code.scene.sampled  # else nothing here depends on parameters
+    scene = code.parametrized(x) if changes else code.scene
     parts: list[Array] = []
     total = np.zeros(COUNTS)
     error: IntegrationError | None = None

@@ -7,16 +7,17 @@ Traced derivatives of the equations of motion are carried along the steps of a r
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from newton_euler.codegen.compile import VERY_LARGE, Traced
-from newton_euler.codegen.expression import Graph, Program, differentiate_along
+from newton_euler.codegen.expression import Graph, Program, differentiate_along, substitute
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.parameters import is_kinematic, pieces, places
-from newton_euler.equations.sparse import least_squares
+from newton_euler.equations.sparse import least_squares, solve_constrained, sparse_vector
 from newton_euler.errors import OptionError, SensitivityError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.options import FormulationName, Options, StepControl
@@ -26,7 +27,7 @@ from newton_euler.integrators.singular import NEAR, UNSAFE
 from newton_euler.integrators.tangents import Tangents, evaluate_along, follow, methods
 from newton_euler.model.scene import Scene
 from newton_euler.sampling import Interval, integrate_intervals
-from newton_euler.scalars import Array, Scalar
+from newton_euler.scalars import Array, Scalar, zeros
 from newton_euler.simulate import CompiledScene
 from newton_euler.starts import Assembly, initial_numbers
 from newton_euler.variation import own_values, run_values
@@ -200,11 +201,44 @@ class TangentCode(CompiledScene):
             return graph.prune(self._settled(system, x, along))
         scalars = self._scalars(base, system, x)
         if name == RATES:
-            rates, pivot_ratio = scalars[: self.size], scalars[self.size]
-            return graph.prune([*rates, *differentiated(rates, x, along), pivot_ratio])
+            rates = differentiated(scalars[: system.nq], x, along)
+            rates += self._accelerations_along(system, x, along)
+            program = graph.prune([*scalars[: self.size], *rates, scalars[self.size]])
+            return program._replace(inputs=2 * self.inputs)
         kept = self._smooth(scalars) if base == "output" else scalars
         found = differentiated(kept, x, along)
         return graph.prune([*kept, *found] if base == "coordinates" else found)
+
+    def _accelerations_along(self, system: Formulation, x: Array, along: Array) -> list[Scalar]:
+        """Differentiate vdot (nv,) implicitly: by the equations that it solves, which are solved once more.
+
+        Their residuals are differentiated for accelerations and multipliers held; the factors are those of
+        the solution itself, found again in the graph.
+        """
+        q, v, graph = x[: system.nq], x[system.nq : self.size], x[-1].graph
+        equations = system.sparse_equations(q, v, self.rows)
+        solution = solve_constrained(equations)
+        count, used = len(equations.factor.columns), equations.rows.numbers
+        accelerations, of_rows = graph.variables(count), graph.variables(len(used))
+        held = [*accelerations, *of_rows]
+        values = [solution.acceleration.get(k, 0.0) for k in range(count)]
+        values += [solution.multipliers.get(i, 0.0) for i in used]
+        multipliers = zeros(len(equations.jacobian), x)
+        multipliers[used] = of_rows
+        force, gamma = system.sparse_residuals(q, v, self.rows, accelerations, multipliers)
+        changes = substitute(graph, differentiated([*force, *gamma], x, along), held, values)
+        change = solve_constrained(
+            equations._replace(
+                force=sparse_vector([-x for x in changes[:count]]),
+                gamma=np.array([-x for x in changes[count:]]),
+                refine=False,
+            )
+        ).acceleration
+        found = replace(solution, acceleration=dict(enumerate(accelerations)))
+        vdot = system.sparse_vdot(q, v, found)
+        moved = [change.get(k, 0.0) for k in range(count)]
+        rates = differentiate_along(graph, vdot.tolist(), [*x, *accelerations], [*along, *moved])
+        return substitute(graph, rates, held, values)
 
     def _settled(self, system: Formulation, x: Array, along: Array) -> list[Scalar]:
         """Put a direction at a state on the constraints on the linearized ones, (q, v) of it.
@@ -228,8 +262,9 @@ class TangentCode(CompiledScene):
         change = system.rate(q, step(phi[used].tolist()))
         change[system.work] = 0.0
         moved[on_q] -= change
-        phi_t = system.phi_t()
-        moved[on_v] -= step([sum(e * v[k] for k, e in jacobian[i].items()) + phi_t[i] for i in used])
+        rate = system.phi_rate(q, v)
+        norms = {i: sum(e * v[k] for k, e in jacobian[i].items()) for i in used if i >= system.rows}
+        moved[on_v] -= step([norms[i] if i in norms else rate[i] for i in used])
         return moved[: self.size].tolist()
 
     def _smooth(self, scalars: list[Scalar]) -> list[Scalar]:

@@ -316,6 +316,20 @@ def differentiate_along(
     return _along(graph, roots, graph.ancestors(roots), rates)
 
 
+def substitute(
+    graph: Graph, scalars: Sequence[Any], variables: Sequence[Expression], values: Sequence[Any]
+) -> list[Any]:
+    """Put values, themselves scalars of the graph, in place of variables that nothing but arithmetic uses."""
+    roots = [graph.index(scalar) for scalar in scalars]
+    put = {variable.index: value for variable, value in zip(variables, values, strict=True)}
+    for index in graph.ancestors(roots):
+        ends = operands(graph.nodes[index])
+        if any(end in put for end in ends):
+            op, scalars = graph.nodes[index][0], [put.get(end, graph.scalar(end)) for end in ends]
+            put[index] = BINARY[op](*scalars) if op in BINARY else UNARY[op](*scalars)
+    return [put.get(root, graph.scalar(root)) for root in roots]
+
+
 def _along(graph: Graph, roots: list[int], needed: list[int], rates: dict[int, Any]) -> list[Any]:
     """Differentiate roots by the rates of inputs, which those of all `needed` nodes are added to."""
     for index in needed:

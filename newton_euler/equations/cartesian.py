@@ -345,6 +345,42 @@ class Cartesian(Formulation):
             softness=soft,
         )
 
+    def sparse_residuals(
+        self, q: Array, v: Array, rows: RowsInUse, accelerations: Array, multipliers: Array
+    ) -> tuple[Array, Array]:
+        """Compute the residuals without B: constraint by constraint."""
+        equations, frames = self.sparse_equations(q, v, rows), self.frames(q, v)
+        force, right = zeros(len(accelerations), accelerations), -equations.gamma.astype(object)
+        for k, share in equations.force.items():
+            force[k] = -share
+        moving = frames[:1]  # with accelerations in place of velocities
+        for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
+            linear, angular = slice(6 * k, 6 * k + 3), slice(6 * k + 3, 6 * k + 6)
+            spin = accelerations[angular]
+            force[linear] = force[linear] + body.mass * accelerations[linear]
+            force[angular] = force[angular] + (p @ p) * (body.inertia @ spin)
+            r, rotation = frames[k + 1][:2]
+            moving.append(Frame(r, rotation, accelerations[linear], rotation @ spin))
+        given, start = sparse.sparse_vector(accelerations), 0
+        for e in self.equations:
+            own = slice(start, start + e.count)
+            blocks = e.jacobian(frames[e.first], frames[e.second])
+            right[own] = right[own] + blocks.rate(moving[e.first], moving[e.second])
+            start += e.count
+        of_joints = multipliers[: self.rows].copy()
+        of_joints[start:] = 0.0
+        for push in pushes(self, frames, of_joints):
+            for k, wrench in ((push.first, push.on_first), (push.second, push.on_second)):
+                if k > 0:
+                    turned = np.concatenate([wrench[:3], frames[k].rotation.T @ wrench[3:]])
+                    force[6 * k - 6 : 6 * k] = force[6 * k - 6 : 6 * k] - turned
+        for i in range(start, len(equations.jacobian)):
+            soft = (equations.softness or {}).get(i, 0.0)
+            right[i] = right[i] + sparse.dot(equations.jacobian[i], given) + soft * multipliers[i]
+            for k, entry in equations.jacobian[i].items():
+                force[k] = force[k] - entry * multipliers[i]
+        return force, right
+
     def sparse_coordinates(self, q: Array, v: Array, keys: Sequence[Key]) -> tuple[Rows, Array]:
         """Compute rows and gamma of joint coordinates, for (rddot, omegadot' / p^T p) of each body."""
         frames, measured, rows = self.frames(q, v), self.measured(q, v), list[dict[int, Scalar]]()

@@ -199,6 +199,12 @@ class Formulation(System):
         """Compute all that `sparse_solution` solves for the accelerations that the form has there."""
         raise NotImplementedError
 
+    def sparse_residuals(
+        self, q: Array, v: Array, rows: RowsInUse, accelerations: Array, multipliers: Array
+    ) -> tuple[Array, Array]:
+        """Compute M a - f - J^T lambda (n,) and J a + softness lambda - gamma (k,) of `sparse_equations`."""
+        raise NotImplementedError
+
     def sparse_coordinates(self, q: Array, v: Array, keys: Sequence[Key]) -> tuple[Rows, Array]:
         """Compute rows and gamma (k,) of d2x/dt2 = rows @ accelerations - gamma for joint coordinates.
 

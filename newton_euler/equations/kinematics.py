@@ -32,7 +32,8 @@ class Link:
 
     Attributes:
         frame: pose and velocity; the rotation is that of the body's tree frame.
-        acceleration, angular_acceleration: (3,) at qddot = 0: the velocity-product part.
+        acceleration, angular_acceleration: (3,) at qddot = 0: the velocity-product part; at another one
+            where residuals are computed.
         path: indices of the joint velocities that move the body.
         linear, angular: (3, len(path)) velocity transformation: v = linear @ qdot[path].
         orientation: (4,) the rotation as Euler parameters, continuous in the joint coordinates.
@@ -53,20 +54,27 @@ def rotation_about(axis: Array, angle: Array) -> Array:
     return np.eye(3) + sin(angle) * k + (1.0 - cos(angle)) * (k @ k)
 
 
-def tree_links(mechanism: Mechanism, tree: SpanningTree, q: Array, v: Array) -> list[Link]:
-    """Compute the kinematics of all bodies, ground first, at q (nq,) and v (nv,)."""
+def tree_links(mechanism: Mechanism, tree: SpanningTree, q: Array, v: Array, vdot: Array) -> list[Link]:
+    """Compute the kinematics of all bodies, ground first, at q (nq,), v (nv,) and vdot (nv,)."""
     ground = mechanism.bodies[0]
     zero = np.zeros(3)
     frame, none = Frame(ground.center_of_mass, np.eye(3), zero, zero), np.zeros((3, 0))
     root = Link(frame, zero, zero, [], none, none, np.array([1.0, 0.0, 0.0, 0.0]))
     links: dict[int, Link] = {0: root}
     for joint in tree.joints:
-        links[joint.child] = _child(mechanism, tree, joint, links[joint.parent], q[joint.q], v[joint.v])
+        motion = q[joint.q], v[joint.v], vdot[joint.v]
+        links[joint.child] = _child(mechanism, tree, joint, links[joint.parent], *motion)
     return [links[k] for k in range(len(mechanism.bodies))]
 
 
 def _child(
-    mechanism: Mechanism, tree: SpanningTree, joint: TreeJoint, parent: Link, q: Array, v: Array
+    mechanism: Mechanism,
+    tree: SpanningTree,
+    joint: TreeJoint,
+    parent: Link,
+    q: Array,
+    v: Array,
+    vdot: Array,
 ) -> Link:
     """Compute the kinematics of a joint's child, motion by motion from its parent."""
     r, a, velocity, omega = parent.frame
@@ -95,12 +103,12 @@ def _child(
             coriolis = 2.0 * cross(omega, axis * v[iv])
             move(axis * q[iq])
             velocity = velocity + axis * v[iv]
-            acceleration = acceleration + coriolis
+            acceleration = acceleration + coriolis + axis * vdot[iv]
             columns.append((axis, None))
             iq, iv = iq + 1, iv + 1
         elif motion.kind == "hinge":
             axis = a @ motion.axis
-            alpha = alpha + cross(omega, axis * v[iv])
+            alpha = alpha + cross(omega, axis * v[iv]) + axis * vdot[iv]
             omega = omega + axis * v[iv]
             a = a @ rotation_about(motion.axis, q[iq])
             half = 0.5 * q[iq]
@@ -111,7 +119,7 @@ def _child(
             a = a @ rotation(q[iq : iq + 4])
             orientation = product(orientation, q[iq : iq + 4])
             relative = a @ v[iv : iv + 3]
-            alpha = alpha + cross(omega, relative)
+            alpha = alpha + cross(omega, relative) + a @ vdot[iv : iv + 3]
             omega = omega + relative
             columns.extend((a[:, k], r) for k in range(3))
             iq, iv = iq + 4, iv + 3
@@ -173,7 +181,8 @@ class TreeKinematics(Formulation):
 
     def links(self, q: Array, v: Array) -> list[Link]:
         """Compute the kinematics of all bodies, ground first."""
-        return self.remembered(q, v, lambda q, v: tree_links(self.mechanism, self.tree, q, v))
+        at_rest = np.zeros(self.nv)
+        return self.remembered(q, v, lambda q, v: tree_links(self.mechanism, self.tree, q, v, at_rest))
 
     def frames(self, q: Array, v: Array) -> list[Frame]:
         """Compute the frames of all bodies, ground first."""

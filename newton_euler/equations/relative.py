@@ -27,9 +27,9 @@ import numpy as np
 from newton_euler.equations import dense, sparse
 from newton_euler.equations.applied_forces import body_wrenches
 from newton_euler.equations.formulation import Servos
-from newton_euler.equations.kinematics import Link, TreeKinematics, drift
+from newton_euler.equations.kinematics import Link, TreeKinematics, drift, tree_links
 from newton_euler.equations.model_control import model_control
-from newton_euler.equations.reactions import tree_reactions
+from newton_euler.equations.reactions import pushes, tree_reactions
 from newton_euler.equations.redundancy import rows_left_out, without
 from newton_euler.equations.sparse import Block, Equations, Rows, RowsInUse, Solution
 from newton_euler.errors import SingularityError
@@ -117,8 +117,11 @@ class Relative(TreeKinematics):
 
     def constraints(self, q: Array, v: Array) -> tuple[Rows, Array]:
         """Compute the nonzeros of J (k, nv), and gamma - K_D (J qdot) - K_P Phi (k,), as in eq. (9)."""
-        links, jacobian = self.links(q, v), list[dict[int, Scalar]]()
-        right = [np.zeros(0)]
+        return self._constraints(self.links(q, v), q, v)
+
+    def _constraints(self, links: list[Link], q: Array, v: Array) -> tuple[Rows, Array]:
+        """Compute J and the right side, of joints less J qddot for the accelerations of these links."""
+        jacobian, right = list[dict[int, Scalar]](), [np.zeros(0)]
         for closure in self.constrained:
             first, second = links[closure.first], links[closure.second]
             blocks = closure.jacobian(first.frame, second.frame)
@@ -136,6 +139,42 @@ class Relative(TreeKinematics):
             right.append(np.array([gamma]))
             jacobian.append(self.coupled_row(coupling, measured))
         return jacobian, np.concatenate(right)
+
+    def sparse_residuals(
+        self, q: Array, v: Array, rows: RowsInUse, accelerations: Array, multipliers: Array
+    ) -> tuple[Array, Array]:
+        """Compute the residuals without M: from the ground to the leaves and back.
+
+        By the recursive Newton-Euler algorithm (Featherstone, section 5.3).
+        """
+        links = tree_links(self.mechanism, self.tree, q, v, accelerations)
+        applied, force = body_wrenches(self.scene, self.seen(q, v)), -self.actuation(q, v)
+        jacobian, right = self._constraints(links, q, v)
+        coupled = range(self.rows - len(self.couplings), self.rows)
+        right, of_joints = right.astype(object), multipliers.copy()
+        for k in coupled:
+            of_joints[k] = 0.0
+            right[k] = right[k] - sparse.dot(jacobian[k], sparse.sparse_vector(accelerations))
+            for place, entry in jacobian[k].items():
+                force[place] = force[place] - entry * multipliers[k]
+        needed = [
+            np.concatenate(self.inertial_wrench(body, link, link.acceleration, link.angular_acceleration))
+            - applied[body]
+            for body, link in enumerate(links)
+        ]
+        for push in pushes(self, self.frames(q, v), of_joints):
+            needed[push.first] = needed[push.first] - push.on_first
+            needed[push.second] = needed[push.second] - push.on_second
+        for joint in reversed(self.tree.joints):
+            link, parent, wrench = links[joint.child], links[joint.parent], needed[joint.child]
+            own = slice(len(parent.path), len(link.path))
+            share = link.linear[:, own].T @ wrench[:3] + link.angular[:, own].T @ wrench[3:]
+            force[joint.v] = force[joint.v] + share
+            moment = cross(link.frame.position - parent.frame.position, wrench[:3])
+            needed[joint.parent] = needed[joint.parent] + wrench + np.concatenate([np.zeros(3), moment])
+        for path, mass, share in self.rotor_blocks(q, v):
+            force[path] = force[path] + mass @ accelerations[path] - share
+        return force, -right
 
     # Solutions
 

@@ -16,7 +16,7 @@ from functools import lru_cache
 
 from newton_euler.codegen.native import Callback, Record, Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.integrators.dop853_tableau import COUPLING, DENSE, NODES, STAGES
+from newton_euler.integrators.dop853_tableau import COUPLING, DENSE, NODES, SECOND, SECOND_OF_STEP, STAGES
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,23 +86,25 @@ def tangent_stage(tangents: Tangents, s: int, t: float, h: float) -> None:
     row = 2 * size + lanes
     along = tangents.inputs * lanes
     at = tangents.at
+    x = tangents.x
+    k = tangents.k
+    weights = COUPLING[16 * s :]
+    second = int(SECOND[s])
     for i in range(size):
-        at[i] = 0.0
-        at[along + i] = 0.0
-    for j in range(s):
-        weight = COUPLING[16 * s + j]
-        if weight != 0.0:
-            rates = tangents.k[row * j :]
-            for i in range(size):
-                at[i] += weight * rates[i]
-                at[along + i] += weight * rates[size + i]
-    for i in range(size):
-        at[i] = tangents.x[i] + h * at[i]
-        at[along + i] = tangents.x[along + i] + h * at[along + i]
+        change = 0.0
+        turn = 0.0
+        if s > 0:
+            change = weights[0] * k[i]
+            turn = weights[0] * k[size + i]
+        for j in range(second, s):
+            change += weights[j] * k[row * j + i]
+            turn += weights[j] * k[row * j + size + i]
+        at[i] = x[i] + h * change
+        at[along + i] = x[along + i] + h * turn
     for lane in range(lanes):
         at[size + lane] = t + NODES[s] * h
-    tangents.rates(at, tangents.k[row * s :])
-    tangents.least[0] = min(tangents.least[0], tangents.k[row * s + 2 * size])
+    tangents.rates(at, k[row * s :])
+    tangents.least[0] = min(tangents.least[0], k[row * s + 2 * size])
 
 
 @native
@@ -118,11 +120,11 @@ def prepare_terms(tangents: Tangents, h: float) -> None:
         change = end[i] - begun[i]
         first = h * k[i] - change
         second = 2.0 * change - h * (k[row * STAGES + i] + k[i])
-        third = 0.0
-        fourth = 0.0
-        fifth = 0.0
-        sixth = 0.0
-        for j in range(16):
+        third = DENSE[0] * k[i]
+        fourth = DENSE[16] * k[i]
+        fifth = DENSE[32] * k[i]
+        sixth = DENSE[48] * k[i]
+        for j in range(SECOND_OF_STEP, 16):
             third += DENSE[j] * k[row * j + i]
             fourth += DENSE[16 + j] * k[row * j + i]
             fifth += DENSE[32 + j] * k[row * j + i]
