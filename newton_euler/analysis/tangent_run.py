@@ -27,7 +27,7 @@ from newton_euler.integrators.singular import NEAR, UNSAFE
 from newton_euler.integrators.tangents import Tangents, evaluate_along, follow, methods
 from newton_euler.model.scene import Scene
 from newton_euler.sampling import Interval, integrate_intervals
-from newton_euler.scalars import Array, Scalar, zeros
+from newton_euler.scalars import Array, Scalar, minimum, objects, zeros
 from newton_euler.simulate import CompiledScene
 from newton_euler.starts import Assembly, initial_numbers
 from newton_euler.variation import own_values, run_values
@@ -199,46 +199,41 @@ class TangentCode(CompiledScene):
         system = self._system_of(x, tuple(self.parameters))
         if name == SETTLED:
             return graph.prune(self._settled(system, x, along))
-        scalars = self._scalars(base, system, x)
         if name == RATES:
-            rates = differentiated(scalars[: system.nq], x, along)
-            rates += self._accelerations_along(system, x, along)
-            program = graph.prune([*scalars[: self.size], *rates, scalars[self.size]])
-            return program._replace(inputs=2 * self.inputs)
+            return graph.prune(self._rates_along(system, x, along))._replace(inputs=2 * self.inputs)
+        scalars = self._scalars(base, system, x)
         kept = self._smooth(scalars) if base == "output" else scalars
         found = differentiated(kept, x, along)
         return graph.prune([*kept, *found] if base == "coordinates" else found)
 
-    def _accelerations_along(self, system: Formulation, x: Array, along: Array) -> list[Scalar]:
-        """Differentiate vdot (nv,) implicitly: by the equations that it solves, which are solved once more.
+    def _rates_along(self, system: Formulation, x: Array, along: Array) -> list[Scalar]:
+        """Return (qdot, vdot), their derivatives, and the pivot ratio.
 
-        Their residuals are differentiated for accelerations and multipliers held; the factors are those of
-        the solution itself, found again in the graph.
+        Accelerations are differentiated implicitly: the residuals of the equations that they solve, for
+        accelerations and multipliers held, are what the equations are solved for once more, with the same
+        factors. Not refined: that is for drift, which tangents are kept from.
         """
         q, v, graph = x[: system.nq], x[system.nq : self.size], x[-1].graph
-        equations = system.sparse_equations(q, v, self.rows)
+        equations = system.sparse_equations(q, v, self.rows)._replace(refine=False)
         solution = solve_constrained(equations)
         count, used = len(equations.factor.columns), equations.rows.numbers
         accelerations, of_rows = graph.variables(count), graph.variables(len(used))
+        multipliers = zeros(len(equations.jacobian), x)
+        multipliers[used] = of_rows
         held = [*accelerations, *of_rows]
         values = [solution.acceleration.get(k, 0.0) for k in range(count)]
         values += [solution.multipliers.get(i, 0.0) for i in used]
-        multipliers = zeros(len(equations.jacobian), x)
-        multipliers[used] = of_rows
-        force, gamma = system.sparse_residuals(q, v, self.rows, accelerations, multipliers)
-        changes = substitute(graph, differentiated([*force, *gamma], x, along), held, values)
-        change = solve_constrained(
-            equations._replace(
-                force=sparse_vector([-x for x in changes[:count]]),
-                gamma=np.array([-x for x in changes[count:]]),
-                refine=False,
-            )
-        ).acceleration
-        found = replace(solution, acceleration=dict(enumerate(accelerations)))
-        vdot = system.sparse_vdot(q, v, found)
-        moved = [change.get(k, 0.0) for k in range(count)]
-        rates = differentiate_along(graph, vdot.tolist(), [*x, *accelerations], [*along, *moved])
-        return substitute(graph, rates, held, values)
+        residuals = system.sparse_residuals(q, v, self.rows, accelerations, multipliers)
+        right = substitute(graph, differentiated(np.concatenate(residuals).tolist(), x, along), held, values)
+        force, gamma = sparse_vector([-change for change in right[:count]]), -objects(right[count:])
+        found = solve_constrained(equations._replace(force=force, gamma=gamma)).acceleration
+        moved = [found.get(k, 0.0) for k in range(count)]
+        of_held = replace(solution, acceleration=dict(enumerate(accelerations)))
+        vdot = system.sparse_vdot(q, v, of_held).tolist()
+        changes = differentiate_along(graph, vdot, [*x, *accelerations], [*along, *moved])
+        rates = [*system.rate(q, v), *system.sparse_vdot(q, v, solution)]
+        changes = differentiated(rates[: system.nq], x, along) + substitute(graph, changes, held, values)
+        return [*rates, *changes, minimum(solution.pivot_ratio, 1.0)]
 
     def _settled(self, system: Formulation, x: Array, along: Array) -> list[Scalar]:
         """Put a direction at a state on the constraints on the linearized ones, (q, v) of it.
