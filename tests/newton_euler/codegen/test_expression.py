@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from finite_difference import jacobian
 
-from newton_euler.codegen.expression import Expression, Graph, differentiate
+from newton_euler.codegen.expression import Expression, Graph, differentiate, substitute
 from newton_euler.scalars import arctan2, cos, minimum, sin, sqrt
 
 
@@ -87,6 +87,13 @@ def test_derivatives_by_finite_differences():
     plain = traced(without_minimum, 3)
     # see finite_difference.jacobian
     assert np.allclose(analytic, jacobian(lambda x: plain.run(at + x), 3), atol=1e-11)
+
+
+def test_scalars_are_put_in_place_of_variables():
+    graph = Graph()
+    x, y, held = graph.variables(3)
+    found = substitute(graph, [x * held - y / held, x + y, -held, 3.0], [held], [x * y])
+    assert graph.prune(found).run([2.0, 5.0, 0.0]) == pytest.approx([19.5, 7.0, -10.0, 3.0], rel=1e-15)
 
 
 def test_programs_mean_what_floats_do():
