@@ -69,7 +69,7 @@ from newton_euler.equations.redundancy import inherit_mobility
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.digital_control import Law
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.motions import on_piece, piece_numbers
+from newton_euler.model.motions import TimeFunction, on_piece, piece_numbers, terms
 from newton_euler.model.scene import Scene
 from newton_euler.model.variable import altered, functions_of
 from newton_euler.scalars import NUMBERS, Array
@@ -89,9 +89,6 @@ GRAVITY: Owner = ("scene", 0, "gravity")
 
 NEAREST = 8
 """Names that are proposed instead of an unknown one."""
-
-SIMILAR = 0.6
-"""Similarity of names that are worth proposing."""
 
 
 class Place(NamedTuple):
@@ -217,7 +214,7 @@ def _split(
             if component is not None:
                 return base, component
     _check_constant(parts, name)
-    raise UnknownNameError("parameter", name, _nearest(owners, name))
+    raise UnknownNameError("parameter", name, _of_field(parts, owners, name) or _nearest(owners, name))
 
 
 def _check_constant(parts: dict[str, list[Any]], name: str) -> None:
@@ -247,13 +244,27 @@ def _component(shape: tuple[int, ...], ending: list[str]) -> tuple[int, ...] | N
     return None
 
 
+def _of_field(parts: dict[str, list[Any]], owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
+    """Return the names of the numbers of a field of a function of time, as `target.amplitude`."""
+    base, _, wanted = str(name).rpartition(".")
+    found = list[str]()
+    for what, k, attribute in owners.get(base, ()):
+        function = getattr(parts[what][k], attribute, None)
+        place = 0
+        for term in terms(function) if isinstance(function, TimeFunction) else ():
+            for field in term.parts[""]:
+                count = np.size(getattr(term, field))
+                found += [f"{base}.{place + i}" for i in range(count) if field == wanted]
+                place += count
+    return tuple(found[:NEAREST])
+
+
 def _nearest(owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
-    """Return the names to propose instead of an unknown one: those of its element, else similar ones."""
-    known = [each for each in owners if "[" not in each]
-    element = str(name).partition(".")[0]
-    of_element = [each for each in known if each.startswith(f"{element}.")]
-    near = get_close_matches(str(name), of_element or known, NEAREST, SIMILAR)
-    return tuple(near or of_element or known)
+    """Return names to propose instead of an unknown one, the nearest first; of its element if known."""
+    element, _, _ = str(name).partition(".")
+    of_element = [each for each in owners if each.startswith(f"{element}.")]
+    known = of_element or [each for each in owners if "[" not in each]
+    return tuple(get_close_matches(str(name), known, NEAREST, 0.0))
 
 
 def _own(parts: dict[str, list[Any]], owner: Owner, piece: bool = False) -> Array:

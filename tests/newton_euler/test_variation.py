@@ -13,7 +13,14 @@ from mechanisms import line_spring, mass_on_rail
 import crosscheck
 from crosscheck.scenes import load
 from newton_euler import simulate, simulate_batch, start, with_parameters
-from newton_euler.equations.parameters import parameter_values, places, refusal, unambiguous, with_values
+from newton_euler.equations.parameters import (
+    NEAREST,
+    parameter_values,
+    places,
+    refusal,
+    unambiguous,
+    with_values,
+)
 from newton_euler.equations.redundancy import inherit_mobility, mobility
 from newton_euler.errors import MechanismError, OptionError, UnknownNameError
 from newton_euler.integrators.formulations import formulate
@@ -72,6 +79,12 @@ def test_a_component_is_a_number_of_the_whole_value(scene, name):
         ([3], UnknownNameError, "unknown parameter 3"),
         (["mass.inertai.xx"], UnknownNameError, "did you mean 'mass.inertia'?"),
         (["rail.feedforward.6"], UnknownNameError, "rail.feedforward"),
+        (["rail.feedforward.offset"], UnknownNameError, "choose from: rail.feedforward.1"),
+        (
+            ["rail.feedforward.coefficients"],
+            UnknownNameError,
+            "choose from: rail.feedforward.2, rail.feedforward.3",
+        ),
         (["duration"], MechanismError, "'duration': is the same in all runs"),
         (["mass.shapes"], MechanismError, "'mass.shapes': is what bodies look like"),
         (["forces[1].coordinate"], MechanismError, "is which coordinate it is"),
@@ -85,6 +98,13 @@ def test_names_are_checked(scene, names, error, message):
     with pytest.raises(error) as caught:
         parameter_values(scene, names)
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["nix", "mass.color", "bodies[1].mas"])
+def test_of_an_unknown_name_few_near_ones_are_proposed(scene, name):
+    with pytest.raises(UnknownNameError) as caught:
+        parameter_values(scene, [name])
+    assert 1 <= len(caught.value.valid) <= NEAREST < len(parameter_values(scene))
 
 
 def test_a_component_stays_its_own_behind_further_elements(scene):
