@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
@@ -41,8 +42,13 @@ USUAL_WORKERS = 32
 PROBE = 0.05
 """s that runs take by which their speed is told."""
 
-PATIENCE = "10s"
-"""For a cluster to answer."""
+PATIENCE = 10.0
+"""s for a cluster to answer."""
+
+NO_SCHEDULER = "what listens there does not answer as a scheduler of Dask"
+
+LOGS, SILENT = ("distributed.client", "distributed.protocol.core", "distributed.comm"), logging.CRITICAL + 1
+"""Logs of Dask that repeat what is raised, and a level above all of theirs."""
 
 
 @dataclass(frozen=True)
@@ -108,24 +114,59 @@ def _client(cluster: Client | str) -> Iterator[Client]:
     if not isinstance(cluster, str):
         raise OptionError("cluster", cluster, "a Client of Dask or an address such as tcp://10.0.0.1:8786")
     # what goes wrong is raised; its log on standard error would be a second voice
-    log = logging.getLogger("distributed.client")
-    level = log.level
-    log.setLevel(logging.CRITICAL)
+    logs = [logging.getLogger(name) for name in LOGS]
+    levels = [log.level for log in logs]
+    for log in logs:
+        log.setLevel(SILENT)
     try:
         with _connected(cluster) as client:
             yield client
     finally:
-        log.setLevel(level)
+        for log, level in zip(logs, levels, strict=True):
+            log.setLevel(level)
 
 
 def _connected(address: str) -> Client:
+    """Connect to a scheduler."""
+    import dask
     import distributed
 
     try:
+        if not dask.config.get("distributed.client.security-loader", None):  # which the client alone calls
+            # in a thread of its own: a notebook has an event loop already
+            with ThreadPoolExecutor(1) as thread:
+                thread.submit(asyncio.run, _check_scheduler(address)).result()
         return distributed.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TypeError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise CrosscheckError(f"cannot reach the cluster {address}: {reason}"[:300]) from error
+
+
+async def _check_scheduler(address: str) -> None:
+    """Raise `OSError` where something else than a scheduler listens.
+
+    A client of Dask limits the time until there is a connection, but not until its handshake is done, and
+    reads any answer as one of Dask's.
+    """
+    from distributed import Security, comm
+    from distributed.core import send_recv
+
+    secured = Security().get_connection_args("client")
+    try:
+        async with asyncio.timeout(2.0 * PATIENCE):  # half of it for the connection itself
+            connection = await comm.connect(address, timeout=PATIENCE, **secured)
+            try:
+                kind = (await send_recv(connection, op="identity"))["type"]
+            finally:
+                connection.abort()
+    except TimeoutError as error:
+        raise OSError(f"{NO_SCHEDULER} within {2.0 * PATIENCE:g} s") from error
+    except (OSError, ValueError, TypeError):
+        raise
+    except Exception as error:  # of reading what is not Dask's: sizes without sense, unknown formats
+        raise OSError(NO_SCHEDULER) from error
+    if kind != "Scheduler":
+        raise OSError(f"a {kind} of Dask listens there; needed: a scheduler")
 
 
 def in_any_order(

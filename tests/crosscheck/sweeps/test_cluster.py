@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import errno
+import gc
 import logging
 import os
 import shutil
 import signal
+import socket
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from threading import Thread
 
 import numpy as np
 import pytest
 from distributed import Client, LocalCluster
 
+import crosscheck.sweeps.execute
 import crosscheck.sweeps.results
 from crosscheck import sweep
 from crosscheck.errors import CrosscheckError
@@ -93,3 +97,36 @@ def test_a_folder_that_workers_do_not_find_is_one_line(cluster, tmp_path, monkey
     monkeypatch.setattr(crosscheck.sweeps.results.Store, "missing", lose)
     with pytest.raises(CrosscheckError, match="holds no sweep"):
         sweep(*ARGUMENTS, cluster=cluster.scheduler_address, output=tmp_path)
+
+
+@pytest.mark.parametrize("answer", [b"", b"HTTP/1.1 400 Bad Request\r\n\r\n"], ids=["silent", "HTTP"])
+@pytest.mark.filterwarnings("error")  # of what a client that never connected leaves behind
+def test_what_is_no_scheduler_is_one_line(capfd, monkeypatch, answer):
+    monkeypatch.setattr(crosscheck.sweeps.execute, "PATIENCE", 1.0)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            connection, _ = server.accept()
+            with connection:
+                connection.recv(1)
+                connection.sendall(answer)
+                while connection.recv(2**16):  # until the other side gives up
+                    pass
+
+        thread = Thread(target=serve)
+        thread.start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        words = (
+            f"cannot reach the cluster {address}: what listens there does not answer as a scheduler of Dask"
+        )
+        with pytest.raises(CrosscheckError, match=words), workers(cluster=address):
+            pytest.fail("connected")
+        thread.join()
+    gc.collect()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_worker_is_no_scheduler(cluster):
+    address = cluster.workers[0].worker_address
+    with pytest.raises(CrosscheckError, match="listens there; needed: a scheduler"), workers(cluster=address):
+        pytest.fail("connected")
