@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -125,7 +126,8 @@ def simulate_batch(
 ) -> Batch:
     """Run a scene many times, from other states or with other parameters; compiled once.
 
-    Results do not depend on the number of threads.
+    Results do not depend on the number of threads. All outputs of all runs are kept in memory, 8 bytes per
+    number: 0.7 MB per run of the tracker. `crosscheck.sweep` keeps a few numbers of each run instead.
 
     Args:
         scene: the scene of all runs.
@@ -160,11 +162,14 @@ def simulate_batch(
         compiled = _compiled(scene, formulation, stabilization, alpha, names)
         load_lanes(compiled, integrator)
     count = _count(states, parameters)
+    shape = (len(scene.times), compiled.function("output").outputs)
     try:
-        results = np.empty((count, len(scene.times), compiled.function("output").outputs))
+        results = np.empty((count, *shape))
         starts = np.tile(compiled.start, (count, 1))
     except MemoryError as error:
-        raise OptionError("states and parameters", f"{count} runs", "runs that memory can hold") from error
+        megabytes = 8e-6 * math.prod(shape)
+        needed = f"memory for {count * megabytes:.3g} MB, {megabytes:.3g} MB per run, or crosscheck.sweep"
+        raise OptionError("states and parameters", f"{count} runs", needed) from error
     errors = _set(starts, compiled, states, parameters)
     results[list(errors)] = np.nan
     runs = Runs(starts, results, np.zeros((count, COUNTS)), errors)
@@ -254,8 +259,10 @@ def _count(states: Sequence[State] | None, parameters: Mapping[str, Any]) -> int
     for name, each in series.items():
         if not hasattr(each, "__len__"):
             raise OptionError(name, _short(each), "a sequence, one value per run")
+        if not len(each):
+            raise OptionError(name, each, "one value per run, of one run or more")
     lengths = {name: len(values) for name, values in series.items()}
-    if not lengths or min(lengths.values()) < 1 or len(set(lengths.values())) > 1:
+    if len(set(lengths.values())) != 1:
         raise OptionError("states and parameters", lengths, "one state or value per run, of one length")
     return next(iter(lengths.values()))
 
