@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import zip_longest
 
 import numpy as np
 from scipy.stats import rankdata
@@ -135,10 +136,11 @@ class Scalar:
         known = self.values[np.isfinite(self.values)]
         return np.quantile(known, LEVELS) if len(known) else np.full(len(LEVELS), np.nan)
 
-    @property
-    def spread(self) -> float:
-        """Distance of the outer quantiles but the extremes."""
-        return float(self.quantiles[-2] - self.quantiles[1])
+    @cached_property
+    def deviation(self) -> float:
+        """Standard deviation of the runs that came to their end; 0 if there are none."""
+        known = self.values[np.isfinite(self.values)]
+        return float(known.std()) if len(known) else 0.0
 
     @property
     def varies(self) -> bool:
@@ -338,12 +340,17 @@ def _tenths(x: Array, y: Array) -> dict[str, float]:
     return {"low": float(low.mean()), "high": float(high.mean())}
 
 
-def telling(found: list[Scalar]) -> list[Scalar]:
-    """Choose one number for each variable: of those that vary the one with the largest magnitude."""
-    chosen: dict[str, Scalar] = {}
+def most_varying(found: Sequence[Scalar]) -> list[Scalar]:
+    """Sort numbers by their deviations: of each variable the one that varies most, then the next of each."""
+    of_variable: dict[str, list[Scalar]] = {}
     for scalar in found:
-        name = scalar.variable
-        size = np.max(np.abs(scalar.quantiles))
-        if scalar.varies and (name not in chosen or size > np.max(np.abs(chosen[name].quantiles))):
-            chosen[name] = scalar
-    return list(chosen.values())
+        of_variable.setdefault(scalar.variable, []).append(scalar)
+    for members in of_variable.values():
+        members.sort(key=lambda scalar: scalar.deviation, reverse=True)
+    return [scalar for place in zip_longest(*of_variable.values()) for scalar in place if scalar is not None]
+
+
+def telling(found: Sequence[Scalar]) -> list[Scalar]:
+    """Choose one number for each variable: of those that vary the one that does so most."""
+    varying = [scalar for scalar in found if scalar.varies]
+    return most_varying(varying)[: len({scalar.variable for scalar in varying})]

@@ -22,6 +22,7 @@ from crosscheck.sweeps.analysis import (
     Effect,
     Scalar,
     analyzed,
+    most_varying,
     scalars,
     telling,
     thinned,
@@ -50,8 +51,11 @@ MOST_ROWS, MOST_CHARTS, MOST_BARS, MOST_REASONS = 6, 2, 4, 3
 BAR = 10
 """Characters of a bar of 100 %; Rerun's viewer has no blocks among its glyphs."""
 
-LEAST_DIGITS, MOST_DIGITS = 4, 6
-"""Of quantiles."""
+LEAST_DIGITS, MOST_DIGITS = 4, 11
+"""Of quantiles; the most show a number that barely varies."""
+
+WIDE, MOST_WIDE_ROWS = 6, 3
+"""Digits beyond which a table is wider than a terminal and has each row twice, and its rows then."""
 
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.])")
 """In the reason of a run; reasons that differ in numbers alone are one."""
@@ -192,11 +196,12 @@ def report(found: Findings) -> Report:
     varying = [scalar for scalar in found.scalars if scalar.varies]
     if not varying:
         varying = found.scalars
-        notes.append("what varies has no effect on what is kept")
-    first = [scalar for scalar, _ in found.effects]
-    rows = sorted(
-        (first + [each for each in varying if each not in first])[:MOST_ROWS], key=found.scalars.index
-    )
+        if len(swept.errors) < samples.runs:
+            notes.append("what varies has no effect on what is kept")
+    first = most_varying(varying)[:MOST_ROWS]
+    if any(_digits(each) > WIDE for each in first):
+        first = first[:MOST_WIDE_ROWS]
+    rows = sorted(first, key=found.scalars.index)
     summary: list[Part] = [_quantiles(found, rows, "")]
     summary += [_effects(*each, MOST_BARS) for each in found.effects[:MOST_CHARTS] if each[1]]
     notes += [*filter(None, [found.too_few]), *_not_shown(found, rows), *failed[:MOST_REASONS]]
@@ -256,12 +261,11 @@ def _quantiles(found: Findings, rows: Sequence[Scalar], title: str) -> Table:
 
 
 def _digits(scalar: Scalar) -> int:
-    """Return the digits that show how a number varies, if that are not too many."""
-    low, high = scalar.quantiles[[0, -1]]
+    """Return the digits in which the quantiles of a number differ."""
     if not scalar.varies:
         return LEAST_DIGITS
-    hidden = int(np.ceil(np.log10(max(abs(low), abs(high)) / (high - low))))
-    return max(LEAST_DIGITS, hidden + 2) if hidden + 2 <= MOST_DIGITS else LEAST_DIGITS
+    hidden = int(np.ceil(np.log10(np.max(np.abs(scalar.quantiles)) / scalar.deviation)))
+    return int(np.clip(hidden + 2, LEAST_DIGITS, MOST_DIGITS))
 
 
 def _effects(scalar: Scalar, found: Sequence[Effect], most: int | None) -> Table:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crosscheck.sweeps.analysis import MOST_SHARED, Analysis, Scalar, telling, thinned
+from crosscheck.sweeps.analysis import MOST_SHARED, Analysis, Scalar, most_varying, telling, thinned
 from crosscheck.sweeps.sampling import samples_of
 
 RUNS = 4096
@@ -142,7 +142,9 @@ def test_base_samples_with_runs_that_could_not_go_on_are_left_out():
     assert few["b"].rank > 0.9
 
 
-def test_the_telling_number_of_a_variable_is_its_largest_that_varies():
-    values = np.array([[1.0, 2.0, 9.0], [2.0, 4.0, 9.0]])
+def test_the_telling_number_of_a_variable_is_the_one_that_varies_most():
+    values = np.array([[1.0, 2.0, 9.0], [2.0, 4.0, 9.1]])
     rows = [Scalar("peak", (k,), (str(k),), "N", values[:, k], np.arange(2)) for k in range(3)]
-    assert [scalar.label for scalar in telling(rows)] == ["peak 1"]
+    rows.append(Scalar("final", (), (), "m", values[:, 0], np.arange(2)))
+    assert [scalar.label for scalar in telling(rows)] == ["peak 1", "final"]
+    assert [scalar.label for scalar in most_varying(rows)] == ["peak 1", "final", "peak 0", "peak 2"]

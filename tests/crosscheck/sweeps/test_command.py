@@ -91,6 +91,20 @@ def test_runs_that_fail_are_counted_by_reason(capsys, tmp_path):
     assert "dumbbell.mass=truncated_normal(1, 2, LOW, HIGH) stays within bounds" in said
 
 
+def test_numbers_that_hardly_vary_have_the_digits_to_tell():
+    short = replace(load("pendulum"), duration=0.1)
+    keep = "final:dumbbell.position.y"
+    swept = sweep(short, {"gravity.y": "uniform(-9.8100001, -9.81)"}, 8, keep)
+    row = next(line for line in str(swept).splitlines() if line.startswith(keep))
+    assert len(set(row.split()[-4:])) == 4
+
+
+def test_where_no_run_ends_nothing_is_said_of_effects():
+    swept = sweep("pendulum", {"dumbbell.mass": "uniform(-2, -1)"}, 3, KEEP)
+    assert "no effect" not in str(swept)
+    assert "3 runs could not go on" in str(swept)
+
+
 def test_each_variable_has_its_most_and_its_least_checked_and_engines_are_named(monkeypatch):
     monkeypatch.setattr(crosscheck.sweeps.checks, "MOST_EXTREMES", 2)
     short = replace(load("pendulum"), duration=0.1)
