@@ -103,6 +103,18 @@ def initial_numbers(scene: Scene, names: Iterable[str]) -> dict[str, Initial]:
     return found
 
 
+def initial_names(scene: Scene) -> list[str]:
+    """Return the names of all initial coordinates and rates that no motion prescribes."""
+    prescribed = {motion.key for motion in scene.motions}
+    names: list[str] = []
+    for joint in scene.mechanism.joints:
+        count = len(joint.coordinate_kinds)
+        for k in range(count):
+            name = f"{PREFIX}{joint.name}{f'.{k}' * (count > 1)}"
+            names += [name, name + RATE] if (joint.name, k) not in prescribed else []
+    return list(initial_numbers(scene, names))
+
+
 def _is_element(scene: Scene, name: str) -> bool:
     """Tell if a name begins with that of an element, and so is none of an initial coordinate."""
     mechanism = scene.mechanism

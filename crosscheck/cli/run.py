@@ -21,6 +21,7 @@ from crosscheck.cli.shared import (
     UNFINISHED,
     cli,
     is_verbose,
+    load_and_tell,
     progress_shown,
     say,
     scene_options,
@@ -33,16 +34,24 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.report.render import terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from crosscheck.against.compare import Model
     from crosscheck.run import Crosscheck, Progress
+    from newton_euler.model.scene import Scene
+    from newton_euler.scalars import Array
 
 HERE = "127.0.0.1"
 """Address of this machine for itself alone."""
 
 OUTPUT = Path("output")
 """Where folders of results go by default."""
+
+MOST_NUMBERS = 9
+"""Of a parameter's value that are listed, as many as an inertia has."""
+
+DIGITS = 12
+"""Of initial coordinates, which are m, rad or their rates: what follows is round-off."""
 
 
 @cli.command("run")
@@ -242,18 +251,29 @@ def _called() -> str:
 
 
 @cli.command("list")
+@click.argument("scene", required=False)
+@setting_options
 @verbose_option
-def list_command() -> int:
-    """List scenes, engines and options."""
+def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
+    """List scenes, engines and options, or the parameters of SCENE.
+
+    SCENE is a name or a file, as of run. Parameters are what sweep varies and identify fits.
+    """
+    if scene is not None:
+        for line in _parameters(load_and_tell(scene, scene_options(settings))):
+            click.echo(line)
+        return AGREE
+    if settings:
+        raise CrosscheckError("--set has no effect here: it is of a scene")
     from crosscheck.engines import ENGINES
     from crosscheck.model_files.read import MJCF_OPTIONS, URDF_OPTIONS
     from crosscheck.scenes import SCENES
     from crosscheck.scenes.options import options_of
     from newton_euler.limits import LIMITS
 
-    for name, scene in SCENES.items():
-        say(f"{name}: {scene().description}")
-        for key, option in options_of(scene).items():
+    for name, make in SCENES.items():
+        say(f"{name}: {make().description}")
+        for key, option in options_of(make).items():
             default = f"{option.default:g}" if isinstance(option.default, float) else str(option.default)
             say(f"    --set {key}={option}  [default: {default or 'none'}]")
     for kind, options in (("MJCF, a .xml or .mjcf file", MJCF_OPTIONS), ("URDF, a .urdf file", URDF_OPTIONS)):
@@ -265,6 +285,29 @@ def list_command() -> int:
         say(f"    --set {name}={limit.unit.upper()}, {limit.meaning}  [default: {limit.default:g}]")
     say(f"engines: {', '.join(ENGINES)}")
     return AGREE
+
+
+def _parameters(scene: Scene) -> Iterator[str]:
+    """Yield a line for each parameter and initial coordinate: name, unit and own value.
+
+    Lines are never wrapped: names are there to be copied.
+    """
+    from newton_euler.equations.parameters import parameter_values
+    from newton_euler.starts import initial_names
+    from newton_euler.variation import own_values, unit_of
+
+    starts = own_values(scene, initial_names(scene))
+    own = parameter_values(scene) | {name: value.round(DIGITS) for name, value in starts.items()}
+    units = {name: unit_of(scene, name) for name in own}
+    columns = max(map(len, own)), max(map(len, units.values()))
+    for name, value in own.items():
+        yield f"{name:{columns[0]}}  {units[name]:{columns[1]}}  {_value(value)}"
+
+
+def _value(value: Array) -> str:
+    """Write the numbers of a parameter, of many the first ones and how many there are."""
+    shown = " ".join(f"{number + 0.0:.6g}" for number in value.flat[:MOST_NUMBERS])
+    return shown if value.size <= MOST_NUMBERS else f"{shown} ... ({value.size} numbers)"
 
 
 @cli.command("convert")

@@ -275,6 +275,15 @@ def _own(parts: dict[str, list[Any]], owner: Owner, piece: bool = False) -> Arra
     return parts[what][k].number(attribute)
 
 
+def parameter_names(scene: Scene) -> list[str]:
+    """Return the names of all parameters, numbered ones where several share a name."""
+    names: list[str] = []
+    for name, owners in _owners(scene).items():
+        if "[" not in name:
+            names += [name] if len(owners) == 1 else [numbered(*owner) for owner in owners]
+    return names
+
+
 def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[str, Array]:
     """The scene's own values of these or of all of its parameters: () or (3,) or (3, 3) floats each.
 
@@ -283,10 +292,8 @@ def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[s
         MechanismError: for a name that stands for two, and for two that stand for one number.
     """
     parts = _parts(scene)
-    if names is None:
-        names = [name for name in _owners(scene) if "[" not in name]
     values: dict[str, Array] = {}
-    for name, place in places(scene, names).items():
+    for name, place in places(scene, parameter_names(scene) if names is None else names).items():
         own = _own(parts, place.owner, name.endswith(PIECE))
         values[name] = own if place.component is None else np.asarray(own[place.component])
     return values

@@ -73,6 +73,15 @@ def test_list_names_scenes_options_and_engines(capsys):
     assert "engines: newton_euler, mujoco, pinocchio" in out
 
 
+def test_list_of_a_scene_has_its_parameters_with_units_and_values(capsys):
+    status, out, _ = run(capsys, "list", "tracker_on_boat")
+    rows = [line.split() for line in out.splitlines()]
+    assert (status, rows[0]) == (0, ["gravity", "m/s^2", "0", "0", "-9.81"])
+    assert ["panel_7.mass", "kg", "0.8905"] in rows
+    assert ["base_motion.2.motion.function.angular_frequency", "rad/s", "1.5708"] in rows
+    assert ["start.slide_13.rate", "m/s", "0"] in rows
+
+
 def test_help_is_not_cut_off(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     status, out, _ = run(capsys, "--help")

@@ -11,6 +11,7 @@ from mechanisms import line_spring, mass_on_rail
 import newton_euler
 from newton_euler import PD, JointSpring, PointSpring, Wrench
 from newton_euler.assemble import initial_state
+from newton_euler.equations.parameters import parameter_values
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.trajectory import IntegrationError
@@ -26,6 +27,9 @@ def test_a_name_that_stands_for_two_parameters():
     ):
         compile_scene(scene, parameters=["rail.stiffness"])
     assert compile_scene(scene, parameters=["rail.rest_length", "rail.target"])
+    names = parameter_values(scene).keys()
+    assert {"control[0].stiffness", "forces[0].stiffness"} <= names
+    assert "rail.stiffness" not in names
     with pytest.raises(UnknownNameError, match=r"unknown parameter 'rail\.rest'; choose from: rail\.rest_"):
         compile_scene(scene, parameters=["rail.rest"])
 
