@@ -180,6 +180,8 @@ def report(found: Findings) -> Report:
     title = f"{swept.scene.name}: {samples.runs:,} runs, {samples.sampling}, seed {samples.seed}"
     if swept.made:
         title += f"; {swept.made:,} made at {swept.made / swept.wall_time:,.0f} per s"
+    if swept.made < samples.runs:
+        title += f"; {samples.runs - swept.made:,} were there"
     of_runs, notes, failed = "", [], _failures(found)
     if (count := len(analyzed(swept))) < samples.runs:
         of_runs = f"of {count:,} runs from all parts of the sweep"

@@ -105,14 +105,23 @@ def test_code_is_made_once_for_all_threads_and_chunks(monkeypatch):
     assert 0 < len(made) == len(set(made))
 
 
-@pytest.mark.parametrize(("of_a_run", "counts"), [(10.0, [1]), (0.02, [1, 4]), (1e-9, [1, 4, 16, 50])])
-def test_long_runs_are_not_probed_by_many(monkeypatch, of_a_run, counts):
+@pytest.mark.parametrize(
+    ("of_a_run", "compiled_at", "counts"),
+    [
+        (10.0, None, [1]),
+        (0.02, None, [1, 4, 4]),
+        (0.02, 1, [1, 1, 4, 4]),
+        (0.01, 4, [1, 4, 4, 16, 16]),
+        (1e-9, None, [1, 4, 16, 50]),
+    ],
+)
+def test_runs_are_probed_by_few_and_without_what_is_compiled(monkeypatch, of_a_run, compiled_at, counts):
     now, made = [0.0], []
     monkeypatch.setattr(crosscheck.sweeps.execute.time, "perf_counter", lambda: now[0])
 
     def make(count):
+        now[0] += count * of_a_run + 0.9 * (count == compiled_at and count not in made)
         made.append(count)
-        now[0] += count * of_a_run
 
     rate = probed(make, 50)
     assert made == counts
@@ -140,8 +149,11 @@ def test_an_interrupted_sweep_goes_on(reference, tmp_path):
     store = Store.at(tmp_path / NAME)
     there = int(np.sum(store.group["status"][:] > 0))
     assert 0 < there < 60
-    found = sweep(*ARGUMENTS, output=tmp_path)
+    told.clear()
+    found = sweep(*ARGUMENTS, output=tmp_path, progress=told.append)
     assert found.results.made == 60 - there
+    assert f"{there} of 60 runs were there" in told
+    assert f"; {there} were there" in found.report.title
     assert_equal(found, reference)
     assert sweep(*ARGUMENTS, output=tmp_path).results.made == 0
 
