@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
@@ -19,7 +20,7 @@ from crosscheck.sweeps.analysis import Scalar
 from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.results import Results
-from crosscheck.sweeps.store import told
+from crosscheck.sweeps.store import STATUS, told
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
@@ -35,7 +36,7 @@ KEPT = "kept"
 """Level of figures that compare what a sweep keeps."""
 
 STORED = "checks"
-"""Attribute of a store that checks are kept in."""
+"""Attribute of a store's status that checks are kept in, as JSON."""
 
 
 @dataclass(frozen=True)
@@ -93,8 +94,8 @@ def check_runs(
     Checks are kept with the sweep; those by the same engines in the same versions are not made again.
     """
     by = {each.name: version(each.package) for each in engines} | {"crosscheck": version("crosscheck")}
-    attributes = swept.store.group.attrs
-    stored = attributes.get(STORED, {})
+    attributes = swept.store.group[STATUS].attrs
+    stored = json.loads(attributes.get(STORED, "{}"))
     known = stored["runs"] if stored.get("by") == by else {}
     checked = []
     for count, (run, why) in enumerate(runs.items(), start=1):
@@ -108,7 +109,7 @@ def check_runs(
         checked.append(_check(swept, found, run, why, engines))
         known[str(run)] = asdict(checked[-1])
         with told(swept.path):
-            attributes[STORED] = {"by": by, "runs": known}
+            attributes[STORED] = json.dumps({"by": by, "runs": known})
     return checked
 
 

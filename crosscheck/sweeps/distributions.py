@@ -18,6 +18,9 @@ from newton_euler.scalars import Array
 LONGEST = 10_000
 """Characters of a distribution's text, and numbers of a grid."""
 
+PARTS = 1000
+"""As likely as each other, of whose middles means and deviations are taken: normal ones to 0.2 %."""
+
 ROUND_OFF = 1e-12
 """Size of the smallest eigenvalue, negative by rounding, of a correlation that is singular."""
 
@@ -107,6 +110,12 @@ class Distribution:
     def quantile(self, u: Array) -> Array:
         """Return the values (n,) below which shares u (n,) between 0 and 1 of all values lie."""
         return KINDS[self.kind].quantile(u, *self.numbers)
+
+    def deviations_of(self, value: float) -> float:
+        """Return how many standard deviations a number lies from the mean; 0 if there is one value alone."""
+        values = self.quantile((np.arange(PARTS) + 0.5) / PARTS)
+        deviation = float(values.std())
+        return abs(value - float(values.mean())) / deviation if deviation else 0.0
 
     def of_normal(self, z: Array) -> Array:
         """Return the values (n,) that are as likely as the standard normal z (n,)."""

@@ -60,6 +60,9 @@ WIDE, MOST_WIDE_ROWS = 6, 3
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.])")
 """In the reason of a run; reasons that differ in numbers alone are one."""
 
+FAR = 3.0
+"""Deviations from its mean at which the scene's own value is hardly one of a distribution."""
+
 SAMPLE = 100
 """Runs that envelopes over time are made of."""
 
@@ -193,6 +196,8 @@ def report(found: Findings) -> Report:
     parts += [Lines("", [found.too_few])] if found.too_few else []
     parts += _checks(found.checked) if found.checked else []
     parts.append(_varied(swept.plan))
+    far = _far(swept.plan)
+    parts += [Lines("", far)] if far else []
     if failed:
         parts.append(Lines("runs that could not go on", failed))
     varying = [scalar for scalar in found.scalars if scalar.varies]
@@ -206,7 +211,12 @@ def report(found: Findings) -> Report:
     rows = sorted(first, key=found.scalars.index)
     summary: list[Part] = [_quantiles(found, rows, "")]
     summary += [_effects(*each, MOST_BARS) for each in found.effects[:MOST_CHARTS] if each[1]]
-    notes += [*filter(None, [found.too_few]), *_not_shown(found, rows), *failed[:MOST_REASONS]]
+    notes += [
+        *far[:MOST_REASONS],
+        *filter(None, [found.too_few]),
+        *_not_shown(found, rows),
+        *failed[:MOST_REASONS],
+    ]
     if len(failed) > MOST_REASONS:
         notes.append(f"{len(failed) - MOST_REASONS} more reasons why runs could not go on; -v prints all")
     summary.append(Lines("", notes))
@@ -318,6 +328,21 @@ def _varied(plan: Plan) -> Table:
         nominal = ", ".join(f"{own[name]:.6g}" for name in names)
         rows.append([", ".join(names), unit_of(plan.scene, names[0]), nominal, str(distribution)])
     return Table("what varies", texts("parameter", "unit", "nominal", "distribution"), rows, folded=True)
+
+
+def _far(plan: Plan) -> list[str]:
+    """Word which values of the scene lie far from what is drawn for them: of a slip of units, perhaps."""
+    own = own_values(plan.scene, plan.samples.names)
+    lines = []
+    for names, given in plan.samples.groups:
+        of_each = (given,) if isinstance(given, Distribution) else given.distributions
+        for name, each in zip(names, of_each, strict=True):
+            away = each.deviations_of(float(own[name]))
+            if away > FAR:
+                lines.append(
+                    f"nominal {name}, {own[name]:.4g}, is {away:.2g} deviations from the mean of {each}"
+                )
+    return lines
 
 
 def write(found: Findings, made: Report, folder: Path) -> list[Path]:

@@ -6,6 +6,7 @@ beside its place. So a sweep may be killed anywhere, and what is not there is ma
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import time
@@ -117,7 +118,13 @@ class Store:
 
     def _create(self, plan: Plan, attributes: Mapping[str, Any]) -> None:
         """Make all variables, without values, and the names along their dimensions."""
-        self.group.attrs.update(attributes)
+        # texts and numbers, as netCDF has them
+        self.group.attrs.update(
+            {
+                name: json.dumps(each) if isinstance(each, list | dict) else each
+                for name, each in attributes.items()
+            }
+        )
         runs, names = plan.samples.runs, labels(plan.scene)
         coordinates: dict[str, Array] = {}
         for name in plan.samples.names:
@@ -175,7 +182,8 @@ class Store:
         Raises:
             CrosscheckError: if the store is of another scene or plan.
         """
-        record, own = plan.record(), dict(self.group.attrs)
+        record = plan.record()
+        own = {name: _restored(value, record.get(name)) for name, value in self.group.attrs.items()}
         for name, value in record.items():
             if name in FREE or own.get(name) == value:
                 continue
@@ -234,6 +242,13 @@ class Store:
         """Return an xarray Dataset of all that is there; variables are read when they are used."""
         xarray, _ = libraries()
         return xarray.open_zarr(self.group.store, consolidated=False, chunks=None)
+
+
+def _restored(value: Any, like: Any) -> Any:
+    """Return a list or a dictionary that was written as JSON, anything else as it is."""
+    with suppress(ValueError):
+        return json.loads(value) if isinstance(like, list | dict) and isinstance(value, str) else value
+    return value
 
 
 def _difference(name: str, old: Any, new: Any) -> str:

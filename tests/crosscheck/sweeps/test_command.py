@@ -105,6 +105,14 @@ def test_where_no_run_ends_nothing_is_said_of_effects():
     assert "3 runs could not go on" in str(swept)
 
 
+def test_a_nominal_value_far_from_its_distribution_is_named():
+    short = replace(load("pendulum"), duration=0.1)
+    vary = {"dumbbell.mass": "normal(1, 0.1)", "gravity.y": "normal(-9.81, 0.1)", "gravity.x": [1.0]}
+    said = " ".join(str(sweep(short, vary, 3, KEEP)).split())
+    assert "nominal dumbbell.mass, 2, is 10 deviations from the mean of normal(1, 0.1)" in said
+    assert said.count("deviations from") == 1
+
+
 def test_each_variable_has_its_most_and_its_least_checked_and_engines_are_named(monkeypatch):
     monkeypatch.setattr(crosscheck.sweeps.checks, "MOST_EXTREMES", 2)
     short = replace(load("pendulum"), duration=0.1)

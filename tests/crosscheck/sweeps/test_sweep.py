@@ -158,6 +158,15 @@ def test_an_interrupted_sweep_goes_on(reference, tmp_path):
     assert sweep(*ARGUMENTS, output=tmp_path).results.made == 0
 
 
+def test_attributes_are_those_of_netcdf(tmp_path):
+    short = replace(load("pendulum"), duration=0.1)
+    sweep(short, *ARGUMENTS[1:3], "peak:reaction_force", output=tmp_path).check(1, ["newton_euler"])
+    found = xarray.open_zarr(tmp_path / NAME, consolidated=False)
+    values = [*found.attrs.values(), *(value for each in found.values() for value in each.attrs.values())]
+    assert all(isinstance(value, str | int | float) for value in values)
+    found.to_netcdf(tmp_path / "sweep.nc", engine="scipy")
+
+
 def test_a_full_disk_is_one_line_and_loses_nothing(reference, tmp_path, monkeypatch):
     written, into_place = [], Path.replace
 
