@@ -77,6 +77,12 @@ CONVERGED = {"xtol": 1e-9, "ftol": 1e-10, "gtol": 1e-12}
 SETTLED = 0.1
 """Standard deviations by which a further step would move parameters at most where a fit has converged."""
 
+CLEARLY = 0.1
+"""Share of an angle's residuals that is left at most if it is in degrees; without other errors 1 / 57.3."""
+
+EXPLAINED = 0.5
+"""Share of an angle that residuals are at most if the scene moves like it; one at rest explains nothing."""
+
 MOST_EVALUATIONS = 200
 """Of a fit."""
 
@@ -132,10 +138,12 @@ class Fit:
         self._exact = {name: EXACT / FINE * noise for name, noise in self._unknown.items()}
         self._known: tuple[bytes, Evaluated] | None = None
         self._far = np.inf
+        self._suspected: set[str] = set()
 
     def solve(self) -> Array:
         """Return the changes of the numbers (p,) in units of their scales that make residuals least."""
         change, scale = np.zeros(len(self.before)), self.scale
+        self._suspected = self._like_degrees(change)
         for _ in range(ROUNDS):
             change, before = self._pulled(change), self._levels
             self._take_residuals(change)
@@ -313,6 +321,40 @@ class Fit:
                 weighted.setdefault(name, []).append(column / noise[name])
         return {name: float(np.sqrt(np.mean(np.concatenate(x) ** 2))) for name, x in weighted.items()}
 
+    def in_degrees(self, change: Array) -> tuple[str, ...]:
+        """Return the names of columns that fit as degrees instead of rad, after the fit or before it."""
+        suspected = self._suspected | self._like_degrees(change)
+        angles = self._angles(change).items()
+        return tuple(n for n, (now, _, angle) in angles if n in suspected and now > EXPLAINED * angle)
+
+    def _like_degrees(self, change: Array) -> set[str]:
+        """Return the names of columns whose residuals nearly vanish if their numbers are degrees."""
+        return {
+            name
+            for name, (now, as_degrees, angle) in self._angles(change).items()
+            if as_degrees < min(CLEARLY * now, EXPLAINED * angle)
+        }
+
+    def _angles(self, change: Array) -> dict[str, tuple[float, float, float]]:
+        """Return root mean squares for each column of rad or rad/s, by name.
+
+        Of its residuals, of what these are if its numbers are degrees, and of such numbers in rad; of angles
+        at most 1, for residuals are within half a revolution.
+        """
+        found: dict[str, tuple[float, float, float]] = {}
+        evaluated = self._evaluated(change).residuals
+        for run, columns, table in zip(self._runs, self._columns, evaluated, strict=True):
+            pairs = zip(run.columns.items(), columns, table.T, strict=True)
+            for (name, measured), column, residuals in pairs:
+                if column.unit in ("rad", "rad/s"):
+                    converted = np.deg2rad(measured)
+                    left, angle = residuals + measured - converted, _rms(converted)
+                    if column.unit == "rad":
+                        left -= 2.0 * np.pi * np.round(left / (2.0 * np.pi))
+                        angle = min(angle, 1.0)
+                    found[name] = _rms(residuals), _rms(left), angle
+        return found
+
     def _weighted(self, tables: list[Array]) -> Array:
         parts = []
         for noise, table in zip(self.noise, tables, strict=True):
@@ -337,6 +379,11 @@ class Fit:
                 found.jacobians.append(jacobian)
             self._known = values.tobytes(), found
         return self._known[1]
+
+
+def _rms(values: Array) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _scales(scene: Scene, names: Sequence[str]) -> tuple[Array, Array, tuple[str, ...]]:

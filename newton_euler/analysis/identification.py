@@ -58,6 +58,7 @@ class Identification:
         degrees_of_freedom: numbers measured less combinations of parameters that they determine.
         probability: of a misfit as large or larger, by chance alone; not a number where no noise is known.
         residuals: measured less computed, for each run by column, (n,) each.
+        in_degrees: columns of rad or rad/s that fit as degrees.
         undetermined: a line for each combination of parameters that the data do not determine.
         stopped: why the fit ended before the sum of squares was least; empty if it is.
         curvature: by how much derivatives two standard deviations away are others, in units of those at the
@@ -87,6 +88,7 @@ class Identification:
     degrees_of_freedom: int
     probability: float
     residuals: tuple[dict[str, Floats], ...]
+    in_degrees: tuple[str, ...]
     undetermined: tuple[str, ...]
     stopped: str
     curvature: float
@@ -145,7 +147,7 @@ class Identification:
 
     @property
     def doubts(self) -> list[str]:
-        """Lines on a scene that is wrong, on what is not determined, and why the fit ended if too early."""
+        """Lines on a wrong scene, units, what is not determined, and why the fit ended if too early."""
         lines = []
         if self.is_wrong:
             worst = max(self.misfits, key=lambda name: self.misfits[name])
@@ -153,6 +155,7 @@ class Identification:
                 "the scene cannot move as was measured, or there is more noise: do not trust these values",
                 f"largest residuals: {worst}, {self.misfits[worst]:.3g} times its noise",
             ]
+        lines += [f"{name} fits as degrees: [deg] behind its name?" for name in self.in_degrees]
         return [*lines, *self.undetermined, *[self.stopped] * bool(self.stopped)]
 
     @property
@@ -212,6 +215,7 @@ def identify(
     residuals, jacobian = fit.residuals(change), fit.jacobian(change)
     strong, weak, covariance = split(jacobian, fit.excess)
     squares, freedom = float(residuals @ residuals), max(1, count - len(strong))
+    probability = float(chdtrc(freedom, squares)) if fit.some_noise_is_known else math.nan
     values, stopped = fit.values(change), fit.stopped if fit.unsettled(change) > SETTLED else ""
     edge = fit.is_at_edge(change) if stopped else [False] * len(names)
     for k in np.flatnonzero(np.any(np.abs(weak) > SIMPLE, axis=0) | edge):
@@ -228,8 +232,9 @@ def identify(
         misfits=fit.misfits(change),
         misfit=math.sqrt(squares / freedom),
         degrees_of_freedom=freedom,
-        probability=float(chdtrc(freedom, squares)) if fit.some_noise_is_known else math.nan,
+        probability=probability,
         residuals=tuple(fit.by_column(change)),
+        in_degrees=fit.in_degrees(change),
         undetermined=tuple(_lines(names, values, fit, weak)),
         stopped=stopped,
         curvature=fit.curvature(change),  # last of all: it is another point

@@ -257,6 +257,21 @@ def test_a_scene_that_is_wrong_is_said_to_be():
     assert f"misfit {exact.misfit:.3g}, 1 expected" in exact.fit
 
 
+@pytest.mark.parametrize("noise", [1e-5, 0.0])
+@pytest.mark.parametrize("others", [[], ["guide"]])
+def test_angles_in_degrees_without_their_unit_are_pointed_out(noise, others):
+    scene = start(replace(load("slider_crank"), duration=1.0, output_period=0.02), pivot=(0.2, 3.0))
+    data = measured(scene, "pivot", *others, noise=noise)
+    wrong = with_parameters(scene, {"slider.mass": 1.9})
+    assert not identify(wrong, ["slider.mass"], data).in_degrees
+    degrees = {
+        name: np.rad2deg(column) if "pivot" in name else column for name, column in data.columns.items()
+    }
+    with pytest.warns(IdentificationWarning, match=r"coordinate\.pivot fits as degrees: \[deg\]"):
+        found = identify(wrong, ["slider.mass"], replace(data, columns=degrees))
+    assert found.in_degrees == ("coordinate.pivot", "rate.pivot")
+
+
 CSV = "time,coordinate.pivot\n0.0,0.1\n0.1,0.2\n0.2,0.3\n"
 
 
