@@ -49,7 +49,8 @@ class Identification:
         units: (p,) of them, SI; empty for pure numbers.
         before, values: (p,) as they were, and as they are fitted.
         covariance: (p, p) of the values; for those that are not determined infinite on the diagonal and not
-            numbers beside it, for those at the edge of what the scene can have not numbers at all.
+            numbers beside it, for those at the edge of what the scene can have not numbers at all. Of a scene
+            that is wrong not numbers: that of the noise holds no longer, and residuals are no noise.
         noise: standard deviations of columns, for each run by name, those that were given, or else of the
             residuals.
         misfits: roots of the mean squares of residuals of columns by name, in units of their noise.
@@ -100,12 +101,12 @@ class Identification:
 
     @property
     def standard_deviations(self) -> Floats:
-        """(p,) of the values; infinite if they are not determined, not a number if they are at an edge."""
+        """(p,) of the values; infinite if not determined, not a number at an edge or of a wrong scene."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def correlation(self) -> Floats:
-        """(p, p) of the values; not a number for those that are not determined or at an edge."""
+        """(p, p) of the values; not a number where `covariance` is infinite or none."""
         deviations = self.standard_deviations
         with np.errstate(invalid="ignore"):
             return self.covariance / np.outer(deviations, deviations)
@@ -126,7 +127,7 @@ class Identification:
         for k, (name, unit) in enumerate(zip(self.parameters, self.units, strict=True)):
             deviation = self.standard_deviations[k]
             shown = f"{deviation:.2g}" if np.isfinite(deviation) else "-"
-            if np.isnan(deviation):
+            if np.isnan(deviation) and not self.is_wrong:
                 shown = "at edge"
             rows.append((name, unit, f"{self.before[k]:.6g}", f"{self.values[k]:.6g}", shown))
         return rows
@@ -221,6 +222,8 @@ def identify(
     for k in np.flatnonzero(np.any(np.abs(weak) > SIMPLE, axis=0) | edge):
         covariance[k, :] = covariance[:, k] = np.nan
         covariance[k, k] = np.nan if edge[k] else np.inf
+    if probability < CHANCE:
+        covariance[:] = np.nan
     found = Identification(
         scene=with_parameters(scene, dict(zip(names, values.tolist(), strict=True))),
         parameters=names,

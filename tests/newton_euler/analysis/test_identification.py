@@ -245,6 +245,8 @@ def test_a_scene_that_is_wrong_is_said_to_be():
     with pytest.warns(IdentificationWarning, match="cannot move as was measured"):
         found = identify(scene, names, data)
     assert found.misfit > 50.0
+    assert np.isnan(found.covariance).all()
+    assert {row[-1] for row in found.table[1:]} == {"-"}
     assert found.degrees_of_freedom == 4 * 51 - 2
     assert found.probability < 1e-100
     worst = max(found.misfits, key=found.misfits.get)
