@@ -113,6 +113,10 @@ def _scatter(axes: Array, effects: Effects, points: Array, inputs: Mapping[str, 
             ax.plot(inputs[name], scalar.values[points], ".", color=PLAIN, markersize=2.0, alpha=0.5)
             ax.set_xlabel(name, fontsize="small")
             ax.tick_params(labelsize="small")
+            ax.xaxis.get_major_locator().set_params(nbins=4)  # three plots are side by side
+            ax.ticklabel_format(scilimits=(-3, 4), useMathText=True)
+            for axis in (ax.xaxis, ax.yaxis):
+                axis.get_offset_text().set_fontsize("small")
         for ax in row[len(names) :]:
             ax.set_visible(False)
         row[0].set_title(scalar.heading, fontsize="small", loc="left")

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
-from crosscheck.sweeps.analysis import MOST_SHARED, Analysis, Scalar, most_varying, telling, thinned
+from crosscheck.sweeps.analysis import MOST_SHARED, Analysis, Effect, Scalar, most_varying, telling, thinned
+from crosscheck.sweeps.pictures import SIDE_BY_SIDE, _scatter
 from crosscheck.sweeps.sampling import samples_of
 
 RUNS = 4096
@@ -148,3 +152,17 @@ def test_the_telling_number_of_a_variable_is_the_one_that_varies_most():
     rows.append(Scalar("final", (), (), "m", values[:, 0], np.arange(2)))
     assert [scalar.label for scalar in telling(rows)] == ["peak 1", "final"]
     assert [scalar.label for scalar in most_varying(rows)] == ["peak 1", "final", "peak 0", "peak 2"]
+
+
+@pytest.mark.parametrize("size", [1e-4, 1.0, 1e5])
+def test_labels_of_scatter_plots_do_not_overlap(size):
+    values = np.linspace(-1.234, 1.234, 9)
+    scalar = Scalar("final", (), (), "m", 0.923879 + 1e-7 * values, np.arange(9))
+    found = [(scalar, [Effect(name, 0.0, 0.0) for name in "abc"])]
+    figure = Figure(figsize=(8.0, 2.4), layout="constrained")
+    axes = figure.subplots(1, SIDE_BY_SIDE, squeeze=False)
+    _scatter(axes, found, np.arange(9), dict.fromkeys("abc", 1.1 * size + 0.1 * size * values))
+    figure.draw_without_rendering()
+    for ax in axes[0]:
+        boxes = [label.get_window_extent() for label in ax.get_xticklabels()]
+        assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
