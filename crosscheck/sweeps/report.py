@@ -96,7 +96,8 @@ class Findings:
     def verdict(self) -> str:
         """One line: whether the engines agree on the runs that were checked, and how many came to an end."""
         runs, stopped = self.swept.plan.samples.runs, len(self.swept.errors)
-        ended = f"{runs - stopped:,} of {runs:,} runs came to their end"
+        of_runs = "1 run came to its" if runs == 1 else f"{runs:,} runs came to their"
+        ended = f"{runs - stopped:,} of {of_runs} end"
         checks = f"{self._checks}; {ended}" if self.checked else f"{ended}; none was cross-checked"
         return f"{self._word}: {checks}" if self._word else checks
 
@@ -180,7 +181,8 @@ def _nominal(plan: Plan, found: Sequence[Scalar]) -> dict[str, float]:
 def report(found: Findings) -> Report:
     """Make the tables of a sweep, and their short forms for the terminal."""
     swept, samples = found.swept, found.swept.plan.samples
-    title = f"{swept.scene.name}: {samples.runs:,} runs, {samples.sampling}, seed {samples.seed}"
+    of_runs = "1 run" if samples.runs == 1 else f"{samples.runs:,} runs"
+    title = f"{swept.scene.name}: {of_runs}, {samples.sampling}, seed {samples.seed}"
     if swept.made:
         title += f"; {swept.made:,} made at {swept.made / swept.wall_time:,.0f} per s"
     if swept.made < samples.runs:

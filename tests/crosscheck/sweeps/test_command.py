@@ -113,6 +113,12 @@ def test_a_nominal_value_far_from_its_distribution_is_named():
     assert said.count("deviations from") == 1
 
 
+def test_a_single_run_is_no_plural():
+    said = str(sweep(replace(load("pendulum"), duration=0.1), {"dumbbell.mass": "uniform(1, 2)"}, 1, KEEP))
+    assert "1 run, " in said
+    assert "1 of 1 run came to its end" in said
+
+
 def test_each_variable_has_its_most_and_its_least_checked_and_engines_are_named(monkeypatch):
     monkeypatch.setattr(crosscheck.sweeps.checks, "MOST_EXTREMES", 2)
     short = replace(load("pendulum"), duration=0.1)
