@@ -43,7 +43,8 @@ class Sensitivities:
 
     Arrays are those of a trajectory, with a last dimension for the parameters: `position[..., k]` is the
     derivative of `run.position` by `parameters[k]`. Arrays that the scene did not ask for are None, and so
-    are reactions where constraints are redundant.
+    are reactions where constraints are redundant. Bodies are in the order of the mechanism:
+    `by.position[:, by.run.mechanism.body_index("panel_7")]` is of one by its name.
 
     Attributes:
         run: the run itself, to the last bit that of code with these parameters as inputs.
