@@ -140,7 +140,8 @@ class Scalar:
     def deviation(self) -> float:
         """Standard deviation of the runs that came to their end; 0 if there are none."""
         known = self.values[np.isfinite(self.values)]
-        return float(known.std()) if len(known) else 0.0
+        largest = float(np.max(np.abs(known), initial=0.0))
+        return largest * float((known / largest).std()) if largest else 0.0  # whose squares may be too large
 
     @property
     def varies(self) -> bool:

@@ -166,3 +166,9 @@ def test_labels_of_scatter_plots_do_not_overlap(size):
     for ax in axes[0]:
         boxes = [label.get_window_extent() for label in ax.get_xticklabels()]
         assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
+
+
+@pytest.mark.parametrize("size", [1e-200, 1.0, 1e200])
+def test_deviations_are_those_of_numbers_of_any_size(size):
+    scalar = Scalar("final", (), (), "m", size * np.array([1.0, 3.0, np.nan]), np.arange(3))
+    assert scalar.deviation == pytest.approx(size, rel=1e-15)
