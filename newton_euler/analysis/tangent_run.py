@@ -211,10 +211,10 @@ class TangentCode(CompiledScene):
 
         Accelerations are differentiated implicitly: the residuals of the equations that they solve, for
         accelerations and multipliers held, are what the equations are solved for once more, with the same
-        factors. Not refined: that is for drift, which tangents are kept from.
+        factors.
         """
         q, v, graph = x[: system.nq], x[system.nq : self.size], x[-1].graph
-        equations = system.sparse_equations(q, v, self.rows)._replace(refine=False)
+        equations = system.sparse_equations(q, v, self.rows)
         solution = solve_constrained(equations)
         count, used = len(equations.factor.columns), equations.rows.numbers
         accelerations, of_rows = graph.variables(count), graph.variables(len(used))
