@@ -68,10 +68,10 @@ class Closing(Record):
     scratch: Vector
 
 
-def unprepared(prepare: Callback) -> Closing:
-    """Return a record that native code has filled in when it is first needed."""
+def unprepared(prepare: Callback, nq: int, nv: int) -> Closing:
+    """Return a record that native code has filled in when it is first needed; as it is, nothing closes."""
     nothing = np.zeros(0)
-    return Closing(0, 0, 0, -1, 0, 0, prepare, None, None, nothing, nothing, nothing)
+    return Closing(nq, nv, 0, -1, 0, 0, prepare, None, None, nothing, nothing, nothing)
 
 
 def closing_of(

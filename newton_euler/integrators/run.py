@@ -103,10 +103,11 @@ class PythonCallback:
 
 
 class Callbacks(Protocol):
-    """Callbacks into Python, of `newton_euler.integrators.stepper.Equations`."""
+    """Callbacks into Python, of `newton_euler.integrators.stepper.Equations`, and what was raised in it."""
 
     derivative: PythonCallback
     pause: PythonCallback
+    error: Exception | None
 
 
 class Fallback:
@@ -114,7 +115,7 @@ class Fallback:
 
     Attributes:
         derivative, pause: callbacks.
-        error: what that form raised last, if it did.
+        error: what Python raised last, if it did.
     """
 
     def __init__(self, code: Code, stopped: Sequence[bool] = ()) -> None:
@@ -262,7 +263,7 @@ def equations(
         lanes=1 if in_lanes else lanes,
         position=position,
         velocity=velocity,
-        closing=closing_on_demand(code, in_lanes),
+        closing=closing_on_demand(code, python, in_lanes),
         beside=np.zeros((code.inputs + code.size + 3, lanes)),
         pause=python.pause,
         marks=marked,
@@ -270,19 +271,23 @@ def equations(
     )
 
 
-def closing_on_demand(code: Code, in_lanes: bool) -> Closing:
+def closing_on_demand(code: Code, python: Callbacks, in_lanes: bool) -> Closing:
     """Return a record to close a scene with, whose functions are compiled when a run first comes near a
-    singular configuration."""
+    singular configuration; what is raised then is left in `python`, and the run ends."""
 
     def prepare(x: int, y: int, on: int) -> None:
-        with PREPARING:
-            retract, surface = (code.function(name, in_lanes) for name in ("retract", "surface"))
+        try:
+            with PREPARING:
+                retract, surface = (code.function(name, in_lanes) for name in ("retract", "surface"))
+        except Exception as error:  # nothing may pass through native code
+            python.error = error
+            return
         system, (constraints, places) = code.system, surface.layout
         functions, lanes = (retract, surface), surface.lanes
         units = system.velocity_units
         closing.become(closing_of(system.nq, units, code.inputs, places, constraints, functions, lanes))
 
-    closing = unprepared(PythonCallback(prepare))
+    closing = unprepared(PythonCallback(prepare), code.system.nq, code.system.nv)
     return closing
 
 

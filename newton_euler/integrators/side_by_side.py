@@ -66,11 +66,13 @@ class Departure:
 
     Attributes:
         derivative, pause: callbacks.
+        error: what Python raised; the runs that end with it are made again by scalar code, which names it.
     """
 
     def __init__(self, code: Code, counts: Array, stopped: Sequence[bool]) -> None:
         """Of runs with these counts (COUNTS, LANES), that all stop if `stopped` holds something."""
         self._size, self._counts, self._stopped = code.size, counts, stopped
+        self.error: Exception | None = None
         self.derivative, self.pause = PythonCallback(self._leave), PythonCallback(self._pause)
 
     def _leave(self, x: int, y: int, on: int) -> None:

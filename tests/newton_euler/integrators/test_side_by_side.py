@@ -1,6 +1,7 @@
 """Several states at once, and several runs: each as it is alone, to the last bit."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from crosscheck.scenes import load
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.codegen.trigonometry import LANES, REGISTER
+from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.dense_projection import ROUND_OFF
@@ -167,6 +169,30 @@ def test_lanes_pass_singular_configurations(starts, monkeypatch):
     monkeypatch.setattr(Integrator, "__call__", None)
     in_groups(code, x, Options(rtol=1e-6, atol=1e-8), [[*range(7)]])
     assert needed < code.functions.keys()
+
+
+@pytest.mark.parametrize(
+    "make", [one_by_one, partial(in_groups, groups=[[*range(7)]])], ids=["alone", "lanes"]
+)
+def test_code_that_cannot_be_made_ends_the_runs_that_need_it(starts, monkeypatch, make):
+    known, x = starts("four_bar", "relative")
+    options, x = Options(rtol=1e-6, atol=1e-8), x[:7]
+    right, _, _ = one_by_one(known, x, options)
+    code = CompiledScene(known.scene, "relative")
+    load_lanes(code, "DOP853")
+    function = code.function
+
+    def refused(name, in_lanes=False):
+        if name == "surface":
+            raise NewtonEulerError("no room for code")
+        return function(name, in_lanes)
+
+    monkeypatch.setattr(code, "function", refused)
+    results, _, errors = make(code, x, options)
+    assert errors
+    assert all("no room for code" in error for error in errors.values())
+    others = [k for k in range(len(x)) if k not in errors]
+    assert results[others].tobytes() == right[others].tobytes()
 
 
 def test_a_run_that_fails_leaves_the_others_as_they_are(starts):
