@@ -1,7 +1,8 @@
 """Numbers of a scene that may change from run to run without a new compilation.
 
-`crosscheck list SCENE` has all of a scene, with units and values, and `parameter_values` in Python. Each has
-a name and a value of the shape that the scene has there:
+`crosscheck list SCENE` has all of a scene, with units and values, and in Python
+`newton_euler.equations.parameters.parameter_values`. Each has a name and a value of the shape that the scene
+has there:
 
 - `gravity`, `BODY.mass`, `BODY.inertia` about the center of mass, in the body's frame;
 - `BODY.center_of_mass`, in the world at the initial pose: it moves in the body, and joint points stay where
