@@ -24,7 +24,7 @@ from newton_euler.codegen.emit import declarations, emit_straight
 from newton_euler.codegen.expression import Program
 from newton_euler.codegen.native import Signature
 from newton_euler.codegen.rolled import emit_rolled
-from newton_euler.codegen.trigonometry import LANES, REGISTER
+from newton_euler.codegen.trigonometry import REGISTER
 from newton_euler.scalars import Array
 
 LARGE = 9_500
@@ -57,6 +57,16 @@ def llvm_binding() -> Any:
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm
+
+
+@cache
+def lane_count() -> int:
+    """Return how many runs go side by side: as many as there are doubles in a vector register.
+
+    Two registers for each number would be no quicker: their code, twice as much, leaves the cache of
+    instructions.
+    """
+    return 2 * REGISTER if llvm_binding().get_host_cpu_features().get("avx512f") else REGISTER
 
 
 @contextmanager
@@ -177,7 +187,7 @@ class NativeFunction:
             written = declarations(lanes) + body + _constant(DESCRIPTION, json.dumps(description))
             return written, LEVEL if straight else QUICK_LEVEL
 
-        limits = LARGE, VERY_LARGE, REGISTER, LANES
+        limits = LARGE, VERY_LARGE, REGISTER, lane_count()
         known = f"{identity} {limits}" if identity else text()[0]
         self.module = NativeModule(known, text, {"f": PROGRAM})
         description = json.loads(self.module.constant(DESCRIPTION))

@@ -20,10 +20,13 @@ import ast
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from newton_euler.codegen.compile import lane_count
 from newton_euler.codegen.function_text import Value, is_whole
 from newton_euler.codegen.native import Kind, NativeError, machine_type, signature_of
 from newton_euler.codegen.translate import Translator, definition_of
-from newton_euler.codegen.trigonometry import LANES, vector_type
+from newton_euler.codegen.trigonometry import vector_type
+
+LANES = lane_count()
 
 DOUBLES, WHOLES, MASK, POINTERS = (vector_type(each, LANES) for each in ("double", "i64", "i1", "ptr"))
 

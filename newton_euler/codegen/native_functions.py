@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from newton_euler.codegen import lanes, translate
+from newton_euler.codegen import translate
 from newton_euler.codegen.compile import LEVEL, NativeModule
 from newton_euler.codegen.fingerprint import SOURCE
 from newton_euler.codegen.native import (
@@ -33,7 +33,9 @@ class NativeFunctions:
 
     def __init__(self, functions: list[Callable[..., Any]], side_by_side: bool = False) -> None:
         """Compile them, for one run or for several side by side, see `newton_euler.codegen.lanes`."""
-        written = lanes.text_of if side_by_side else text
+        written = text
+        if side_by_side:
+            from newton_euler.codegen.lanes import text_of as written  # asks for the processor: 0.1 s
         signatures = {function.__name__: signature_of(function) for function in functions}
         files = sorted({function.__code__.co_filename for function in functions})  # of users, perhaps
         texts = [Path(file).read_text(encoding="utf-8") for file in files]

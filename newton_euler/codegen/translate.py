@@ -10,7 +10,7 @@ from typing import Any
 
 from newton_euler.codegen.function_text import FunctionText, Value, is_whole
 from newton_euler.codegen.native import Kind, is_native, machine_type, signature_of
-from newton_euler.codegen.trigonometry import LANES, literal, vector_type
+from newton_euler.codegen.trigonometry import literal
 
 COMPARISONS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
 FLOAT_OPERATIONS = {ast.Add: "fadd", ast.Sub: "fsub", ast.Mult: "fmul", ast.Div: "fdiv"}
@@ -27,10 +27,6 @@ INTRINSICS = {
     "min": "llvm.minnum",
     "max": "llvm.maxnum",
 }
-
-
-_SUFFIX = {"double": "f64", vector_type("double", LANES): f"v{LANES}f64"}
-"""Of the names of LLVM's functions, by the type of their arguments."""
 
 
 class Translator(FunctionText):
@@ -308,7 +304,9 @@ class Translator(FunctionText):
         """Call one of LLVM's functions of doubles, all of one type."""
         kind = given[0].type
         arguments = ", ".join(f"{kind} {value.operand}" for value in given)
-        return Value(kind, self._new(f"call {kind} @{name}.{_SUFFIX[str(kind)]}({arguments})"))
+        suffix = str(kind).strip("<>").replace("double", "f64").replace(" x ", "")
+        vector = "" if suffix == "f64" else "v"
+        return Value(kind, self._new(f"call {kind} @{name}.{vector}{suffix}({arguments})"))
 
     def _pair(self, a: Value, b: Value) -> tuple[Value, Value]:
         """Return two numbers of one type: doubles unless both are whole."""

@@ -18,9 +18,6 @@ import numpy as np
 REGISTER = 4
 """Doubles in a vector register of most processors: states that a run evaluates together."""
 
-LANES = 2 * REGISTER
-"""Runs side by side: one long register, or two, of which each computes while the other waits for results."""
-
 FAR = 1e5
 """rad: up to here the number of quarter revolutions times a part of pi/2 is exact."""
 

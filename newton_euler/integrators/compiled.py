@@ -17,10 +17,9 @@ from typing import Any
 import numpy as np
 
 from newton_euler.codegen.cache import cache_key, read_cache, write_cache
-from newton_euler.codegen.compile import LARGE, VERY_LARGE, NativeFunction, Traced
+from newton_euler.codegen.compile import LARGE, VERY_LARGE, NativeFunction, Traced, lane_count
 from newton_euler.codegen.expression import Graph, Program, differentiate
 from newton_euler.codegen.fingerprint import fingerprint
-from newton_euler.codegen.trigonometry import LANES
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.model_control import share_model_control
 from newton_euler.equations.parameters import is_kinematic, parameter_values, pieces, places, with_values
@@ -135,7 +134,7 @@ class Code:
         return {name: (slice(start, stop), tuple(shape)) for name, (start, stop, shape) in layout.items()}
 
     def function(self, name: str, in_lanes: bool = False) -> NativeFunction:
-        """Return one of the functions, traced and compiled when first needed; of `LANES` states if wanted."""
+        """Return one of the functions, compiled when first needed; of `lane_count()` states if wanted."""
         key = f"{name} in lanes" if in_lanes else name
         if key not in self.functions:
             known = self._identity_of(name)
@@ -159,7 +158,7 @@ class Code:
         many = len(group) > 0 and all(self.program(other).operations < LARGE for other in group)
         program, layout = self.program(name), self._layouts.get(name)
         if in_lanes:
-            return Traced(program, True, layout, program.operations < VERY_LARGE, LANES)
+            return Traced(program, True, layout, program.operations < VERY_LARGE, lane_count())
         return Traced(program, many, layout)
 
     def _identity_of(self, name: str) -> str | None:

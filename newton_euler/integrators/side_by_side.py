@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.codegen.trigonometry import LANES
+from newton_euler.codegen.compile import lane_count
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.compiled import Code
@@ -42,7 +42,7 @@ IN_LANES = frozenset({"DOP853", "RK4", "Euler"})
 TABLE = 4_000_000
 """Bytes that the states of the runs of a group may take, which fit into the cache of a core."""
 
-LEAST, MOST = 4 * LANES, 1024
+LEAST, MOST = 32, 1024
 """Runs of a group: at its end some lanes have none."""
 
 
@@ -70,14 +70,15 @@ class Departure:
     """
 
     def __init__(self, code: Code, counts: Array, stopped: Sequence[bool]) -> None:
-        """Of runs with these counts (COUNTS, LANES), that all stop if `stopped` holds something."""
+        """Of runs with these counts (COUNTS, lanes), that all stop if `stopped` holds something."""
         self._size, self._counts, self._stopped = code.size, counts, stopped
         self.error: Exception | None = None
         self.derivative, self.pause = PythonCallback(self._leave), PythonCallback(self._pause)
 
     def _leave(self, x: int, y: int, on: int) -> None:
-        found = vector_at(y, (self._size + 1) * LANES).reshape(-1, LANES)
-        lanes = [lane for lane in range(LANES) if on >> lane & 1]
+        count = self._counts.shape[1]
+        found = vector_at(y, (self._size + 1) * count).reshape(-1, count)
+        lanes = [lane for lane in range(count) if on >> lane & 1]
         found[self._size, lanes] = -1.0
         self._counts[m.WISH, lanes] = m.LEAVE
 
@@ -110,11 +111,11 @@ class SideBySide:
         self._code, self._stopped = code, stopped
         self._alone = Integrator(code, times, options, stopped)
         self._group = min(max(TABLE // (8 * len(times) * max(code.size, 1)), LEAST), MOST)
-        counts = np.zeros((m.COUNTS, LANES))
+        counts = np.zeros((m.COUNTS, lane_count()))
         python = Departure(code, counts, stopped)
         derivative = code.function("derivative", in_lanes=True)
         system = equations(code, python, derivative, marks(code, options.integrator), counts)
-        method = method_of(code, options, most_steps(options), np.zeros((0, 0)), LANES)
+        method = method_of(code, options, most_steps(options), np.zeros((0, 0)), lane_count())
         integrate = METHODS[options.integrator]
         self._times = times.copy()
         self._states = np.zeros((self._group, len(times), code.size))
@@ -131,7 +132,7 @@ class SideBySide:
     def _make(self, runs: Runs, numbers: Array) -> None:
         ends, states = runs.starts[numbers], self._states[: len(numbers)]
         counts = np.zeros((len(numbers), m.COUNTS))
-        self._run(table_of(self._code, self._times, ends, states, counts, LANES))
+        self._run(table_of(self._code, self._times, ends, states, counts, lane_count()))
         outputs = Outputs(self._code, self._times, ends, states, numbers)
         outputs.write(runs.results)
         again = counts[:, m.STATUS] != m.DONE

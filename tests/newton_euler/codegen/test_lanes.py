@@ -12,10 +12,10 @@ from test_expression import everything, traced
 from newton_euler.codegen import lanes
 from newton_euler.codegen.compile import NativeFunction, Traced
 from newton_euler.codegen.emit import emit_straight
+from newton_euler.codegen.lanes import LANES
 from newton_euler.codegen.native import Callback, NativeError, Record, Shared, Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.codegen.rolled import emit_rolled
-from newton_euler.codegen.trigonometry import LANES
 
 TABLE = (0.5, -2.0, 3.0, 0.0)
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from crosscheck.scenes import load
+from newton_euler.codegen.lanes import LANES
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.codegen.trigonometry import LANES, REGISTER
+from newton_euler.codegen.trigonometry import REGISTER
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
 from newton_euler.integrators import stepper as m
