@@ -13,18 +13,20 @@ import numpy as np
 from newton_euler.equations.applied_forces import surroundings
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.couplings import couplings, residuals
+from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import at_time
 from newton_euler.errors import AssemblyError, MechanismError, check_type, finite_array
 from newton_euler.integrators.projection import project_position, project_velocity
+from newton_euler.model.geometry import UNIT_TOLERANCE
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
-from newton_euler.model.state import State
-from newton_euler.scalars import Floats
+from newton_euler.model.state import State, stacked
+from newton_euler.scalars import Array, Floats, unstacked
 
 VELOCITY_TOLERANCE = 1e-9
 """How fast a joint may open at the start, as a share of the largest speed: as exact as
@@ -199,6 +201,13 @@ def inherit_initial_state(scene: Scene, of: Scene) -> None:
     CHECKED[scene] = initial_state(of)
 
 
+def coordinates_of(system: Formulation, states: Sequence[State]) -> Array:
+    """Return (q, v), (n, nq + nv), of n states; rounded in another order than `system.coordinates` does."""
+    if system.couplings:
+        return np.array([np.concatenate(system.coordinates(state)) for state in states])
+    return unstacked(np.concatenate(system.coordinates(stacked(states))), len(states))
+
+
 def _check_joints(scene: Scene, state: State) -> None:
     """Raise `MechanismError` for a joint that is open, or opens, by more than noise."""
     try:
@@ -225,6 +234,65 @@ def _check_velocities(scene: Scene, state: State) -> None:
                 f"opens at {rates[worst]:.3g} {unit} in the initial state",
                 f"at most {allowed[worst]:.3g} {unit}, as newton_euler.assemble(scene, guess) makes it",
             )
+
+
+def check_states(scene: Scene, states: Sequence[State]) -> dict[int, MechanismError]:
+    """Check states that runs of a scene are to start from; returns errors by number.
+
+    Most are found to be closed all at once; the others are checked one by one, as by `initial_state`.
+    """
+    errors = {}
+    for k in np.flatnonzero(~_surely_consistent(scene, states)).tolist():
+        try:
+            scene.check_numbers(states[k], f"run {k}")
+            initial_state(replace(scene, initial_state=states[k]))
+        except MechanismError as error:
+            of_numbers = error.element == f"run {k}"
+            element = error.element if of_numbers else f"run {k}: {error.element}"
+            errors[k] = MechanismError(element, error.problem, error.needed)
+    return errors
+
+
+def _surely_consistent(scene: Scene, states: Sequence[State]) -> Array:
+    """Tell of which states (n,) a look at all of them at once shows that they meet what `initial_state` asks.
+
+    Of those of scenes with couplings or prescribed motions it shows nothing.
+    """
+    shape, sure = (len(scene.mechanism.bodies), 3), np.zeros(len(states), dtype=bool)
+    whole = [k for k, state in enumerate(states) if isinstance(state, State) and _is_whole(state, shape)]
+    if whole and not couplings(scene):
+        sure[whole] = _are_consistent(scene, [states[k] for k in whole])
+    return sure
+
+
+def _is_whole(state: State, shape: tuple[int, int]) -> bool:
+    """True if a state has vectors of this shape for all bodies."""
+    vectors = state.position, state.linear_velocity, state.angular_velocity, state.quaternion[:, 1:]
+    return all(vector.dtype == np.float64 and vector.shape == shape for vector in vectors)
+
+
+@np.errstate(all="ignore")  # what is not finite is not consistent
+def _are_consistent(scene: Scene, states: Sequence[State]) -> Array:
+    """Tell which states (n,) of a scene without couplings are closed, with the ground at its place."""
+    count, mechanism, state = len(states), scene.mechanism, stacked(states)
+    ground, frames = mechanism.bodies[0], state.frames()
+    place = np.concatenate([ground.center_of_mass, ground.quaternion, np.zeros(6)])
+    pose, motion = (state.position, state.quaternion), (state.linear_velocity, state.angular_velocity)
+    own = np.concatenate([array[0] for array in (*pose, *motion)])
+    found = np.all(np.abs(unstacked(own, count) - place) <= np.finfo(float).eps, axis=1)
+    norms = [unstacked([p @ p], count)[:, 0] for p in state.quaternion]
+    found &= np.all(np.abs(np.sqrt(norms) - 1.0) <= UNIT_TOLERANCE, axis=0)
+    speed = np.array([_speed(scene, each) for each in states])[:, None]
+    for equations in mechanism.equations:
+        first, second = frames[equations.first], frames[equations.second]
+        phi = unstacked(equations.phi(first, second), count)
+        rates = unstacked(equations.jacobian(first, second).rate(first, second), count)
+        allowed = VELOCITY_TOLERANCE * speed * np.where(equations.is_length, 1.0, 1.0 / mechanism.size)
+        found &= np.all((np.abs(phi) <= CLOSURE_TOLERANCE) & (np.abs(rates) <= allowed), axis=1)
+    at = surroundings(scene, state)
+    for span in (span for force in scene.forces for span in force.spans(at)):
+        found &= unstacked([span @ span], count)[:, 0] > CLOSURE_TOLERANCE**2
+    return found
 
 
 def _is_closed_but_for_noise(scene: Scene, state: State) -> bool:

@@ -16,9 +16,8 @@ from typing import Any, Unpack, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from newton_euler.assemble import initial_state
+from newton_euler.assemble import check_states, coordinates_of, initial_state
 from newton_euler.errors import (
-    MechanismError,
     NewtonEulerError,
     OptionError,
     UnknownNameError,
@@ -274,33 +273,20 @@ def _set(
     parameters: Mapping[str, Any],
 ) -> dict[int, NewtonEulerError]:
     """Set the states and parameters of all runs in their x (runs, inputs); returns errors by runs."""
-    scene, errors, closed = compiled.scene, dict[int, NewtonEulerError](), list[State]()
-    for k, state in enumerate(states or ()):
-        try:
-            closed.append(_consistent(scene, state, f"run {k}"))
-        except MechanismError as error:
-            errors[k] = error
-            closed.append(initial_state(scene))
+    scene = compiled.scene
+    unclosed = check_states(scene, states or ())
+    closed = [initial_state(scene) if k in unclosed else state for k, state in enumerate(states or ())]
     values = run_values(scene, parameters)
     for name, array in values.arrays.items():
         if name in compiled.parameters:
             place, flat = compiled.place(name), array.reshape(len(array), -1)
             starts[:, place : place + flat.shape[1]] = flat
-    errors = {**values.errors, **errors}
+    errors: dict[int, NewtonEulerError] = {**values.errors, **unclosed}
     assembly = assembly_of(scene, tuple(parameters))
     if assembly.is_needed:
         x, lost = assembly(values.arrays, closed or None)
         starts[:, : compiled.size] = assembly.starts(compiled, x)
         return {**lost, **errors}
-    for row, state in zip(starts, closed, strict=bool(closed)):
-        row[: compiled.size] = np.concatenate(compiled.system.coordinates(state))
+    if closed:
+        starts[:, : compiled.size] = coordinates_of(compiled.system, closed)
     return errors
-
-
-def _consistent(scene: Scene, state: State, run: str) -> State:
-    """Return a state that the scene may start from; raises `MechanismError` with the run, else."""
-    scene.check_numbers(state, run)
-    try:
-        return initial_state(replace(scene, initial_state=state))
-    except MechanismError as error:
-        raise MechanismError(f"{run}: {error.element}", error.problem, error.needed) from error

@@ -8,7 +8,7 @@ dtype object); what differs is here. A scalar other than a number supplies metho
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -85,6 +85,15 @@ def unstacked(scalars: Sequence[Any] | Array, count: int) -> Array:
     for column, scalar in zip(found.T, scalars, strict=True):
         column[:] = _numbers(scalar)
     return found
+
+
+def mapped(function: Callable[[Array], Array], array: Array) -> Array:
+    """Apply a function of an array of numbers; to an array of stacks for each of their numbers in turn."""
+    if array.dtype != object:
+        return function(array)
+    count = max(len(scalar.numbers) for scalar in array.flat if isinstance(scalar, Stack))
+    rows = [function(row.reshape(array.shape)) for row in unstacked(array.ravel(), count)]
+    return objects([Stack(column) for column in np.transpose(rows)])
 
 
 def objects(scalars: Sequence[Any]) -> Array:

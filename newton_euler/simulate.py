@@ -40,7 +40,7 @@ from newton_euler.integrators.stepper import counted
 from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import State, stacked_frames
+from newton_euler.model.state import State, stacked
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory, check_finite
 from newton_euler.sampling import Controllers, holding, integrate_intervals, intervals
 from newton_euler.scalars import Array, unstacked
@@ -222,8 +222,7 @@ def _by_joint(scene: Scene, phi: Array) -> Array:
 
 def _residuals(mechanism: Mechanism, states: Sequence[State], coupled: Sequence[Array]) -> Array:
     """Evaluate the residuals (n, k) of all joints in n states, then those given of couplings, m or rad."""
-    motion = ("position", "quaternion", "linear_velocity", "angular_velocity")
-    frames = stacked_frames(*(np.array([getattr(state, name) for state in states]) for name in motion))
+    frames = stacked(states).frames()
     phis = [e.phi(frames[e.first], frames[e.second]) for e in mechanism.equations]
     return np.hstack([unstacked(np.concatenate([np.zeros(0), *phis]), len(states)), np.array(coupled)])
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.assemble import MOST_STEPS, STEP, initial_state, measured_coordinate
+from newton_euler.assemble import MOST_STEPS, STEP, coordinates_of, initial_state, measured_coordinate
 from newton_euler.codegen.compile import NativeFunction, Traced
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
@@ -255,8 +255,9 @@ class Assembly:
         code = self.code
         count = len(next(iter(values.values())))
         own = np.tile(code.packed(*code.system.coordinates(initial_state(self.scene))), (count, 1))
+        if states is not None:
+            own[:, : code.size] = coordinates_of(code.system, states)
         for row, state in zip(own, states or (), strict=states is not None):
-            row[: code.size] = np.concatenate(code.system.coordinates(state))
             for key, name in self._motions.items():
                 row[code.place(name) :][:2] = self._held(state, key).coefficients
         return own

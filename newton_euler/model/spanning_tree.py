@@ -26,7 +26,7 @@ from newton_euler.model.joint import Joint, JointEquations, Motion, Pose
 from newton_euler.model.joint_kinds import Fixed, Free, Rod, Spherical
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Body, Mechanism
 from newton_euler.model.state import State
-from newton_euler.scalars import Array, sqrt
+from newton_euler.scalars import Array, mapped, sqrt, zeros
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,7 +267,7 @@ class SpanningTree:
             frame._replace(rotation=frame.rotation @ initial.T)
             for frame, initial in zip(state.frames(), self.initial_rotations, strict=True)
         ]
-        q, v = np.zeros(self.nq), np.zeros(self.nv)
+        q, v = zeros(self.nq, state.position), zeros(self.nv, state.position)
         for kept in self.joints:
             equations = self._equations[kept.joint]
             i, j = frames[equations.first], frames[equations.second]
@@ -279,7 +279,7 @@ class SpanningTree:
             parts = []
             for motion in kept.motions:
                 if motion.kind == "ball":
-                    turn = from_rotation(parent.rotation.T @ child.rotation)
+                    turn = mapped(from_rotation, parent.rotation.T @ child.rotation)
                     omega = child.angular_velocity - parent.angular_velocity
                     parts.append((turn, child.rotation.T @ omega))
                 else:

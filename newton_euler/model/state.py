@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from newton_euler.model.constraints import Frame
@@ -55,6 +57,12 @@ class State:
         ]
 
 
+def stacked(states: Sequence[State]) -> State:
+    """Return one state whose numbers are stacks of those of n states."""
+    motion = ("position", "quaternion", "linear_velocity", "angular_velocity")
+    return State(*(_stacks(np.array([getattr(state, name) for state in states])) for name in motion))
+
+
 def stacked_frames(
     position: Array, quaternion: Array, linear_velocity: Array, angular_velocity: Array
 ) -> list[Frame]:
@@ -62,16 +70,11 @@ def stacked_frames(
 
     Arguments are as in a `State`, (n, b, 3) and quaternions (n, b, 4).
     """
+    return State(*map(_stacks, (position, quaternion, linear_velocity, angular_velocity))).frames()
 
-    def stacks(array: Array) -> Array:
-        return objects([Stack(component) for component in array.T])
 
-    return [
-        Frame(
-            stacks(position[:, k]),
-            rotation(stacks(quaternion[:, k])),
-            stacks(linear_velocity[:, k]),
-            stacks(angular_velocity[:, k]),
-        )
-        for k in range(position.shape[1])
-    ]
+def _stacks(array: Array) -> Array:
+    """Return stacks (b, k) of the numbers of an array (n, b, k)."""
+    count, *shape = array.shape
+    columns = np.ascontiguousarray(array.reshape(count, -1).T)
+    return objects([Stack(column) for column in columns]).reshape(shape)

@@ -10,8 +10,10 @@ from mechanisms import ball_loop, pendulum, planar_four_bar, slider_tree
 
 from crosscheck.scenes import load
 from newton_euler import PrescribedMotion, Sine, State, assemble, simulate, start
-from newton_euler.assemble import VELOCITY_TOLERANCE, initial_state
+from newton_euler.assemble import VELOCITY_TOLERANCE, check_states, coordinates_of, initial_state
 from newton_euler.errors import MechanismError, UnknownNameError
+from newton_euler.exercise import random_states
+from newton_euler.integrators.formulations import FORMULATIONS, formulate
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 
 
@@ -49,6 +51,35 @@ def test_assembled_states_are_accepted_at_any_speed(factor):
         initial_state(replace(scene, initial_state=guess))
     state = assemble(scene, guess)
     assert initial_state(replace(scene, initial_state=state)) is state
+
+
+@pytest.mark.parametrize("name", ["tracker", "stewart", "heavy_top", "flyball_governor", "chain"])
+def test_many_states_are_checked_as_one_alone_is(name):
+    scene = load(name)
+    states = random_states(scene, 7)
+    states[1] = moved(states[1], "position", 1, [0.0, 2.0 * CLOSURE_TOLERANCE, 0.0])
+    states[2] = moved(states[2], "linear_velocity", -1, [1e-3, 1e-3, 1e-3])
+    states[3] = moved(states[3], "quaternion", 1, [0.0, 1e-3, 0.0, 0.0])
+    states[4] = moved(states[4], "angular_velocity", 0, [1e-3, 0.0, 0.0])
+    states[5] = moved(states[5], "position", -1, [np.nan, 0.0, 0.0])
+    errors = check_states(scene, states)
+    assert set(errors) >= {1, 3, 4, 5}
+    assert not {0, 6} & set(errors)
+    for k, error in errors.items():
+        with pytest.raises(MechanismError) as alone:
+            initial_state(replace(scene, initial_state=states[k]))
+        assert str(error).startswith(f"run {k}: ")
+        assert k == 5 or str(error).removeprefix(f"run {k}: ") == str(alone.value)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("name", ["tracker", "stewart", "heavy_top", "flyball_governor", "four_bar"])
+def test_coordinates_of_many_states_are_those_of_each(name, formulation):
+    scene = load(name)
+    system, states = formulate(scene, formulation), random_states(scene, 3)
+    alone = [np.concatenate(system.coordinates(state)) for state in states]
+    # some ten operations each, on numbers up to 10
+    assert np.abs(coordinates_of(system, states) - alone).max() < 1e-13
 
 
 @pytest.mark.parametrize("angle", [0.3, -2.0, 3.0, 7.0])
