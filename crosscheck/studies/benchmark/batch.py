@@ -76,6 +76,9 @@ ALONE = 8
 LONGEST = 20.0
 """s that a sample may take: settings that are slower are not tried."""
 
+PER_DECADE = 8
+"""Tolerances of newton_euler: MuJoCo's steps are as close to each other."""
+
 TRIES = 2
 """How often a sample is run at a setting that reaches the error; the quicker counts."""
 
@@ -132,7 +135,7 @@ class Own:
     def ladders(self) -> Iterator[Ladder]:
         for how in product(FORMULATIONS, STABILIZATIONS):
             compiled = compile_scene(self._scene, formulation=how[0], stabilization=how[1])
-            for ladder in adaptive_ladders(*how):
+            for ladder in adaptive_ladders(*how, PER_DECADE):
                 load_lanes(compiled, ladder.finer(1)[1]["integrator"])  # compiling is no time of a sample's
                 yield ladder._replace(finer=partial(self._of_formulation, how, ladder))
 

@@ -97,14 +97,17 @@ def poses_only(scene: Scene) -> Scene:
     return replace(scene, outputs=frozenset())
 
 
-def _by_tolerance(method: str, first: int, last: int, share: float, **options: Any) -> Ladder:
-    """A ladder of half decades of rtol from 10^-(first / 2) on, atol being a share of it."""
+def _by_tolerance(
+    method: str, coarsest: float, finest: float, share: float, per_decade: int = 2, **options: Any
+) -> Ladder:
+    """A ladder of rtol from 10^-coarsest to 10^-finest, atol being a share of it."""
 
     def finer(number: int) -> tuple[str, Options]:
-        rtol = 10.0 ** (-number / 2)
-        return f"rtol {rtol:.0e}", {**options, "rtol": rtol, "atol": share * rtol}
+        rtol = 10.0 ** (-number / per_decade)
+        return f"rtol {rtol:.2g}", {**options, "rtol": rtol, "atol": share * rtol}
 
-    return Ladder(f"{method}, atol = {share:g} rtol", finer, range(first, last + 1))
+    numbers = range(round(coarsest * per_decade), round(finest * per_decade) + 1)
+    return Ladder(f"{method}, atol = {share:g} rtol", finer, numbers)
 
 
 def by_step(method: str, option: str, interval: float, numbers: Sequence[int], **options: Any) -> Ladder:
@@ -127,20 +130,23 @@ def output_interval(scene: Scene) -> float:
 SHARES = (1.0, 1e-2)
 """atol, in units of rtol."""
 
-FINEST = 27
-"""Half decades of rtol, 3e-14; the limit of DOP853, scipy's and newton_euler's, is 2.2e-14."""
+FINEST = 13.5
+"""Decades of rtol, 3e-14; the limit of DOP853, scipy's and newton_euler's, is 2.2e-14."""
 
 STIFF = ("relative", "projection")
 """What Radau runs. The Jacobian of Cartesian coordinates would take half a minute to compile."""
 
 
-def adaptive_ladders(formulation: str, stabilization: str) -> list[Ladder]:
-    """newton_euler's methods with error control."""
+def adaptive_ladders(formulation: str, stabilization: str, per_decade: int = 2) -> list[Ladder]:
+    """newton_euler's methods with error control, at so many tolerances per decade."""
     prefix = f"{formulation}, {stabilization}"
-    ladders = [_by_tolerance(f"{prefix}, DOP853", 4, FINEST, share, integrator="DOP853") for share in SHARES]
+    kinds = [("DOP853", FINEST, share) for share in SHARES]
     if (formulation, stabilization) == STIFF:
-        ladders.append(_by_tolerance(f"{prefix}, Radau", 4, 19, SHARES[1], integrator="Radau"))
-    return ladders
+        kinds.append(("Radau", 9.5, SHARES[1]))
+    return [
+        _by_tolerance(f"{prefix}, {name}", 2.0, finest, share, per_decade, integrator=name)
+        for name, finest, share in kinds
+    ]
 
 
 def _newton_euler(scene: Scene) -> Models:
@@ -254,7 +260,7 @@ def _load_pinocchio(scene: Scene, alpha: float) -> Model:
         return Run(seconds, evaluations, partial(kinematics.poses, placements))
 
     method = f"constraintDynamics, alpha {alpha:g}, LSODA"
-    ladders = [_by_tolerance(method, 2, FINEST, share) for share in SHARES]
+    ladders = [_by_tolerance(method, 1.0, FINEST, share) for share in SHARES]
     return Model(ladders, run)
 
 
