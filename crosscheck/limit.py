@@ -111,10 +111,11 @@ def tidied_up() -> Iterator[None]:
 
 
 def paced(items: Sequence[Item], progress: Callable[[str], None], what: str) -> Iterator[Item]:
-    """Yield work to do one after another; `progress` is told the number of each and the time that is left."""
+    """Yield work to do one after another; `progress` is told the number, the rate and the time left."""
     start = time.perf_counter()
     for count, item in enumerate(items):
-        left = span((time.perf_counter() - start) / count * (len(items) - count)) if count else "unknown time"
+        each = (time.perf_counter() - start) / max(1, count)
+        left = f"{each:.2g} s each, {span(each * (len(items) - count))}" if count else "unknown time"
         progress(f"{what} {count + 1} of {len(items)}, {left} left")
         yield item
 

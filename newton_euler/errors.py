@@ -19,6 +19,9 @@ T = TypeVar("T")
 NEAR = 0.8
 """Similarity of two names, of which one may be meant by the other: a letter exchanged or left out of six."""
 
+PROPOSED = 8
+"""Names that are proposed instead of an unknown one."""
+
 DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 """A number as people write it."""
 
@@ -138,14 +141,26 @@ def choices(name: object, valid: Iterable[str]) -> str:
     return "".join(f"did you mean {each!r}? " for each in near) + f"choose from: {', '.join(names)}"
 
 
-class UnknownNameError(NewtonEulerError):
-    """A name that is not among the valid ones."""
+def nearest(name: object, valid: Iterable[str]) -> tuple[str, ...]:
+    """Return the valid names that are nearest to another one, where all of them are too many to list."""
+    return tuple(get_close_matches(str(name), list(valid), PROPOSED, 0.0))
 
-    def __init__(self, what: str, name: object, valid: tuple[str, ...]) -> None:
+
+class UnknownNameError(NewtonEulerError):
+    """A name that is not among the valid ones.
+
+    Attributes:
+        what: kind of what is named.
+        name: that is unknown.
+        valid: all names that are known, or, if `proposed`, some of them that may be meant.
+    """
+
+    def __init__(self, what: str, name: object, valid: tuple[str, ...], proposed: bool = False) -> None:
         self.what = what
         self.name = name
         self.valid = valid
-        super().__init__(f"unknown {what} {name!r}; {choices(name, valid)}")
+        said = f"did you mean {', '.join(map(repr, valid))}?" if proposed else choices(name, valid)
+        super().__init__(f"unknown {what} {name!r}; {said}")
 
 
 def check_choice(what: str, name: object, valid: Collection[str]) -> None:

@@ -124,17 +124,24 @@ def own_values(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
     return {name: own[name] for name in names}
 
 
-def unit_of(scene: Scene, name: str) -> str:
-    """Return the unit of a parameter or an initial coordinate; empty for pure numbers and mixed ones.
+def units_of(scene: Scene, names: Iterable[str]) -> dict[str, str]:
+    """Return units of parameters and initial coordinates; empty for pure numbers and mixed ones.
 
     Raises:
         UnknownNameError: for a name that is none of these.
+        MechanismError: for a name that stands for two, and for two that stand for one number.
     """
-    mechanism = scene.mechanism
-    for number in initial_numbers(scene, [name]).values():
-        length = "m" if mechanism.is_slide(*number.key) else "rad"
-        return f"{length}/s" if number.order else length
-    (place,) = places(scene, [name]).values()
+    names = list(names)
+    found = {}
+    for name, number in initial_numbers(scene, names).items():
+        length = "m" if scene.mechanism.is_slide(*number.key) else "rad"
+        found[name] = f"{length}/s" if number.order else length
+    named = places(scene, [name for name in names if name not in found])
+    found |= {name: _unit(scene, place) for name, place in named.items()}
+    return {name: found[name] for name in names}
+
+
+def _unit(scene: Scene, place: Place) -> str:
     what, _, name = place.owner
     element, attribute = element_of(scene, place.owner), name.rpartition(".")[2]
     if functions_of(getattr(element, name, None)):
@@ -143,7 +150,7 @@ def unit_of(scene: Scene, name: str) -> str:
         return UNITS.get(attribute, "")
     if isinstance(element, ComputedTorque) or own_value(scene, place.owner).ndim:
         return ""
-    along = not hasattr(element, "key") or (not element.on_ball and mechanism.is_slide(*element.key))
+    along = not hasattr(element, "key") or (not element.on_ball and scene.mechanism.is_slide(*element.key))
     return UNITS_ALONG[attribute][0 if along else 1]
 
 

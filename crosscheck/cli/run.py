@@ -294,11 +294,11 @@ def _parameters(scene: Scene) -> Iterator[str]:
     """
     from newton_euler.equations.parameters import parameter_values
     from newton_euler.starts import initial_names
-    from newton_euler.variation import own_values, unit_of
+    from newton_euler.variation import own_values, units_of
 
     starts = own_values(scene, initial_names(scene))
     own = parameter_values(scene) | {name: value.round(DIGITS) for name, value in starts.items()}
-    units = {name: unit_of(scene, name) for name in own}
+    units = units_of(scene, own)
     columns = max(map(len, own)), max(map(len, units.values()))
     for name, value in own.items():
         yield f"{name:{columns[0]}}  {units[name]:{columns[1]}}  {_value(value)}"

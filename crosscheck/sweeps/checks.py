@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from importlib.metadata import version
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from crosscheck.comparison.figure import OWN_ERROR, UNRESOLVED, Figure
 from crosscheck.comparison.runs import FALLS, rests
 from crosscheck.engines import ENGINES, EXACT_ATOL, EXACT_RTOL, Engine
 from crosscheck.errors import CrosscheckError
+from crosscheck.limit import paced
 from crosscheck.run import Crosscheck, crosscheck
 from crosscheck.sweeps.analysis import Scalar
 from crosscheck.sweeps.expressions import Outputs
@@ -26,8 +28,11 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
-MOST_EXTREMES = 4
-"""Runs that are checked beside those at random."""
+RUNS_PER_CHECK, DEFAULT_CHECKS = 1_000, (2, 6)
+"""Runs that take about as long as a check of one does, and the fewest and the most checks by default."""
+
+RANDOM = "at random"
+"""Why a run that is not extreme is checked."""
 
 FINER = 0.01
 """Of a sweep's tolerances, at which its own error is measured."""
@@ -69,16 +74,26 @@ class Checked:
         return not self.agrees or not all(each.agrees for each in self.kept)
 
 
-def chosen(swept: Results, kept: Sequence[Scalar], telling: Sequence[Scalar], random: int) -> dict[int, str]:
-    """Choose runs to check by number, each with the reason: some at random, and extreme ones."""
-    found: dict[int, str] = {}
+def default_count(runs: int) -> int:
+    """Return how many of so many runs are checked unless told otherwise."""
+    return int(np.clip(runs // RUNS_PER_CHECK, *DEFAULT_CHECKS))
+
+
+def chosen(swept: Results, kept: Sequence[Scalar], telling: Sequence[Scalar], count: int) -> dict[int, str]:
+    """Choose runs to check by number, each with the reason: extreme ones and others at random by turns."""
     known = kept[0].runs[~np.isin(kept[0].runs, list(swept.errors))]
     generator = np.random.default_rng([swept.plan.samples.seed, swept.plan.samples.runs])
-    for run in generator.choice(known, min(random, len(known)), replace=False):
-        found[int(run)] = "at random"
-    extremes = [(scalar, largest) for scalar in telling for largest in (True, False)]
-    for scalar, largest in extremes[:MOST_EXTREMES]:
-        found.setdefault(scalar.extreme(largest), f"{'most' if largest else 'least'} {scalar.label}")
+    random = [(int(run), RANDOM) for run in generator.choice(known, min(count, len(known)), replace=False)]
+    extreme = [
+        (scalar.extreme(largest), f"{'most' if largest else 'least'} {scalar.label}")
+        for scalar in telling
+        for largest in (True, False)
+    ]
+    found: dict[int, str] = {}
+    for pair in zip_longest(extreme, random):
+        for run, why in filter(None, pair):
+            if len(found) < count:
+                found.setdefault(run, why)
     return found
 
 
@@ -97,32 +112,42 @@ def check_runs(
     attributes = swept.store.group[STATUS].attrs
     stored = json.loads(attributes.get(STORED, "{}"))
     known = stored["runs"] if stored.get("by") == by else {}
-    checked = []
-    for count, (run, why) in enumerate(runs.items(), start=1):
-        if str(run) in known:
-            entry = known[str(run)]
-            kept = [Figure(**{**each, "between": tuple(each["between"])}) for each in entry["kept"]]
-            own = {"why": why, "kept": tuple(kept), "engines": tuple(entry["engines"])}
-            checked.append(Checked(**{**entry, **own}))
-            continue
-        progress(f"cross-checking run {run}, {count} of {len(runs)}")
-        checked.append(_check(swept, found, run, why, engines))
-        known[str(run)] = asdict(checked[-1])
+    said = [""]
+
+    def tell(message: str) -> None:
+        said[0] = message
+        progress(message)
+
+    for run in paced([run for run in runs if str(run) not in known], tell, "cross-check"):
+        checked = _check(swept, found, run, engines, lambda stage: progress(f"{said[0]}: {stage}"))
+        known[str(run)] = asdict(checked)
         with told(swept.path):
             attributes[STORED] = json.dumps({"by": by, "runs": known})
-    return checked
+    return [_restored(known[str(run)] | {"why": why}) for run, why in runs.items()]
 
 
-def _check(swept: Results, found: Sequence[Scalar], run: int, why: str, engines: Sequence[Engine]) -> Checked:
+def _restored(entry: dict[str, Any]) -> Checked:
+    """Return a check from its dictionary, which JSON may have made lists in."""
+    kept = (Figure(**each | {"between": tuple(each["between"])}) for each in entry["kept"])
+    return Checked(**entry | {"kept": tuple(kept), "engines": tuple(entry["engines"])})
+
+
+def _check(
+    swept: Results,
+    found: Sequence[Scalar],
+    run: int,
+    engines: Sequence[Engine],
+    progress: Callable[[str], None],
+) -> Checked:
     names = tuple(each.name for each in engines)
     try:
-        result = crosscheck(swept.plan.scene_of(run), engines, lambda stage: None, "", {})
+        result = crosscheck(swept.plan.scene_of(run), engines, progress, "", {})
         kept = tuple(_compared(swept, found, run, result, engines))
     except (CrosscheckError, NewtonEulerError) as error:
-        return Checked(run, why, False, True, str(error), engines=names)
+        return Checked(run, "", False, True, str(error), engines=names)
     complete = not (result.left_out or result.unfinished)
     moves = not rests(result.scene, engines, result.trajectories)
-    return Checked(run, why, complete, not result.differs, result.verdict, kept, moves, names)
+    return Checked(run, "", complete, not result.differs, result.verdict, kept, moves, names)
 
 
 def _compared(
@@ -201,5 +226,5 @@ def _finer_of(plan: Plan, engine: Engine, scene: Scene) -> dict[str, Array]:
 
 def kept_of(plan: Plan, trajectory: Trajectory) -> dict[str, Array]:
     """Return what is kept of a run by any engine, by name."""
-    outputs = Outputs(plan.scene, trajectory.time, lambda name: np.asarray(getattr(trajectory, name))[None])
+    outputs = Outputs.of(plan.scene, trajectory)
     return {each.name: each.of(outputs)[0] for each in plan.kept}

@@ -28,6 +28,7 @@ from newton_euler.errors import OptionError
 if TYPE_CHECKING:
     from distributed import Client
 
+Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 AHEAD = 2
@@ -170,9 +171,9 @@ async def _check_scheduler(address: str) -> None:
 
 
 def in_any_order(
-    task: Callable[[int], Result], numbers: Iterable[int], at: Workers
-) -> Generator[tuple[int, Result]]:
-    """Execute a task for each number; yields numbers and results as they come.
+    task: Callable[[Item], Result], items: Iterable[Item], at: Workers
+) -> Generator[tuple[Item, Result]]:
+    """Execute a task for each item; yields items and results as they come.
 
     No more than `AHEAD` tasks per worker are given out at a time, so that a million of them are no burden.
     What is running when this is left ends; what is waiting is not begun.
@@ -180,20 +181,19 @@ def in_any_order(
     Raises:
         CrosscheckError: of a task, and where processes that make them are lost again and again.
     """
-    left, count, counted = iter(numbers), at.count(), time.perf_counter()
-    running: dict[Future[Result], int] = {}
+    left, count, counted = iter(items), at.count(), time.perf_counter()
+    running: dict[Future[Result], Item] = {}
     try:
         while True:
             if time.perf_counter() - counted > COUNT_AFTER:
                 count, counted = at.count(), time.perf_counter()
             room = AHEAD * count - len(running)
-            for _, number in zip(range(room), left, strict=False):
-                running[at.executor.submit(task, number)] = number
+            for _, item in zip(range(room), left, strict=False):
+                running[at.executor.submit(task, item)] = item
             if not running:
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
-                number = running.pop(future)
-                yield number, _result(future)
+                yield running.pop(future), _result(future)
     except BrokenExecutor as error:
         raise CrosscheckError(f"a process of the executor died; {KEPT_GOES_ON}") from error
     except (OSError, CancelledError) as error:  # of a scheduler that does not answer any more

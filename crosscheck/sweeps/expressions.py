@@ -13,8 +13,8 @@ import ast
 import operator
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
 
 import numpy as np
 
@@ -25,19 +25,31 @@ from newton_euler.errors import UnknownNameError, choices, plain_number
 from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import coordinate_name
-from newton_euler.model.trajectory import QUANTITIES, SHAPES
+from newton_euler.model.trajectory import QUANTITIES, SHAPES, Trajectory
 from newton_euler.scalars import Array
 
 LONGEST = 2_000
 """Characters of an expression."""
 
-DIMENSION = {"b": "body", "j": "joint", "a": "actuator", "3": "axis", "4": "component"}
+Dimensions = tuple[str, str]
+"""Names of the dimensions of elements and of components, each empty where there is none."""
+
+ELEMENTS = {"b": "body", "j": "joint", "a": "actuator"}
+PARTS = {"3": "axis", "4": "component"}
 """Names of dimensions, by their letters in `SHAPES`."""
 
-DIMENSIONS = {name: tuple(DIMENSION[letter] for letter in SHAPES[name][1:]) for name in QUANTITIES}
-"""Of quantities, after runs and times."""
-
 COMPONENTS = {"axis": tuple("xyz"), "component": tuple("wxyz")}
+
+SAME = "same"
+"""Unit of a result: that of what is combined, if all have one unit."""
+
+
+def _named(letters: str, names: Mapping[str, str]) -> str:
+    return next((names[letter] for letter in letters if letter in names), "")
+
+
+DIMENSIONS = {name: (_named(SHAPES[name], ELEMENTS), _named(SHAPES[name], PARTS)) for name in QUANTITIES}
+"""Of quantities."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +57,23 @@ class Value:
     """Numbers of runs at times.
 
     Attributes:
-        array: (runs, times, *dimensions), either of the first two 1 where it is the same for all.
-        dimensions: names of the others.
+        array: (runs, times, elements, components), 1 each where there are none, or where it is the same for
+            all.
+        dimensions: of elements and of components.
         unit: empty where it is not known.
     """
 
     array: Array
-    dimensions: tuple[str, ...] = ()
+    dimensions: Dimensions = ("", "")
     unit: str = ""
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Names of the dimensions that there are."""
+        return tuple(filter(None, self.dimensions))
+
+    def __str__(self) -> str:
+        return f"({', '.join(self.named) or 'a number'})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +90,11 @@ class Outputs:
     times: Array
     stacked: Callable[[str], Array]
 
+    @classmethod
+    def of(cls, scene: Scene, run: Trajectory) -> Outputs:
+        """Return those of one run, by any engine."""
+        return cls(scene, run.time, lambda name: np.asarray(getattr(run, name))[None])
+
     @cached_property
     def labels(self) -> dict[str, tuple[str, ...]]:
         """Names along each dimension."""
@@ -80,17 +106,19 @@ class Outputs:
         Args:
             signed: whether signs of quaternions matter, which follow one another then.
         """
-        dimensions = DIMENSIONS[name]
+        elements, parts = DIMENSIONS[name]
         array = self.stacked(name)
-        place: slice | int = slice(None)
+        array = array.reshape(*array.shape[:2], len(self.labels[elements]), len(self.labels[parts]))
+        place = slice(None)
         if element:
-            place = self.labels[dimensions[0]].index(element)
-            array, dimensions = array[:, :, place], dimensions[1:]
+            k = self.labels[elements].index(element)
+            place, elements = slice(k, k + 1), ""
+        array = array[:, :, place]
         if name == "quaternion" and signed:
             start = initial_state(self.scene).quaternion[place]
             first = np.broadcast_to(start, (len(array), *start.shape))
             array = np.swapaxes(continuous(np.swapaxes(array, 0, 1), first), 0, 1)
-        return Value(array, dimensions, self._unit(name, element))
+        return Value(array, (elements, parts), self._unit(name, element))
 
     def _unit(self, name: str, element: str) -> str:
         if name != "actuator_force":
@@ -104,15 +132,20 @@ class Outputs:
 
 
 def labels(scene: Scene) -> dict[str, tuple[str, ...]]:
-    """Return the names along each dimension of a scene's quantities."""
+    """Return the names along each dimension of a scene's quantities; one, empty, where there is none."""
     mechanism = scene.mechanism
     actuators = (coordinate_name(mechanism.joint(law.joint), law.coordinate) for law in scene.control)
     return {
+        "": ("",),
         "body": tuple(mechanism.body_names),
         "joint": tuple(mechanism.joint_names),
         "actuator": tuple(actuators),
         **COMPONENTS,
     }
+
+
+Node = Callable[[Outputs], Value]
+"""Evaluates a part of an expression."""
 
 
 class Expression:
@@ -123,6 +156,7 @@ class Expression:
         quantities: names of those that it takes.
         signed: True if signs of quaternions matter to it, which are known from one time to the next alone.
         plain: True if it is no more than a quantity.
+        evaluate: returns the values at all times of all runs from their outputs.
         example: its value of zeros, for dimensions and unit.
     """
 
@@ -137,21 +171,18 @@ class Expression:
         try:
             if len(text) > LONGEST:
                 raise ValueError(f"the expression is longer than {LONGEST} characters")
-            self._root = self._look_up(self.text) or self._node(ast.parse(self.text, mode="eval").body)
-            self.example = self.evaluate(_nothing(scene))
+            self.evaluate = self._look_up(self.text) or self._node(ast.parse(self.text, mode="eval").body)
+            with np.errstate(all="ignore"):
+                self.example = self.evaluate(Outputs(scene, np.array([0.0, 1.0]), self._zeros))
         except SyntaxError as error:
             raise CrosscheckError(wrong_syntax(error, self.text)) from None
-        except UnknownNameError as error:
-            raise CrosscheckError(str(error)) from None
-        except (ValueError, RecursionError, MemoryError) as error:
+        except (UnknownNameError, ValueError, RecursionError, MemoryError) as error:
             raise CrosscheckError(f"{error}"[:400]) from None
 
-    def evaluate(self, outputs: Outputs) -> Value:
-        """Return the values at all times of all runs; not a number where there is none."""
-        with np.errstate(all="ignore"):
-            return self._root(outputs)
+    def _zeros(self, name: str) -> Array:
+        return np.zeros((1, 2, *(len(self._labels[each]) for each in DIMENSIONS[name])))
 
-    def _look_up(self, text: str) -> Callable[[Outputs], Value] | None:
+    def _look_up(self, text: str) -> Node | None:
         """Return what looks up a quantity that is the whole text, whatever characters its element has."""
         found = None
         with suppress(ValueError, UnknownNameError):
@@ -159,54 +190,50 @@ class Expression:
         self.plain = found is not None
         return found
 
-    def _node(self, node: ast.expr) -> Callable[[Outputs], Value]:
+    def _node(self, node: ast.expr) -> Node:
         """Return what evaluates a part of the expression; raises `ValueError` for what is none."""
         if isinstance(node, ast.BinOp) and type(node.op) in OPERATORS:
-            left, right, apply = self._node(node.left), self._node(node.right), OPERATORS[type(node.op)]
-            return lambda outputs: apply(left(outputs), right(outputs))
+            return _applied(OPERATORS[type(node.op)], self._node(node.left), self._node(node.right))
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
-            inner = self._node(node.operand)
-            return lambda outputs: _mapped(np.negative, inner(outputs))
+            return _applied(NEGATIVE, self._node(node.operand))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
+            return self._call(node.func.id, node.args)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            return self._output(node.value)
+        if isinstance(node, ast.Attribute | ast.Name):
+            return self._output(ast.unparse(node))
         if isinstance(node, ast.List):
             vector = np.array([self._number(each) for each in node.elts])
             if vector.shape != (3,):
                 raise ValueError(f"[...] has {len(vector)} numbers; needed: 3")
-            return lambda outputs: Value(vector[None, None], ("axis",))
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
-            return self._call(node.func.id, node.args)
-        if isinstance(node, ast.Constant) and isinstance(node.value, str):
-            return self._named(node.value)
-        if isinstance(node, ast.Attribute | ast.Name):
-            return self._named(ast.unparse(node))
-        number = np.full((1, 1), self._number(node))
+            return lambda outputs: Value(vector[None, None, None], ("", "axis"))
+        number = np.full((1, 1, 1, 1), self._number(node))
         return lambda outputs: Value(number)
 
     def _number(self, node: ast.expr) -> float:
         return plain_number((ast.get_source_segment(self.text, node) or "").replace(" ", ""))
 
-    def _call(self, name: str, arguments: list[ast.expr]) -> Callable[[Outputs], Value]:
+    def _call(self, name: str, arguments: list[ast.expr]) -> Node:
         if name not in FUNCTIONS:
             raise ValueError(f"unknown function {name!r:.50}; {choices(name, FUNCTIONS)}")
         function, count = FUNCTIONS[name]
         if len(arguments) != count:
             raise ValueError(f"{name} takes {count} arguments, not {len(arguments)}")
+        first = None
         if name == "direction":  # which is the same for both signs
-            turned = self._quantity(ast.unparse(arguments[0]).strip("'"), signed=False)
-            nodes = [turned or self._node(arguments[0]), self._node(arguments[1])]
-        else:
-            nodes = [self._node(each) for each in arguments]
-        return lambda outputs: function(*(node(outputs) for node in nodes))
+            first = self._quantity(ast.unparse(arguments[0]).strip("'"), signed=False)
+        return _applied(function, first or self._node(arguments[0]), *map(self._node, arguments[1:]))
 
-    def _named(self, text: str) -> Callable[[Outputs], Value]:
+    def _output(self, text: str) -> Node:
         if text == "time":
-            return lambda outputs: Value(outputs.times[None], unit="s")
+            return lambda outputs: Value(outputs.times[None, :, None, None], unit="s")
         found = self._quantity(text, signed=True)
         if found is None:
             name = text.rpartition(".")[2]
             raise ValueError(f"unknown output {name!r:.100}; {choices(name, (*QUANTITIES, 'time'))}")
         return found
 
-    def _quantity(self, text: str, signed: bool) -> Callable[[Outputs], Value] | None:
+    def _quantity(self, text: str, signed: bool) -> Node | None:
         """Return what looks up [ELEMENT.]QUANTITY[.COMPONENT]; None if no quantity is named."""
         before, _, last = text.rpartition(".")
         component = ""
@@ -214,16 +241,16 @@ class Expression:
             component, (before, _, last) = last, before.rpartition(".")
         if last not in QUANTITIES:
             return None
-        dimensions = DIMENSIONS[last]
-        if before and not dimensions:
+        elements, parts = DIMENSIONS[last]
+        if before and not elements:
             raise ValueError(f"{last} is of the whole mechanism, not of {before!r:.100}")
-        if before and before not in self._labels[dimensions[0]]:
-            raise UnknownNameError(dimensions[0], before, self._labels[dimensions[0]])
+        if before and before not in self._labels[elements]:
+            raise UnknownNameError(elements, before, self._labels[elements])
         if last == "work" and not self._works:
             raise ValueError("work is that of control, forces and motions, of which the scene has none")
-        parts = COMPONENTS.get(dimensions[-1], ()) if dimensions else ()
-        if component and component not in parts:
-            raise ValueError(f"{last} has no component {component!r:.50}; {choices(component, parts)}")
+        letters = COMPONENTS.get(parts, ())
+        if component and component not in letters:
+            raise ValueError(f"{last} has no component {component!r:.50}; {choices(component, letters)}")
         self.quantities.add(last)
         self.signed = self.signed or (last == "quaternion" and signed)
 
@@ -231,126 +258,95 @@ class Expression:
             found = outputs.quantity(last, before, signed)
             if not component:
                 return found
-            place = parts.index(component)
-            return Value(found.array[..., place], found.dimensions[:-1], found.unit)
+            k = letters.index(component)
+            return Value(found.array[..., k : k + 1], (found.dimensions[0], ""), found.unit)
 
         return look_up
 
 
-def _nothing(scene: Scene) -> Outputs:
-    """Return all outputs of a run, zeros at two times, to check expressions with."""
-    sizes = {dimension: len(names) for dimension, names in labels(scene).items()}
-
-    def zeros(name: str) -> Array:
-        return np.zeros((1, 2, *(sizes[dimension] for dimension in DIMENSIONS[name])))
-
-    return Outputs(scene, np.array([0.0, 1.0]), zeros)
+def _applied(function: Callable[..., Value], *nodes: Node) -> Node:
+    return lambda outputs: function(*(node(outputs) for node in nodes))
 
 
-def _mapped(function: Callable[[Array], Array], value: Value) -> Value:
-    return Value(function(value.array), value.dimensions, value.unit)
+def _together(a: Dimensions, b: Dimensions) -> Dimensions:
+    """Return the dimensions of what combines two values; raises `ValueError` for different ones."""
+    if any(one and two and one != two for one, two in zip(a, b, strict=True)):
+        raise ValueError(f"{Value(np.zeros(0), a)} and {Value(np.zeros(0), b)} do not combine")
+    return a[0] or b[0], a[1] or b[1]
 
 
-def _aligned(a: Value, b: Value) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return two arrays of the same dimensions, one of them spread out if it has none."""
-    if a.dimensions == b.dimensions:
-        return a.array, b.array, a.dimensions
-    if a.dimensions and b.dimensions:
-        raise ValueError(f"({', '.join(a.dimensions)}) and ({', '.join(b.dimensions)}) do not combine")
-    dimensions = a.dimensions or b.dimensions
-    ones = (1,) * len(dimensions)
-    left, right = (
-        each.array if each.dimensions else each.array.reshape(*each.array.shape, *ones) for each in (a, b)
-    )
-    return left, right, dimensions
+def _each(function: Callable[..., Array], unit: str = "") -> Callable[..., Value]:
+    """Apply a function of numbers to those of one or two values, its result in a unit."""
 
-
-def _combined(
-    function: Callable[[Array, Array], Array], is_sum: bool = False
-) -> Callable[[Value, Value], Value]:
-    def apply(a: Value, b: Value) -> Value:
-        left, right, dimensions = _aligned(a, b)
-        return Value(function(left, right), dimensions, a.unit if is_sum and a.unit == b.unit else "")
+    def apply(*values: Value) -> Value:
+        units = {value.unit for value in values}
+        own = (units.pop() if len(units) == 1 else "") if unit == SAME else unit
+        dimensions = reduce(_together, (value.dimensions for value in values))
+        return Value(function(*(value.array for value in values)), dimensions, own)
 
     return apply
 
 
-OPERATORS: Mapping[type[ast.operator], Callable[[Value, Value], Value]] = {
-    ast.Add: _combined(operator.add, is_sum=True),
-    ast.Sub: _combined(operator.sub, is_sum=True),
-    ast.Mult: _combined(operator.mul),
-    ast.Div: _combined(operator.truediv),
-    ast.Pow: _combined(operator.pow),
+NEGATIVE = _each(np.negative, SAME)
+
+OPERATORS: Mapping[type[ast.operator], Callable[..., Value]] = {
+    ast.Add: _each(operator.add, SAME),
+    ast.Sub: _each(operator.sub, SAME),
+    ast.Mult: _each(operator.mul),
+    ast.Div: _each(operator.truediv),
+    ast.Pow: _each(operator.pow),
 }
 
 
-def _of_dimension(dimension: str, *values: Value) -> None:
-    """Raise `ValueError` for values whose last dimension is another."""
-    for value in values:
-        if value.dimensions[-1:] != (dimension,):
-            words = {"axis": "a vector", "component": "a quaternion"}
-            raise ValueError(f"({', '.join(value.dimensions) or 'a number'}) is not {words[dimension]}")
-
-
-def _vectors(a: Value, b: Value) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return the arrays of two vectors, of which one may be the same for all elements."""
-    _of_dimension("axis", a, b)
-    if len(a.dimensions) == len(b.dimensions):
-        return _aligned(a, b)
-    more = max(a, b, key=lambda each: len(each.dimensions))
-    left, right = (each.array if each is more else each.array[:, :, None] for each in (a, b))
-    return left, right, more.dimensions
-
-
-def _dot_of(a: Array, b: Array) -> Array:
-    """Sum products element by element, in the same order for any number of runs."""
-    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
+def _vectors(a: Value, b: Value) -> Dimensions:
+    """Return the dimensions of what combines two vectors; raises `ValueError` for others."""
+    for value in (a, b):
+        if value.dimensions[1] != "axis":
+            raise ValueError(f"{value} is not a vector")
+    return _together(a.dimensions, b.dimensions)
 
 
 def _dot(a: Value, b: Value) -> Value:
-    left, right, dimensions = _vectors(a, b)
-    return Value(_dot_of(left, right), dimensions[:-1])
+    elements, _ = _vectors(a, b)
+    products = a.array * b.array
+    # element by element, in the same order for any number of runs
+    return Value(products[..., :1] + products[..., 1:2] + products[..., 2:], (elements, ""))
 
 
 def _cross(a: Value, b: Value) -> Value:
-    left, right, dimensions = _vectors(a, b)
-    return Value(np.cross(left, right), dimensions)
+    return Value(np.cross(a.array, b.array), _vectors(a, b))
 
 
 def norm(value: Value) -> Value:
     """Return the lengths of vectors."""
-    _of_dimension("axis", value)
-    return Value(np.sqrt(_dot_of(value.array, value.array)), value.dimensions[:-1], value.unit)
+    squares = _dot(value, value)
+    return replace(squares, array=np.sqrt(squares.array), unit=value.unit)
 
 
 def _angle(a: Value, b: Value) -> Value:
-    across, along = norm(_cross(a, b)).array, _dot(a, b)
-    return Value(np.arctan2(across, along.array), along.dimensions, "rad")
+    return ARCTAN2(norm(_cross(a, b)), _dot(a, b))
 
 
 def _direction(quaternion: Value, vector: Value) -> Value:
     """Return vectors of a body's frame along the world's axes."""
-    _of_dimension("component", quaternion)
-    _of_dimension("axis", vector)
-    if len(vector.dimensions) > 1:
-        raise ValueError("direction takes a quaternion and one vector [x, y, z]")
-    q = quaternion.array
-    fixed = vector.array if len(quaternion.dimensions) == 1 else vector.array[:, :, None]
+    if quaternion.dimensions[1] != "component":
+        raise ValueError(f"{quaternion} is not a quaternion")
+    turning = replace(quaternion, dimensions=(quaternion.dimensions[0], "axis"))
+    dimensions = _vectors(vector, turning)
+    q, fixed = quaternion.array, vector.array
     twice = 2.0 * np.cross(q[..., 1:], fixed)
     turned = fixed + q[..., :1] * twice + np.cross(q[..., 1:], twice)
-    return Value(turned, (*quaternion.dimensions[:-1], "axis"), vector.unit)
+    return Value(turned, dimensions, vector.unit)
 
 
-def _of_number(function: Callable[[Array], Array]) -> Callable[[Value], Value]:
-    return lambda value: Value(function(value.array), value.dimensions)
-
+ARCTAN2 = _each(np.arctan2, "rad")
 
 FUNCTIONS: dict[str, tuple[Callable[..., Value], int]] = {
-    "abs": (lambda value: _mapped(np.abs, value), 1),
-    "sqrt": (_of_number(np.sqrt), 1),
-    "sin": (_of_number(np.sin), 1),
-    "cos": (_of_number(np.cos), 1),
-    "arctan2": (lambda a, b: Value(np.arctan2(*_aligned(a, b)[:2]), _aligned(a, b)[2], "rad"), 2),
+    "abs": (_each(np.abs, SAME), 1),
+    "sqrt": (_each(np.sqrt), 1),
+    "sin": (_each(np.sin), 1),
+    "cos": (_each(np.cos), 1),
+    "arctan2": (ARCTAN2, 2),
     "norm": (norm, 1),
     "dot": (_dot, 2),
     "cross": (_cross, 2),

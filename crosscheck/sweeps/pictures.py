@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from crosscheck.palette import ENGINE_COLORS
 from crosscheck.report.plots import png
-from crosscheck.sweeps.analysis import Effect, Scalar
+from crosscheck.sweeps.analysis import Effect, Scalar, with_unit
 from newton_euler.scalars import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 MOST_DRAWN = 6
 """Numbers in one picture."""
@@ -19,6 +23,9 @@ MOST_BARS = 10
 
 MOST_POINTS = 5000
 """Runs in a scatter plot."""
+
+NEARLY = 1e-2
+"""Range of values, by the largest, below which they are drawn from another number than 0."""
 
 SIDE_BY_SIDE = 3
 """Parameters beside a number in scatter plots."""
@@ -60,6 +67,27 @@ def _rows(rows: int, columns: int, draw: Callable[[Array], None], height: float)
     return png(figure)
 
 
+def _origin(values: Array) -> tuple[float, str]:
+    """Return a round number that values are drawn from, and how it is taken off in words.
+
+    It is not 0 where they hardly differ: labels would have an offset beside the axis, or be too long to read.
+    """
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    spread, largest = high - low, max(abs(low), abs(high))
+    if not 0.0 < spread < NEARLY * largest:
+        return 0.0, ""
+    digits = int(np.ceil(np.log10(largest / spread)))
+    origin = float(f"{0.5 * (low + high):.{digits}g}")
+    return origin, f" {'+' if origin < 0.0 else '-'} {abs(origin):.{digits}g}"
+
+
+def _label_numbers(ax: Axes, axis: Literal["x", "y"]) -> None:
+    """Label numbers along an axis without an offset, powers of ten beside it."""
+    ax.ticklabel_format(axis=axis, scilimits=(-3, 4), useMathText=True, useOffset=False)
+    which = ax.xaxis if axis == "x" else ax.yaxis
+    which.get_offset_text().set_fontsize("small")
+
+
 def _tornado(axes: Array, effects: Effects) -> None:
     """Draw the means of the runs in which a parameter is low and high, and its share of the variance."""
     for ax, (scalar, found) in zip(axes, effects, strict=True):
@@ -67,16 +95,19 @@ def _tornado(axes: Array, effects: Effects) -> None:
         beside = "rank" if bars and bars[0].share is None else "share of variance"
         if len(found) > len(bars):
             beside += f"; {len(found) - len(bars)} smaller ones are not shown"
-        middle = float(np.nanmean(scalar.values))
+        origin, less = _origin(np.array([end for bar in bars for end in (bar.low, bar.high)]))
+        middle = float(np.nanmean(scalar.values)) - origin
         for end, color, label in (("low", LOW, "low"), ("high", HIGH, "high")):
-            widths = [getattr(effect, end) - middle for effect in bars]
+            widths = [getattr(effect, end) - origin - middle for effect in bars]
             ax.barh([effect.name for effect in bars], widths, left=middle, color=color, label=label)
         for row, effect in enumerate(bars):
-            ends = max(effect.low, effect.high, middle)
+            ends = max(effect.low - origin, effect.high - origin, middle)
             ax.annotate(f" {share_of(effect)}", (ends, row), va="center", fontsize="small")
         ax.axvline(middle, color="black", linewidth=0.8)
         ax.margins(x=0.35)
-        ax.set_title(f"{scalar.heading}: mean where a parameter is low or high; {beside}", fontsize="small")
+        _label_numbers(ax, "x")
+        title = with_unit(scalar.label + less, scalar.unit)
+        ax.set_title(f"{title}: mean where a parameter is low or high; {beside}", fontsize="small")
         ax.legend(fontsize="small", loc="lower right")
 
 
@@ -97,11 +128,15 @@ def rank_of(effect: Effect) -> str:
 
 def _histograms(axes: Array, effects: Effects, nominal: Mapping[str, float]) -> None:
     for ax, (scalar, _) in zip(axes, effects, strict=True):
-        ax.hist(scalar.values[np.isfinite(scalar.values)], bins=60, color=LOW)
+        known, own = scalar.values[np.isfinite(scalar.values)], nominal[scalar.label]
+        origin, less = _origin(np.append(known, own))
+        ax.hist(known - origin, bins=60, color=LOW)
         for level in scalar.quantiles[[1, 2, 3]]:
-            ax.axvline(level, color="black", linewidth=0.8, linestyle=":")
-        ax.axvline(nominal[scalar.label], color=HIGH, label="nominal")
-        ax.set_title(f"{scalar.heading}; dotted: 5 %, 50 %, 95 %", fontsize="small")
+            ax.axvline(level - origin, color="black", linewidth=0.8, linestyle=":")
+        ax.axvline(own - origin, color=HIGH, label="nominal")
+        _label_numbers(ax, "x")
+        title = with_unit(scalar.label + less, scalar.unit)
+        ax.set_title(f"{title}; dotted: 5 %, 50 %, 95 %", fontsize="small")
         ax.set_ylabel("runs")
         ax.legend(fontsize="small")
 
@@ -109,14 +144,15 @@ def _histograms(axes: Array, effects: Effects, nominal: Mapping[str, float]) -> 
 def _scatter(axes: Array, effects: Effects, points: Array, inputs: Mapping[str, Array]) -> None:
     for row, (scalar, found) in zip(axes, effects, strict=True):
         names = [effect.name.partition(", ")[0] for effect in found[:SIDE_BY_SIDE]]
+        y, less = _origin(scalar.values[points])
         for ax, name in zip(row, names, strict=False):
-            ax.plot(inputs[name], scalar.values[points], ".", color=PLAIN, markersize=2.0, alpha=0.5)
-            ax.set_xlabel(name, fontsize="small")
+            x, less_x = _origin(inputs[name])
+            ax.plot(inputs[name] - x, scalar.values[points] - y, ".", color=PLAIN, markersize=2.0, alpha=0.5)
+            ax.set_xlabel(name + less_x, fontsize="small")
             ax.tick_params(labelsize="small")
             ax.xaxis.get_major_locator().set_params(nbins=4)  # three plots are side by side
-            ax.ticklabel_format(scilimits=(-3, 4), useMathText=True)
-            for axis in (ax.xaxis, ax.yaxis):
-                axis.get_offset_text().set_fontsize("small")
+            _label_numbers(ax, "x")
+            _label_numbers(ax, "y")
         for ax in row[len(names) :]:
             ax.set_visible(False)
-        row[0].set_title(scalar.heading, fontsize="small", loc="left")
+        row[0].set_title(with_unit(scalar.label + less, scalar.unit), fontsize="small", loc="left")

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib.metadata import version
+from math import prod
 from threading import Lock
 from typing import Any, NamedTuple
 
@@ -73,7 +74,7 @@ class Plan:
         samples: values of its parameters for each run.
         keep: texts of what is kept of each run, NAME=REDUCTION.
         control: of the integrator's steps, as of `newton_euler.simulate`.
-        chunk: runs of a task, and of what is stored together.
+        chunk: runs that are stored together.
     """
 
     scene: Scene
@@ -99,7 +100,7 @@ class Plan:
 
     @property
     def chunks(self) -> int:
-        """The number of tasks."""
+        """The number of chunks."""
         return -(-self.samples.runs // self.chunk)
 
     def bounds(self, k: int) -> tuple[int, int]:
@@ -118,9 +119,9 @@ class Plan:
     @property
     def together(self) -> int:
         """The number of runs whose outputs are in memory at a time."""
-        sizes = {dimension: len(names) for dimension, names in labels(self.scene).items()}
+        names = labels(self.scene)
         numbers = sum(
-            int(np.prod([sizes[dimension] for dimension in DIMENSIONS[name]]))
+            prod(len(names[dimension]) for dimension in DIMENSIONS[name])
             for name, quantity in QUANTITIES.items()
             if quantity.output is None or quantity.output in self.lean.outputs
         )
@@ -162,7 +163,7 @@ class Plan:
             "sampling": self.samples.sampling,
             "runs": self.samples.runs,
             "seed": self.samples.seed,
-            "samples": self.samples.digest,
+            "samples": self.samples.digest(self.samples.runs),
             "processor": processor(),
             "keep": list(self.keep),
             "control": dict(self.control),
@@ -195,14 +196,14 @@ def _plan(content: bytes) -> Plan:
     return plan
 
 
-def run_chunk(plan: Plan, k: int) -> Chunk:
-    """Make the runs of a chunk and reduce them: the same numbers in any process, thread and order.
+def make_runs(plan: Plan, runs: tuple[int, int]) -> Chunk:
+    """Make the runs from the first to before the second number: the same in any process, thread and order.
 
     Raises:
         CrosscheckError: for a scene that cannot be run.
     """
     try:
-        return run_all(plan, plan.parameters(*plan.bounds(k)))
+        return run_all(plan, plan.parameters(*runs))
     except NewtonEulerError as error:  # which could not be sent to another process
         raise CrosscheckError(str(error)) from error
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.sweeps.expressions import Expression, Outputs, Value, norm
+from crosscheck.sweeps.expressions import Expression, Outputs, Value, labels, norm
 from newton_euler.errors import choices, plain_number
 from newton_euler.integrators.options import FIXED
 from newton_euler.model.scene import Scene
@@ -31,11 +31,11 @@ SAME_TIME = 1e-9
 """Share of the output period by which a time may differ from that of an output."""
 
 
-def magnitude(value: Value) -> Value:
+def _magnitude(value: Value) -> Value:
     """Return lengths of vectors and magnitudes of numbers."""
-    if value.dimensions[-1:] == ("axis",):
+    if value.dimensions[1] == "axis":
         return norm(value)
-    if value.dimensions[-1:] == ("component",):
+    if value.dimensions[1] == "component":
         raise CrosscheckError("a quaternion has no magnitude; name a component of it")
     return replace(value, array=np.abs(value.array))
 
@@ -48,29 +48,34 @@ def _mean(array: Array, times: Array) -> Array:
     return total / (times[-1] - times[0])
 
 
-def _peak(value: Value, times: Array) -> Array:
-    return np.asarray(np.max(value.array, axis=1))
+def _first_above(excess: Array, times: Array) -> Array:
+    """Return the times (runs,), s, at which a function of time (runs, n) is positive first."""
+    above = excess > 0.0
+    k = np.argmax(above, axis=1)
+    runs = np.arange(len(excess))
+    before = np.maximum(k - 1, 0)
+    low, high = excess[runs, before], excess[runs, k]
+    share = np.where(k > 0, -low / (high - low), 1.0)
+    crossed = times[before] + share * (times[k] - times[before])
+    return np.where(above.any(axis=1), crossed, np.nan)
 
-
-def _rms(value: Value, times: Array) -> Array:
-    return np.asarray(np.sqrt(_mean(value.array * value.array, times)))
-
-
-KINDS: dict[str, Callable[[Value, Array], Array]] = {
-    "final": lambda value, times: value.array[:, -1],
-    "peak": _peak,
-    "rms": _rms,
-    "mean": lambda value, times: _mean(value.array, times),
-    "minimum": lambda value, times: np.min(value.array, axis=1),
-    "maximum": lambda value, times: np.max(value.array, axis=1),
-}
-"""Reductions over time. Peak and rms are of magnitudes, those of vectors their lengths."""
-
-OF_MAGNITUDES = ("peak", "rms")
 
 AT, WHEN = "at", "when"
 """`at(0.5; 1)` takes the outputs at these times, s, and `at()` at all; `when:a > b` is the first time, s, at
 which a exceeds b, on a straight line between outputs, and not a number if it never does."""
+
+KINDS: dict[str, Callable[[Array, Array], Array]] = {
+    "final": lambda course, times: course[:, -1],
+    "peak": lambda course, times: course.max(axis=1),
+    "rms": lambda course, times: np.sqrt(_mean(course * course, times)),
+    "mean": _mean,
+    "minimum": lambda course, times: course.min(axis=1),
+    "maximum": lambda course, times: course.max(axis=1),
+    WHEN: _first_above,
+}
+"""Reductions over time. Peak and rms are of magnitudes, those of vectors their lengths."""
+
+OF_MAGNITUDES = ("peak", "rms")
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +88,8 @@ class Reduction:
         kind: one of `KINDS`, `AT` or `WHEN`.
         places: numbers of the outputs that `AT` takes.
         expression: over the outputs, of `WHEN` with the threshold subtracted.
-        dimensions, unit: of the results.
+        dimensions: of the results after runs, and what is along each: names of elements, or times, s.
+        unit: of the results.
     """
 
     name: str
@@ -91,7 +97,7 @@ class Reduction:
     kind: str
     places: tuple[int, ...]
     expression: Expression
-    dimensions: tuple[str, ...]
+    dimensions: dict[str, Array]
     unit: str
 
     @property
@@ -104,33 +110,22 @@ class Reduction:
         """False if the end of a run suffices."""
         return self.kind != "final" or self.expression.signed
 
+    @np.errstate(all="ignore")
     def of(self, outputs: Outputs) -> Array:
         """Reduce the outputs of runs to an array (runs, *dimensions); not a number where they are not."""
-        with np.errstate(all="ignore"):
-            return np.array(self._of(outputs), order="C")  # nothing that keeps all outputs in memory
+        course = self.course(outputs)
+        at = self.kind == AT
+        found = course[:, list(self.places)] if at else KINDS[self.kind](course, outputs.times)
+        return np.array(found, order="C")  # nothing that keeps all outputs in memory
 
-    def _of(self, outputs: Outputs) -> Array:
-        value, times = self.expression.evaluate(outputs), outputs.times
-        runs = max(len(value.array), len(outputs.stacked("position")))
-        array = np.broadcast_to(value.array, (runs, len(times), *value.array.shape[2:]))
-        if self.kind == AT:
-            return array[:, list(self.places)]
-        if self.kind == WHEN:
-            return _first_above(array, times)
-        value = replace(value, array=array)
-        return KINDS[self.kind](magnitude(value) if self.kind in OF_MAGNITUDES else value, times)
-
-
-def _first_above(excess: Array, times: Array) -> Array:
-    """Return the times (runs,), s, at which a function of time (runs, n) is positive first."""
-    above = excess > 0.0
-    k = np.argmax(above, axis=1)
-    runs = np.arange(len(excess))
-    before = np.maximum(k - 1, 0)
-    low, high = excess[runs, before], excess[runs, k]
-    share = np.where(k > 0, -low / (high - low), 1.0)
-    crossed = times[before] + share * (times[k] - times[before])
-    return np.where(above.any(axis=1), crossed, np.nan)
+    @np.errstate(all="ignore")
+    def course(self, outputs: Outputs) -> Array:
+        """Return what is reduced, (runs, times, ...), of peaks and rms magnitudes."""
+        value = self.expression.evaluate(outputs)
+        array = (_magnitude(value) if self.kind in OF_MAGNITUDES else value).array
+        runs, times = max(len(array), len(outputs.stacked("position"))), len(outputs.times)
+        sizes = [len(names) for name, names in self.dimensions.items() if not name.startswith("time")]
+        return np.broadcast_to(array, (runs, times, *array.shape[2:])).reshape(runs, times, *sizes)
 
 
 Keep = str | Iterable[str] | Mapping[str, str]
@@ -154,7 +149,14 @@ def reductions(keep: Keep, scene: Scene) -> tuple[Reduction, ...]:
     for name in names:
         if names.count(name) > 1:
             raise CrosscheckError(f"{name!r} is kept twice; keep it once, or give a name to the other")
-    return tuple(found)
+    times = list(dict.fromkeys(each.places for each in found if each.kind == AT))
+    names_of = {places: f"time{number or ''}" for number, places in enumerate(times)}
+    return tuple(
+        replace(each, dimensions={names_of[each.places]: scene.times[list(each.places)]} | each.dimensions)
+        if each.kind == AT
+        else each
+        for each in found
+    )
 
 
 def _split(text: str) -> list[str]:
@@ -183,8 +185,8 @@ def _reduction(text: str, scene: Scene) -> Reduction:
 def _parsed(text: str, parts: re.Match[str], scene: Scene) -> Reduction:
     """Make the reduction of a text of the form `ITEM`; raises `CrosscheckError` or `ValueError`."""
     kind, of, times = parts["kind"], parts["of"].strip(), parts["times"]
-    if kind not in (*KINDS, AT, WHEN) or (times is None) != (kind != AT):
-        raise ValueError(f"unknown reduction; {choices(kind, [*KINDS, 'at(TIME; ...)', WHEN])}")
+    if kind not in (*KINDS, AT) or (times is None) != (kind != AT):
+        raise ValueError(f"unknown reduction; {choices(kind, [*KINDS, 'at(TIME; ...)'])}")
     if kind == WHEN:
         left, sign, right = of.partition(">" if ">" in of else "<")
         if not sign or not left.strip() or not right.strip():
@@ -194,13 +196,12 @@ def _parsed(text: str, parts: re.Match[str], scene: Scene) -> Reduction:
     expression = Expression(of, scene)
     if not expression.plain and not parts["name"]:
         raise ValueError(f"it is an expression; give it a name (--keep NAME={text:.100})")
-    example = magnitude(expression.example) if kind in OF_MAGNITUDES else expression.example
-    dimensions = example.dimensions
-    if kind == WHEN and dimensions:
-        raise ValueError(f"when compares numbers, not ({', '.join(dimensions)})")
+    example = _magnitude(expression.example) if kind in OF_MAGNITUDES else expression.example
+    if kind == WHEN and example.named:
+        raise ValueError(f"when compares numbers, not {example}")
     places = _places(times, scene) if kind == AT else ()
-    if kind == AT:
-        dimensions = ("time", *dimensions)
+    names = labels(scene)
+    dimensions = {name: np.array(names[name]) for name in example.named}
     own = text if parts["name"] is None else text.partition("=")[2].strip()
     unit = "s" if kind == WHEN else example.unit
     return Reduction(parts["name"] or own, own, kind, places, expression, dimensions, unit)

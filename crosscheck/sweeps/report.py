@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -28,17 +28,16 @@ from crosscheck.sweeps.analysis import (
     thinned,
     with_unit,
 )
-from crosscheck.sweeps.checks import Checked
+from crosscheck.sweeps.checks import RANDOM, Checked
 from crosscheck.sweeps.distributions import Distribution
 from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.pictures import MOST_POINTS, pictures, rank_of, share_of
 from crosscheck.sweeps.plan import Plan, run_all
-from crosscheck.sweeps.reductions import AT, OF_MAGNITUDES, Reduction, magnitude
+from crosscheck.sweeps.reductions import AT
 from crosscheck.sweeps.results import Results
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.scalars import Array
 from newton_euler.simulate import simulate
-from newton_euler.variation import own_values, unit_of
+from newton_euler.variation import own_values, units_of
 
 if TYPE_CHECKING:
     from crosscheck.recording.sweep import Envelope
@@ -113,7 +112,7 @@ class Findings:
     def _checks(self) -> str:
         """Word what the cross-checks found: the first that is not in order, or what is nearest its limit."""
         count = len(self.checked)
-        random = sum(each.why == "at random" for each in self.checked)
+        random = sum(each.why == RANDOM for each in self.checked)
         kinds = f"{random} at random and {count - random} extreme"
         extremes = {scalar.extreme(largest) for scalar, _ in self.effects for largest in (True, False)}
         if left := len(extremes.difference(each.run for each in self.checked)):
@@ -325,10 +324,11 @@ def _limit(figure: Figure) -> Cell:
 
 def _varied(plan: Plan) -> Table:
     own = own_values(plan.scene, plan.samples.names)
+    units = units_of(plan.scene, plan.samples.names)
     rows: Rows = []
     for names, distribution in plan.samples.groups:
         nominal = ", ".join(f"{own[name]:.6g}" for name in names)
-        rows.append([", ".join(names), unit_of(plan.scene, names[0]), nominal, str(distribution)])
+        rows.append([", ".join(names), units[names[0]], nominal, str(distribution)])
     return Table("what varies", texts("parameter", "unit", "nominal", "distribution"), rows, folded=True)
 
 
@@ -420,22 +420,9 @@ def _envelopes(found: Findings, runs: Mapping[str, Trajectory]) -> Iterator[Enve
     kept = {each.name: each for each in plan.kept}
     for scalar, _ in found.effects:
         reduction = kept[scalar.variable]
-        sample = _course(reduction, Outputs(plan.scene, scene.times, batch.stacked), scalar)
+        place: tuple[Any, ...] = scalar.place[1:] if reduction.kind == AT else scalar.place
+        sample = reduction.course(Outputs(plan.scene, scene.times, batch.stacked))[:, :, *place]
         lines = {
-            name: _course(reduction, Outputs(plan.scene, run.time, _stacked(run)), scalar)[0]
-            for name, run in runs.items()
+            name: reduction.course(Outputs.of(plan.scene, run))[0, :, *place] for name, run in runs.items()
         }
         yield Envelope(scalar.heading, scene.times, sample, lines)
-
-
-def _stacked(run: Trajectory) -> Callable[[str], Array]:
-    return lambda name: np.asarray(getattr(run, name))[None]
-
-
-def _course(reduction: Reduction, outputs: Outputs, scalar: Scalar) -> Array:
-    """Return a number (runs, n) over time whose reduction is kept."""
-    value = reduction.expression.evaluate(outputs)
-    if reduction.kind in OF_MAGNITUDES:
-        value = magnitude(value)
-    place: Any = scalar.place[1:] if reduction.kind == AT else scalar.place
-    return np.asarray(value.array[(slice(None), slice(None), *place)])

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,8 @@ from crosscheck.files import check_writable
 from crosscheck.limit import tidied_up
 from crosscheck.sweeps.execute import Pace, Workers, in_any_order, probed
 from crosscheck.sweeps.expressions import labels
-from crosscheck.sweeps.plan import STOPPED, Parameters, Plan, run_all, run_chunk
-from crosscheck.sweeps.store import ERROR, NAME, STATUS, Store, store_chunk
+from crosscheck.sweeps.plan import STOPPED, Chunk, Parameters, Plan, make_runs, run_all
+from crosscheck.sweeps.store import ERROR, NAME, STATUS, Store, store_runs
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
@@ -31,7 +32,7 @@ TASK = 1.0
 OVERHEAD = 0.01
 """s of processor time that a Dask scheduler takes for a task, so that tasks for many workers are longer."""
 
-LARGEST_CHUNK = 2**16
+LARGEST_TASK = 2**16
 """Runs of a task."""
 
 BLOCK = 2**20
@@ -106,8 +107,20 @@ def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[
     with tidied_up():
         progress("compiling")
         run_all(plan, plan.parameters(0, 1))
-        store, plan = _opened(plan, path, at, progress)
-        made = _make(plan, store, at, progress)
+        task = 0
+        if path is not None and path.exists():
+            store = Store.at(path)
+            store.tidy()
+            plan = store.resumed(plan)
+        else:
+            if path is not None:
+                check_writable(path)
+            task = _task(plan, at, progress)
+            plan = replace(plan, chunk=task)
+            store = Store.make(plan, path) if path else Store.in_memory(plan)
+        if left := store.missing(plan):
+            task = task or _task(plan, at, progress)
+        made = _make(plan, store, list(_tasks(plan, left, task)), at, progress)
     dataset = store.dataset()
     wall_time = time.perf_counter() - start
     return Results(plan, dataset.load() if path is None else dataset, store, made, wall_time)
@@ -123,7 +136,7 @@ def _check_names(plan: Plan) -> None:
         try:
             shape = own_values(plan.scene, [name])[name].shape
         except NewtonEulerError as error:
-            hint = f"; vectors by components, as {VECTORS}; starts as start.JOINT"
+            hint = f" (vectors by components, as {VECTORS}; starts as start.JOINT)"
             raise CrosscheckError(f"--vary {name}: {error}{hint}") from error
         if shape:
             parts = {(3,): "xyz", (3, 3): ("xx", "xy")}.get(shape, ())
@@ -131,39 +144,42 @@ def _check_names(plan: Plan) -> None:
             raise CrosscheckError(f"--vary {name}: it has {np.prod(shape)} numbers; name one, {example}")
 
 
-def _opened(
-    plan: Plan, path: Path | None, at: Workers, progress: Callable[[str], None]
-) -> tuple[Store, Plan]:
-    """Open the store of a sweep, or make one; returns it and the plan with its chunks."""
-    if path is not None:
-        if path.exists():
-            store = Store.at(path)
-            store.tidy()
-            return store, store.check_same(plan)
-        check_writable(path)
+def _task(plan: Plan, at: Workers, progress: Callable[[str], None]) -> int:
+    """Return how many runs take about as long as a task is to take: a power of 2."""
     runs = plan.samples.runs
     progress("timing some runs")
     rate = probed(lambda count: run_all(plan, plan.parameters(0, count)), runs)
     most = -(-runs // (TASKS_PER_WORKER * at.count()))
     task = max(TASK, OVERHEAD * at.count())
-    about = max(1, min(int(task * rate), most, LARGEST_CHUNK))
-    plan = replace(plan, chunk=1 << (about.bit_length() - 1))
-    return Store.make(plan, path) if path else Store.in_memory(plan), plan
+    about = max(1, min(int(task * rate), most, LARGEST_TASK))
+    return 1 << (about.bit_length() - 1)
 
 
-def _make(plan: Plan, store: Store, at: Workers, progress: Callable[[str], None]) -> int:
-    """Make the chunks that are not there; returns how many runs these are."""
-    left = store.missing(plan)
-    counts = {k: last - first for k in left for first, last in [plan.bounds(k)]}
-    pace = Pace(plan.samples.runs, plan.samples.runs - sum(counts.values()), progress)
+def _tasks(plan: Plan, left: Sequence[int], runs: int) -> Iterator[tuple[int, int]]:
+    """Yield the first run of each task and the first after it: of chunks in a row, so many runs or fewer.
+
+    Chunks are short where a sweep began with few runs.
+    """
+    most = max(1, runs // plan.chunk)
+    for _, group in groupby(enumerate(left), key=lambda pair: pair[1] - pair[0]):
+        chunks = [k for _, k in group]
+        for start in range(0, len(chunks), most):
+            part = chunks[start : start + most]
+            yield plan.bounds(part[0])[0], plan.bounds(part[-1])[1]
+
+
+def _make(
+    plan: Plan, store: Store, tasks: Sequence[tuple[int, int]], at: Workers, progress: Callable[[str], None]
+) -> int:
+    """Make and write runs; returns how many these are."""
+    made = sum(last - first for first, last in tasks)
+    pace = Pace(plan.samples.runs, plan.samples.runs - made, progress)
+    task: Callable[[tuple[int, int]], Chunk | None] = partial(make_runs, plan)
     if store.path is not None:
-        written = partial(store_chunk, plan, store.path.absolute())
-        with closing(in_any_order(written, left, at)) as there:
-            for k, _ in there:
-                pace.add(counts[k])
-    else:
-        with closing(in_any_order(partial(run_chunk, plan), left, at)) as made:
-            for k, chunk in made:
-                store.write(plan, k, chunk)
-                pace.add(counts[k])
-    return pace.made
+        task = partial(store_runs, plan, store.path.absolute())
+    with closing(in_any_order(task, tasks, at)) as results:
+        for (first, last), chunk in results:
+            if chunk is not None:
+                store.write(first, chunk)
+            pace.add(last - first)
+    return made

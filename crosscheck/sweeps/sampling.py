@@ -38,6 +38,15 @@ DIGESTED = 1024
 WHOLE = ("latin_hypercube", "saltelli")
 """Samplings whose plan is made as a whole."""
 
+EXTENDED = ("random", "sobol", "saltelli")
+"""Samplings whose first runs are the same if more follow."""
+
+UNEXTENDED = {
+    ("latin_hypercube", "runs"): " (a Latin hypercube of more runs is another one; random and sobol go on)",
+    ("grid", "vary"): " (a grid of other values numbers its runs anew)",
+}
+"""Why others are not the same, by the part of the plan that differs."""
+
 
 @dataclass(frozen=True, eq=False)
 class Samples:
@@ -115,10 +124,9 @@ class Samples:
                 parts.append(distribution.quantile(own[:, 0])[:, None])
         return np.concatenate(parts, axis=1)
 
-    @property
-    def digest(self) -> str:
-        """A hash of the first runs' values: other versions of packages may draw others by the same seed."""
-        return sha256(self.values(0, min(self.runs, DIGESTED)).tobytes()).hexdigest()[:16]
+    def digest(self, runs: int) -> str:
+        """Hash values of the first runs, of so many: other packages may draw others by the same seed."""
+        return sha256(self.values(0, min(runs, DIGESTED)).tobytes()).hexdigest()[:16]
 
     def _shares(self, first: int, last: int) -> Array:
         """Return shares between 0 and 1 (last - first, parameters)."""

@@ -12,16 +12,16 @@ import shutil
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.sweeps.expressions import labels
-from crosscheck.sweeps.plan import DONE, STOPPED, Chunk, Plan, run_chunk
-from newton_euler.scalars import Array
-from newton_euler.variation import unit_of
+from crosscheck.sweeps.plan import DONE, STOPPED, Chunk, Plan, make_runs
+from crosscheck.sweeps.sampling import EXTENDED, UNEXTENDED
+from newton_euler.variation import units_of
 
 NAME = "sweep.zarr"
 
@@ -88,8 +88,8 @@ class Store:
         _, zarr = libraries()
         try:
             group = zarr.open_group(path, mode="r+", use_consolidated=False)
-            if "seed" not in group.attrs or STATUS not in group:
-                raise ValueError("it has no seed or no status")
+            if "runs" not in group.attrs or STATUS not in group:
+                raise ValueError("it has no number of runs or no status")
         except (OSError, ValueError, KeyError) as error:
             raise CrosscheckError(f"{path} holds no sweep: {error}"[:300]) from error
         return cls(group, path)
@@ -118,90 +118,55 @@ class Store:
 
     def _create(self, plan: Plan, attributes: Mapping[str, Any]) -> None:
         """Make all variables, without values, and the names along their dimensions."""
-        # texts and numbers, as netCDF has them
-        self.group.attrs.update(
-            {
-                name: json.dumps(each) if isinstance(each, list | dict) else each
-                for name, each in attributes.items()
-            }
-        )
-        runs, names = plan.samples.runs, labels(plan.scene)
-        coordinates: dict[str, Array] = {}
-        for name in plan.samples.names:
-            self._variable(name, (runs,), plan.chunk, ("run",), "f8", unit_of(plan.scene, name), name)
-        for each in plan.kept:
-            dimensions, sizes = [], []
-            for dimension in each.dimensions:
-                values: Any = names.get(dimension)
-                if dimension == "time":
-                    values = plan.lean.times[list(each.places)]
-                    alike = (f"time{k}" if k else "time" for k in range(len(plan.kept)))
-                    dimension = next(
-                        n for n in alike if n not in coordinates or np.array_equal(coordinates[n], values)
-                    )
-                coordinates[dimension] = np.array(values)
-                dimensions.append(dimension)
-                sizes.append(len(values))
-            self._variable(
-                each.name, (runs, *sizes), plan.chunk, ("run", *dimensions), "f8", each.unit, each.text
+        self.group.update_attributes(_encoded(attributes))
+        of_runs = {"run": plan.samples.runs}
+
+        def make(name: str, kind: Any, sizes: Mapping[str, int], unit: str = "", about: str = "") -> Any:
+            said = {"units": unit, "long_name": about}
+            return self.group.create_array(
+                name,
+                shape=tuple(sizes.values()),
+                chunks=tuple(min(plan.chunk, n) if each == "run" else n for each, n in sizes.items()),
+                dtype=kind,
+                dimension_names=tuple(sizes),
+                attributes={key: text for key, text in said.items() if text},
+                fill_value=np.nan if kind == "f8" else None,
             )
+
+        for name, unit in units_of(plan.scene, plan.samples.names).items():
+            make(name, "f8", of_runs, unit, name)
+        for each in plan.kept:
+            sizes = {name: len(along) for name, along in each.dimensions.items()}
+            make(each.name, "f8", of_runs | sizes, each.unit, each.text)
+        coordinates = {name: along for each in plan.kept for name, along in each.dimensions.items()}
         for dimension, values in coordinates.items():
-            kind = "f8" if values.dtype.kind == "f" else str
-            unit = "s" if kind == "f8" else ""
-            array = self._variable(dimension, values.shape, len(values), (dimension,), kind, unit, "")
-            array[:] = values if kind == "f8" else values.astype(object)
-        self._variable(ERROR, (runs,), plan.chunk, ("run",), str, "", "why a run could not go on")
+            kind, unit = ("f8", "s") if values.dtype.kind == "f" else (str, "")
+            array = make(dimension, kind, {dimension: len(values)}, unit)
+            array[:] = values if unit else values.astype(object)
+        make(ERROR, str, of_runs, about="why a run could not go on")
         about = f"{DONE}: to its end, {STOPPED}: could not go on, 0: not made yet"
-        self._variable(STATUS, (runs,), plan.chunk, ("run",), "u1", "", about)
+        make(STATUS, "u1", of_runs, about=about)
 
-    def _variable(
-        self,
-        name: str,
-        shape: tuple[int, ...],
-        chunk: int,
-        dimensions: tuple[str, ...],
-        kind: Any,
-        unit: str,
-        about: str,
-    ) -> Any:
-        attributes = {"units": unit} if unit else {}
-        attributes |= {"long_name": about} if about else {}
-        return self.group.create_array(
-            name,
-            shape=shape,
-            chunks=(min(chunk, shape[0]), *shape[1:]),
-            dtype=kind,
-            dimension_names=dimensions,
-            attributes=attributes,
-            fill_value=np.nan if kind == "f8" else None,
-        )
-
-    def check_same(self, plan: Plan) -> Plan:
-        """Return the plan with the chunks of the store.
+    def resumed(self, plan: Plan) -> Plan:
+        """Return the plan with the chunks of the store, to which runs are added if the plan has more.
 
         Raises:
             CrosscheckError: if the store is of another scene or plan.
         """
-        record = plan.record()
-        own = {name: _restored(value, record.get(name)) for name, value in self.group.attrs.items()}
-        for name, value in record.items():
-            if name in FREE or own.get(name) == value:
-                continue
-            if name in ("fingerprint", "scene"):
-                what = f"another scene, or another version of {own.get('scene')!r:.100}"
-                if own.get("solver") != record["solver"]:
-                    continue  # which is in the fingerprint, too
-            elif name == "samples":
-                what = "other samples by the same seed, of other versions of packages"
-            elif name == "processor":
-                what = f"other processors, {own.get(name)!r:.100}, not {value}"
-            elif name == "solver":
-                what = "another version of newton_euler"
-            else:
-                what = f"another plan: {_difference(name, own.get(name), value)}"
+        own, record, runs = dict(self.group.attrs), plan.record(), plan.samples.runs
+        if (more := own["runs"] < runs) and plan.samples.sampling in EXTENDED:
+            record |= {"runs": own["runs"], "samples": plan.samples.digest(own["runs"])}
+        if what := _difference(own, record):
             elsewhere = "name another folder (--output), or remove this one"
             raise CrosscheckError(f"{self.path} holds a sweep of {what}; {elsewhere}")
-        return Plan(plan.scene, plan.samples, plan.keep, plan.control, int(own["chunk"]))
+        with told(self.path):
+            if more:
+                self.group.update_attributes({"runs": runs, "samples": plan.samples.digest(runs)})
+            # after that, and looked at each time: a process that is killed here is called with as many again
+            for _, array in self.group.arrays():
+                if array.metadata.dimension_names[0] == "run" and array.shape[0] < runs:
+                    array.resize((runs, *array.shape[1:]))
+        return replace(plan, chunk=int(own["chunk"]))
 
     def missing(self, plan: Plan) -> list[int]:
         """Return the chunks that are not there.
@@ -211,7 +176,7 @@ class Store:
         """
         status = self.group[STATUS]
         try:
-            return [k for k in range(plan.chunks) if not status[plan.bounds(k)[0]]]
+            return [k for k in range(plan.chunks) if not status[plan.bounds(k)[1] - 1]]
         except (OSError, RuntimeError, ValueError) as error:
             problem = f"{self.path} is damaged: {STATUS}: {error}"[:300]
             raise CrosscheckError(f"{problem}; name another folder (--output), or remove this one") from error
@@ -223,14 +188,13 @@ class Store:
                 with suppress(OSError):
                     path.unlink()
 
-    def write(self, plan: Plan, k: int, chunk: Chunk) -> None:
-        """Write a chunk, its status last.
+    def write(self, first: int, chunk: Chunk) -> None:
+        """Write consecutive runs, their status last.
 
         Raises:
             CrosscheckError: naming the path that cannot be written.
         """
-        first, last = plan.bounds(k)
-        stopped = chunk.errors != ""
+        last, stopped = first + len(chunk.errors), chunk.errors != ""
         with told(self.path):
             for name, values in chunk.values.items():
                 self.group[name][first:last] = values
@@ -244,15 +208,38 @@ class Store:
         return xarray.open_zarr(self.group.store, consolidated=False, chunks=None)
 
 
-def _restored(value: Any, like: Any) -> Any:
-    """Return a list or a dictionary that was written as JSON, anything else as it is."""
-    with suppress(ValueError):
-        return json.loads(value) if isinstance(like, list | dict) and isinstance(value, str) else value
-    return value
+def _encoded(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return texts and numbers, as netCDF has them; lists and dictionaries as JSON."""
+    return {
+        name: json.dumps(each) if isinstance(each, list | dict) else each for name, each in record.items()
+    }
 
 
-def _difference(name: str, old: Any, new: Any) -> str:
+def _difference(own: Mapping[str, Any], record: Mapping[str, Any]) -> str:
+    """Word the first difference of a store's attributes from the record of a plan; empty without one."""
+    for name, new in record.items():
+        old = own.get(name)
+        if name in FREE or old == _encoded({name: new})[name]:
+            continue
+        if name in ("fingerprint", "scene"):
+            if own.get("solver") == record["solver"]:  # which is in the fingerprint, too
+                return f"another scene, or another version of {own.get('scene')!r:.100}"
+        elif name == "samples":
+            return "other samples by the same seed, of other versions of packages"
+        elif name == "processor":
+            return f"other processors, {old!r:.100}, not {new}"
+        elif name == "solver":
+            return "another version of newton_euler"
+        else:
+            why = UNEXTENDED.get((record["sampling"], name), "")
+            return f"another plan: {_change(name, old, new)}{why}"
+    return ""
+
+
+def _change(name: str, old: Any, new: Any) -> str:
     """Word the first part of a plan that differs: its name, what it was and what it is."""
+    if isinstance(new, list | dict):
+        old = json.loads(old)
     if name == "vary":
         old, new = ({", ".join(names): text for *names, text in each} for each in (old, new))
     if isinstance(new, list | dict) and sorted(old) == sorted(new) and list(old) != list(new):
@@ -263,11 +250,11 @@ def _difference(name: str, old: Any, new: Any) -> str:
     elif isinstance(new, list):
         gone, come = (", ".join(x for x in one if x not in two) for one, two in ((old, new), (new, old)))
         old, new = gone or "without it", come or "without it"
-    words = [
+    was, is_ = (
         f"{value:g}" if isinstance(value, float) else "not given" if value is None else str(value)
         for value in (old, new)
-    ]
-    return f"{name} was {words[0]:.80}, is {words[1]:.80}"
+    )
+    return f"{name} was {was:.80}, is {is_:.80}"
 
 
 def _is_abandoned(path: Path) -> bool:
@@ -287,12 +274,11 @@ def told(path: Path | None) -> Iterator[None]:
         raise CrosscheckError(f"cannot write {path}: {reason}; {KEPT_GOES_ON}") from error
 
 
-def store_chunk(plan: Plan, path: Path, k: int) -> int:
-    """Make the runs of a chunk and write them where they are made; returns how many there are.
+def store_runs(plan: Plan, path: Path, runs: tuple[int, int]) -> None:
+    """Make the runs from the first to before the second number, and write them where they are made.
 
     Raises:
         CrosscheckError: naming the path that cannot be written, and for a scene that cannot be run.
     """
-    chunk = run_chunk(plan, k)
-    Store.at(path).write(plan, k, chunk)
-    return len(chunk.errors)
+    chunk = make_runs(plan, runs)
+    Store.at(path).write(runs[0], chunk)

@@ -19,7 +19,7 @@ from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal
 from crosscheck.report.table import Report
 from crosscheck.sweeps.analysis import scalars, telling
-from crosscheck.sweeps.checks import Checked, check_runs, chosen
+from crosscheck.sweeps.checks import Checked, check_runs, chosen, default_count
 from crosscheck.sweeps.distributions import Vary
 from crosscheck.sweeps.execute import workers
 from crosscheck.sweeps.plan import Plan
@@ -123,21 +123,27 @@ class Sweep:
 
     def check(
         self,
-        random: int = 2,
+        runs: int | None = None,
         engines: Sequence[str] = tuple(ENGINES),
         progress: Callable[[str], None] = _quiet,
     ) -> Sweep:
-        """Crosscheck some runs, at random and extreme ones; returns the sweep with these checks.
+        """Crosscheck some runs, extreme ones and others at random; returns the sweep with these checks.
+
+        Args:
+            runs: how many; one of 1,000 if not given, but 2 at least and 6 at most.
+            engines: names of those that make them.
+            progress: is told how far it is.
 
         Raises:
             CrosscheckError: for an unknown engine.
-            OptionError: for an impossible number of random runs.
+            OptionError: for an impossible number of runs.
         """
-        if random != 0 and not is_count(random):
-            raise OptionError("random", random, "a whole number, 0 or more")
+        count = default_count(self.results.plan.samples.runs) if runs is None else runs
+        if not is_count(count):
+            raise OptionError("runs", runs, "a whole number, 1 or more")
         found = scalars(self.results)
-        runs = chosen(self.results, found, telling(found), random)
-        checked = check_runs(self.results, found, runs, choose(list(engines)), progress)
+        picked = chosen(self.results, found, telling(found), count)
+        checked = check_runs(self.results, found, picked, choose(list(engines)), progress)
         return replace(self, checks=tuple(checked))
 
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:

@@ -36,7 +36,7 @@ from newton_euler.model.source_file import SourceError
 from newton_euler.model.trajectory import QUANTITIES
 from newton_euler.scalars import Array, Floats
 from newton_euler.starts import initial_numbers
-from newton_euler.variation import unit_of
+from newton_euler.variation import units_of
 
 WEAK = 1.0
 """Standard deviation of a combination of parameters, in units of their scales, from which on it is not
@@ -392,7 +392,7 @@ def _scales(scene: Scene, names: Sequence[str]) -> tuple[Array, Array, tuple[str
     That by the own value is, or by that of the largest number beside it in an array of one unit; of what is 0
     that by the mechanism's size, m, or else by 1.
     """
-    before, units = own_numbers(scene, names), tuple(unit_of(scene, name) for name in names)
+    before, units = own_numbers(scene, names), tuple(units_of(scene, names).values())
     before[np.abs(before) < NOTHING] = 0.0
     scale, initial = np.abs(before), initial_numbers(scene, names)
     for k, (name, unit) in enumerate(zip(names, units, strict=True)):

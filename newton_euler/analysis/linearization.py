@@ -55,6 +55,7 @@ from newton_euler.errors import (
     check_choice,
     check_type,
     is_finite_number,
+    nearest,
 )
 from newton_euler.integrators.compiled import NEUTRAL
 from newton_euler.integrators.outputs import at_rows
@@ -151,7 +152,8 @@ def _inputs(scene: Scene, names: Sequence[str | Key]) -> list[Key | str]:
             check_dynamic(scene, [str(name)], "input of a linear model")
             found.append(unambiguous(scene, str(name)))
         except UnknownNameError as error:
-            raise UnknownNameError("input", name, (*scene.mechanism.joint_names, *error.valid)) from error
+            near = nearest(name, (*scene.mechanism.joint_names, *error.valid))
+            raise UnknownNameError("input", name, near, proposed=True) from error
     return found
 
 

@@ -13,12 +13,11 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, UnknownNameError, is_finite_number
+from newton_euler.errors import MechanismError, UnknownNameError, is_finite_number, nearest
 from newton_euler.model.csv_source import Row, TimeTable, check_names, csv_rows, row_numbers
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -26,9 +25,6 @@ from newton_euler.model.source_file import SourceError, path_text, read_text
 from newton_euler.model.trajectory import COMPONENTS, QUANTITIES, SHAPES
 from newton_euler.scalars import Array, Floats
 from newton_euler.starts import PREFIX, RATE
-
-NEAREST = 8
-"""Columns that are proposed instead of an unknown one."""
 
 NOISE, START = "noise", "start"
 """In place of a time: the row of standard deviations, and that of the start."""
@@ -251,8 +247,7 @@ def column_of(scene: Scene, name: str, values: Places, derivatives: Places) -> C
         UnknownNameError: for an unknown column.
     """
     if name not in derivatives:
-        near = get_close_matches(name, derivatives, NEAREST, 0.0)
-        raise UnknownNameError("column", name, tuple(near))
+        raise UnknownNameError("column", name, nearest(name, derivatives), proposed=True)
     kind, _, rest = name.partition(".")
     mechanism, body = scene.mechanism, -1
     unit = QUANTITIES[kind].unit if kind in QUANTITIES else ""

@@ -43,8 +43,8 @@ class Sensitivities:
 
     Arrays are those of a trajectory, with a last dimension for the parameters: `position[..., k]` is the
     derivative of `run.position` by `parameters[k]`. Arrays that the scene did not ask for are None, and so
-    are reactions where constraints are redundant. Bodies are in the order of the mechanism:
-    `by.position[:, by.run.mechanism.body_index("panel_7")]` is of one by its name.
+    are reactions where constraints are redundant. Bodies and joints are named as a trajectory names them:
+    `by.position[:, by.body_names.index("panel_7")]` are derivatives of the positions of one body.
 
     Attributes:
         run: the run itself, to the last bit that of code with these parameters as inputs.
@@ -89,6 +89,16 @@ class Sensitivities:
         time = self.run.time
         size = f"{len(time)} outputs to {time[-1]:g} s, parameters: {len(self.parameters)}"
         return f"<Sensitivities of {self.run.engine}: {size}>"
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """Names of the b bodies."""
+        return self.run.body_names
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the j joints."""
+        return self.run.joint_names
 
     def joint(self, name: str) -> JointMotion:
         """Return the derivatives (n, k, p) of the coordinates of a joint, and of their rates.

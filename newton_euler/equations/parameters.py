@@ -62,13 +62,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from newton_euler.equations.redundancy import inherit_mobility
-from newton_euler.errors import MechanismError, UnknownNameError
+from newton_euler.errors import PROPOSED, MechanismError, UnknownNameError, nearest
 from newton_euler.model.digital_control import Law
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction, on_piece, piece_numbers, terms
@@ -88,9 +87,6 @@ MECHANICAL = ("bodies", "joints", "couplings")
 """Fields of mechanisms; the others are those of scenes."""
 
 GRAVITY: Owner = ("scene", 0, "gravity")
-
-NEAREST = 8
-"""Names that are proposed instead of an unknown one."""
 
 
 class Place(NamedTuple):
@@ -216,7 +212,8 @@ def _split(
             if component is not None:
                 return base, component
     _check_constant(parts, name)
-    raise UnknownNameError("parameter", name, _of_field(parts, owners, name) or _nearest(owners, name))
+    near = _of_field(parts, owners, name) or _nearest(owners, name)
+    raise UnknownNameError("parameter", name, near, proposed=True)
 
 
 def _check_constant(parts: dict[str, list[Any]], name: str) -> None:
@@ -258,7 +255,7 @@ def _of_field(parts: dict[str, list[Any]], owners: dict[str, list[Owner]], name:
                 count = np.size(getattr(term, field))
                 found += [f"{base}.{place + i}" for i in range(count) if field == wanted]
                 place += count
-    return tuple(found[:NEAREST])
+    return tuple(found[:PROPOSED])
 
 
 def _nearest(owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
@@ -266,7 +263,7 @@ def _nearest(owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
     element, _, _ = str(name).partition(".")
     of_element = [each for each in owners if each.startswith(f"{element}.")]
     known = of_element or [each for each in owners if "[" not in each]
-    return tuple(get_close_matches(str(name), known, NEAREST, 0.0))
+    return nearest(name, known)
 
 
 def _own(parts: dict[str, list[Any]], owner: Owner, piece: bool = False) -> Array:

@@ -14,7 +14,6 @@ import crosscheck
 from crosscheck.scenes import load
 from newton_euler import simulate, simulate_batch, start, with_parameters
 from newton_euler.equations.parameters import (
-    NEAREST,
     parameter_values,
     places,
     refusal,
@@ -22,7 +21,7 @@ from newton_euler.equations.parameters import (
     with_values,
 )
 from newton_euler.equations.redundancy import inherit_mobility, mobility
-from newton_euler.errors import MechanismError, OptionError, UnknownNameError
+from newton_euler.errors import PROPOSED, MechanismError, OptionError, UnknownNameError
 from newton_euler.integrators.formulations import formulate
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
@@ -34,7 +33,7 @@ from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Spline, Steps
 from newton_euler.model.state import State
 from newton_euler.model.wind import WindLoad
-from newton_euler.variation import run_values, unit_of
+from newton_euler.variation import run_values, units_of
 
 
 @pytest.fixture(scope="module")
@@ -75,15 +74,15 @@ def test_a_component_is_a_number_of_the_whole_value(scene, name):
 @pytest.mark.parametrize(
     ("names", "error", "message"),
     [
-        (["gravity.w"], UnknownNameError, "did you mean 'gravity'?"),
+        (["gravity.w"], UnknownNameError, "did you mean 'gravity'"),
         ([3], UnknownNameError, "unknown parameter 3"),
-        (["mass.inertai.xx"], UnknownNameError, "did you mean 'mass.inertia'?"),
+        (["mass.inertai.xx"], UnknownNameError, "did you mean 'mass.inertia'"),
         (["rail.feedforward.6"], UnknownNameError, "rail.feedforward"),
-        (["rail.feedforward.offset"], UnknownNameError, "choose from: rail.feedforward.1"),
+        (["rail.feedforward.offset"], UnknownNameError, "did you mean 'rail.feedforward.1'?"),
         (
             ["rail.feedforward.coefficients"],
             UnknownNameError,
-            "choose from: rail.feedforward.2, rail.feedforward.3",
+            "did you mean 'rail.feedforward.2', 'rail.feedforward.3'?",
         ),
         (["duration"], MechanismError, "'duration': is the same in all runs"),
         (["mass.shapes"], MechanismError, "'mass.shapes': is what bodies look like"),
@@ -104,7 +103,7 @@ def test_names_are_checked(scene, names, error, message):
 def test_of_an_unknown_name_few_near_ones_are_proposed(scene, name):
     with pytest.raises(UnknownNameError) as caught:
         parameter_values(scene, [name])
-    assert 1 <= len(caught.value.valid) <= NEAREST < len(parameter_values(scene))
+    assert 1 <= len(caught.value.valid) <= PROPOSED < len(parameter_values(scene))
 
 
 def test_a_component_stays_its_own_behind_further_elements(scene):
@@ -578,12 +577,14 @@ def test_initial_coordinates_are_checked(crank, name, error, message):
     ],
 )
 def test_parameters_have_units(scene, name, unit):
-    assert unit_of(load(scene), name) == unit
+    assert units_of(load(scene), [name]) == {name: unit}
 
 
 def test_units_along_slides_are_those_of_lengths(scene):
     names = ("rail.spring.damping", "rail.rotor.inertia", "line.stiffness", "wind.speed")
-    assert [unit_of(scene, name) for name in names] == ["N s/m", "kg", "N/m", "m/s"]
-    assert unit_of(scene, "rail.feedforward.phase") == "rad"
+    assert list(units_of(scene, names).values()) == ["N s/m", "kg", "N/m", "m/s"]
+    assert units_of(scene, ["rail.feedforward.phase"]) == {"rail.feedforward.phase": "rad"}
     gusty = with_force(scene, 2, speed=Polynomial((9.0, 1.0)))
-    assert unit_of(gusty, "wind.speed.1") == ""  # m/s^2, and others of other coefficients
+    assert units_of(gusty, ["wind.speed.1"]) == {
+        "wind.speed.1": ""
+    }  # m/s^2, and others of other coefficients

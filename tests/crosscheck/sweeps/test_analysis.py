@@ -155,7 +155,7 @@ def test_the_telling_number_of_a_variable_is_the_one_that_varies_most():
 
 
 @pytest.mark.parametrize("size", [1e-4, 1.0, 1e5])
-def test_labels_of_scatter_plots_do_not_overlap(size):
+def test_labels_of_scatter_plots_do_not_overlap_and_have_no_offset(size):
     values = np.linspace(-1.234, 1.234, 9)
     scalar = Scalar("final", (), (), "m", 0.923879 + 1e-7 * values, np.arange(9))
     found = [(scalar, [Effect(name, 0.0, 0.0) for name in "abc"])]
@@ -166,6 +166,9 @@ def test_labels_of_scatter_plots_do_not_overlap(size):
     for ax in axes[0]:
         boxes = [label.get_window_extent() for label in ax.get_xticklabels()]
         assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
+        offsets = [axis.get_offset_text().get_text() for axis in (ax.xaxis, ax.yaxis)]
+        assert not any("+" in text for text in offsets)
+    assert axes[0, 0].get_title(loc="left") == "final - 0.923879, m"
 
 
 @pytest.mark.parametrize("size", [1e-200, 1.0, 1e200])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from dataclasses import replace
 
@@ -17,6 +18,7 @@ from crosscheck import sweep
 from crosscheck.comparison.figure import Figure
 from crosscheck.run import Crosscheck
 from crosscheck.scenes import load
+from crosscheck.sweeps.checks import default_count
 
 VARY = "dumbbell.mass=uniform(1, 2)"
 
@@ -53,7 +55,7 @@ def test_a_sweep_prints_what_matters_and_writes_files(capsys, tmp_path, monkeypa
 
 def test_extreme_runs_and_some_at_random_are_cross_checked():
     short = replace(load("pendulum"), duration=1.0)
-    swept = sweep(short, {"dumbbell.mass": "uniform(1, 2)"}, 40, "peak:reaction_force").check(1)
+    swept = sweep(short, {"dumbbell.mass": "uniform(1, 2)"}, 40, "peak:reaction_force").check(3)
     why = {each.run: each.why for each in swept.checks}
     forces = swept.dataset["peak:reaction_force"].values[:, 0]
     assert why[int(forces.argmax())] == "most peak:reaction_force pivot"
@@ -67,7 +69,7 @@ def test_extreme_runs_and_some_at_random_are_cross_checked():
         "AGREE: all engines in all figures of 3 runs, 1 at random and 2 ex"
     )
     # they are kept with the sweep
-    swept.check(1, progress=lambda stage: pytest.fail(stage))
+    swept.check(3, progress=lambda stage: pytest.fail(stage))
 
 
 def test_what_has_no_effect_is_said_and_checked_all_the_same():
@@ -119,15 +121,24 @@ def test_a_single_run_is_no_plural():
     assert "1 of 1 run came to its end" in said
 
 
-def test_each_variable_has_its_most_and_its_least_checked_and_engines_are_named(monkeypatch):
-    monkeypatch.setattr(crosscheck.sweeps.checks, "MOST_EXTREMES", 2)
+def test_extreme_runs_and_others_are_checked_by_turns_and_engines_are_named():
     short = replace(load("pendulum"), duration=0.1)
     keep = "final:kinetic_energy, final:dumbbell.position.y"
-    swept = sweep(short, {"gravity.y": "uniform(-10, 10)"}, 5, keep).check(0, ["newton_euler"])
+    swept, told = sweep(short, {"gravity.y": "uniform(-10, 10)"}, 9, keep), list[str]()
+    swept = swept.check(3, ["newton_euler"], told.append)
     why = [each.why for each in swept.checks]
-    assert why == ["most final:kinetic_energy", "least final:kinetic_energy"]
-    words = "AGREE: newton_euler alone in all figures of 2 runs, 0 at random and 2 extreme of 3; "
+    assert why == ["most final:kinetic_energy", "at random", "least final:kinetic_energy"]
+    words = "AGREE: newton_euler alone in all figures of 3 runs, 1 at random and 2 extreme of 3; "
     assert swept.report.verdict.startswith(words)
+    assert told[0] == "cross-check 1 of 3, unknown time left"
+    assert any(
+        re.fullmatch(r"cross-check 3 of 3, .* s each, .* s left: newton_euler: 0.1 s .*", one) for one in told
+    )
+
+
+@pytest.mark.parametrize(("runs", "checks"), [(1, 2), (2_999, 2), (3_000, 3), (10**9, 6)])
+def test_more_runs_have_more_checks_up_to_a_number(runs, checks):
+    assert default_count(runs) == checks
 
 
 def test_shares_that_lost_runs_leave_none_of_are_named():
@@ -144,10 +155,10 @@ def test_a_kept_number_that_engines_do_not_confirm_is_named():
     short, vary = replace(load("pendulum"), duration=1.0), {"dumbbell.mass": "uniform(1, 2)"}
     swept = sweep(short, vary, 4, "final:kinetic_energy")
     swept.results.dataset["final:kinetic_energy"][:] *= 1.001
-    verdict = swept.check(0).report.verdict
+    verdict = swept.check(2).report.verdict
     assert verdict.startswith("DISAGREE: run ")
     assert "final:kinetic_energy, " in verdict
-    assert " J; 2 runs cross-checked, 0 at random and 2 extreme" in verdict
+    assert " J; 2 runs cross-checked, 1 at random and 1 extreme; " in verdict
 
 
 def test_a_run_on_which_engines_differ_is_named(monkeypatch):

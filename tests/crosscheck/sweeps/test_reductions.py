@@ -101,7 +101,8 @@ def test_reductions_do_not_depend_on_chunks(runs, text):
         ("peak:actuator_force", ("actuator",), "N"),
         ("final:panel_7.position - slider_2.position", ("axis",), "m"),
         ("final:angle(panel_7.position, slider_2.position)", (), "rad"),
-        ("final:norm(position - panel_7.position * 2)", None, "(body, axis) and (axis) do not combine"),
+        ("final:norm(position - panel_7.position)", ("body",), "m"),
+        ("final:norm(position - reaction_force)", None, "(body, axis) and (joint, axis) do not combine"),
         ("when:panel_7.position.z > 0.1", (), "s"),
         ("final:panel_7.position.z * kinetic_energy", (), ""),
     ],
@@ -113,7 +114,7 @@ def test_reductions_know_their_dimensions_and_unit(tracker, text, dimensions, un
         assert unit in str(caught.value)
         return
     (found,) = reductions({"it": text}, tracker)
-    assert (found.dimensions, found.unit) == (dimensions, unit)
+    assert (tuple(found.dimensions), found.unit) == (dimensions, unit)
 
 
 def test_a_scene_is_asked_for_what_is_kept_alone(tracker):

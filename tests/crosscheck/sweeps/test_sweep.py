@@ -19,6 +19,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import xarray
+import zarr
 
 import crosscheck.sweeps.execute
 import crosscheck.sweeps.results
@@ -26,6 +27,7 @@ from crosscheck import Sweep, sweep
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from crosscheck.sweeps.execute import probed
+from crosscheck.sweeps.results import _tasks
 from crosscheck.sweeps.sampling import _whole
 from crosscheck.sweeps.store import NAME, Store
 from newton_euler import simulate_batch
@@ -158,6 +160,55 @@ def test_an_interrupted_sweep_goes_on(reference, tmp_path):
     assert sweep(*ARGUMENTS, output=tmp_path).results.made == 0
 
 
+@pytest.mark.parametrize("sampling", ["random", "sobol", "saltelli"])
+def test_a_sweep_goes_on_with_more_runs(tmp_path, monkeypatch, sampling):
+    scene, vary, _, keep = ARGUMENTS
+    sweep(scene, vary, 24, keep, sampling=sampling, output=tmp_path)
+    resized, resize = [], zarr.Array.resize
+
+    def killed(array, shape):
+        resized.append(array)
+        if len(resized) == 2:
+            raise KeyboardInterrupt
+        resize(array, shape)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(zarr.Array, "resize", killed)
+        with pytest.raises(KeyboardInterrupt):
+            sweep(scene, vary, 96, keep, sampling=sampling, output=tmp_path)
+    found = sweep(scene, vary, 96, keep, sampling=sampling, output=tmp_path)
+    assert found.results.made == 96 - 21  # the fourth task of 7 had 3 runs
+    assert_equal(found, sweep(scene, vary, 96, keep, sampling=sampling))
+    assert sweep(scene, vary, 96, keep, sampling=sampling, output=tmp_path).results.made == 0
+
+
+@pytest.mark.parametrize(
+    ("sampling", "vary", "runs", "words"),
+    [
+        (
+            "latin_hypercube",
+            ["uniform(1, 2)"] * 2,
+            [8, 16],
+            "runs was 8, is 16 (a Latin hypercube of more runs",
+        ),
+        ("grid", [[1.0, 2.0], [1.0, 2.0, 3.0]], [None, None], "is values(1, 2, 3) (a grid of other values"),
+    ],
+)
+def test_why_a_sweep_cannot_go_on_with_more_runs_is_said(tmp_path, sampling, vary, runs, words):
+    scene, _, _, keep = ARGUMENTS
+    first, more = ({"dumbbell.mass": each} for each in vary)
+    sweep(scene, first, runs[0], keep, sampling=sampling, output=tmp_path)
+    with pytest.raises(CrosscheckError) as caught:
+        sweep(scene, more, runs[1], keep, sampling=sampling, output=tmp_path)
+    assert words in str(caught.value)
+
+
+def test_tasks_are_chunks_in_a_row():
+    plan = SimpleNamespace(chunk=7, bounds=lambda k: (7 * k, min(7 * k + 7, 60)))
+    assert list(_tasks(plan, [0, 1, 2, 4, 8], 16)) == [(0, 14), (14, 21), (28, 35), (56, 60)]
+    assert list(_tasks(plan, [0, 1], 1)) == [(0, 7), (7, 14)]
+
+
 def test_attributes_are_those_of_netcdf(tmp_path):
     short = replace(load("pendulum"), duration=0.1)
     sweep(short, *ARGUMENTS[1:3], "peak:reaction_force", output=tmp_path).check(1, ["newton_euler"])
@@ -233,7 +284,7 @@ def test_runs_that_cannot_go_on_keep_their_error():
     ("changed", "words"),
     [
         ({"seed": 1}, "another plan: seed was 0, is 1;"),
-        ({"runs": 61}, "another plan: runs was 60, is 61;"),
+        ({"runs": 59}, "another plan: runs was 60, is 59;"),
         (
             {"vary": {"dumbbell.mass": "uniform(1, 3)", "gravity.y": "uniform(-10, -9)"}},
             "another plan: vary dumbbell.mass was uniform(1, 2), is uniform(1, 3);",
@@ -320,10 +371,10 @@ def test_numbers_of_numpy_are_numbers(tmp_path):
     assert found.results.made == 8
 
 
-@pytest.mark.parametrize("random", [-1, 1.5, "2", None])
-def test_impossible_numbers_of_checks_are_refused(reference, random):
-    with pytest.raises(NewtonEulerError, match="random is"):
-        reference.check(random)
+@pytest.mark.parametrize("runs", [-1, 1.5, "2", 0])
+def test_impossible_numbers_of_checks_are_refused(reference, runs):
+    with pytest.raises(NewtonEulerError, match="runs is"):
+        reference.check(runs)
 
 
 def test_a_folder_with_something_else_is_refused(tmp_path):

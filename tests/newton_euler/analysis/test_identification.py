@@ -349,7 +349,7 @@ def test_columns_may_be_in_other_units(tmp_path):
     ("name", "message"),
     [
         ("coordinate.pivot [mm]", "column 'coordinate.pivot' is in m; needed: a unit of rad"),
-        ("coordinate.pivto", "unknown column 'coordinate.pivto'; did you mean 'coordinate.pivot'?"),
+        ("coordinate.pivto", "unknown column 'coordinate.pivto'; did you mean 'coordinate.pivot'"),
     ],
 )
 def test_files_with_columns_of_another_scene_are_named(tmp_path, name, message):
@@ -367,7 +367,7 @@ TIMES = np.array([0.0, 0.5, 1.0])
     ("parameters", "columns", "message"),
     [
         (["rod.color"], {"coordinate.pivot": TIMES}, "unknown parameter 'rod.color'"),
-        (["rod.mass"], {"coordinate.pivto": TIMES}, "did you mean 'coordinate.pivot'?"),
+        (["rod.mass"], {"coordinate.pivto": TIMES}, "did you mean 'coordinate.pivot'"),
         (
             ["rod.mass", "gravity.x", "gravity.z"],
             {"coordinate.pivot": TIMES},

@@ -30,7 +30,9 @@ def test_a_name_that_stands_for_two_parameters():
     names = parameter_values(scene).keys()
     assert {"control[0].stiffness", "forces[0].stiffness"} <= names
     assert "rail.stiffness" not in names
-    with pytest.raises(UnknownNameError, match=r"unknown parameter 'rail\.rest'; choose from: rail\.rest_"):
+    with pytest.raises(
+        UnknownNameError, match=r"unknown parameter 'rail\.rest'; did you mean 'rail\.rest_length'"
+    ):
         compile_scene(scene, parameters=["rail.rest"])
 
 
