@@ -500,8 +500,8 @@ class LaneTranslator(Translator):
             self._blend(value, self._address(vector, index))
 
     def _blend(self, value: Value, address: str) -> None:
-        """Store a value in the lanes that are on."""
-        before = self._new(f"load {value.type}, ptr {address}, align 8")
+        """Store a value in the lanes that are on; volatile as in `newton_euler.codegen.emit`."""
+        before = self._new(f"load volatile {value.type}, ptr {address}, align 8")
         chosen = f"select {MASK} {self._on()}, {value.type} {value.operand}, {value.type} {before}"
         self._emit(f"store {value.type} {self._new(chosen)}, ptr {address}, align 8")
 

@@ -111,11 +111,24 @@ def stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> in
     k = method.k
     weights = COUPLING[16 * s :]
     second = int(SECOND[s])
-    for i in range(n):
-        change = 0.0 + weights[0] * k[i]
+    part = (n + 3) // 4
+    for i0 in range(part):  # four sums at a time: each has to wait for its last product
+        i1 = i0 + part if i0 + part < n else i0
+        i2 = i0 + 2 * part if i0 + 2 * part < n else i0
+        i3 = i0 + 3 * part if i0 + 3 * part < n else i0
+        change0 = 0.0 + weights[0] * k[i0]
+        change1 = 0.0 + weights[0] * k[i1]
+        change2 = 0.0 + weights[0] * k[i2]
+        change3 = 0.0 + weights[0] * k[i3]
         for j in range(second, s):
-            change += weights[j] * k[row * j + i]
-        at[i] = now[i] + h * change  # once, for each sum with the state loses digits
+            change0 += weights[j] * k[row * j + i0]
+            change1 += weights[j] * k[row * j + i1]
+            change2 += weights[j] * k[row * j + i2]
+            change3 += weights[j] * k[row * j + i3]
+        at[i0] = now[i0] + h * change0  # once, for each sum with the state loses digits
+        at[i1] = now[i1] + h * change1
+        at[i2] = now[i2] + h * change2
+        at[i3] = now[i3] + h * change3
     at[n] = now[n] + NODES[s] * h
     return evaluate(system, at, k[row * s :])
 
@@ -154,12 +167,20 @@ def prepare_dense(n: int, h: float, method: Dop853) -> None:
         terms[i] = change
         terms[n + i] = h * k[i] - change
         terms[2 * n + i] = 2.0 * change - h * (k[last + i] + k[i])
-    for row in range(4):
-        for i in range(n):
-            term = 0.0 + DENSE[16 * row] * k[i]
-            for j in range(SECOND_OF_STEP, 16):
-                term += DENSE[16 * row + j] * k[(n + 1) * j + i]
-            terms[(3 + row) * n + i] = h * term
+    for i in range(n):
+        fourth = 0.0 + DENSE[0] * k[i]
+        fifth = 0.0 + DENSE[16] * k[i]
+        sixth = 0.0 + DENSE[32] * k[i]
+        seventh = 0.0 + DENSE[48] * k[i]
+        for j in range(SECOND_OF_STEP, 16):
+            fourth += DENSE[j] * k[(n + 1) * j + i]
+            fifth += DENSE[16 + j] * k[(n + 1) * j + i]
+            sixth += DENSE[32 + j] * k[(n + 1) * j + i]
+            seventh += DENSE[48 + j] * k[(n + 1) * j + i]
+        terms[3 * n + i] = h * fourth
+        terms[4 * n + i] = h * fifth
+        terms[5 * n + i] = h * sixth
+        terms[6 * n + i] = h * seventh
 
 
 @native
