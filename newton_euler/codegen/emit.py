@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from newton_euler.codegen.expression import Program, operands
-from newton_euler.codegen.trigonometry import by_lane, constant, sincos, vector_type
+from newton_euler.codegen.trigonometry import by_lane, constant, sincos, suffix, vector_type
 
 _ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _CALLS = {"sqrt": "llvm.sqrt", "minimum": "llvm.minnum"}
@@ -20,13 +20,7 @@ _BOTH = ("sin", "cos")
 
 def declarations(lanes: int = 1) -> str:
     """Declare the functions that emitted ones call."""
-    t, suffix = vector_type("double", lanes), "f64" if lanes == 1 else f"v{lanes}f64"
-    return f"""
-declare {t} @llvm.sqrt.{suffix}({t})
-declare {t} @llvm.minnum.{suffix}({t}, {t})
-declare double @atan2(double, double)
-{sincos(lanes)}
-"""
+    return f"\ndeclare double @atan2(double, double)\n{sincos(lanes)}\n"
 
 
 class Instructions:
@@ -39,7 +33,7 @@ class Instructions:
     def __init__(self, lanes: int = 1) -> None:
         self.lines: list[str] = []
         self._lanes = lanes
-        self._type, self._suffix = vector_type("double", lanes), "f64" if lanes == 1 else f"v{lanes}f64"
+        self._type, self._suffix = vector_type("double", lanes), suffix(lanes)
         self._turned: set[str] = set()
 
     def operation(self, name: str, op: str, a: str, b: str | None) -> str:

@@ -1,12 +1,12 @@
 """Plain Python functions that become native code: the loops around traced programs, integrators above all.
 
 A function decorated with `native` is ordinary Python over floats, integers, NumPy vectors and other
-functions, and runs as such. `newton_euler.codegen.translate` gives the same function as LLVM text. It may
-contain all that a method of integration needs: assignments, if, while, `for k in range(...)`, arithmetic,
-comparisons, elements `a[k]` and tails `a[k:]` of vectors, fields of records, calls of other native
-functions, of callbacks and of abs, min, max, sqrt. Arguments are annotated `float`, `int`, `Vector`,
-`Shared`, `Callback` or a subclass of `Record`; tables of module level (tuples of floats) become constants.
-`newton_euler.codegen.lanes` gives the same function for several runs side by side.
+functions, and runs as such. `newton_euler.codegen.translate` gives the same function as LLVM text, for one
+run or for several side by side. It may contain all that a method of integration needs: assignments, if,
+while, `for k in range(...)`, arithmetic, comparisons, elements `a[k]` and tails `a[k:]` of vectors, fields of
+records, calls of other native functions, of callbacks and of abs, min, max, sqrt. Arguments are annotated
+`float`, `int`, `Vector`, `Shared`, `Callback` or a subclass of `Record`; tables of module level (tuples of
+floats) become constants.
 
 Integers are 64 bit; `//` and `%` round towards zero and are meant for numbers that are not negative.
 """

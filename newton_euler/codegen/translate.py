@@ -1,4 +1,21 @@
-"""Translation of native functions to LLVM text; what native code cannot do is refused with its line."""
+"""Translation of native functions to LLVM text, for one run or for several side by side.
+
+Several are in the lanes of vector registers, and the Python is read as a program for each lane (single
+program, multiple data). Numbers that are the same in all lanes stay scalars; others are vectors, and so are
+conditions on them, whose lanes are a mask:
+
+- `if` runs both sides, each in the lanes that want it, and none that no lane wants;
+- loops run until no lane is left in them;
+- `break`, `continue` and `return` turn lanes off until the end of the loop, of the round or of the function,
+  unless all leave together;
+- stores change the lanes that are on.
+
+A `Vector` holds the elements of all lanes side by side: element i of lane l at `lanes` i + l. Tables and
+`Shared` vectors have each element once; lanes may read and write them at places of their own. A lane computes
+what code for one run does, to the last bit.
+
+What native code cannot do is refused with its line.
+"""
 
 from __future__ import annotations
 
@@ -6,66 +23,77 @@ import ast
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from newton_euler.codegen.function_text import FunctionText, Value, is_whole
-from newton_euler.codegen.native import Kind, is_native, machine_type, signature_of
-from newton_euler.codegen.trigonometry import literal
-
-COMPARISONS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
-FLOAT_OPERATIONS = {ast.Add: "fadd", ast.Sub: "fsub", ast.Mult: "fmul", ast.Div: "fdiv"}
-INT_OPERATIONS = {
-    ast.Add: "add",
-    ast.Sub: "sub",
-    ast.Mult: "mul",
-    ast.FloorDiv: "sdiv",
-    ast.Mod: "srem",
-}
-INTRINSICS = {
-    "abs": "llvm.fabs",
-    "sqrt": "llvm.sqrt",
-    "min": "llvm.minnum",
-    "max": "llvm.maxnum",
-}
+from newton_euler.codegen.function_expressions import Call, Expressions, form_of, kind_in
+from newton_euler.codegen.function_text import ALL, Found, Value, varies
+from newton_euler.codegen.native import NativeError, machine_type, signature_of
+from newton_euler.codegen.trigonometry import vector_type
 
 
-class Translator(FunctionText):
-    """Translation of one function.
+class Loop(NamedTuple):
+    """A loop that is being translated.
 
     Attributes:
-        tables: LLVM text of the tables that it uses, by name.
-        callees: native functions that it calls.
+        line: where it is.
+        divergence: within it.
+        following, done: labels at the end of a round and behind the loop.
+        left, waiting: slots of the lanes that have left it and of those that wait for its next round, if
+            lanes do so one before the other.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
-        self.signature = signature_of(function)
-        self.tables: dict[str, str] = {}
-        self.callees: list[Callable[..., Any]] = []
-        self._fields: dict[tuple[str, str], Value] = {}
-        self._entry: list[str] = []
-        self._loops: list[tuple[str, str]] = []
+    line: int
+    divergence: int
+    following: str
+    done: str
+    left: str
+    waiting: str
 
-    def translate(self, linkage: str = "") -> str:
+
+class Translator(Expressions):
+    """Translation of one function, given the forms of its arguments."""
+
+    def __init__(self, call: Call, lanes: int, found: Found) -> None:
+        super().__init__(call.function, lanes, found)
+        self.signature = signature_of(call.function)
+        self._call_made = call
+        self._exits: list[str] = []
+        self._loops: list[Loop] = []
+        self._turned_off = self._returned = 0
+
+    def translated(self) -> str:
         """Translate the whole function."""
-        definition = definition_of(self.function)
-        arguments = []
-        for name, kind in self.signature.arguments.items():
-            arguments.append(f"{machine_type(kind)} %{name}.in")
+        definition, arguments = definition_of(self.function), []
+        if self.lanes > 1:
+            arguments.append(f"{self._mask} %on.in")
+            self._slots.append(f"  %on = alloca {self._mask}")
+            self._turn("%on.in")
+        types = {"v": self._doubles, "w": self._wholes, "u": "i64", "l": "ptr", "s": "shared"}
+        for (name, kind), form in zip(self.signature.arguments.items(), self._call_made.forms, strict=True):
+            offset = f"%{name}.offset" if form.isupper() else ""
+            value = Value(types.get(form.lower(), kind), f"%{name}.in", offset=offset)
+            arguments.append(f"{machine_type(value.type)} %{name}.in")
+            if offset:
+                arguments.append(f"{self._wholes} {offset}")
             if isinstance(kind, str):
-                self._store(name, Value(_scalar(kind), f"%{name}.in"))
+                self._store(name, value)
             else:
-                self._records[name] = Value(kind, f"%{name}.in")
+                self._records[name] = value
+        result = self.signature.result
+        if result != "void":
+            result = self._type_in_lanes(result)
+            self._slots.append(f"  %result = alloca {result}")
+        (end,) = self._labels("end")
+        self._exits.append(end)
         self._block(definition.body)
-        if self._open:
-            if self.signature.result != "void":
-                raise self._error(definition, "ends without a return")
-            self._emit("ret void")
-        result, name = machine_type(self.signature.result), self.function.__name__
-        head = f"define {linkage}{result} @{name}({', '.join(arguments)}) {{"
+        if self._open and result != "void" and not self._turned_off:
+            raise self._error(definition, "ends without a return")
+        self._jump(end)
+        self._begin(end)
+        found = "" if result == "void" else self._new(f"load {result}, ptr %result")
+        self._emit(f"ret {result} {found}")
+        head = f"define internal {result} @{self._call_made.name}({', '.join(arguments)}) {{"
         return "\n".join([head, "entry:", *self._slots, *self._entry, *self._lines, "}"])
-
-    # Statements
 
     def _block(self, statements: list[ast.stmt]) -> None:
         for statement in statements:
@@ -94,55 +122,100 @@ class Translator(FunctionText):
         if isinstance(target, ast.Name):
             self._store(target.id, value, target)
         elif isinstance(target, ast.Subscript):
-            self._emit(f"store double {self._float(value).operand}, ptr {self._element(target)}")
+            self._assign_element(target, value)
         else:
             raise self._error(target, f"assigns to {type(target).__name__}")
 
-    def _on_if(self, statement: ast.If) -> None:
-        yes, no, after = self._labels("if", "else", "endif")
-        self._branch(statement.test, yes, no)
-        self._sides(statement, yes, no, after)
+    # Lanes that are turned off
 
-    def _sides(self, statement: ast.If, yes: str, no: str, after: str) -> None:
-        """Emit both sides of an `if` at their labels, and go on behind them if either ends."""
-        self._begin(yes)
-        self._block(statement.body)
-        reached = self._jump(after)
-        self._begin(no)
-        self._block(statement.orelse)
-        reached = self._jump(after) or reached
+    def _leave(self) -> None:
+        """Turn all lanes off, and go where they may be on again."""
+        self._turn("zeroinitializer")
+        self._jump(self._exits[-1])
+        self._turned_off += 1
+
+    def _go_on_if_any(self) -> None:
+        """Go on if some lane is on."""
+        (further,) = self._labels("further")
+        self._branch(self._any(self._on()), further, self._exits[-1])
+        self._begin(further)
+
+    def _add(self, slot: str, mask: str) -> None:
+        before = self._new(f"load {self._mask}, ptr {slot}")
+        self._emit(f"store {self._mask} {self._or(before, mask)}, ptr {slot}")
+
+    # Branches
+
+    def _on_if(self, statement: ast.If) -> None:
+        test, before = self._condition(statement.test), self._turned_off
+        if varies(test):
+            self._varying_if(test, statement)
+        else:
+            self._uniform_if(test, statement)
+        if self._open and self._turned_off > before:
+            self._go_on_if_any()
+
+    def _uniform_if(self, test: Value, statement: ast.If) -> None:
+        yes, no, after = self._labels("if", "else", "endif")
+        self._branch(test.operand, yes, no)
+        reached = False
+        for label, body in ((yes, statement.body), (no, statement.orelse)):
+            self._begin(label)
+            self._block(body)
+            reached = self._jump(after) or reached
         if reached:
             self._begin(after)
 
-    def _on_while(self, statement: ast.While) -> None:
-        test, body, after = self._labels("while", "do", "done")
-        self._jump(test)
-        self._begin(test)
-        self._branch(statement.test, body, after)
-        self._begin(body)
-        self._loops.append((test, after))
-        self._block(statement.body)
-        self._loops.pop()
-        self._jump(test)
+    def _varying_if(self, test: Value, statement: ast.If) -> None:
+        yes, between, no, after = self._labels("if", "between", "else", "endif")
+        on = self._on()
+        chosen, others = self._and(on, test.operand), self._without(on, test.operand)
+        self._divergence += 1
+        self._some_lanes(chosen, yes, between, statement.body)
+        left = self._on()
+        if statement.orelse:
+            self._some_lanes(others, no, after, statement.orelse)
+            others = self._on()
+        self._turn(self._or(left, others))
+        self._divergence -= 1
+
+    def _some_lanes(self, mask: str, label: str, after: str, body: list[ast.stmt]) -> None:
+        """Run statements in these lanes, unless there are none; those still on at their end stay on."""
+        self._turn(mask)
+        self._branch(self._any(mask), label, after)
+        self._begin(label)
+        self._exits.append(after)
+        self._block(body)
+        self._exits.pop()
+        self._jump(after)
         self._begin(after)
+
+    # Loops
+
+    def _on_while(self, statement: ast.While) -> None:
+        self._loop(statement, lambda: self._condition(statement.test), lambda: None)
 
     def _on_for(self, statement: ast.For) -> None:
         name, start, stop = self._range(statement)
-        self._store(name, start)
-        test, body, step, after = self._labels("for", "do", "next", "done")
-        self._jump(test)
-        self._begin(test)
-        more = self._new(f"icmp slt i64 {self._load(name).operand}, {stop.operand}")
-        self._emit(f"br i1 {more}, label %{body}, label %{after}")
-        self._begin(body)
-        self._loops.append((step, after))
-        self._block(statement.body)
-        self._loops.pop()
-        self._jump(step)
-        self._begin(step)
-        self._store(name, Value("i64", self._new(f"add i64 {self._load(name).operand}, 1")))
-        self._jump(test)
-        self._begin(after)
+        if varies(start) or varies(stop):
+            self._found.varying.add(name)
+            start = self._wide(start)
+        self._set(name, start)
+        counter = self._variables[name]
+
+        def test() -> Value:
+            number, last = self._pair(self._load(name), stop)
+            more = self._new(f"icmp slt {number.type} {number.operand}, {last.operand}")
+            return Value(str(number.type).replace("i64", "i1"), more)
+
+        def step() -> None:
+            one = self._alike(Value("i64", "1"), counter)
+            number = self._new(f"add {counter.type} {self._load(name).operand}, {one.operand}")
+            self._set(name, Value(counter.type, number))
+
+        self._loop(statement, test, step)
+        if statement.lineno in self._found.divergent and not varies(counter):
+            del self._variables[name]  # in each lane it would be another
 
     def _range(self, statement: ast.For) -> tuple[str, Value, Value]:
         """Return the variable of a loop and its bounds."""
@@ -158,244 +231,136 @@ class Translator(FunctionText):
         bounds = [self._value(argument) for argument in call.args]
         return statement.target.id, bounds[0] if len(bounds) == 2 else Value("i64", "0"), bounds[-1]
 
+    def _loop(
+        self, statement: ast.For | ast.While, test: Callable[[], Value], step: Callable[[], None]
+    ) -> None:
+        """Emit a loop; lanes that have left it before others wait at its end."""
+        begin, body, following, done = self._labels("test", "do", "next", "done")
+        divergent = statement.lineno in self._found.divergent
+        left, waiting = (self._mask_slot() if divergent else "" for _ in range(2))
+        before, returned = self._turned_off, self._returned
+        self._divergence += divergent
+        loop = Loop(statement.lineno, self._divergence, following, done, left, waiting)
+        self._loops.append(loop)
+        self._jump(begin)
+        self._begin(begin)
+        self._leave_unless(test(), body)
+        self._begin(body)
+        self._exits.append(following)
+        self._block(statement.body)
+        self._exits.pop()
+        self._jump(following)
+        self._begin(following)
+        if waiting:
+            again = self._new(f"load {self._mask}, ptr {waiting}")
+            self._turn(self._or(self._on(), again))
+            self._emit(f"store {self._mask} zeroinitializer, ptr {waiting}")
+        step()
+        if self._turned_off > before:
+            self._branch(self._any(self._on()), begin, done)
+        else:
+            self._jump(begin)
+        self._begin(done)
+        if left:
+            self._turn(self._or(self._on(), self._new(f"load {self._mask}, ptr {left}")))
+        self._divergence -= divergent
+        self._loops.pop()
+        if self._returned > returned:
+            self._go_on_if_any()
+        else:
+            self._turned_off = before
+
+    def _leave_unless(self, test: Value, body: str) -> None:
+        """Begin a round in the lanes where the test holds; in the others the loop is over."""
+        loop, more = self._loops[-1], test.operand
+        if varies(test):
+            self._found.divergent.add(loop.line)
+            on = self._on()
+            self._add(loop.left, self._without(on, test.operand))
+            further = self._and(on, test.operand)
+            self._turn(further)
+            more = self._any(further)
+        self._branch(more, body, loop.done)
+
     def _on_break(self, statement: ast.Break) -> None:
-        self._jump(self._loops[-1][1])
+        loop = self._loops[-1]
+        self._leave_round(loop, loop.done, loop.left)
 
     def _on_continue(self, statement: ast.Continue) -> None:
-        self._jump(self._loops[-1][0])
+        loop = self._loops[-1]
+        self._leave_round(loop, loop.following, loop.waiting)
+
+    def _leave_round(self, loop: Loop, label: str, slot: str) -> None:
+        """Jump to a label if all lanes in a loop do; else add those that do to a slot and turn them off."""
+        if not slot and self._divergence == loop.divergence:
+            self._jump(label)
+            return
+        self._found.divergent.add(loop.line)
+        self._add(slot, self._on())
+        self._leave()
 
     def _on_return(self, statement: ast.Return) -> None:
         kind = self.signature.result
-        if statement.value is None:
-            self._emit("ret void")
-        else:
+        if statement.value is not None:
             value = self._value(statement.value)
-            value = self._float(value) if kind == "double" else value
-            if value.type != kind:
+            value = self._wide(self._float(value) if kind == "double" else value)
+            if value.type != self._type_in_lanes(kind):
                 raise self._error(statement, f"returns {value.type}, not {kind}")
-            self._emit(f"ret {kind} {value.operand}")
-        self._open = False
-
-    # Conditions
-
-    def _branch(self, test: ast.expr, yes: str, no: str) -> None:
-        """Jump to one of two labels; `and` and `or` look no further than they must."""
-        if isinstance(test, ast.BoolOp):
-            for part in test.values[:-1]:
-                (further,) = self._labels("test")
-                if isinstance(test.op, ast.And):
-                    self._branch(part, further, no)
-                else:
-                    self._branch(part, yes, further)
-                self._begin(further)
-            self._branch(test.values[-1], yes, no)
-        elif isinstance(test, ast.UnaryOp) and isinstance(test.op, ast.Not):
-            self._branch(test.operand, no, yes)
-        elif isinstance(test, ast.Compare) and len(test.ops) == 1:
-            self._emit(f"br i1 {self._compare(test).operand}, label %{yes}, label %{no}")
-            self._open = False
+            self._blend(value, "%result")
+        if self._divergence:
+            self._returned += 1
+            self._leave()
         else:
-            raise self._error(test, "tests anything but a comparison")
-
-    def _compare(self, test: ast.Compare) -> Value:
-        a, b = self._pair(self._value(test.left), self._value(test.comparators[0]))
-        word, kind = COMPARISONS[type(test.ops[0])], str(a.type)
-        if is_whole(a):
-            found = f"icmp {word if word in ('eq', 'ne') else f's{word}'} {kind} {a.operand}, {b.operand}"
-            return Value(kind.replace("i64", "i1"), self._new(found))
-        found = f"fcmp {'une' if word == 'ne' else f'o{word}'} {kind} {a.operand}, {b.operand}"
-        return Value(kind.replace("double", "i1"), self._new(found))
-
-    # Expressions
-
-    def _value(self, node: ast.expr) -> Value:
-        method = getattr(self, f"_of_{type(node).__name__.lower()}", None)
-        if method is None:
-            raise self._error(node, f"holds {type(node).__name__}")
-        value: Value = method(node)
-        return value
-
-    def _of_constant(self, node: ast.Constant) -> Value:
-        return self._number(node, node.value)
-
-    def _number(self, node: ast.expr, value: object) -> Value:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self._error(node, f"holds {value!r}")
-        return Value("double", literal(value)) if isinstance(value, float) else Value("i64", str(value))
-
-    def _of_name(self, node: ast.Name) -> Value:
-        if node.id in self._variables:
-            return self._load(node.id)
-        if node.id in self._records:
-            return self._records[node.id]
-        value = self._global(node)
-        if isinstance(value, tuple):
-            numbers = ", ".join(f"double {literal(float(x))}" for x in value)
-            self.tables[node.id] = f"@{node.id} = private constant [{len(value)} x double] [{numbers}]"
-            return Value("ptr", f"@{node.id}")
-        return self._number(node, value)
-
-    def _global(self, node: ast.Name) -> Any:
-        try:
-            return self.function.__globals__[node.id]
-        except KeyError as error:
-            raise self._error(node, f"uses {node.id!r} before it has a value") from error
-
-    def _of_attribute(self, node: ast.Attribute) -> Value:
-        """Read a field of a record, from where it was put on entry."""
-        if not isinstance(node.value, ast.Name) or node.value.id not in self._records:
-            raise self._error(node, "holds an attribute of anything but a record")
-        record, name = self._records[node.value.id], node.attr
-        assert not isinstance(record.type, str)
-        if name not in record.type.kinds:
-            raise self._error(node, f"uses {name!r}, which {record.type.__name__} has not")
-        if (node.value.id, name) not in self._fields:
-            place, kind = list(record.type.kinds).index(name), record.type.kinds[name]
-            word, machine = f"%{node.value.id}.{name}", machine_type(kind)
-            self._entry += [
-                f"  {word}.at = getelementptr i64, ptr {record.operand}, i64 {place}",
-                f"  {word} = load {machine}, ptr {word}.at",
-            ]
-            self._fields[node.value.id, name] = Value(self._of_field(kind), word)
-        return self._fields[node.value.id, name]
-
-    def _of_field(self, kind: Kind) -> Kind:
-        """Return the type of a field of a kind."""
-        return _scalar(kind)
-
-    def _of_unaryop(self, node: ast.UnaryOp) -> Value:
-        value = self._value(node.operand)
-        if not isinstance(node.op, ast.USub):
-            raise self._error(node, f"holds {type(node.op).__name__}")
-        if is_whole(value):
-            zero = self._alike(Value("i64", "0"), value)
-            return Value(value.type, self._new(f"sub {value.type} {zero.operand}, {value.operand}"))
-        return Value(value.type, self._new(f"fneg {value.type} {value.operand}"))
-
-    def _of_binop(self, node: ast.BinOp) -> Value:
-        a, b = self._pair(self._value(node.left), self._value(node.right))
-        op, t = type(node.op), a.type
-        if is_whole(a) and op in INT_OPERATIONS:
-            return Value(t, self._new(f"{INT_OPERATIONS[op]} {t} {a.operand}, {b.operand}"))
-        x, y = self._float(a), self._float(b)
-        if op is ast.Pow:
-            return self._intrinsic("llvm.pow", [x, y])
-        if op not in FLOAT_OPERATIONS:
-            raise self._error(node, f"holds {op.__name__}")
-        if op in (ast.Add, ast.Sub) and (x.factors or y.factors):
-            return self._product_and_sum(op, x, y)
-        factors = (x.operand, y.operand) if op is ast.Mult else None
-        made = self._new(f"{FLOAT_OPERATIONS[op]} {x.type} {x.operand}, {y.operand}")
-        return Value(x.type, made, factors)
-
-    def _product_and_sum(self, op: type[ast.operator], x: Value, y: Value) -> Value:
-        """Add or subtract a product of the same expression, rounded once on processors that can.
-
-        LLVM, left to contract, would do so wherever it finds both in one block.
-        """
-        (first, second), term = x.factors or y.factors or ("", ""), y.operand if x.factors else x.operand
-        if op is ast.Sub and x.factors:
-            term = self._new(f"fneg {x.type} {term}")
-        elif op is ast.Sub:
-            first = self._new(f"fneg {x.type} {first}")
-        return self._intrinsic("llvm.fmuladd", [Value(x.type, each) for each in (first, second, term)])
-
-    def _intrinsic(self, name: str, given: list[Value]) -> Value:
-        """Call one of LLVM's functions of doubles, all of one type."""
-        kind = given[0].type
-        arguments = ", ".join(f"{kind} {value.operand}" for value in given)
-        suffix = str(kind).strip("<>").replace("double", "f64").replace(" x ", "")
-        vector = "" if suffix == "f64" else "v"
-        return Value(kind, self._new(f"call {kind} @{name}.{vector}{suffix}({arguments})"))
-
-    def _pair(self, a: Value, b: Value) -> tuple[Value, Value]:
-        """Return two numbers of one type: doubles unless both are whole."""
-        return (a, b) if is_whole(a) and is_whole(b) else (self._float(a), self._float(b))
-
-    def _alike(self, value: Value, other: Value) -> Value:
-        """Return a value in as many lanes as another one."""
-        return value
-
-    def _of_ifexp(self, node: ast.IfExp) -> Value:
-        yes, no, after = self._labels("if", "else", "endif")
-        name = f"choice{self._count}"
-        self._branch(node.test, yes, no)
-        for label, part in ((yes, node.body), (no, node.orelse)):
-            self._begin(label)
-            self._store(name, self._value(part), part)
-            self._jump(after)
-        self._begin(after)
-        return self._load(name)
-
-    def _of_subscript(self, node: ast.Subscript) -> Value:
-        if isinstance(node.slice, ast.Slice):
-            return Value("ptr", self._element(node))
-        return Value("double", self._new(f"load double, ptr {self._element(node)}"))
-
-    def _element(self, node: ast.Subscript) -> str:
-        """Compute the address of a[k], which is also the vector a[k:]."""
-        vector, index = self._value(node.value), self._value(self._first(node))
-        if vector.type != "ptr" or index.type != "i64":
-            raise self._error(node, f"indexes {vector.type} with {index.type}")
-        return self._new(f"getelementptr double, ptr {vector.operand}, i64 {index.operand}")
-
-    def _first(self, node: ast.Subscript) -> ast.expr:
-        """Return the expression of k in a[k] and a[k:]."""
-        place = node.slice
-        if not isinstance(place, ast.Slice):
-            return place
-        if place.upper is not None or place.step is not None or place.lower is None:
-            raise self._error(node, "holds a slice other than a[k:]")
-        return place.lower
-
-    def _of_call(self, node: ast.Call) -> Value:
-        if not isinstance(node.func, ast.Name | ast.Attribute) or node.keywords:
-            raise self._error(node, "calls anything but a function by its name")
-        arguments = [self._value(argument) for argument in node.args]
-        if isinstance(node.func, ast.Attribute) or node.func.id in self._variables:
-            callback, (x, y) = self._value(node.func), arguments
-            if x.offset or y.offset:
-                raise self._error(node, "calls a callback with vectors that begin elsewhere in each lane")
-            self._emit(f"call void {callback.operand}(ptr {x.operand}, ptr {y.operand}, i64 {self._bits()})")
-            return Value("void", "")
-        name = node.func.id
-        if name == "float":
-            return self._float(arguments[0])
-        if name == "int":
-            kind = str(arguments[0].type)
-            whole = kind.replace("double", "i64")
-            return Value(whole, self._new(f"fptosi {kind} {arguments[0].operand} to {whole}"))
-        if name in INTRINSICS:
-            given = [self._float(argument) for argument in arguments]
-            return self._intrinsic(INTRINSICS[name], [*self._pair(*given)] if len(given) == 2 else given)
-        function = self._global(node.func)
-        if not is_native(function):
-            raise self._error(node, f"calls {name}, which is not native")
-        return self._call(node, function, arguments)
-
-    def _bits(self) -> str:
-        """Return the lanes that are on, as the bits of an integer: all, of one state or of several."""
-        return "-1"
-
-    def _call(self, node: ast.Call, function: Callable[..., Any], arguments: list[Value]) -> Value:
-        self.callees.append(function)
-        signature = signature_of(function)
-        given = []
-        for argument, kind in zip(arguments, signature.arguments.values(), strict=True):
-            converted = self._float(argument) if kind == "double" else argument
-            if converted.type != _scalar(kind):
-                raise self._error(node, f"passes {converted.type} for {kind}")
-            given.append(f"{machine_type(kind)} {converted.operand}")
-        call = f"call {signature.result} @{function.__name__}({', '.join(given)})"
-        if signature.result == "void":
-            self._emit(call)
-            return Value("void", "")
-        return Value(signature.result, self._new(call))
+            self._jump(self._exits[0])
 
 
-def _scalar(kind: Kind) -> Kind:
-    """Return the kind that scalar code takes for another: it makes no difference between vectors."""
-    return "ptr" if kind == "shared" else kind
+def text(functions: list[Callable[..., Any]], lanes: int = 1) -> str:
+    """Translate these native functions and all they call to LLVM text, for so many runs side by side."""
+    entries, waiting = map(list, zip(*(_entry(function, lanes) for function in functions), strict=True))
+    written: dict[str, str] = {}
+    tables: dict[str, str] = {}
+    owners: dict[str, Callable[..., Any]] = {}
+    while waiting:
+        call = waiting.pop()
+        if owners.setdefault(call.function.__name__, call.function) is not call.function:
+            raise NativeError(f"two functions are called {call.function.__name__}")
+        if call.name not in written:
+            written[call.name], translator = _translation(call, lanes)
+            for name, table in translator.tables.items():
+                if tables.setdefault(name, table) != table:
+                    raise NativeError(f"two tables are called {name}")
+            waiting += translator.calls
+    return "\n".join([*tables.values(), *written.values(), *entries])
+
+
+def _entry(function: Callable[..., Any], lanes: int) -> tuple[str, Call]:
+    """Return LLVM text of a function for other languages, which begins with all lanes on, and the call in it.
+
+    Of several lanes it has vectors, records, callbacks and whole numbers as arguments, and no result.
+    """
+    arguments, result = signature_of(function)
+    call = Call(function, "".join(form_of(Value(kind_in(kind, lanes), "")) for kind in arguments.values()))
+    given = [f"{machine_type(kind)} %{name}" for name, kind in arguments.items()]
+    passed = [f"{vector_type('i1', lanes)} {ALL}", *given] if lanes > 1 else given
+    made, found = ("", "") if result == "void" else ("%found = ", "%found")
+    lines = [
+        f"define {result} @{function.__name__}({', '.join(given)}) {{",
+        f"  {made}call {result} @{call.name}({', '.join(passed)})",
+        f"  ret {result} {found}",
+        "}",
+    ]
+    return "\n".join(lines), call
+
+
+def _translation(call: Call, lanes: int) -> tuple[str, Translator]:
+    """Translate a function, again and again until what varies is known."""
+    found = Found(set(), set())
+    while True:
+        known = len(found.varying) + len(found.divergent)
+        translator = Translator(call, lanes, found)
+        written = translator.translated()
+        if len(found.varying) + len(found.divergent) == known:
+            return written, translator
 
 
 def definition_of(function: Callable[..., Any]) -> ast.FunctionDef:

@@ -59,7 +59,7 @@ def constant(value: float, lanes: int) -> str:
     return literal(value) if lanes == 1 else f"splat (double {literal(value)})"
 
 
-def _suffix(lanes: int) -> str:
+def suffix(lanes: int) -> str:
     """Return the ending of names of LLVM's own functions."""
     return "f64" if lanes == 1 else f"v{lanes}f64"
 
@@ -71,7 +71,7 @@ def _whole(value: int, lanes: int) -> str:
 def _sum(name: str, a: str, b: str, c: str, lanes: int) -> str:
     """Emit %name = a b + c, rounded once where the processor can."""
     t = vector_type("double", lanes)
-    return f"  %{name} = call {t} @llvm.fmuladd.{_suffix(lanes)}({t} {a}, {t} {b}, {t} {c})"
+    return f"  %{name} = call {t} @llvm.fmuladd.{suffix(lanes)}({t} {a}, {t} {b}, {t} {c})"
 
 
 def _polynomial(name: str, coefficients: Sequence[float], lanes: int) -> str:
@@ -115,19 +115,15 @@ def sincos(lanes: int) -> str:
     Lanes that are far, and no others, have the results of the C library.
     """
     t, i, w, b = (vector_type(element, lanes) for element in ("double", "i32", "i64", "i1"))
-    suffix = _suffix(lanes)
+    ending = suffix(lanes)
     all_near = f"call i1 @llvm.vector.reduce.and.v{lanes}i1({b} %lanes.near)"
     return f"""
 declare double @sin(double)
 declare double @cos(double)
-declare {t} @llvm.fabs.{suffix}({t})
-declare {t} @llvm.rint.{suffix}({t})
-declare {t} @llvm.fmuladd.{suffix}({t}, {t}, {t})
-{"" if lanes == 1 else f"declare i1 @llvm.vector.reduce.and.v{lanes}i1({b})"}
 
 define private {{{t}, {t}}} @sincos({t} %x) noinline {{
 entry:
-  %size = call {t} @llvm.fabs.{suffix}({t} %x)
+  %size = call {t} @llvm.fabs.{ending}({t} %x)
   %lanes.near = fcmp olt {t} %size, {constant(FAR, lanes)}
   %near = {"and i1 %lanes.near, true" if lanes == 1 else all_near}
   br i1 %near, label %fast, label %library
@@ -139,7 +135,7 @@ fast:
   %sin.library = phi {t} [ {constant(0.0, lanes)}, %entry ], [ %sin.far, %library ]
   %cos.library = phi {t} [ {constant(0.0, lanes)}, %entry ], [ %cos.far, %library ]
   %turns = fmul {t} %x, {constant(TWO_OVER_PI, lanes)}
-  %n = call {t} @llvm.rint.{suffix}({t} %turns)
+  %n = call {t} @llvm.rint.{ending}({t} %turns)
 {_reduction(lanes)}
   %z = fmul {t} %r3, %r3
 {_polynomial("s", SINE, lanes)}

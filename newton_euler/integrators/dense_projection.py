@@ -12,7 +12,7 @@ Written for native code, see `newton_euler.codegen.native`; it runs as plain Pyt
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
+from math import prod, sqrt
 from typing import Any
 
 import numpy as np
@@ -51,7 +51,13 @@ class Closing(Record):
         evaluate: Phi (k,), dPhi/dt (k,), nonzeros of Phi_q (k, nv) and of M (nv, nv) at x (inputs,).
         places: of these nonzeros in the whole matrices, row by row.
         units: (nv,) of v, SI.
-        scratch: vector, see `room`.
+        at, moved, found: (inputs,), (nq,) and what `evaluate` writes: where it is, and scratch.
+        rows, lower: (k, nv) and (nv, nv) Phi_q and the factor of the metric.
+        basis, shares: (r, nv) orthonormal vectors that span what strong constraints measure, r = min(k, nv),
+            longest first, and (r, k) the share that constraints have in each.
+        chosen, inverse: (r,) which constraint each vector was made of, and its inverse length, 0 for what is
+            weak.
+        lengths, rest, step: (k,), (k,) and (nv,) scratch.
     """
 
     nq: int
@@ -65,13 +71,24 @@ class Closing(Record):
     evaluate: Callback
     places: Shared
     units: Shared
-    scratch: Vector
+    at: Vector
+    moved: Vector
+    found: Vector
+    rows: Vector
+    lower: Vector
+    basis: Vector
+    shares: Vector
+    chosen: Vector
+    inverse: Vector
+    lengths: Vector
+    rest: Vector
+    step: Vector
 
 
 def unprepared(prepare: Callback, nq: int, nv: int) -> Closing:
     """Return a record that native code has filled in when it is first needed; as it is, nothing closes."""
-    nothing = np.zeros(0)
-    return Closing(nq, nv, 0, -1, 0, 0, prepare, None, None, nothing, nothing, nothing)
+    nothing = [np.zeros(0)] * 14
+    return Closing(nq, nv, 0, -1, 0, 0, prepare, None, None, *nothing)
 
 
 def closing_of(
@@ -90,11 +107,12 @@ def closing_of(
         places: of nonzeros of Phi_q and M in the whole matrices.
         functions: retract and evaluate.
     """
-    nv, found = len(units), sum(map(len, places))
-    basis = min(constraints, nv)
-    room = inputs + nq + 2 * constraints + found  # the argument, what is moved, what is evaluated
-    room += constraints * nv + nv * nv + basis * nv + basis * constraints + 2 * basis  # factors
-    room += 2 * constraints + nv  # of a correction
+    nv = len(units)
+    rank = min(constraints, nv)
+
+    def scratch(*shape: int) -> Array:
+        return np.zeros(prod(shape) * lanes)
+
     return Closing(
         nq=nq,
         nv=nv,
@@ -107,14 +125,24 @@ def closing_of(
         evaluate=functions[1],
         places=np.array([*places[0], *places[1]], dtype=float),
         units=np.array(units, dtype=float),
-        scratch=np.zeros((room, lanes)),
+        at=scratch(inputs),
+        moved=scratch(nq),
+        found=scratch(2 * constraints + sum(map(len, places))),
+        rows=scratch(constraints, nv),
+        lower=scratch(nv, nv),
+        basis=scratch(rank, nv),
+        shares=scratch(rank, constraints),
+        chosen=scratch(rank),
+        inverse=scratch(rank),
+        lengths=scratch(constraints),
+        rest=scratch(constraints),
+        step=scratch(nv),
     )
 
 
 @native
-def factor_metric(closing: Closing, found: Vector, rows: Vector, lower: Vector) -> int:
-    """Put Phi_q into rows (k, nv) and factor the metric of corrections into lower (nv, nv); 1 if it is
-    definite.
+def factor_metric(closing: Closing) -> int:
+    """Put Phi_q into its rows and factor the metric of corrections; 1 if it is definite.
 
     It is the mass matrix, of largest diagonal element 1, and, as what the constraints measure costs nothing
     on them, J^T J: that makes Euler parameters definite.
@@ -122,7 +150,9 @@ def factor_metric(closing: Closing, found: Vector, rows: Vector, lower: Vector) 
     nv = closing.nv
     k = closing.constraints
     places = closing.places
-    nonzeros = found[2 * k :]
+    rows = closing.rows
+    lower = closing.lower
+    nonzeros = closing.found[2 * k :]
     for i in range(k * nv):
         rows[i] = 0.0
     for i in range(closing.on_jacobian):
@@ -159,16 +189,14 @@ def factor_metric(closing: Closing, found: Vector, rows: Vector, lower: Vector) 
 
 
 @native
-def orthogonalize(closing: Closing, rows: Vector, lower: Vector, factors: Vector, lengths: Vector) -> None:
-    """Write orthonormal vectors (r, nv) that span what strong constraints measure, r = min(k, nv), longest
-    first; the share (r, k) that constraints have in each; which constraint (r,) each was made of; and its
-    inverse length (r,), 0 for what is weak. `lengths` (k,) is scratch."""
+def orthogonalize(closing: Closing) -> None:
+    """Find the orthonormal vectors that span what strong constraints measure; changes their rows."""
     nv = closing.nv
     k = closing.constraints
-    count = k if k < nv else nv
-    shares = factors[count * nv :]
-    chosen = shares[count * k :]
-    inverse = chosen[count:]
+    rows = closing.rows
+    lower = closing.lower
+    basis = closing.basis
+    lengths = closing.lengths
     for row in range(k):
         square = 0.0
         for i in range(nv):
@@ -180,7 +208,7 @@ def orthogonalize(closing: Closing, rows: Vector, lower: Vector, factors: Vector
             square += rest * rest
         lengths[row] = square
     longest = 0.0
-    for r in range(count):
+    for r in range(k if k < nv else nv):
         place = 0
         most = 0.0
         for row in range(k):
@@ -189,44 +217,41 @@ def orthogonalize(closing: Closing, rows: Vector, lower: Vector, factors: Vector
                 place = row
         longest = max(longest, most)
         scale = 1.0 / sqrt(most) if most > WEAK * WEAK * longest else 0.0
-        chosen[r] = float(place)
-        inverse[r] = scale
+        closing.chosen[r] = float(place)
+        closing.inverse[r] = scale
         for i in range(nv):
-            factors[nv * r + i] = scale * rows[nv * place + i]
+            basis[nv * r + i] = scale * rows[nv * place + i]
         for row in range(k):
             share = 0.0
             for i in range(nv):
-                share += factors[nv * r + i] * rows[nv * row + i]
-            shares[k * r + row] = share
+                share += basis[nv * r + i] * rows[nv * row + i]
+            closing.shares[k * r + row] = share
             square = 0.0
             for i in range(nv):
-                rest = rows[nv * row + i] - share * factors[nv * r + i]
+                rest = rows[nv * row + i] - share * basis[nv * r + i]
                 rows[nv * row + i] = rest
                 square += rest * rest
             lengths[row] = square
 
 
 @native
-def correct(
-    closing: Closing, residuals: Vector, lower: Vector, factors: Vector, rest: Vector, step: Vector
-) -> None:
-    """Find the step (nv,), SI, that undoes residuals (k,) of strong constraints; `rest` (k,) is scratch."""
+def correct(closing: Closing, residuals: Vector) -> None:
+    """Find the step, SI, that undoes residuals (k,) of strong constraints."""
     nv = closing.nv
     k = closing.constraints
-    count = k if k < nv else nv
-    shares = factors[count * nv :]
-    chosen = shares[count * k :]
-    inverse = chosen[count:]
+    lower = closing.lower
+    rest = closing.rest
+    step = closing.step
     for row in range(k):
         rest[row] = residuals[row]
     for i in range(nv):
         step[i] = 0.0
-    for r in range(count):
-        length = rest[int(chosen[r])] * inverse[r]
+    for r in range(k if k < nv else nv):
+        length = rest[int(closing.chosen[r])] * closing.inverse[r]
         for row in range(k):
-            rest[row] -= length * shares[k * r + row]
+            rest[row] -= length * closing.shares[k * r + row]
         for i in range(nv):
-            step[i] += length * factors[nv * r + i]
+            step[i] += length * closing.basis[nv * r + i]
     for m in range(nv):
         i = nv - 1 - m
         left = step[i]
@@ -253,16 +278,10 @@ def close_by(closing: Closing, x: Vector, y: Vector) -> None:
     nq = closing.nq
     nv = closing.nv
     k = closing.constraints
-    count = k if k < nv else nv
-    at = closing.scratch
-    moved = at[closing.inputs :]
-    found = moved[nq:]
-    rows = found[2 * k + closing.on_jacobian + closing.on_mass :]
-    lower = rows[k * nv :]
-    factors = lower[nv * nv :]
-    rest = factors[count * (nv + k + 2) :]
-    lengths = rest[k:]
-    step = lengths[k:]
+    at = closing.at
+    moved = closing.moved
+    found = closing.found
+    step = closing.step
     y[nq + nv] = -1.0
     if k < 0:
         return
@@ -278,10 +297,10 @@ def close_by(closing: Closing, x: Vector, y: Vector) -> None:
     left = squared(k, found)
     for number in range(NEWTON_STEPS):
         if number == 0 or left > ALIKE * ALIKE:
-            if factor_metric(closing, found, rows, lower) == 0:
+            if factor_metric(closing) == 0:
                 return
-            orthogonalize(closing, rows, lower, factors, lengths)
-        correct(closing, found, lower, factors, rest, step)
+            orthogonalize(closing)
+        correct(closing, found)
         for i in range(nq):
             at[i] = y[i]
         for i in range(nv):
@@ -307,7 +326,7 @@ def close_by(closing: Closing, x: Vector, y: Vector) -> None:
         for i in range(nq + nv):
             at[i] = y[i]
         closing.evaluate(at, found)
-        correct(closing, found[k:], lower, factors, rest, step)
+        correct(closing, found[k:])
         for i in range(nv):
             y[nq + i] -= step[i]
     y[nq + nv] = 1.0

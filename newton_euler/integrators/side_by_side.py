@@ -1,8 +1,8 @@
 """Runs of a compiled scene side by side, one in each lane of the processor's vector registers.
 
 The method is the one of `newton_euler.integrators.run`, compiled for several runs at once
-(`newton_euler.codegen.lanes`): each lane has its own steps, error control and projection, and takes the next
-run when it has made one. Results are those of one run after another, to the last bit. A run that needs
+(`newton_euler.codegen.translate`): each lane has its own steps, error control and projection, and takes the
+next run when it has made one. Results are those of one run after another, to the last bit. A run that needs
 Python, in a singular configuration or to explain why it cannot go on, leaves its lane and is made by scalar
 code.
 """

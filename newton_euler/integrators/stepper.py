@@ -4,7 +4,7 @@ Written for native code, see `newton_euler.codegen.native`; it runs as plain Pyt
 
 A state is a vector of n numbers y = (q, v), followed by the time and the scene's parameters, which
 callbacks read and methods leave alone. Methods make one run after another; several at once, one in each lane,
-if they are compiled for that (`newton_euler.codegen.lanes`). A derivative callback writes n rates and, in
+if they are compiled for that (`newton_euler.codegen.translate`). A derivative callback writes n rates and, in
 place n, the pivot ratio of its elimination: a number that is not positive where the equations are too close
 to singular to be trusted.
 """

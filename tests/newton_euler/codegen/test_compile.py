@@ -23,7 +23,8 @@ from newton_euler.codegen.cache import CACHE_VARIABLE, cache_key, read_cache, wr
 from newton_euler.codegen.compile import LEVEL, NativeFunction, NativeModule, Traced
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.native import Callback, NativeError, Record, Signature, Vector, native
-from newton_euler.codegen.native_functions import NativeFunctions, text
+from newton_euler.codegen.native_functions import NativeFunctions
+from newton_euler.codegen.translate import text
 from newton_euler.codegen.trigonometry import REGISTER
 from newton_euler.errors import OptionError
 from newton_euler.integrators.compiled import Code

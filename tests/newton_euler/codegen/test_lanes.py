@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from test_expression import everything, traced
 
-from newton_euler.codegen import lanes
-from newton_euler.codegen.compile import NativeFunction, Traced
+from newton_euler.codegen.compile import NativeFunction, Traced, lane_count
 from newton_euler.codegen.emit import emit_straight
-from newton_euler.codegen.lanes import LANES
 from newton_euler.codegen.native import Callback, NativeError, Record, Shared, Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.codegen.rolled import emit_rolled
+from newton_euler.codegen.translate import text
+
+LANES = lane_count()
 
 TABLE = (0.5, -2.0, 3.0, 0.0)
 
@@ -216,4 +217,4 @@ def divides(x: Vector) -> None:
 @pytest.mark.parametrize("function", [writes_one_place, loses_its_count, has_two_vectors, divides])
 def test_what_lanes_cannot_do_is_refused(function):
     with pytest.raises(NativeError, match=function.__name__):
-        lanes.text_of([function])
+        text([function], LANES)

@@ -37,7 +37,6 @@ def closed(form, jacobian, b, mass, units, q, v):
     if form == "native":
         NativeFunctions([close])(close, closing, x, y)
     else:
-        object.__setattr__(closing, "scratch", closing.scratch.ravel())
         close(closing, x, y)
     return y[:nv], y[nv:-1], y[-1]
 

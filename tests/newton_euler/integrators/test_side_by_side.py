@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from crosscheck.scenes import load
-from newton_euler.codegen.lanes import LANES
+from newton_euler.codegen.compile import lane_count
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.codegen.trigonometry import REGISTER
 from newton_euler.errors import NewtonEulerError
@@ -79,6 +79,8 @@ def test_states_without_constraints_are_left_as_they_are() -> None:
 
 # Runs
 
+
+LANES = lane_count()
 
 RUNS = LANES + 3
 """So that some lanes make a second one."""

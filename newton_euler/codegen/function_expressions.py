@@ -1,0 +1,375 @@
+"""Expressions of native functions as LLVM text: conditions, numbers, elements of vectors, calls."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from newton_euler.codegen.function_text import (
+    ALL,
+    Found,
+    FunctionText,
+    Value,
+    is_vector,
+    is_whole,
+    typed,
+    varies,
+)
+from newton_euler.codegen.native import Kind, is_native, machine_type, signature_of
+from newton_euler.codegen.trigonometry import literal, suffix, vector_type
+
+COMPARISONS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
+FLOAT_OPERATIONS = {ast.Add: "fadd", ast.Sub: "fsub", ast.Mult: "fmul", ast.Div: "fdiv"}
+INT_OPERATIONS = {
+    ast.Add: "add",
+    ast.Sub: "sub",
+    ast.Mult: "mul",
+    ast.FloorDiv: "sdiv",
+    ast.Mod: "srem",
+}
+INTRINSICS = {
+    "abs": "llvm.fabs",
+    "sqrt": "llvm.sqrt",
+    "min": "llvm.minnum",
+    "max": "llvm.maxnum",
+}
+
+FORMS = {"double": "v", "i64": "u", "ptr": "l", "shared": "s"}
+"""Forms of arguments, by type: doubles, which vary if anything does, whole numbers that are the same in all
+lanes, vectors by lanes or shared; w are whole numbers that vary. Capital letters are vectors that begin
+elsewhere in each lane; others, r, are addresses of records and callbacks."""
+
+
+def form_of(value: Value) -> str:
+    """Return the form of an argument."""
+    if varies(value):
+        return "w" if is_whole(value) else "v"
+    form = FORMS.get(str(value.type), "r")
+    return form.upper() if value.offset else form
+
+
+def kind_in(kind: Kind, lanes: int) -> Kind:
+    """Return the kind that code for so many lanes takes for another: one makes no difference between
+    vectors."""
+    return "ptr" if kind == "shared" and lanes == 1 else kind
+
+
+class Call(NamedTuple):
+    """A native function and the forms of its arguments."""
+
+    function: Callable[..., Any]
+    forms: str
+
+    @property
+    def name(self) -> str:
+        return f"{self.function.__name__}.{self.forms}"
+
+
+class Expressions(FunctionText):
+    """Instructions of a function with its expressions.
+
+    Attributes:
+        tables: LLVM text of the tables that it uses, by name.
+        calls: of native functions.
+    """
+
+    def __init__(self, function: Callable[..., Any], lanes: int, found: Found) -> None:
+        super().__init__(function, lanes, found)
+        self.tables: dict[str, str] = {}
+        self.calls: list[Call] = []
+        self._fields: dict[tuple[str, str], Value] = {}
+        self._entry: list[str] = []
+
+    # Conditions
+
+    def _condition(self, test: ast.expr) -> Value:
+        """Evaluate a condition: i1, or the mask of the lanes where it holds.
+
+        `and` and `or` look no further than some lane must.
+        """
+        if isinstance(test, ast.BoolOp):
+            found = self._condition(test.values[0])
+            for part in test.values[1:]:
+                found = self._joined(test.op, found, part)
+            return found
+        if isinstance(test, ast.UnaryOp) and isinstance(test.op, ast.Not):
+            return self._opposite(self._condition(test.operand))
+        if isinstance(test, ast.Compare) and len(test.ops) == 1:
+            return self._compare(test)
+        raise self._error(test, "tests anything but a comparison")
+
+    def _joined(self, op: ast.boolop, found: Value, part: ast.expr) -> Value:
+        either = isinstance(op, ast.Or)
+        open_ = self._opposite(found) if either else found
+        more = self._where(open_, lambda: self._condition(part), either)
+        if not varies(found):
+            return more
+        more = self._wide(more)
+        joined = f"{'or' if either else 'and'} {found.type} {found.operand}, {more.operand}"
+        return Value(found.type, self._new(joined))
+
+    def _opposite(self, test: Value) -> Value:
+        everywhere = ALL if varies(test) else "true"
+        return Value(test.type, self._new(f"xor {test.type} {test.operand}, {everywhere}"))
+
+    def _where(self, test: Value, make: Callable[[], Value], else_true: bool = False) -> Value:
+        """Evaluate something where a test holds, if it does in any lane; elsewhere it is zero, or true."""
+        more, after = self._labels("where", "after")
+        on = chosen = ""
+        if varies(test):
+            on = self._on()
+            chosen = self._and(on, test.operand)
+        before = self._at
+        self._branch(self._any(chosen) if on else test.operand, more, after)
+        self._begin(more)
+        if on:
+            self._turn(chosen)
+        value = make()
+        if on:
+            value = self._wide(value)
+            self._turn(on)
+        end = self._at
+        self._jump(after)
+        self._begin(after)
+        other = "zeroinitializer"
+        if else_true:
+            other = ALL if varies(value) else "true"
+        made = f"phi {value.type} [ {other}, %{before} ], [ {value.operand}, %{end} ]"
+        return Value(value.type, self._new(made))
+
+    def _compare(self, test: ast.Compare) -> Value:
+        a, b = self._pair(self._value(test.left), self._value(test.comparators[0]))
+        word, kind = COMPARISONS[type(test.ops[0])], str(a.type)
+        if is_whole(a):
+            found = f"icmp {word if word in ('eq', 'ne') else f's{word}'} {kind} {a.operand}, {b.operand}"
+            return Value(kind.replace("i64", "i1"), self._new(found))
+        found = f"fcmp {'une' if word == 'ne' else f'o{word}'} {kind} {a.operand}, {b.operand}"
+        return Value(kind.replace("double", "i1"), self._new(found))
+
+    # Numbers
+
+    def _value(self, node: ast.expr) -> Value:
+        method = getattr(self, f"_of_{type(node).__name__.lower()}", None)
+        if method is None:
+            raise self._error(node, f"holds {type(node).__name__}")
+        value: Value = method(node)
+        return value
+
+    def _of_constant(self, node: ast.Constant) -> Value:
+        return self._number(node, node.value)
+
+    def _number(self, node: ast.expr, value: object) -> Value:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self._error(node, f"holds {value!r}")
+        return Value("double", literal(value)) if isinstance(value, float) else Value("i64", str(value))
+
+    def _of_name(self, node: ast.Name) -> Value:
+        if node.id in self._variables:
+            return self._load(node.id)
+        if node.id in self._records:
+            return self._records[node.id]
+        value = self._global(node)
+        if isinstance(value, tuple):
+            numbers = ", ".join(f"double {literal(float(x))}" for x in value)
+            self.tables[node.id] = f"@{node.id} = private constant [{len(value)} x double] [{numbers}]"
+            return Value(kind_in("shared", self.lanes), f"@{node.id}")
+        return self._number(node, value)
+
+    def _global(self, node: ast.Name) -> Any:
+        try:
+            return self.function.__globals__[node.id]
+        except KeyError as error:
+            raise self._error(node, f"uses {node.id!r} before it has a value") from error
+
+    def _of_attribute(self, node: ast.Attribute) -> Value:
+        """Read a field of a record, from where it was put on entry."""
+        if not isinstance(node.value, ast.Name) or node.value.id not in self._records:
+            raise self._error(node, "holds an attribute of anything but a record")
+        record, name = self._records[node.value.id], node.attr
+        assert not isinstance(record.type, str)
+        if name not in record.type.kinds:
+            raise self._error(node, f"uses {name!r}, which {record.type.__name__} has not")
+        if (node.value.id, name) not in self._fields:
+            place, kind = list(record.type.kinds).index(name), record.type.kinds[name]
+            word, machine = f"%{node.value.id}.{name}", machine_type(kind)
+            self._entry += [
+                f"  {word}.at = getelementptr i64, ptr {record.operand}, i64 {place}",
+                f"  {word} = load {machine}, ptr {word}.at",
+            ]
+            self._fields[node.value.id, name] = Value(kind_in(kind, self.lanes), word)
+        return self._fields[node.value.id, name]
+
+    def _of_unaryop(self, node: ast.UnaryOp) -> Value:
+        value = self._value(node.operand)
+        if not isinstance(node.op, ast.USub):
+            raise self._error(node, f"holds {type(node.op).__name__}")
+        if is_whole(value):
+            return Value(value.type, self._new(f"sub {value.type} zeroinitializer, {value.operand}"))
+        return Value(value.type, self._new(f"fneg {value.type} {value.operand}"))
+
+    def _of_binop(self, node: ast.BinOp) -> Value:
+        a, b = self._pair(self._value(node.left), self._value(node.right))
+        op, t = type(node.op), a.type
+        if is_whole(a) and op in INT_OPERATIONS:
+            if op in (ast.FloorDiv, ast.Mod) and "%" in b.operand:  # 0 in a lane that is off, perhaps
+                raise self._error(node, "divides whole numbers by what may be 0")
+            return Value(t, self._new(f"{INT_OPERATIONS[op]} {t} {a.operand}, {b.operand}"))
+        x, y = self._float(a), self._float(b)
+        if op is ast.Pow:
+            return self._intrinsic("llvm.pow", [x, y])
+        if op not in FLOAT_OPERATIONS:
+            raise self._error(node, f"holds {op.__name__}")
+        if op in (ast.Add, ast.Sub) and (x.factors or y.factors):
+            return self._product_and_sum(op, x, y)
+        factors = (x.operand, y.operand) if op is ast.Mult else None
+        made = self._new(f"{FLOAT_OPERATIONS[op]} {x.type} {x.operand}, {y.operand}")
+        return Value(x.type, made, factors)
+
+    def _product_and_sum(self, op: type[ast.operator], x: Value, y: Value) -> Value:
+        """Add or subtract a product of the same expression, rounded once on processors that can.
+
+        LLVM, left to contract, would do so wherever it finds both in one block.
+        """
+        (first, second), term = x.factors or y.factors or ("", ""), y.operand if x.factors else x.operand
+        if op is ast.Sub and x.factors:
+            term = self._new(f"fneg {x.type} {term}")
+        elif op is ast.Sub:
+            first = self._new(f"fneg {x.type} {first}")
+        return self._intrinsic("llvm.fmuladd", [Value(x.type, each) for each in (first, second, term)])
+
+    def _intrinsic(self, name: str, given: list[Value]) -> Value:
+        """Call one of LLVM's functions of doubles, all of one type."""
+        kind, lanes = given[0].type, self.lanes if varies(given[0]) else 1
+        arguments = ", ".join(map(typed, given))
+        return Value(kind, self._new(f"call {kind} @{name}.{suffix(lanes)}({arguments})"))
+
+    def _of_ifexp(self, node: ast.IfExp) -> Value:
+        test = self._condition(node.test)
+        yes = self._where(test, lambda: self._value(node.body))
+        no = self._where(self._opposite(test), lambda: self._value(node.orelse))
+        if varies(test) or not is_vector(yes):
+            yes, no = self._pair(self._alike(yes, test), self._alike(no, test))
+        if yes.type != no.type or yes.type == "shared":
+            raise self._error(node, f"chooses between {yes.type} and {no.type}")
+        made = f"select {test.type} {test.operand}, {typed(yes)}, {typed(no)}"
+        return Value(yes.type, self._new(made))
+
+    # Vectors
+
+    def _of_subscript(self, node: ast.Subscript) -> Value:
+        vector, index = self._place(node)
+        if isinstance(node.slice, ast.Slice):
+            if varies(index):
+                return vector._replace(offset=self._sum(vector.offset, index.operand))
+            return vector._replace(operand=self._address(vector, index))
+        if self._is_scattered(vector, index):
+            at, on = self._addresses(vector, index), self._on()
+            given = f"{self._pointers} {at}, i32 8, {self._mask} {on}, {self._doubles} zeroinitializer"
+            return Value(self._doubles, self._new(f"call {self._doubles} {self._moved('gather')}({given})"))
+        kind = self._element_type(vector)
+        return Value(kind, self._new(f"load {kind}, ptr {self._address(vector, index)}, align 8"))
+
+    def _assign_element(self, target: ast.Subscript, value: Value) -> None:
+        """Write an element of a vector, in the lanes that are on."""
+        vector, index = self._place(target)
+        value = self._wide(self._float(value))
+        if self._is_scattered(vector, index):
+            at, on = self._addresses(vector, index), self._on()
+            given = f"{typed(value)}, {self._pointers} {at}, i32 8, {self._mask} {on}"
+            self._emit(f"call void {self._moved('scatter')}({given})")
+        elif vector.type == "shared":
+            raise self._error(target, "writes one element of a shared vector from several lanes")
+        else:
+            self._blend(value, self._address(vector, index), " volatile")
+
+    def _place(self, node: ast.Subscript) -> tuple[Value, Value]:
+        """Return the vector and the number of an element, or of the first of a tail."""
+        place = node.slice
+        if isinstance(place, ast.Slice):
+            if place.upper is not None or place.step is not None or place.lower is None:
+                raise self._error(node, "holds a slice other than a[k:]")
+            place = place.lower
+        vector, index = self._value(node.value), self._value(place)
+        if not is_vector(vector) or not is_whole(index):
+            raise self._error(node, f"indexes {vector.type} with {index.type}")
+        return vector, index
+
+    def _is_scattered(self, vector: Value, index: Value) -> bool:
+        """Return True for an element that is elsewhere in each lane."""
+        return bool(vector.offset) or varies(index)
+
+    def _element_type(self, vector: Value) -> str:
+        return "double" if vector.type == "shared" else self._doubles
+
+    def _address(self, vector: Value, index: Value) -> str:
+        kind = self._element_type(vector)
+        return self._new(f"getelementptr {kind}, ptr {vector.operand}, i64 {index.operand}")
+
+    def _addresses(self, vector: Value, index: Value) -> str:
+        """Return the addresses of an element of each lane."""
+        place = self._sum(vector.offset, self._wide(index).operand)
+        if vector.type == "ptr":
+            numbers = ", ".join(f"i64 {lane}" for lane in range(self.lanes))
+            place = self._new(f"mul {self._wholes} {place}, splat (i64 {self.lanes})")
+            place = self._new(f"add {self._wholes} {place}, <{numbers}>")
+        return self._new(f"getelementptr double, ptr {vector.operand}, {self._wholes} {place}")
+
+    def _sum(self, offset: str, index: str) -> str:
+        return self._new(f"add {self._wholes} {offset}, {index}") if offset else index
+
+    @property
+    def _pointers(self) -> str:
+        return vector_type("ptr", self.lanes)
+
+    def _moved(self, way: str) -> str:
+        """Return the name of LLVM's function that moves doubles from or to addresses of their own."""
+        return f"@llvm.masked.{way}.{suffix(self.lanes)}.v{self.lanes}p0"
+
+    # Calls
+
+    def _of_call(self, node: ast.Call) -> Value:
+        if not isinstance(node.func, ast.Name | ast.Attribute) or node.keywords:
+            raise self._error(node, "calls anything but a function by its name")
+        arguments = [self._value(argument) for argument in node.args]
+        if isinstance(node.func, ast.Attribute) or node.func.id in self._variables:
+            callback, (x, y) = self._value(node.func), arguments
+            if x.offset or y.offset:
+                raise self._error(node, "calls a callback with vectors that begin elsewhere in each lane")
+            self._emit(f"call void {callback.operand}({typed(x)}, {typed(y)}, i64 {self._bits()})")
+            return Value("void", "")
+        name = node.func.id
+        if name == "float":
+            return self._float(arguments[0])
+        if name == "int":
+            kind = str(arguments[0].type)
+            whole = kind.replace("double", "i64")
+            return Value(whole, self._new(f"fptosi {kind} {arguments[0].operand} to {whole}"))
+        if name in INTRINSICS:
+            given = [self._float(argument) for argument in arguments]
+            return self._intrinsic(INTRINSICS[name], [*self._pair(*given)] if len(given) == 2 else given)
+        function = self._global(node.func)
+        if not is_native(function):
+            raise self._error(node, f"calls {name}, which is not native")
+        return self._call(node, function, arguments)
+
+    def _call(self, node: ast.Call, function: Callable[..., Any], arguments: list[Value]) -> Value:
+        signature, forms = signature_of(function), ""
+        given = [f"{self._mask} {self._on()}"] if self.lanes > 1 else []
+        for argument, kind in zip(arguments, signature.arguments.values(), strict=True):
+            value = self._wide(self._float(argument)) if kind == "double" else argument
+            fits = {"double": True, "i64": is_whole(value), "ptr": is_vector(value)}
+            if not fits.get(str(kind_in(kind, 1)), value.type == kind):
+                raise self._error(node, f"passes {value.type} for {kind}")
+            forms += form_of(value)
+            given.append(typed(value))
+            if value.offset:
+                given.append(f"{self._wholes} {value.offset}")
+        call = Call(function, forms)
+        self.calls.append(call)
+        result = signature.result
+        if result == "void":
+            self._emit(f"call void @{call.name}({', '.join(given)})")
+            return Value("void", "")
+        result = self._type_in_lanes(result)
+        return Value(result, self._new(f"call {result} @{call.name}({', '.join(given)})"))
