@@ -256,7 +256,7 @@ def _count(states: Sequence[State] | None, parameters: Mapping[str, Any]) -> int
     """Return the number of runs."""
     series = dict(parameters) if states is None else {**parameters, "states": states}
     for name, each in series.items():
-        if not hasattr(each, "__len__"):
+        if getattr(each, "ndim", int(isinstance(each, Sequence))) < 1:
             raise OptionError(name, _short(each), "a sequence, one value per run")
         if not len(each):
             raise OptionError(name, each, "one value per run, of one run or more")

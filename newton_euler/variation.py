@@ -180,6 +180,8 @@ def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunV
 
 def _numbers(name: str, values: Sequence[Any] | Array, own: Array) -> tuple[Array, list[int]]:
     """Return values (n, ...) as floats, and the runs whose values are unusable, which have the own one."""
+    if isinstance(values, np.ndarray) and values.dtype.kind == "c":
+        values = values.tolist()  # NumPy would drop imaginary parts
     try:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError, OverflowError):

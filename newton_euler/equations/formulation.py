@@ -232,11 +232,11 @@ class Formulation(System):
         """Return compute(q, v), that of an earlier call if it was of one of the last `REMEMBERED` states."""
         # over generic scalars the bytes tell which objects they are, which the copies keep alive
         state = (q.dtype, q.tobytes(), v.dtype, v.tobytes())
-        if state not in self._states:
-            if len(self._states) == REMEMBERED:
-                del self._states[next(iter(self._states))]
-            self._states[state] = (q.copy(), v.copy()), compute(q, v)
-        found: T = self._states[state][1]
+        known = self._states  # is replaced, never changed: other threads may be reading
+        if state not in known:
+            last = list(known.items())[1 - REMEMBERED :]
+            self._states = known = dict([*last, (state, ((q.copy(), v.copy()), compute(q, v)))])
+        found: T = known[state][1]
         return found
 
     def coordinates(self, state: State) -> tuple[Array, Array]:

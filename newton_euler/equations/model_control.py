@@ -146,10 +146,11 @@ class ModelControl:
         """
         # over generic scalars the bytes tell which objects they are, which the copies keep alive
         state = q.dtype, q.tobytes(), v.tobytes(), id(system.time), id(system.scene)
-        if self._last[0] != state:
+        last = self._last  # other threads may replace it
+        if last[0] != state:
             kept = q.copy(), v.copy(), system.time, system.scene
-            self._last = state, kept, self._forces(system, q, v)
-        return self._last[2]
+            self._last = last = state, kept, self._forces(system, q, v)
+        return last[2]
 
     def _forces(self, system: Formulation, q: Array, v: Array) -> dict[Key, Scalar]:
         readings, time = system.measured(q, v), system.time

@@ -135,6 +135,9 @@ class Compound(Joint):
             if name.endswith("axis"):
                 unit_vector(self.name, name, axis)
         changed = self.varied(values)
+        if _is_right_handed(changed.hinges) != _is_right_handed(self.described.hinges):
+            problem = f"hinges are {changed.hinges.tolist()}, where the angle of the second one jumps"
+            raise MechanismError(f"joint {self.name!r}", problem, "axes nearer to the described ones")
         fields: dict[str, Any] = {name: getattr(changed, name) for name in ("slides", "hinges", "offsets")}
         return replace(self, point=changed.point, point_on_second=changed.point_on_second, **fields)
 
@@ -243,8 +246,16 @@ class Compound(Joint):
         a, b, c = axes
         cosines = _scalar(a @ b), _scalar(b @ c)
         sine, cosine = _scalar(b @ cross(a, c)), _scalar(a @ c) - cosines[0] * cosines[1]
-        a, b, c = self.described.hinges
-        return HingeRow(*ends, cosines, sine, cosine, float(np.copysign(1.0, b @ cross(a, c))))
+        side = 1.0 if _is_right_handed(self.described.hinges) else -1.0
+        return HingeRow(*ends, cosines, sine, cosine, side)
+
+
+def _is_right_handed(hinges: Array) -> bool:
+    """Tell on which side of the axes of the first and the last of three hinges that of the second is."""
+    if len(hinges) < 3:
+        return True
+    a, b, c = hinges
+    return bool(b @ cross(a, c) >= 0.0)
 
 
 def _scalar(value: Any) -> Any:

@@ -165,6 +165,23 @@ def test_bad_geometry_is_an_error_of_its_run_alone(name):
     assert message in str(found.errors[1])
 
 
+def test_hinges_keep_their_side():
+    """Where the axes of three hinges change hands the angle of the second one would jump."""
+    scene = COMPOUNDS["compound, cut"]
+    name, axis = next(
+        (f"{joint.name}.{len(joint.slides) + 2}.axis", joint.hinges[2])
+        for joint in scene.mechanism.joints
+        if isinstance(joint, Compound) and len(joint.hinges) == 3
+    )
+    found = run_values(scene, {name: [axis, -axis]})
+    assert list(found.errors) == [1]
+    assert "where the angle of the second one jumps" in str(found.errors[1])
+
+
+def test_complex_numbers_are_no_values(scene):
+    assert list(run_values(scene, {"mass.mass": np.array([1.0 + 2.0j, 2.0])}).errors) == [0, 1]
+
+
 def test_bad_values_are_found_among_many(scene):
     values = np.random.default_rng(0).normal(0.5, 1.0, 2000)
     found = run_values(scene, {"mass.mass": values, "rail.target": values})
