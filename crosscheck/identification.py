@@ -1,16 +1,15 @@
-"""Tables and files of parameters that were fitted to measured motion."""
+"""The report on parameters that were fitted to measured motion, and their numbers."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
-from crosscheck.report.table import Column, Lines, Part, Rows, Table, figures, texts
+from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
 from newton_euler.analysis.identification import Identification
-from newton_euler.scalars import Array
 
 MOST_CORRELATED = 0.99
 """Correlation of two parameters that is told."""
@@ -19,20 +18,27 @@ MOST_TOLD = 5
 """Pairs of such parameters, the most correlated first."""
 
 
-def headline(found: Identification) -> str:
-    """Say what was fitted to what."""
+def report(found: Identification) -> Report:
+    """Make tables of parameters and columns, and lines on what is to be known about them."""
     numbers = sum(len(column) for run in found.residuals for column in run.values())
     runs = f"{len(found.residuals)} run{'s' * (len(found.residuals) != 1)}"
     fitted = f"{len(found.parameters)} parameter{'s' * (len(found.parameters) != 1)}"
-    return f"{found.scene.name}: {fitted} fitted to {numbers:,} numbers of {runs}"
-
-
-def parts(found: Identification) -> list[Part]:
-    """Return tables of parameters and columns, and what is to be known about them."""
+    title = f"{found.scene.name}: {fitted} fitted to {numbers:,} numbers of {runs}"
     heads, *rows = found.table
     names = [*texts(*heads[:2]), *figures(*heads[2:])]
-    tables: list[Part] = [Table("", names, [list(row) for row in rows]), _columns(found)]
-    return [*tables, Lines("", [found.fit, *found.doubts, *found.notes, *_correlated(found)])]
+    parts: list[Part] = [Table("", names, [list(row) for row in rows]), _columns(found)]
+    if lines := [*found.doubts, *found.notes, *_correlated(found)]:
+        parts.append(Lines("", lines))
+    return Report(title, found.fit, _judged(found), parts, summary=parts)
+
+
+def _judged(found: Identification) -> Cell:
+    """Return the verdict in one word."""
+    if found.is_wrong:
+        return Cell("wrong", "fails")
+    if found.doubts:
+        return Cell("doubtful", "doubtful")
+    return Cell("fits", "holds") if np.isfinite(found.probability) else Cell("fitted")
 
 
 def _columns(found: Identification) -> Table:
@@ -60,38 +66,30 @@ def _correlated(found: Identification) -> Iterator[str]:
         yield f"{names} are hardly told apart: correlation {correlation[a, b]:.4f}"
 
 
-def as_json(found: Identification) -> bytes:
-    """Write the numbers of a fit; what is not finite is null."""
-    deviations = found.standard_deviations
-    content = {
+def data(found: Identification) -> dict[str, Any]:
+    """Return the numbers of a fit."""
+    rows = zip(
+        found.units,
+        found.before.tolist(),
+        found.values.tolist(),
+        found.standard_deviations.tolist(),
+        strict=True,
+    )
+    names = ("unit", "before", "fitted", "deviation")
+    return {
         "scene": found.scene.name,
         "parameters": {
-            name: {"unit": unit, "before": b, "fitted": x, "deviation": finite(s)}
-            for name, unit, b, x, s in zip(
-                found.parameters,
-                found.units,
-                found.before.tolist(),
-                found.values.tolist(),
-                deviations,
-                strict=True,
-            )
+            parameter: dict(zip(names, row, strict=True))
+            for parameter, row in zip(found.parameters, rows, strict=True)
         },
-        "covariance": finite(found.covariance),
+        "covariance": found.covariance.tolist(),
         "noise": found.noise,
         "misfit": found.misfit,
         "misfits": found.misfits,
         "degrees_of_freedom": found.degrees_of_freedom,
-        "probability": finite(np.array(found.probability)),
+        "probability": found.probability,
         "is_wrong": found.is_wrong,
-        "undetermined": list(found.undetermined),
+        "undetermined": found.undetermined,
         "stopped": found.stopped,
-        "curvature": finite(np.array(found.curvature)),
+        "curvature": found.curvature,
     }
-    return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()
-
-
-def finite(values: Array) -> object:
-    """Return numbers as plain lists, None for those that are not finite."""
-    if values.ndim:
-        return [finite(each) for each in values]
-    return float(values) if np.isfinite(values) else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 
 import click
 
@@ -10,14 +11,15 @@ from crosscheck.cli.shared import (
     AGREE,
     UNFINISHED,
     cli,
+    folder_option,
     load_and_tell,
     progress_shown,
-    say,
     scene_options,
     setting_options,
+    show,
     without_exercise,
 )
-from crosscheck.report.render import terminal
+from crosscheck.report.render import as_json
 
 
 @cli.command("identify")
@@ -35,12 +37,7 @@ from crosscheck.report.render import terminal
     help="Parameter to fit, such as panel_7.mass, ball_57.point.z, start.slide_12; repeatable.",
 )
 @click.option("--rtol", type=float, default=1e-10, show_default=True, help="Relative tolerance of steps.")
-@click.option(
-    "--output",
-    type=click.Path(path_type=Path),
-    default=None,
-    help="File.  [default: output/identify/SCENE.json]",
-)
+@folder_option("output/identify/SCENE")
 def identify_command(
     scene: str,
     measured: tuple[Path, ...],
@@ -54,19 +51,18 @@ def identify_command(
     SCENE is a name or a file, as of run. Columns are time and joint coordinates, rates, poses or forces; SI.
     """
     from crosscheck.files import check_no_source, check_writable, write_files
-    from crosscheck.identification import as_json, headline, parts
+    from crosscheck.identification import data, report
     from newton_euler.analysis.identification import identify
 
     options = without_exercise(scene_options(settings), "measured is the scene as it stands")
     loaded = load_and_tell(scene, options)
-    path = output or Path("output/identify") / f"{loaded.name}.json"
+    path = (output or Path("output/identify") / loaded.name) / "identify.json"
     check_no_source([path], [scene, *measured])
     check_writable(path)
     with progress_shown() as progress:
         progress("fitting")
         found = identify(loaded, names, measured, rtol=rtol)
-    write_files({path: as_json(found)})
-    say(headline(found), bold=True)
-    click.echo(terminal(parts(found)), nl=False)
-    say(f"wrote {path}")
+    made = report(found)
+    write_files({path: as_json(data(found), made)})
+    show(made, f"wrote {path}", f"more  crosscheck report {quote(str(path.parent))}")
     return UNFINISHED if found.doubts else AGREE

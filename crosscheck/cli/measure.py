@@ -324,8 +324,8 @@ def report_command(folder: Path) -> int:
 
     It is about what other commands wrote to DIR.
 
-    DIR is the folder of run, run --all, regress, faults, stress, bench, sweep or loads, with whatever
-    options, or one that holds such folders, as output does.
+    DIR is the folder of run, run --all, regress, faults, stress, bench, sweep, loads or identify, with
+    whatever options, or one that holds such folders, as output does.
     """
     from crosscheck.report.page import write_report
 

@@ -35,6 +35,7 @@ RESULTS = (
     "batch.json",
     "sweep.json",
     "loads.json",
+    "identify.json",
 )
 """Files of results, each with a report."""
 
@@ -162,7 +163,8 @@ def write_report(folder: Path, progress: Progress) -> Path:
     if not (own or below):
         raise CrosscheckError(
             f"nothing of crosscheck's in {folder}; needed, there or at most two folders below: "
-            f"{', '.join(RESULTS)}, as run, regress, faults, stress, bench, sweep and loads write them"
+            f"{', '.join(RESULTS)}, as run, regress, faults, stress, bench, sweep, loads and identify "
+            "write them"
         )
     check_writable(path)
     found = {file: read_json(file, Compared if file.name == RESULTS[0] else Results) for file in own or below}

@@ -1,17 +1,16 @@
 """Identification: parameters of a scene fitted to measured motion.
 
-The sum of squared residuals, each in units of its noise, is made least (`newton_euler.analysis.fit`) with the
-derivatives of `newton_euler.analysis.sensitivity`. With J their Jacobian at the end, the covariance of the
-parameters is (J^T J)^-1. Combinations of parameters that the data say nothing about are in the null space of
-J; they stay as they were, and are named.
+The sum of squared residuals, each in units of its noise (`newton_euler.analysis.noise`), is made least
+(`newton_euler.analysis.fit`) with the derivatives of `newton_euler.analysis.sensitivity`. With J their
+Jacobian at the end, the covariance of the parameters is (J^T J)^-1. Combinations of parameters that the data
+say nothing about are in the null space of J; they stay as they were, and are named.
 """
 
 from __future__ import annotations
 
-import math
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Unpack
 
@@ -19,6 +18,8 @@ import numpy as np
 
 from newton_euler.analysis.fit import SETTLED, Fit, split
 from newton_euler.analysis.measurements import Measurements, measurements_from_csv
+from newton_euler.analysis.noise import CHANCE
+from newton_euler.analysis.residuals import Residuals
 from newton_euler.analysis.sensitivity import checked_names
 from newton_euler.analysis.tangent_run import components, tangent_options
 from newton_euler.errors import IdentificationWarning, MechanismError, OptionError, check_type
@@ -33,10 +34,6 @@ Given = Measurements | str | os.PathLike[str]
 
 SIMPLE = 0.02
 """Share by which a factor of a combination may differ from 0, 1 or -1 to be taken for it."""
-
-CHANCE = 1e-4
-"""Probability of residuals as large as those of a fit, by chance alone, below which the scene is wrong: what
-noise does not explain, of however many numbers, moves parameters by many of their standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,16 +51,20 @@ class Identification:
         noise: standard deviations of columns, for each run by name, those that were given, or else of the
             residuals.
         misfits: roots of the mean squares of residuals of columns by name, in units of their noise.
-        misfit: that of all residuals, by degrees of freedom: about 1 if the scene can move as was measured
-            and the noise is known.
-        degrees_of_freedom: numbers measured less combinations of parameters that they determine.
-        probability: of a misfit as large or larger, by chance alone; not a number where no noise is known.
+        misfit: root of the squares of residuals in units of the noise that was given, by what they are
+            expected to be: about 1 if the scene can move as was measured. Not a number where no noise was
+            given, or the fit takes all numbers with given noise.
+        degrees_of_freedom: of these squares, see `newton_euler.analysis.noise`: numbers less combinations of
+            parameters that they determine, where all noise was given.
+        probability: of a misfit as large or larger, by chance alone; not a number where there is no misfit.
         residuals: measured less computed, for each run by column, (n,) each.
         in_degrees: columns of rad or rad/s that fit as degrees.
-        undetermined: a line for each combination of parameters that the data do not determine.
+        undetermined: a line for each combination of parameters, and for each noise, that the data do not
+            determine.
         stopped: why the fit ended before the sum of squares was least; empty if it is.
         curvature: by how much derivatives two standard deviations away are others, in units of those at the
-            values. Above 1 the covariance holds for parameters one by one, not for all together.
+            values, root mean square. Above 1 the covariance holds for parameters one by one, not for all
+            together.
         evaluations: runs of all measurements, with derivatives.
 
     Examples:
@@ -86,7 +87,7 @@ class Identification:
     noise: tuple[dict[str, float], ...]
     misfits: dict[str, float]
     misfit: float
-    degrees_of_freedom: int
+    degrees_of_freedom: float
     probability: float
     residuals: tuple[dict[str, Floats], ...]
     in_degrees: tuple[str, ...]
@@ -136,9 +137,10 @@ class Identification:
     def fit(self) -> str:
         """A line on how well the scene moves as was measured."""
         if np.isnan(self.probability):
-            return "noise is not known: that of the residuals cannot tell whether the scene is right"
+            return "noise of columns is needed, and more numbers, to tell whether the scene is right"
         chance = f"{self.probability:.2g}" if self.probability >= 1e-6 else "below 1e-6"
-        told = f"chi-square probability {chance}, {self.degrees_of_freedom:,} degrees of freedom"
+        freedom = f"{round(self.degrees_of_freedom, 1):,.10g} degrees of freedom"
+        told = f"chi-square probability {chance}, {freedom}"
         return f"misfit {self.misfit:.3g}, 1 expected: {told}"
 
     @property
@@ -199,31 +201,30 @@ def identify(
         >>> print(f"{found.values[0]:.4f} kg")
         2.0000 kg
     """
-    from scipy.special import chdtrc
-
     check_type("scene", scene, Scene)
     check_formulation(formulation)
     names = components(scene, checked_names(parameters))
     runs = _runs(scene, names, measurements)
     count = sum(run.time.size * len(run.columns) for run in runs.values())
-    is_unknown = any(set(run.columns) != set(run.noise) for run in runs.values())
-    if count < len(names) + is_unknown:
-        more = ", and another one for noise that is not known" if is_unknown else ""
-        needed = f"at least {len(names) + is_unknown}, one for each that is fitted{more}"
+    unknown = {name for run in runs.values() for name in run.columns if name not in run.noise}
+    if count < len(names) + len(unknown):
+        more = ", and for the noise of each column that is not given" if unknown else ""
+        needed = f"at least {len(names) + len(unknown)}, one for each that is fitted{more}"
         raise MechanismError("measurements", f"are {count} numbers", needed)
-    fit = Fit(scene, names, runs, formulation, tangent_options(control))
-    change = fit.solve()
-    residuals, jacobian = fit.residuals(change), fit.jacobian(change)
-    strong, weak, covariance = split(jacobian, fit.excess)
-    squares, freedom = float(residuals @ residuals), max(1, count - len(strong))
-    probability = float(chdtrc(freedom, squares)) if fit.some_noise_is_known else math.nan
+    measured = Residuals(scene, names, runs, formulation, tangent_options(control))
+    fit = Fit(scene, names, measured)
+    change, noise = fit.solve(), fit.noise
+    _, weak, covariance = split(fit.jacobian(change))
     values, stopped = fit.values(change), fit.stopped if fit.unsettled(change) > SETTLED else ""
     edge = fit.is_at_edge(change) if stopped else [False] * len(names)
-    for k in np.flatnonzero(np.any(np.abs(weak) > SIMPLE, axis=0) | edge):
+    is_open = np.any(np.abs(weak) > SIMPLE, axis=0) | bool(noise.undetermined)
+    for k in np.flatnonzero(is_open | edge):
         covariance[k, :] = covariance[:, k] = np.nan
         covariance[k, k] = np.nan if edge[k] else np.inf
-    if probability < CHANCE:
+    if noise.probability < CHANCE:
         covariance[:] = np.nan
+    open_noise = [f"the noise of {name} is not determined by its residuals" for name in noise.undetermined]
+    residuals = fit.residuals(change)
     found = Identification(
         scene=with_parameters(scene, dict(zip(names, values.tolist(), strict=True))),
         parameters=names,
@@ -231,17 +232,20 @@ def identify(
         before=fit.before,
         values=values,
         covariance=covariance * np.outer(fit.scale, fit.scale),
-        noise=fit.noise,
-        misfits=fit.misfits(change),
-        misfit=math.sqrt(squares / freedom),
-        degrees_of_freedom=freedom,
-        probability=probability,
-        residuals=tuple(fit.by_column(change)),
+        noise=tuple(
+            {name: float(deviations[0]) for name, deviations in run.items()}
+            for run in measured.by_column(noise.deviations)
+        ),
+        misfits=_misfits(measured.by_column(residuals / noise.deviations)),
+        misfit=noise.misfit,
+        degrees_of_freedom=noise.freedom,
+        probability=noise.probability,
+        residuals=measured.by_column(-residuals),
         in_degrees=fit.in_degrees(change),
-        undetermined=tuple(_lines(names, values, fit, weak)),
+        undetermined=(*_lines(names, values, fit, weak), *open_noise),
         stopped=stopped,
         curvature=fit.curvature(change),  # last of all: it is another point
-        evaluations=fit.evaluations,
+        evaluations=measured.evaluations,
     )
     if found.doubts:
         warnings.warn(f"scene {scene.name!r}: {'; '.join(found.doubts)}", IdentificationWarning, stacklevel=2)
@@ -268,6 +272,15 @@ def _runs(scene: Scene, names: Sequence[str], given: Given | Sequence[Given]) ->
             raise OptionError("measurements", where, "each file once")
         runs[where] = run
     return runs
+
+
+def _misfits(residuals: Sequence[Mapping[str, Floats]]) -> dict[str, float]:
+    """Return root mean squares of the residuals of all runs, in units of their noise, by column."""
+    found: dict[str, list[Floats]] = {}
+    for run in residuals:
+        for name, column in run.items():
+            found.setdefault(name, []).append(column)
+    return {name: float(np.sqrt(np.mean(np.concatenate(each) ** 2))) for name, each in found.items()}
 
 
 def _lines(names: Sequence[str], values: Array, fit: Fit, weak: Array) -> list[str]:

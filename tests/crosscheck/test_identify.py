@@ -143,38 +143,34 @@ def data(tmp_path_factory):
 
 
 def test_identify_prints_a_table_and_writes_its_numbers(capsys, tmp_path, data):
-    path = tmp_path / "found.json"
     fit = ("--fit", "panel_7.mass", "--fit", "slide_12.stiffness")
-    status, out, err = run(capsys, "identify", "tracker_gravity", data, *fit, "--output", path)
+    status, out, err = run(capsys, "identify", "tracker_gravity", data, *fit, "--output", tmp_path)
     assert (status, err) == (0, "")
     assert "tracker_gravity: 2 parameters fitted to 1,002 numbers of 1 run" in " ".join(out.split())
     assert all(len(line) <= 80 for line in out.splitlines() if str(tmp_path) not in line)
-    found = json.loads(path.read_text())
+    found = json.loads((tmp_path / "identify.json").read_text())
     mass = found["parameters"]["panel_7.mass"]
     # five deviations: once in two million times
     assert abs(mass["fitted"] - 0.95) < 5.0 * mass["deviation"] < 1e-2
     assert found["undetermined"] == []
+    assert run(capsys, "report", tmp_path)[0] == 0
+    assert "chi-square probability" in (tmp_path / "report.html").read_text()
 
 
 def test_identify_names_what_the_data_do_not_determine(capsys, tmp_path, data):
     """Status 3: not all of it was found."""
     fit = ("--fit", "panel_7.mass", "--fit", "slider_2.inertia.xx")
-    status, out, _ = run(
-        capsys, "identify", "tracker_gravity", data, *fit, "--output", tmp_path / "found.json"
-    )
+    status, out, _ = run(capsys, "identify", "tracker_gravity", data, *fit, "--output", tmp_path)
     assert status == 3
     assert "slider_2.inertia.xx is not determined" in out
-    assert (
-        json.loads((tmp_path / "found.json").read_text())["parameters"]["slider_2.inertia.xx"]["deviation"]
-        is None
-    )
+    found = json.loads((tmp_path / "identify.json").read_text())
+    assert found["parameters"]["slider_2.inertia.xx"]["deviation"] == "inf"
 
 
 def test_identify_says_if_the_scene_cannot_move_as_was_measured(capsys, tmp_path, data):
     """Status 3: values are not to be trusted."""
-    status, out, _ = run(
-        capsys, "identify", "tracker", data, "--fit", "panel_7.mass", "--output", tmp_path / "found.json"
-    )
+    fit = ("--fit", "panel_7.mass")
+    status, out, _ = run(capsys, "identify", "tracker", data, *fit, "--output", tmp_path)
     assert status == 3
     assert "the scene cannot move as was measured" in " ".join(out.split())
 
@@ -185,7 +181,7 @@ def test_identify_says_if_the_scene_cannot_move_as_was_measured(capsys, tmp_path
         (["tracker_gravity", "none.csv", "--fit", "panel_7.mass"], "none.csv: cannot be read"),
         (["tracker_gravity", "DATA", "--fit", "panel_7.color"], "unknown parameter 'panel_7.color'"),
         (["pendulum", "DATA", "--fit", "dumbbell.mass"], "unknown column 'coordinate.slide_12'"),
-        (["tracker_gravity", "DATA", "--fit", "panel_7.mass", "--output", "DATA"], "would overwrite"),
+        (["tracker_gravity", "DATA", "--fit", "panel_7.mass", "--output", "DATA"], "cannot write"),
         (["tracker_gravity", "DATA"], "Missing option '--fit'"),
     ],
 )

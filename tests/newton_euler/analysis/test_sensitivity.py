@@ -14,7 +14,7 @@ from mechanisms import ball_loop, carts, pendulum, planar_four_bar
 from scipy.integrate import solve_ivp
 
 from crosscheck.scenes import load
-from newton_euler import compile_scene, sensitivities, simulate_batch
+from newton_euler import compile_scene, sensitivities, simulate_batch, with_parameters
 from newton_euler.analysis.tangent_run import FollowedRun, Starts, own_numbers, tangent_code
 from newton_euler.equations.parameters import is_kinematic, parameter_values, places
 from newton_euler.errors import NewtonEulerError
@@ -84,6 +84,7 @@ LOOP = ("crank.center_of_mass", "ball.point", "pivot.axis", "wrist.point_on_firs
 SCENES = {
     "tracker": (short(load("tracker_gravity"), 0.5), TRACKER),
     "slider crank": (short(load("slider_crank")), LOOP),
+    "light body": (short(with_parameters(load("slider_crank"), {"crank.mass": 1e-8})), LOOP),
     "rate of the start": (short(load("slider_crank")), ("start.pivot.rate", "pivot.point.z")),
     "gear": (short(geared_loop()), ("chain.ratio", "gravity")),
     "coupling": (coupled_carts(), ("sum.terms", "rail_0.target", "rail_1.target", "start.rail_0.rate")),
@@ -125,7 +126,7 @@ def by_differences(scene, formulation, values, direction, step):
     return np.split(derivative(flat, step), np.cumsum(sizes)[:-1])
 
 
-QUICK = ("slider crank", "functions of time", "coupling")
+QUICK = ("slider crank", "light body", "functions of time", "coupling")
 """Scenes whose Cartesian form compiles in a second or two."""
 
 CASES = [
