@@ -34,7 +34,7 @@ SETTLED = 0.1  # standard deviations by which a further step would move them at 
 REPEATED = 0.01  # those above which it is repeated
 
 # of changes, in units of scales
-NOTHING = 1e-12  # round-off; m or rad of coordinates of a start
+NOTHING = 1e-12  # round-off; SI of coordinates of a start and their rates
 ROUND_OFF = 1e-8  # what runs to 1e-10 do not tell from none
 NEAR = 1e-6  # distance within which a number is at the edge of what the scene can have
 LARGER = 2.0  # factor by which numbers may outgrow their scales
@@ -216,13 +216,14 @@ def _scales(scene: Scene, names: Sequence[str]) -> tuple[Array, Array, tuple[str
     that by the mechanism's size, m, or else by 1.
     """
     before, units = own_numbers(scene, names), tuple(units_of(scene, names).values())
-    before[np.abs(before) < NOTHING] = 0.0
-    scale, initial = np.abs(before), initial_numbers(scene, names)
+    initial = np.isin(names, list(initial_numbers(scene, names)))
+    before[initial & (np.abs(before) < NOTHING)] = 0.0
+    scale = np.abs(before)
     for k, (name, unit) in enumerate(zip(names, units, strict=True)):
-        if unit and name not in initial:
+        if unit and not initial[k]:
             (place,) = places(scene, [name]).values()
             scale[k] = np.abs(own_value(scene, place.owner)).max()
-        if scale[k] < NOTHING:
+        if scale[k] == 0.0:
             scale[k] = scene.mechanism.size if unit == "m" else 1.0
     return before, scale, units
 

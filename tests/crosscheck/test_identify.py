@@ -74,9 +74,9 @@ def trial(make, seed):
 
     The misfit, by how much the true ones fit worse, is a difference of sums of squares, distributed as chi
     squared of the number of parameters. So is the square of all errors by the covariance, unless
-    uncertainties are so large that the region around the fit is bent: of the four-bar, whose parameters are
-    known to 0.1 to 1 % and correlated by up to 0.99, the ellipsoid of 95 % has the true ones in half of the
-    trials at this noise, in 36 of 40 at a tenth of it, in 38 at a hundredth.
+    uncertainties are so large that the region around the fit is bent: the ellipsoid of 95 % has the true
+    parameters in 52 of 60 trials of the tracker; of the four-bar, whose parameters are known to 0.1 to 1 %
+    and correlated by up to 0.99, in half of the trials at this noise, in 71 of 80 at 3 % of it.
     """
     scene, names, truth, runs = case(make)
     rng = np.random.default_rng(seed)
@@ -84,7 +84,7 @@ def trial(make, seed):
     found = identify(scene, names, noisy)
     assert found.undetermined == ()
     assert found.stopped == ""
-    assert bool(found.notes) == (make is four_bar)
+    assert "bent" in " ".join(found.notes)
     pairs = zip(noisy, runs, found.residuals, strict=True)
     worse = 0.0
     for measured, exact, residuals in pairs:
@@ -108,7 +108,7 @@ def test_ten_parameters_are_recovered_within_their_uncertainty(make):
     assert is_chi_squared(sum(worse), 10 * trials)
     # errors beyond this are as rare, in any of them
     assert np.abs(errors).max() < norm.isf(0.5 * RARE / (10 * trials))
-    if make is tracker:  # whose region is hardly bent
+    if make is tracker:  # whose region is bent less
         assert is_chi_squared(sum(together), 10 * trials)
 
 

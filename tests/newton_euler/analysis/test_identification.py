@@ -11,8 +11,11 @@ from scipy.stats import binom
 
 from crosscheck.scenes import load
 from newton_euler import (
+    Body,
     IdentificationWarning,
+    JointSpring,
     Measurements,
+    Mechanism,
     NewtonEulerError,
     identify,
     measurements_from_csv,
@@ -50,7 +53,23 @@ def test_exact_measurements_give_exact_parameters():
     assert found.values == pytest.approx([*true, -1e-3, 0.2, 3.0], rel=1e-6)
     assert found.scene.mechanism.body("slider").mass == found.values[1]
     assert found.undetermined == ()
+    assert found.notes == []
     assert "slider.mass" in "\n".join(found.report())
+
+
+def test_small_numbers_are_fitted():
+    """Those of a mechanism of a millimeter and a milligram, of 1e-13 SI and less."""
+    scene = pendulum(length=1e-3)
+    rod, spring = scene.mechanism.body("rod"), JointSpring("pivot", damping=1e-12)
+    light = Body("rod", 1e-6, rod.center_of_mass, 1e-6 * rod.inertia, rod.quaternion)
+    mechanism = Mechanism([Body.ground(), light], scene.mechanism.joints)
+    truth = replace(scene, mechanism=mechanism, forces=(spring,), duration=0.2, output_period=0.01)
+    names = ["rod.inertia.yy", "pivot.spring.damping"]
+    right = [light.inertia[1, 1], 1e-12]
+    wrong = with_parameters(truth, {names[0]: 1.1 * right[0], names[1]: 0.9e-12})
+    found = identify(wrong, names, measured(truth, "pivot"))
+    assert found.values == pytest.approx(right, rel=1e-6, abs=0.0)
+    assert found.undetermined == ()
 
 
 def test_several_runs_have_starts_of_their_own():
