@@ -2,7 +2,9 @@
 
 By traced derivatives of the equations of motion, carried along the steps of a run beside its states
 (`newton_euler.integrators.tangents`), on the linearized constraints. The run itself is a plain one, to the
-last bit; its tolerances hold for the derivatives about as they do for the states.
+last bit. Steps that are too long for the derivatives, as those of a mechanism at rest are, are taken in
+parts: in each the error of all coordinates by one parameter is at most 100 `rtol` of the largest, and so is
+that of velocities, unless it is round-off, or a singular configuration is passed.
 
 The times of events must not depend on parameters: set-points that jump and knots of splines are such. Sampled
 controllers have no derivatives. Near singular configurations derivatives lose digits as accelerations do;

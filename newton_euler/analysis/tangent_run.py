@@ -50,6 +50,9 @@ SPACING = 0.05
 FINER = 20
 """Pivot ratios between two that are beside a least one, twice."""
 
+OF_TANGENTS = 100.0
+"""Their tolerance in units of `rtol`: so much that hardly a step of a scene that moves is divided."""
+
 ROOM = 2048
 """Steps of a run that there is room for; those of a longer one are taken twice."""
 
@@ -397,6 +400,9 @@ class FollowedRun:
             count=steps,
             rows=rows,
             projecting=int(code.projects),
+            places=code.system.work.start,
+            speeds=code.system.nq,
+            tolerance=OF_TANGENTS * self._options.rtol,
             rates=rates,
             settled=settled,
             steps=integrator.steps,
@@ -407,6 +413,9 @@ class FollowedRun:
             k=np.empty((17, 2 * n + 1, lanes)),
             table=np.empty((rows, n, lanes)),
             least=np.ones(1),
+            errors=np.empty(2 * lanes),
+            tried=np.empty(lanes + 1),
+            noise=np.zeros(lanes),
             found=np.empty((max(function.outputs for function in functions.values()), lanes)),
         )
         for first in range(0, directions.shape[1], lanes):
@@ -416,6 +425,7 @@ class FollowedRun:
             x[inputs:] = 0.0
             x[inputs:, :together] = beside
             tangents.at[:] = x
+            tangents.noise[:] = 0.0
             methods()(follow, tangents, integrator.x)
             if code.projects and tangents.least[0] < UNSAFE:
                 raise SensitivityError(TOO_NEAR)

@@ -6,6 +6,12 @@ Parameteridentifizierung in Systemen nichtlinearer Differentialgleichungen, Bonn
 183, 1987). So the run itself knows nothing of it. After each step the tangents are put on the linearized
 constraints, Phi_q S + Phi_p = 0 and its rate, by steps of least length as states are.
 
+What a state at rest, or a slow one, lets be a step may be far too long for its tangents, which vibrate
+beside it. So they have error control of their own, as sensitivities need (R. P. Dickinson, R. J. Gelinas,
+Journal of Computational Physics 21, 1976; R. Serban, A. C. Hindmarsh, CVODES, ASME IDETC 2005): a step in
+which the embedded estimate of their error (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations
+I, 1993, section II.5) is beyond their tolerance is taken in parts.
+
 Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
 """
 
@@ -13,10 +19,35 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from math import sqrt
 
 from newton_euler.codegen.native import Callback, Record, Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.integrators.dop853_tableau import COUPLING, DENSE, NODES, SECOND, SECOND_OF_STEP, STAGES
+from newton_euler.integrators.dop853 import EXPONENT, FAILED, LARGEST, SAFETY, SMALLEST
+from newton_euler.integrators.dop853_tableau import (
+    COUPLING,
+    DENSE,
+    ERROR_3,
+    ERROR_5,
+    NODES,
+    SECOND,
+    SECOND_OF_STEP,
+    STAGES,
+)
+from newton_euler.integrators.singular import NEAR
+from newton_euler.integrators.stepper import HUGE
+
+TENTH = 0.1
+"""Ratio of the sizes of two parts that show of what order an error is."""
+
+HALF = 0.5
+"""Ratio of pivot ratios in a step that is not just anywhere near a singular configuration, but passes one."""
+
+NOISY = 4.0
+"""Noise that is expected, in units of the one found."""
+
+TINY = 1e-300
+"""Keeps ratios to nothing finite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +59,9 @@ class Tangents(Record):
         lanes: number of directions.
         count, rows: numbers of steps and of output times.
         projecting: 1 if states are kept on the constraints, else 0.
+        places, speeds: (q, v) are the elements up to `places` and from `speeds` on; between is work done,
+            which nothing depends on, and whose error is not looked at.
+        tolerance: of errors of a part of a step, in units of the largest of q and of v in each lane.
         rates: of a state and of a direction, with the pivot ratio behind them.
         settled: directions on the linearized constraints.
         steps: (count, n + 2) states, times and sizes of steps.
@@ -37,6 +71,9 @@ class Tangents(Record):
         k: (17, 2 n + 1, lanes) rates of the stages, then scratch.
         table: (rows, n, lanes) tangents at the output times.
         least: (1,) the least pivot ratio.
+        errors: (2, lanes) of the last part in units of the tolerance, and in their own.
+        tried: (lanes + 1,) the errors of a longer part, and its size, s.
+        noise: (lanes,) error per second that no division makes less.
         found: (outputs, lanes) scratch for the outputs of any function.
     """
 
@@ -46,6 +83,9 @@ class Tangents(Record):
     count: int
     rows: int
     projecting: int
+    places: int
+    speeds: int
+    tolerance: float
     rates: Callback
     settled: Callback
     steps: Vector
@@ -56,6 +96,9 @@ class Tangents(Record):
     k: Vector
     table: Vector
     least: Vector
+    errors: Vector
+    tried: Vector
+    noise: Vector
     found: Vector
 
 
@@ -155,52 +198,192 @@ def interpolate_tangents(tangents: Tangents, share: float, y: Vector) -> None:
 
 
 @native
+def estimate_errors(tangents: Tangents, h: float) -> None:
+    """Estimate the errors of the tangents in a part of size h of a step, all its stages known."""
+    lanes = tangents.lanes
+    size = tangents.n * lanes
+    row = 2 * size + lanes
+    k = tangents.k[size:]
+    end = tangents.at[tangents.inputs * lanes :]
+    begun = tangents.x[tangents.inputs * lanes :]
+    for lane in range(lanes):
+        largest_place = 0.0
+        largest_speed = 0.0
+        for i in range(tangents.n):
+            largest = max(abs(begun[lanes * i + lane]), abs(end[lanes * i + lane]))
+            if i < tangents.places:
+                largest_place = max(largest_place, largest)
+            if i >= tangents.speeds:
+                largest_speed = max(largest_speed, largest)
+        # of the tangents that pass through zero, or begin there, in one of the two alone
+        of_place = tangents.tolerance * max(largest_place, h * largest_speed) + TINY
+        of_speed = tangents.tolerance * max(largest_speed, largest_place) + TINY
+        fifth = 0.0
+        third = 0.0
+        whole = 0.0
+        for i in range(tangents.n):
+            if i < tangents.places or i >= tangents.speeds:
+                five = 0.0
+                three = 0.0
+                for j in range(STAGES):
+                    five += ERROR_5[j] * k[row * j + lanes * i + lane]
+                    three += ERROR_3[j] * k[row * j + lanes * i + lane]
+                scale = of_place if i < tangents.places else of_speed
+                fifth += (five / scale) * (five / scale)
+                third += (three / scale) * (three / scale)
+                whole += five * five
+        error = 0.0
+        if fifth > 0.0 or third > 0.0:
+            error = h * fifth / sqrt((fifth + 0.01 * third) * tangents.n)
+        tangents.errors[lane] = error if error < FAILED else FAILED
+        whole = h * sqrt(whole)
+        tangents.errors[lanes + lane] = whole if whole < HUGE else HUGE
+
+
+@native
+def keep_tried(tangents: Tangents, h: float) -> None:
+    """Keep the errors of a part of size h, to compare those of shorter ones with them."""
+    for lane in range(tangents.lanes):
+        tangents.tried[lane] = tangents.errors[tangents.lanes + lane]
+    tangents.tried[tangents.lanes] = h
+
+
+@native
+def find_noise(tangents: Tangents, h: float) -> None:
+    """Find the lanes whose errors fall with h as round-off does, at most with its first power.
+
+    Errors of the method fall with the fifth power at least, and with h^12 where steps are so long that
+    tangents explode; so the third tells them apart.
+    """
+    lanes = tangents.lanes
+    ratio = h / tangents.tried[lanes]
+    if ratio <= TENTH:
+        for lane in range(lanes):
+            error = tangents.errors[lanes + lane]
+            if tangents.errors[lane] > 1.0 and error > ratio * ratio * ratio * tangents.tried[lane]:
+                tangents.noise[lane] = max(tangents.noise[lane], NOISY * error / h)
+        keep_tried(tangents, h)
+
+
+@native
+def worst_error(tangents: Tangents, h: float) -> float:
+    """Return the largest error of a part of size h in units of the tolerance, except for noise."""
+    worst = 0.0
+    for lane in range(tangents.lanes):
+        if not tangents.errors[tangents.lanes + lane] <= tangents.noise[lane] * h:
+            worst = max(worst, tangents.errors[lane])
+    return worst
+
+
+@native
+def passes_singular(tangents: Tangents) -> int:
+    """Tell if the stages pass by a singular configuration: 1 or 0.
+
+    The run has placed such a step so that no stage is too near; those of its parts would be.
+    """
+    size = tangents.n * tangents.lanes
+    row = 2 * size + tangents.lanes
+    least = tangents.k[2 * size]
+    most = least
+    for s in range(1, STAGES + 1):
+        ratio = tangents.k[row * s + 2 * size]
+        least = min(least, ratio)
+        most = max(most, ratio)
+    return 1 if least < NEAR and least < HALF * most else 0
+
+
+@native
+def take_part(tangents: Tangents, t: float, h: float) -> float:
+    """Take the stages from time t over a time h or, where tangents need it, a shorter one; returns it."""
+    taken = 0
+    shorter = 0
+    while taken == 0:
+        for s in range(STAGES + 1):
+            tangent_stage(tangents, s, t, h)
+        estimate_errors(tangents, h)
+        if shorter == 0:
+            keep_tried(tangents, h)
+        find_noise(tangents, h)
+        error = worst_error(tangents, h)
+        if error > 1.0 and passes_singular(tangents) == 0:
+            h = h * max(SMALLEST, SAFETY * error**EXPONENT)
+            shorter = 1
+        else:
+            taken = 1
+    return h
+
+
+@native
+def write_tangents(tangents: Tangents, t: float, h: float, due: int, stop: float) -> int:
+    """Write rows of the table from `due` on, until time `stop`, by a part of size h from t; returns the row
+    that is due then."""
+    n = tangents.n
+    lanes = tangents.lanes
+    size = n * lanes
+    along = tangents.inputs * lanes
+    at = tangents.at
+    table = tangents.table
+    if due < tangents.rows and tangents.times[due] <= stop:
+        for s in range(STAGES + 1, 16):
+            tangent_stage(tangents, s, t, h)
+        prepare_terms(tangents, h)
+        first = due
+        while due < tangents.rows and tangents.times[due] <= stop:
+            interpolate_tangents(tangents, (tangents.times[due] - t) / h, table[size * due :])
+            due += 1
+        for late in range(first, due):  # the stages are no longer needed
+            put(n, lanes, tangents.states[n * late :], at)
+            for lane in range(lanes):
+                at[size + lane] = tangents.times[late]
+            for i in range(size):
+                at[along + i] = table[size * late + i]
+            settle(tangents, at)
+            for i in range(size):
+                table[size * late + i] = at[along + i]
+    return due
+
+
+@native
 def follow(tangents: Tangents, last: Vector) -> None:
     """Carry the tangents through all steps, into the table, and to the state (n,) at the end of the last."""
     n = tangents.n
     lanes = tangents.lanes
     size = n * lanes
-    row = 2 * size + lanes
     along = tangents.inputs * lanes
     x = tangents.x
     at = tangents.at
-    k = tangents.k
-    table = tangents.table
+    end = tangents.k[(2 * size + lanes) * 16 :]
     due = 0
     for number in range(tangents.count):
         step = tangents.steps[(n + 2) * number :]
         t = step[n]
+        stop = t + step[n + 1]
         h = step[n + 1]
         put(n + 1, lanes, step, x)
         settle(tangents, x)
         if due == 0:
             for i in range(size):
-                table[i] = x[along + i]
+                tangents.table[i] = x[along + i]
             due = 1
-        for s in range(STAGES + 1):
-            tangent_stage(tangents, s, t, h)
-        end = k[row * 16 :]
-        for i in range(size):
-            end[i] = at[along + i]
-        if due < tangents.rows and tangents.times[due] <= t + h:
-            for s in range(STAGES + 1, 16):
-                tangent_stage(tangents, s, t, h)
-            prepare_terms(tangents, h)
-            first = due
-            while due < tangents.rows and tangents.times[due] <= t + h:
-                interpolate_tangents(tangents, (tangents.times[due] - t) / h, table[size * due :])
-                due += 1
-            for late in range(first, due):  # the stages are no longer needed
-                put(n, lanes, tangents.states[n * late :], at)
+        while t < stop:
+            taken = take_part(tangents, t, h)
+            for i in range(size):
+                end[i] = at[along + i]
+                end[size + i] = at[i]
+            reached = stop if taken >= stop - t else t + taken
+            due = write_tangents(tangents, t, taken, due, reached)
+            for i in range(size):
+                x[along + i] = end[i]
+            t = reached
+            if t < stop:  # of the state, which is as exact as its step
+                for i in range(size):
+                    x[i] = end[size + i]
                 for lane in range(lanes):
-                    at[size + lane] = tangents.times[late]
-                for i in range(size):
-                    at[along + i] = table[size * late + i]
-                settle(tangents, at)
-                for i in range(size):
-                    table[size * late + i] = at[along + i]
-        for i in range(size):
-            x[along + i] = end[i]
+                    x[size + lane] = t
+                settle(tangents, x)
+                error = worst_error(tangents, taken)
+                growth = SAFETY * error**EXPONENT if error > 0.0 else LARGEST
+                h = min(taken * min(LARGEST, max(SMALLEST, growth)), stop - t)
     put(n + 1, lanes, last, x)
     settle(tangents, x)
 

@@ -10,12 +10,12 @@ from armed_scenes import COMPOUNDS, armed
 from ball_scenes import with_balls
 from elements import driven_loop, forced, geared_loop, planar_loop, rod_loop, windy
 from finite_difference import derivative
-from mechanisms import ball_loop, carts, pendulum, planar_four_bar
+from mechanisms import CART, ball_loop, carts, pendulum, planar_four_bar
 from scipy.integrate import solve_ivp
 
 from crosscheck.scenes import load
-from newton_euler import compile_scene, sensitivities, simulate_batch, with_parameters
-from newton_euler.analysis.tangent_run import FollowedRun, Starts, own_numbers, tangent_code
+from newton_euler import compile_scene, equilibrium, sensitivities, simulate_batch, with_parameters
+from newton_euler.analysis.tangent_run import OF_TANGENTS, FollowedRun, Starts, own_numbers, tangent_code
 from newton_euler.equations.parameters import is_kinematic, parameter_values, places
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.options import Options
@@ -317,6 +317,46 @@ def test_a_four_bar_against_complex_steps():
             angle, rate = -sign * expected[[bar, 3 + bar]]
             assert motion.coordinates[-1, 0, label] == pytest.approx(angle, rel=1e-9, abs=1e-11)
             assert motion.rates[-1, 0, label] == pytest.approx(rate, rel=1e-9, abs=1e-11)
+
+
+def test_a_pendulum_at_rest_has_the_derivatives_of_one_that_swings():
+    """By its angle they are cos(omega t), however long the steps of a state at rest are."""
+    scene = replace(pendulum(angle=0.0), duration=20.0, output_period=0.5)
+    found = sensitivities(scene, ["start.pivot"])
+    rod = scene.mechanism.bodies[1]
+    omega = np.sqrt(9.81 * rod.mass * 0.5 / (moment_about_y(rod) + rod.mass * 0.5**2))
+    error = found.joint("pivot").coordinates[:, 0, 0] - np.cos(omega * found.run.time)
+    assert np.abs(error).max() < FEW * OF_TANGENTS * Options().rtol
+
+
+FEW = 10.0
+"""Errors of a part of a step are to the tolerance; those of runs are a few of them, as vibrations go on."""
+
+
+@pytest.mark.parametrize("rtol", [1e-10, 1e-6])
+@pytest.mark.parametrize("stiffness", [40.0, 4000.0])
+@pytest.mark.parametrize("beside", [PD("rail_1", 30.0, 1.0, 0.0), PD("rail_1", 3.0, 0.1, 0.2)])
+def test_a_cart_at_rest_has_the_derivative_of_its_answer_to_a_step(beside, stiffness, rtol):
+    """By its set-point, beside a cart that is at rest as well, or a slow one."""
+    scene = carts(PD("rail_0", stiffness, 3.0, 0.0), beside, duration=10.0, output_period=0.1)
+    found = sensitivities(scene, ["rail_0.target"], rtol=rtol, atol=0.01 * rtol)
+    t, decay = found.run.time, 3.0 / (2.0 * CART)
+    omega = np.sqrt(stiffness / CART - decay**2)
+    answer = 1.0 - np.exp(-decay * t) * (np.cos(omega * t) + decay / omega * np.sin(omega * t))
+    error = found.joint("rail_0").coordinates[:, 0, 0] - answer
+    assert np.abs(error).max() < FEW * OF_TANGENTS * rtol
+
+
+def test_a_mechanism_in_equilibrium_has_derivatives():
+    """The tracker, by the force of an actuator, against a central difference."""
+    scene, name, step = load("tracker"), "slide_12.feedforward", 1e-2
+    scene = replace(scene, initial_state=equilibrium(scene), duration=5.0, output_period=0.5)
+    force = own_numbers(scene, [name])[0]
+    low, high = simulate_batch(scene, parameters={name: [force - step, force + step]})
+    difference = (high.joint("slide_12").coordinates - low.joint("slide_12").coordinates) / (2.0 * step)
+    error = sensitivities(scene, [name]).joint("slide_12").coordinates[..., 0] - difference
+    # the difference has 1e-10 of runs to 1e-12 over the step, of 0.02
+    assert np.abs(error).max() < 1e-6 * np.abs(difference).max()
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,73 @@
+"""Steps of tangents in plain Python, beside a state that rests."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from newton_euler.integrators.tangents import Tangents, follow
+
+
+def followed(rates_along, start):
+    """Carry one tangent (q, v) from `start` through a step of 1 s; the tangent, and how often its rates were
+    evaluated.
+
+    `rates_along` gives the rates (2,) of the tangent (2,).
+    """
+    calls = []
+
+    def rates(x, k):
+        calls.append(x)
+        assert len(calls) < 2000
+        k[:2], k[2:4], k[4] = 0.0, rates_along(x[3:5]), 1.0
+
+    x = np.array([0.0, 0.0, 0.0, *start, 0.0])
+    tangents = Tangents(
+        n=2,
+        inputs=3,
+        lanes=1,
+        count=1,
+        rows=1,
+        projecting=0,
+        places=1,
+        speeds=1,
+        tolerance=1e-8,
+        rates=rates,
+        settled=None,
+        steps=np.array([0.0, 0.0, 0.0, 1.0]),
+        times=np.zeros(1),
+        states=np.zeros(2),
+        x=x,
+        at=x.copy(),
+        k=np.empty(17 * 5),
+        table=np.empty(2),
+        least=np.ones(1),
+        errors=np.empty(2),
+        tried=np.empty(2),
+        noise=np.zeros(1),
+        found=np.empty(1),
+    )
+    follow(tangents, np.zeros(3))
+    return x[3:5], len(calls)
+
+
+def test_a_step_is_taken_in_parts():
+    """Of an oscillator of 30 rad/s, which a step of 1 s blows up."""
+    found, _ = followed(lambda tangent: [tangent[1], -900.0 * tangent[0]], [1.0, 0.0])
+    # fewer than a hundred parts, each to 1e-8 of the largest
+    assert found == pytest.approx([np.cos(30.0), -30.0 * np.sin(30.0)], abs=30.0 * 1e-6)
+
+
+def test_round_off_does_not_divide_steps():
+    """Rates that are nothing but noise have no error that shorter parts make less: that is found out once."""
+    rng = np.random.default_rng(5)
+    found, evaluations = followed(lambda tangent: [tangent[1], 1e-16 * rng.normal()], [0.0, 0.0])
+    assert np.abs(found).max() < 1e-15
+    # some tries, and parts that grow from a tenth of the step; without it there is no end
+    assert evaluations < 13 * 15
+
+
+def test_what_is_not_finite_ends():
+    """Such results are refused where they are used."""
+    found, _ = followed(lambda tangent: [tangent[1], np.nan], [1.0, 0.0])
+    assert np.isnan(found).any()
