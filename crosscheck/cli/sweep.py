@@ -22,8 +22,6 @@ from crosscheck.cli.shared import (
     verbose_option,
 )
 
-SAMPLINGS = ("random", "latin_hypercube", "sobol", "saltelli", "grid")
-
 
 @cli.command("sweep")
 @click.argument("scene")
@@ -45,7 +43,13 @@ SAMPLINGS = ("random", "latin_hypercube", "sobol", "saltelli", "grid")
     metavar="KIND:OUTPUT,...",
     help="Numbers to keep of each run, as peak:reaction_force,final:panel_7.quaternion; repeatable.",
 )
-@click.option("--sampling", type=click.Choice(SAMPLINGS), default="random", show_default=True, help="Plan.")
+@click.option(
+    "--sampling",
+    metavar="PLAN",
+    default="random",
+    show_default=True,
+    help="random, latin_hypercube, sobol, saltelli or grid.",
+)
 @click.option("--seed", type=int, default=0, show_default=True, help="Of all random numbers.")
 @click.option("--rtol", type=float, default=1e-10, show_default=True, help="Relative tolerance of steps.")
 @click.option(
@@ -85,10 +89,7 @@ def sweep_command(
             swept = swept.check(check, progress=progress)
         progress("analysis, pictures and recording")
         written = swept.save(folder)
-    look = f"look  crosscheck view {quote(str(written[-1]))}"
-    show(
-        swept.report,
-        look,
-        f"more  -v; crosscheck report {quote(str(folder))}; numbers in {swept.results.path}",
-    )
+    look = [f"look  crosscheck view {quote(str(path))}" for path in written if path.suffix == ".rrd"]
+    more = f"more  -v; crosscheck report {quote(str(folder))}; numbers in {swept.results.path}"
+    show(swept.report, *look, more)
     return {"fails": DISAGREE, "doubtful": UNFINISHED}.get(swept.report.judged.verdict, AGREE)

@@ -22,11 +22,11 @@ MOST_NUMBERS = 2**25
 MOST_SCALARS = 200
 """Numbers of a run that are analyzed, the first."""
 
-MOST_SHARED = 2**17
-"""Runs that shares are estimated from, of Saltelli's plan its base samples: to half a per cent."""
+MOST_SHARED, MOST_BASE = 2**17, 2**14
+"""Runs that shares are estimated from, and base samples of Saltelli's plan: to 0.5 % and to 1 %."""
 
-BLOCK = 2**14
-"""Runs that are read at a time."""
+BLOCK = 2**20
+"""Numbers that are read at a time."""
 
 LEVELS = (0.0, 0.05, 0.5, 0.95, 1.0)
 """Of quantiles."""
@@ -188,8 +188,9 @@ def scalars(swept: Results) -> list[Scalar]:
         variable = swept.dataset[each.name]
         places = list(np.ndindex(variable.shape[1:]))[: MOST_SCALARS - len(found)]
         columns = np.empty((len(places), len(runs)))
-        for first in range(0, len(runs), BLOCK):
-            part = variable[runs[first : first + BLOCK]].values
+        block = max(1, BLOCK // int(np.prod(variable.shape[1:])))
+        for first in range(0, len(runs), block):
+            part = variable[runs[first : first + block]].values
             columns[:, first : first + len(part)] = part.reshape(len(part), -1)[:, : len(places)].T
         largest = float(np.max(np.abs(columns), initial=0.0, where=np.isfinite(columns)))
         for place, values in zip(places, columns, strict=True):
@@ -214,7 +215,8 @@ class Analysis:
         """Take the runs (n,) that are analyzed, and a function that returns the parameters of runs."""
         self._samples = samples
         self.names = [", ".join(names) for names, _ in samples.groups]
-        self._places = thinned(len(runs), MOST_SHARED, samples.block)
+        most = MOST_SHARED if samples.block == 1 else MOST_BASE
+        self._places = thinned(len(runs), most, samples.block)
         values = inputs(runs[self._places])
         self._inputs = [np.column_stack([values[name] for name in names]) for names, _ in samples.groups]
 
@@ -263,8 +265,10 @@ class Analysis:
             return [{}] * len(self.names)
         # numbers about zero, as the estimators of products need
         y = (y - y.mean()) / y.std()
-        seed = self._samples.seed % 2**32
-        found = sobol.analyze(self._samples.problem, y, calc_second_order=False, seed=seed)
+        seed = self._samples.seed % (2**32 - 1) + 1  # of 0 it would make none
+        size = len(self.names)
+        problem = {"num_vars": size, "names": self.names, "bounds": [[0.0, 1.0]] * size}
+        found = sobol.analyze(problem, y, calc_second_order=False, seed=seed)
         return [
             {"share": float(first), "total": float(total), "error": float(error)}
             for first, total, error in zip(found["S1"], found["ST"], found["S1_conf"], strict=True)

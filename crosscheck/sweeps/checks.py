@@ -54,7 +54,7 @@ class Checked:
         complete: whether all engines came to the end.
         agrees: whether the engines agree with each other, as by `crosscheck run`.
         verdict: of its crosscheck, in a line.
-        kept: of each variable and engine the number whose difference from the sweep's is nearest its limit.
+        kept: of each variable and engine the numbers, judged and not, that are nearest their limits.
         moves: whether anything does.
         engines: that made it.
     """
@@ -155,6 +155,8 @@ def _compared(
 ) -> Iterator[Figure]:
     """Yield of each variable and engine the difference from the sweep that is nearest its limit.
 
+    One of numbers that are judged, and one of those that are not.
+
     As whole runs may be off, kept numbers may: an engine's and newton_euler's fixed shares, of the largest
     number of the variable, and of 1 m, 1 rad or 1 s at least; beyond these, what finer runs of the engine and
     of the sweep change, times `OWN_ERROR`. A number is not judged where that exceeds `UNRESOLVED`, where the
@@ -183,7 +185,7 @@ def _compared(
             value = float(kept[scalar.variable][scalar.place])
             soft = engine.soft_start is not None and scalar.reacts
             fixed = (engine.trajectory_error + ENGINES["newton_euler"].trajectory_error) * scalar.scale
-            apart = 0.0 if np.isnan(value) and np.isnan(own) else abs(value - own)
+            apart = 0.0 if np.array_equal(value, own, equal_nan=True) else abs(value - own)
             limit, unsettled = fixed, ""
             if apart > fixed and not soft:
                 fine = of_engine()[scalar.variable][scalar.place]
@@ -206,7 +208,9 @@ def _compared(
                 )
             )
         for of_variable in figures.values():
-            yield max(of_variable, key=lambda each: np.inf if np.isnan(each.share) else each.share)
+            for informs in (False, True):
+                alike = [each for each in of_variable if each.informs == informs]
+                yield from sorted(alike, key=lambda each: np.nan_to_num(each.share, nan=np.inf))[-1:]
 
 
 def finer_control(control: Mapping[str, Any]) -> dict[str, Any]:

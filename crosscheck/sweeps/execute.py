@@ -90,7 +90,7 @@ def workers(
         with _client(cluster) as client:
             # what is sent along says all; a key made of it would be made anew for each task
             of_client = client.get_executor(pure=False)
-            yield Workers(of_client, lambda: sum(client.ncores().values()) or 1, True)
+            yield Workers(of_client, lambda: sum(client.ncores().values()), True)
     elif executor is not None:
         if not isinstance(executor, Executor):
             raise OptionError("executor", executor, "one of concurrent.futures")
@@ -187,7 +187,7 @@ def in_any_order(
         while True:
             if time.perf_counter() - counted > COUNT_AFTER:
                 count, counted = at.count(), time.perf_counter()
-            room = AHEAD * count - len(running)
+            room = AHEAD * max(1, count) - len(running)
             for _, item in zip(range(room), left, strict=False):
                 running[at.executor.submit(task, item)] = item
             if not running:

@@ -72,7 +72,8 @@ def _origin(values: Array) -> tuple[float, str]:
 
     It is not 0 where they hardly differ: labels would have an offset beside the axis, or be too long to read.
     """
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
     spread, largest = high - low, max(abs(low), abs(high))
     if not 0.0 < spread < NEARLY * largest:
         return 0.0, ""

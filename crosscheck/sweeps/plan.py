@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 import platform
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from importlib.metadata import version
 from math import prod
@@ -23,6 +23,7 @@ from newton_euler.codegen.compile import llvm_binding
 from newton_euler.codegen.fingerprint import SOURCE, fingerprint
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.options import Options
+from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import QUANTITIES
 from newton_euler.scalars import Array
@@ -37,8 +38,16 @@ LANES = 8
 UNSEEN = frozenset({"description", "shapes", "meshes"})
 """Fields of scenes that no run depends on."""
 
-RECORDED = ("crosscheck", "numpy", "scipy", "xarray", "zarr")
+RECORDED = ("numpy", "scipy", "xarray", "zarr")
 """Packages whose versions are recorded."""
+
+CONDITIONS = {
+    "solver": "another version of newton_euler",
+    "crosscheck": "another version of crosscheck",
+    "processor": "another kind of processor",
+    "samples": "other samples by the same seed, of other versions of packages,",
+}
+"""Conditions that results depend on beside the plan, where they differ."""
 
 PLANS = 4
 """Of which a process makes runs by turns."""
@@ -75,6 +84,7 @@ class Plan:
         keep: texts of what is kept of each run, NAME=REDUCTION.
         control: of the integrator's steps, as of `newton_euler.simulate`.
         chunk: runs that are stored together.
+        needed: conditions of the process that sent the plan; empty in that.
     """
 
     scene: Scene
@@ -82,6 +92,7 @@ class Plan:
     keep: tuple[str, ...]
     control: Mapping[str, Any]
     chunk: int
+    needed: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def integrator(self) -> str:
@@ -143,7 +154,29 @@ class Plan:
 
     @cached_property
     def _content(self) -> bytes:
-        return pickle.dumps((self.scene, self.samples, self.keep, dict(self.control), self.chunk))
+        needed = self.needed or self.conditions
+        return pickle.dumps(
+            (_unseen(self.scene), self.samples, self.keep, dict(self.control), self.chunk, needed)
+        )
+
+    @cached_property
+    def conditions(self) -> dict[str, str]:
+        """Conditions of this process on which results depend beside the plan."""
+        return {
+            "solver": SOURCE.hex(),
+            "crosscheck": version("crosscheck"),
+            "processor": processor(),
+            "samples": self.samples.digest(self.samples.runs),
+        }
+
+    def check_conditions(self) -> None:
+        """Raise `CrosscheckError` in a process that would make other runs than the one that sent the plan."""
+        for name, needed in self.needed.items():
+            if self.conditions[name] != needed:
+                what = CONDITIONS[name]
+                raise CrosscheckError(
+                    f"a worker on {platform.node()} has {what} than this process; needed: the same"
+                )
 
     def record(self) -> dict[str, Any]:
         """Describe the plan for a file of results: another plan has another record.
@@ -158,17 +191,15 @@ class Plan:
         return {
             "scene": self.scene.name,
             "fingerprint": known,
-            "solver": SOURCE.hex(),
             "vary": [[*names, str(each)] for names, each in self.samples.groups],
             "sampling": self.samples.sampling,
             "runs": self.samples.runs,
             "seed": self.samples.seed,
-            "samples": self.samples.digest(self.samples.runs),
-            "processor": processor(),
             "keep": list(self.keep),
             "control": dict(self.control),
             "chunk": self.chunk,
             "versions": {name: version(name) for name in RECORDED},
+            **self.conditions,
         }
 
 
@@ -182,6 +213,15 @@ def processor() -> str:
 def _kept(scene: Scene, keep: tuple[str, ...], integrator: str) -> tuple[tuple[Reduction, ...], Scene]:
     kept = reductions(keep, scene)
     return kept, pruned(scene, kept, integrator)
+
+
+def _unseen(scene: Scene) -> Scene:
+    """Return a scene without meshes, which may be large."""
+    mechanism = scene.mechanism
+    if not any(body.meshes for body in mechanism.bodies):
+        return scene
+    bodies = tuple(replace(body, meshes=()) for body in mechanism.bodies)
+    return replace(scene, mechanism=Mechanism(bodies, mechanism.joints, mechanism.couplings))
 
 
 def _restored(content: bytes) -> Plan:
@@ -202,6 +242,7 @@ def make_runs(plan: Plan, runs: tuple[int, int]) -> Chunk:
     Raises:
         CrosscheckError: for a scene that cannot be run.
     """
+    plan.check_conditions()
     try:
         return run_all(plan, plan.parameters(*runs))
     except NewtonEulerError as error:  # which could not be sent to another process

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -35,6 +36,7 @@ from crosscheck.sweeps.pictures import MOST_POINTS, pictures, rank_of, share_of
 from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.reductions import AT
 from crosscheck.sweeps.results import Results
+from newton_euler.errors import NewtonEulerError
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.simulate import simulate
 from newton_euler.variation import own_values, units_of
@@ -117,19 +119,21 @@ class Findings:
         extremes = {scalar.extreme(largest) for scalar, _ in self.effects for largest in (True, False)}
         if left := len(extremes.difference(each.run for each in self.checked)):
             kinds += f" of {count - random + left}"
+        of_runs = f"{count} run{'s'[: count - 1]}"
+        checked = f"{of_runs} cross-checked, {kinds}"
         for each in sorted(self.checked, key=lambda each: not each.differs):
             named = f"run {each.run} ({each.why})"
             if not (each.agrees and each.complete):
-                return f"{named}: {each.verdict}; {count} runs cross-checked, {kinds}"
+                return f"{named}: {each.verdict}; {checked}"
             wrong = [figure for figure in each.kept if not figure.agrees]
             if wrong:
-                return f"{named}: {told(max(wrong, key=_share))}; {count} runs cross-checked, {kinds}"
+                return f"{named}: {told(max(wrong, key=_share))}; {checked}"
         kept = [figure for each in self.checked for figure in each.kept]
         judged = [figure for figure in kept if not figure.informs]
         engines = self.checked[0].engines
         who = "all engines" if set(engines) == set(ENGINES) else ", ".join(engines)
         who += " alone" if len(engines) == 1 else ""
-        found = f"{who} in all figures of {count} run{'s'[: count - 1]}, {kinds}"
+        found = f"{who} in all figures of {of_runs}, {kinds}"
         if judged:
             found += f"; kept numbers as well, nearest its limit {told(max(judged, key=_share))}"
         soft = sorted({figure.between[0] for figure in kept if figure.detail})
@@ -197,8 +201,8 @@ def report(found: Findings) -> Report:
     parts += [Lines("", [found.too_few])] if found.too_few else []
     parts += _checks(found.checked) if found.checked else []
     parts.append(_varied(swept.plan))
-    far = _far(swept.plan)
-    parts += [Lines("", far)] if far else []
+    far, gaps = _far(swept.plan), _gaps(found)
+    parts += [Lines("", lines) for lines in (far, gaps) if lines]
     if failed:
         parts.append(Lines("runs that could not go on", failed))
     varying = [scalar for scalar in found.scalars if scalar.varies]
@@ -214,6 +218,7 @@ def report(found: Findings) -> Report:
     summary += [_effects(*each, MOST_BARS) for each in found.effects[:MOST_CHARTS] if each[1]]
     notes += [
         *far[:MOST_REASONS],
+        *gaps[:MOST_REASONS],
         *filter(None, [found.too_few]),
         *_not_shown(found, rows),
         *failed[:MOST_REASONS],
@@ -347,6 +352,26 @@ def _far(plan: Plan) -> list[str]:
     return lines
 
 
+def _gaps(found: Findings) -> list[str]:
+    """Word of how many runs numbers are known, and of how many base samples of Saltelli's plan."""
+    lines, block = [], found.swept.plan.samples.block
+    for scalar in found.scalars:
+        known = np.isfinite(scalar.values)
+        ended = ~np.isin(scalar.runs, list(found.swept.errors))
+        if np.any(ended & ~known):
+            lines.append(
+                f"{scalar.label}: a number in {known.sum():,} of {ended.sum():,} runs, which tables are of"
+            )
+    for scalar, effects in found.effects if block > 1 else ():
+        whole = np.asarray(np.isfinite(scalar.values).reshape(-1, block).all(axis=1))
+        if effects and effects[0].share is not None and not whole.all():
+            of_all = f"{whole.sum():,} of {len(whole):,} base samples"
+            lines.append(
+                f"what matters for {scalar.label} is of {of_all}: without the others shares are distorted"
+            )
+    return lines
+
+
 def write(found: Findings, made: Report, folder: Path) -> list[Path]:
     """Write the findings beside the Zarr store: JSON, pictures and a recording, all of them or none.
 
@@ -361,7 +386,9 @@ def write(found: Findings, made: Report, folder: Path) -> list[Path]:
     points = thinned(len(runs), MOST_POINTS)
     drawn = pictures(found.effects, points, found.swept.inputs(runs[points]), found.nominal)
     files = {folder / name: content for name, content in drawn.items()}
-    files[folder / FILES[1]] = recorded(found.swept.scene, *to_record(found, made))
+    to_show = to_record(found, made)
+    if to_show[0]:
+        files[folder / FILES[1]] = recorded(found.swept.scene, *to_show)
     whole = {folder / FILES[0]: as_json(_data(found), made, files), **files}
     write_files(whole, [path for path in paths if path not in whole])
     return list(whole)
@@ -386,6 +413,7 @@ def _data(found: Findings) -> dict[str, object]:
         "keep": list(plan.keep),
         "control": dict(plan.control),
         "errors": len(found.swept.errors),
+        "known": {each.label: int(np.isfinite(each.values).sum()) for each in found.scalars},
         "quantiles": {
             each.label: {
                 f"{level:g}": value for level, value in zip(LEVELS, each.quantiles.tolist(), strict=True)
@@ -400,7 +428,9 @@ def _data(found: Findings) -> dict[str, object]:
 def _extremes(found: Findings) -> dict[str, Trajectory]:
     """Make the nominal run and the extreme ones again, with all outputs."""
     plan = found.swept.plan
-    runs = {"nominal": simulate(plan.scene, **plan.control)}
+    runs = {}
+    with suppress(NewtonEulerError):
+        runs["nominal"] = simulate(plan.scene, **plan.control)
     for scalar, _ in found.effects:
         for largest in (True, False):
             run = scalar.extreme(largest)

@@ -9,6 +9,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import groupby
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from crosscheck.limit import tidied_up
 from crosscheck.sweeps.execute import Pace, Workers, in_any_order, probed
 from crosscheck.sweeps.expressions import labels
 from crosscheck.sweeps.plan import STOPPED, Chunk, Parameters, Plan, make_runs, run_all
-from crosscheck.sweeps.store import ERROR, NAME, STATUS, Store, store_runs
+from crosscheck.sweeps.store import BLOCK, ERROR, NAME, STATUS, Store, store_runs
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
@@ -32,11 +33,8 @@ TASK = 1.0
 OVERHEAD = 0.01
 """s of processor time that a Dask scheduler takes for a task, so that tasks for many workers are longer."""
 
-LARGEST_TASK = 2**16
-"""Runs of a task."""
-
-BLOCK = 2**20
-"""Runs whose status is read at a time."""
+LARGEST_TASK, MOST_NUMBERS = 2**16, 2**22
+"""Runs of a task, and numbers that are kept of them, 34 MB."""
 
 TASKS_PER_WORKER = 4
 """At least, if there are runs enough: so that all have work to the end."""
@@ -121,6 +119,9 @@ def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[
         if left := store.missing(plan):
             task = task or _task(plan, at, progress)
         made = _make(plan, store, list(_tasks(plan, left, task)), at, progress)
+        if lost := store.missing(plan):
+            problem = f"{len(lost)} of {plan.chunks} chunks of runs are not in {path}"
+            raise CrosscheckError(f"{problem}; needed: a folder that all workers see")
     dataset = store.dataset()
     wall_time = time.perf_counter() - start
     return Results(plan, dataset.load() if path is None else dataset, store, made, wall_time)
@@ -149,9 +150,11 @@ def _task(plan: Plan, at: Workers, progress: Callable[[str], None]) -> int:
     runs = plan.samples.runs
     progress("timing some runs")
     rate = probed(lambda count: run_all(plan, plan.parameters(0, count)), runs)
-    most = -(-runs // (TASKS_PER_WORKER * at.count()))
-    task = max(TASK, OVERHEAD * at.count())
-    about = max(1, min(int(task * rate), most, LARGEST_TASK))
+    workers = max(1, at.count())
+    most = -(-runs // (TASKS_PER_WORKER * workers))
+    numbers = sum(prod(map(len, each.dimensions.values())) for each in plan.kept)
+    largest = min(LARGEST_TASK, MOST_NUMBERS // numbers)
+    about = max(1, min(int(max(TASK, OVERHEAD * workers) * rate), most, largest))
     return 1 << (about.bit_length() - 1)
 
 
@@ -174,6 +177,8 @@ def _make(
     """Make and write runs; returns how many these are."""
     made = sum(last - first for first, last in tasks)
     pace = Pace(plan.samples.runs, plan.samples.runs - made, progress)
+    if tasks:
+        progress(f"{made:,} runs to make, {at.count()} workers")
     task: Callable[[tuple[int, int]], Chunk | None] = partial(make_runs, plan)
     if store.path is not None:
         task = partial(store_runs, plan, store.path.absolute())

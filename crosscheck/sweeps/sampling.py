@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -30,13 +31,10 @@ MOST_RUNS = 2**32
 """The bits of Sobol's sequence."""
 
 LARGEST_DESIGN = 2**26
-"""Numbers of a plan that is made as a whole, 512 MB; others are made where they are needed."""
+"""Numbers of a Latin hypercube, 512 MB, which is made as a whole; others are made where they are needed."""
 
 DIGESTED = 1024
 """Runs whose values are hashed."""
-
-WHOLE = ("latin_hypercube", "saltelli")
-"""Samplings whose plan is made as a whole."""
 
 EXTENDED = ("random", "sobol", "saltelli")
 """Samplings whose first runs are the same if more follow."""
@@ -77,10 +75,10 @@ class Samples:
                 raise CrosscheckError(
                     f"saltelli takes a power of 2 times {self.block} runs: {near}, not {self.runs}"
                 )
-        if self.sampling in WHOLE and self.runs * len(self.names) > LARGEST_DESIGN:
+        if self.sampling == "latin_hypercube" and self.runs * len(self.names) > LARGEST_DESIGN:
             most = LARGEST_DESIGN // len(self.names)
             raise CrosscheckError(
-                f"{self.sampling} is made as a whole, of {most} runs at most; sobol has no limit"
+                f"latin_hypercube is made as a whole, of {most} runs at most; sobol has no limit"
             )
 
     @property
@@ -136,36 +134,49 @@ class Samples:
             generator = np.random.Generator(np.random.Philox(key=self.seed).advance(first * blocks))
             return generator.random((count, 4 * blocks))[:, :size]
         if self.sampling == "sobol":
-            sequence = qmc.Sobol(size, scramble=True, bits=32, seed=self.seed)
-            if first:
-                sequence.fast_forward(first)
-            # SciPy warns of numbers of points that are no powers of 2
-            return np.asarray(sequence.random(1 << (count - 1).bit_length())[:count])
-        members = tuple(len(names) for names, _ in self.groups)
-        return _whole(self.sampling, members, self.runs, self.seed)[first:last]
+            return _sobol(size, self.seed, 32, first, last)
+        if self.sampling == "saltelli":
+            return self._saltelli(first, last)
+        return _latin_hypercube(size, self.runs, self.seed)[first:last]
 
-    @property
-    def problem(self) -> dict[str, object]:
-        """SALib's description of the parameters; those that are correlated are one group."""
-        return _problem(tuple(len(names) for names, _ in self.groups))
+    def _saltelli(self, first: int, last: int) -> Array:
+        """Return shares of Saltelli's plan: of a base sample A, A with each parameter of B in turn, and B.
+
+        Those that are correlated are one parameter (A. Saltelli, Computer Physics Communications 145, 2002).
+        """
+        block, size = self.block, len(self.names)
+        base = first // block
+        a, b = np.split(_sobol(2 * size, self.seed, 30, base, -(-last // block)), 2, axis=1)
+        group = np.repeat(np.arange(len(self.groups)), [len(names) for names, _ in self.groups])
+        mixed = [np.where(group == k, b, a) for k in range(len(self.groups))]
+        rows = np.stack([a, *mixed, b], axis=1).reshape(-1, size)
+        return rows[first - base * block : last - base * block]
 
 
-def _problem(members: tuple[int, ...]) -> dict[str, object]:
-    owners = [f"g{k}" for k, count in enumerate(members) for _ in range(count)]
-    size = len(owners)
-    names = [f"x{k}" for k in range(size)]
-    return {"num_vars": size, "names": names, "bounds": [[0.0, 1.0]] * size, "groups": owners}
+HERE = threading.local()
+"""The Sobol sequence of a thread."""
+
+
+def _sobol(size: int, seed: int, bits: int, first: int, last: int) -> Array:
+    """Return points (last - first, size) of a scrambled Sobol sequence.
+
+    SciPy passes all points before: each thread goes on where it was, as tasks come in their order.
+    """
+    key = size, seed, bits
+    if getattr(HERE, "key", None) != key or HERE.sequence.num_generated > first:
+        HERE.key, HERE.sequence = key, qmc.Sobol(size, scramble=True, bits=bits, seed=seed)
+    sequence, count = HERE.sequence, last - first
+    if sequence.num_generated < first:
+        sequence.fast_forward(first - sequence.num_generated)
+    # SciPy warns of first points whose number is no power of 2
+    drawn = count if first else 1 << (count - 1).bit_length()
+    return np.asarray(sequence.random(drawn)[:count])
 
 
 @lru_cache(maxsize=1)
-def _whole(sampling: str, members: tuple[int, ...], runs: int, seed: int) -> Array:
-    """Make all shares (runs, parameters) of a plan, kept for the chunks that follow."""
-    if sampling == "latin_hypercube":
-        return np.asarray(qmc.LatinHypercube(sum(members), seed=seed).random(runs))
-    from SALib.sample import sobol
-
-    base = runs // (len(members) + 2)
-    return np.asarray(sobol.sample(_problem(members), base, calc_second_order=False, seed=seed))
+def _latin_hypercube(size: int, runs: int, seed: int) -> Array:
+    """Make all shares (runs, size), kept for the chunks that follow."""
+    return np.asarray(qmc.LatinHypercube(size, seed=seed).random(runs))
 
 
 def samples_of(vary: Vary, sampling: SamplingName, runs: int | None, seed: int) -> Samples:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.sweeps.plan import DONE, STOPPED, Chunk, Plan, make_runs
+from crosscheck.sweeps.plan import CONDITIONS, DONE, STOPPED, Chunk, Plan, make_runs
 from crosscheck.sweeps.sampling import EXTENDED, UNEXTENDED
 from newton_euler.variation import units_of
 
@@ -33,6 +33,9 @@ UNFINISHED = "*.partial"
 
 ABANDONED = 60.0
 """s after which these are those of a process that was killed."""
+
+BLOCK = 2**20
+"""Runs whose status is read at a time."""
 
 FREE = ("chunk", "versions")
 """Parts of a plan's record that results do not depend on: of packages, samples do, which are compared."""
@@ -174,9 +177,14 @@ class Store:
         Raises:
             CrosscheckError: for files that are damaged.
         """
-        status = self.group[STATUS]
+        status, left = self.group[STATUS], list[int]()
+        step = max(1, BLOCK // plan.chunk)
         try:
-            return [k for k in range(plan.chunks) if not status[plan.bounds(k)[1] - 1]]
+            for k in range(0, plan.chunks, step):
+                ends = np.array([plan.bounds(each)[1] for each in range(k, min(k + step, plan.chunks))])
+                first = plan.bounds(k)[0]
+                left += (k + np.flatnonzero(status[first : ends[-1]][ends - first - 1] == 0)).tolist()
+            return left
         except (OSError, RuntimeError, ValueError) as error:
             problem = f"{self.path} is damaged: {STATUS}: {error}"[:300]
             raise CrosscheckError(f"{problem}; name another folder (--output), or remove this one") from error
@@ -224,12 +232,8 @@ def _difference(own: Mapping[str, Any], record: Mapping[str, Any]) -> str:
         if name in ("fingerprint", "scene"):
             if own.get("solver") == record["solver"]:  # which is in the fingerprint, too
                 return f"another scene, or another version of {own.get('scene')!r:.100}"
-        elif name == "samples":
-            return "other samples by the same seed, of other versions of packages"
-        elif name == "processor":
-            return f"other processors, {old!r:.100}, not {new}"
-        elif name == "solver":
-            return "another version of newton_euler"
+        elif name in CONDITIONS:
+            return CONDITIONS[name].rstrip(",")
         else:
             why = UNEXTENDED.get((record["sampling"], name), "")
             return f"another plan: {_change(name, old, new)}{why}"

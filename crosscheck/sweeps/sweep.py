@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Unpack, cast
 import numpy as np
 
 from crosscheck.engines import ENGINES, choose
+from crosscheck.errors import CrosscheckError
 from crosscheck.load import exercised, load_scene
 from crosscheck.report.output import own_name
 from crosscheck.report.page import rendered
@@ -30,7 +31,7 @@ from crosscheck.sweeps.sampling import SamplingName, samples_of
 from crosscheck.sweeps.store import libraries
 from newton_euler.errors import OptionError, check_choice, is_count
 from newton_euler.integrators.options import IntegratorName, Options, StepControl
-from newton_euler.model.scene import Scene
+from newton_euler.model.scene import OUTPUTS, Scene
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -158,11 +159,17 @@ class Sweep:
         return write(self.findings, self.report, Path(folder))
 
     def show(self) -> None:
-        """Open the envelope and the extreme runs in the Rerun viewer, in a notebook below the cell."""
+        """Open the envelope and the extreme runs in the Rerun viewer, in a notebook below the cell.
+
+        Raises:
+            CrosscheckError: if none of these runs comes to its end.
+        """
         from crosscheck.recording.show import show
         from crosscheck.recording.sweep import log_sweep
 
         scene, told = self.results.scene, to_record(self.findings, self.report)
+        if not told[0]:
+            raise CrosscheckError("no run to show came to its end")
         show(scene, lambda recording: log_sweep(recording, scene, *told))
 
 
@@ -214,6 +221,7 @@ def sweep(
     for name in options:
         check_choice("option", name, tuple(Execution.__annotations__))
     loaded = own_scene(scene, load_scene(scene, exercised(scene, {}))[0])
+    loaded = replace(loaded, outputs=frozenset(OUTPUTS))
     threads, executor = options.pop("threads", None), options.pop("executor", None)
     cluster, progress = options.pop("cluster", None), options.pop("progress", _quiet)
     kept = reductions(keep, loaded)

@@ -90,6 +90,13 @@ def test_correlated_parameters_are_one():
     assert found["a, b"].rank is None
 
 
+def test_correlated_parameters_alone_are_all_that_matters():
+    vary = {("a", "b"): "normal([0, 0], [[1, 0.5], [0.5, 1]])"}
+    first, again = (effects(lambda a, b: a + b, vary, "saltelli", 3 * 2**8, seed=0) for _ in range(2))
+    assert (first["a, b"].share, first["a, b"].total) == pytest.approx((1.0, 1.0), abs=0.01)
+    assert first["a, b"].error == again["a, b"].error
+
+
 def test_correlated_parameters_share_what_they_explain_together():
     vary = {("a", "b"): "normal([0, 0], [[1, 0.9], [0.9, 1]])", "c": "normal(0, 1)"}
     found = effects(lambda a, b, c: a - b + 0.5 * a * b + c, vary)

@@ -19,6 +19,7 @@ from crosscheck.comparison.figure import Figure
 from crosscheck.run import Crosscheck
 from crosscheck.scenes import load
 from crosscheck.sweeps.checks import default_count
+from newton_euler import with_parameters
 
 VARY = "dumbbell.mass=uniform(1, 2)"
 
@@ -147,8 +148,34 @@ def test_shares_that_lost_runs_leave_none_of_are_named():
     swept = sweep(short, vary, 3 * 64, keep, sampling="saltelli")
     late = swept.dataset["late"].values
     assert 0.2 < np.isnan(late).mean() < 0.8
-    words = "no shares of variance of late: too many runs without it"
-    assert words in str(swept)
+    said = " ".join(str(swept).split())
+    assert "no shares of variance of late: too many runs without it" in said
+    assert f"late: a number in {np.isfinite(late).sum()} of 192 runs, which tables are of" in said
+
+
+def test_base_samples_that_shares_are_of_are_counted():
+    short, vary = replace(load("pendulum"), duration=0.1), {"gravity.y": "uniform(-10, -9)"}
+    keep = "late=when:dumbbell.linear_velocity.y < -0.455"
+    swept = sweep(short, vary, 3 * 128, keep, sampling="saltelli")
+    whole = np.isfinite(swept.dataset["late"].values).reshape(-1, 3).all(axis=1).sum()
+    assert 64 <= whole < 128
+    assert f"what matters for late is of {whole} of 128 base samples" in " ".join(str(swept).split())
+
+
+def test_a_nominal_run_that_cannot_go_on_is_left_out(tmp_path):
+    scene = replace(load("pendulum"), duration=0.1)
+    heavy = with_parameters(scene, {"gravity.y": -1e9})
+    swept = sweep(heavy, {"gravity.y": "uniform(-10, -9)"}, 3, KEEP, most_steps=50)
+    assert not swept.errors
+    names = {path.name for path in swept.save(tmp_path)}
+    assert {"sweep.json", "sweep.rrd"} <= names
+
+
+def test_outputs_that_a_scene_does_not_ask_for_are_kept(tmp_path):
+    scene = replace(load("pendulum"), duration=0.1, outputs=frozenset())
+    swept = sweep(scene, {"gravity.y": "uniform(-10, -9)"}, 3, "peak:reaction_force").check(1)
+    assert swept.report.verdict.startswith("AGREE")
+    swept.save(tmp_path)
 
 
 def test_a_kept_number_that_engines_do_not_confirm_is_named():
@@ -159,6 +186,24 @@ def test_a_kept_number_that_engines_do_not_confirm_is_named():
     assert verdict.startswith("DISAGREE: run ")
     assert "final:kinetic_energy, " in verdict
     assert " J; 2 runs cross-checked, 1 at random and 1 extreme; " in verdict
+
+
+def test_an_unsettled_number_hides_no_wrong_one(monkeypatch):
+    """Of a variable x is further off, but finer runs change it, and y is wrong beyond its limit."""
+    short, vary = replace(load("pendulum"), duration=1.0), {"dumbbell.mass": "uniform(1, 2)"}
+    swept = sweep(short, vary, 2, "final:dumbbell.position")
+    finer_of = crosscheck.sweeps.checks._finer_of
+
+    def unsettled(*arguments):
+        values = finer_of(*arguments)
+        values["final:dumbbell.position"][0] += 0.1
+        return values
+
+    monkeypatch.setattr(crosscheck.sweeps.checks, "_finer_of", unsettled)
+    swept.results.dataset["final:dumbbell.position"][:, :2] += [1e-6, 4e-8]
+    verdict = swept.check(1, ["pinocchio"]).report.verdict
+    assert verdict.startswith("DISAGREE: run ")
+    assert "final:dumbbell.position y" in verdict
 
 
 def test_a_run_on_which_engines_differ_is_named(monkeypatch):

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from SALib.sample import sobol
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.sweeps.distributions import (
@@ -13,6 +14,7 @@ from crosscheck.sweeps.distributions import (
     parse_vary,
 )
 from crosscheck.sweeps.sampling import SAMPLINGS, samples_of
+from newton_euler.errors import NewtonEulerError
 
 RUNS = 4096
 
@@ -56,6 +58,14 @@ def test_samples_have_the_moments_of_their_distributions(sampling):
     assert values[:, 2:4].mean(axis=0) == pytest.approx([1.0, 2.0], abs=2.0 * error)
     assert np.cov(values[:, 2:4].T) == pytest.approx(np.array(COVARIANCE), abs=8.0 * error)
     assert np.all((values[:, 4] >= 0.5) & (values[:, 4] <= 3.0))
+
+
+def test_saltelli_plans_are_those_of_salib():
+    samples, size = sample("saltelli"), len(TEXTS) + 1
+    owners = ["a", "b", "cd", "cd", "e"]
+    problem = {"num_vars": size, "names": list("abcde"), "groups": owners, "bounds": [[0.0, 1.0]] * size}
+    plan = sobol.sample(problem, samples.runs // samples.block, calc_second_order=False, seed=7)
+    assert np.array_equal(samples._shares(0, samples.runs), plan)
 
 
 def test_a_latin_hypercube_has_one_run_in_each_share():
@@ -151,13 +161,14 @@ def test_texts_that_are_no_distribution_are_one_line(text, words):
         ({"a": "uniform(0,1)"}, "random", None, "needs a number of runs"),
         ({"a": "uniform(0,1)"}, "random", 0, "runs is 0"),
         ({"a": "uniform(0,1)"}, "saltelli", 100, "a power of 2 times 3 runs: 96 or 192, not 100"),
+        ({"a": "uniform(0,1)"}, "sobl", 3, "unknown sampling 'sobl'; did you mean 'sobol'?"),
         ({"a": "uniform(0,1)"}, "latin_hypercube", 2**30, "at most; sobol has no limit"),
         ({"a": []}, "random", 3, "empty distribution"),
         ({"a": 3.0}, "random", 3, "is no distribution"),
     ],
 )
 def test_impossible_plans_are_one_line(vary, sampling, runs, words):
-    with pytest.raises(CrosscheckError) as caught:
+    with pytest.raises((CrosscheckError, NewtonEulerError)) as caught:
         samples_of(vary, sampling, runs, 0)
     assert words in str(caught.value)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import multiprocessing
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -27,12 +28,15 @@ from crosscheck import Sweep, sweep
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from crosscheck.sweeps.execute import probed
+from crosscheck.sweeps.plan import make_runs
 from crosscheck.sweeps.results import _tasks
-from crosscheck.sweeps.sampling import _whole
+from crosscheck.sweeps.sampling import _latin_hypercube
 from crosscheck.sweeps.store import NAME, Store
 from newton_euler import simulate_batch
 from newton_euler.codegen.compile import NativeModule, llvm_binding
 from newton_euler.errors import NewtonEulerError
+from newton_euler.model.geometry import Mesh
+from newton_euler.model.mechanism import Mechanism
 
 ARGUMENTS = (
     "pendulum",
@@ -203,6 +207,40 @@ def test_why_a_sweep_cannot_go_on_with_more_runs_is_said(tmp_path, sampling, var
     assert words in str(caught.value)
 
 
+def test_runs_that_are_not_in_the_store_are_one_line(tmp_path, monkeypatch):
+    write = Store.write
+    monkeypatch.setattr(Store, "write", lambda store, first, chunk: first and write(store, first, chunk))
+    with pytest.raises(
+        CrosscheckError, match=r"1 of 9 chunks of runs are not in .*; needed: a folder that all"
+    ):
+        sweep(*ARGUMENTS, output=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("solver", "another version of newton_euler"),
+        ("processor", "another kind"),
+        ("samples", "other samples"),
+    ],
+)
+def test_a_worker_that_would_make_other_runs_is_refused(reference, name, words):
+    plan = pickle.loads(pickle.dumps(reference.results.plan))
+    masses = reference.dataset["dumbbell.mass"].values
+    assert np.array_equal(make_runs(plan, (3, 5)).values["dumbbell.mass"], masses[3:5])
+    other = replace(plan, needed=plan.needed | {name: "other"})
+    with pytest.raises(CrosscheckError, match=f"a worker on .* has {words}"):
+        make_runs(other, (3, 5))
+
+
+def test_meshes_are_not_sent():
+    scene, mesh = load("pendulum"), Mesh(np.random.default_rng(1).normal(size=(10_000, 3)), [[0, 1, 2]])
+    bodies = (scene.mechanism.bodies[0], replace(scene.mechanism.bodies[1], meshes=(mesh,)))
+    meshed = replace(scene, mechanism=Mechanism(bodies, scene.mechanism.joints))
+    plan = sweep(meshed, *ARGUMENTS[1:2], 2, "peak:reaction_force").results.plan
+    assert len(pickle.dumps(plan)) < mesh.vertices.nbytes
+
+
 def test_tasks_are_chunks_in_a_row():
     plan = SimpleNamespace(chunk=7, bounds=lambda k: (7 * k, min(7 * k + 7, 60)))
     assert list(_tasks(plan, [0, 1, 2, 4, 8], 16)) == [(0, 14), (14, 21), (28, 35), (56, 60)]
@@ -315,7 +353,7 @@ def test_another_plan_or_scene_is_refused(tmp_path, changed, words):
     ("place", "words"),
     [
         ("crosscheck.sweeps.sampling.qmc.LatinHypercube", "other samples"),
-        ("crosscheck.sweeps.plan.llvm_binding", "other processors"),
+        ("crosscheck.sweeps.plan.llvm_binding", "another kind of processor"),
     ],
 )
 def test_another_package_or_processor_is_refused(tmp_path, monkeypatch, place, words):
@@ -326,11 +364,11 @@ def test_another_package_or_processor_is_refused(tmp_path, monkeypatch, place, w
         )
 
     sweep(*ARGUMENTS, sampling="latin_hypercube", output=tmp_path)
-    _whole.cache_clear()
+    _latin_hypercube.cache_clear()
     monkeypatch.setattr(place, other)
     with pytest.raises(CrosscheckError, match=f"holds a sweep of {words}"):
         sweep(*ARGUMENTS, sampling="latin_hypercube", output=tmp_path)
-    _whole.cache_clear()
+    _latin_hypercube.cache_clear()
 
 
 @pytest.mark.parametrize(
