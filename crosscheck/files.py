@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import tempfile
 import time
 from collections.abc import Iterable, Mapping
@@ -34,7 +35,16 @@ def check_writable(*paths: Path) -> None:
                 pass
         except OSError as error:
             raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
-        _remove_abandoned(path)
+        unfinished = re.compile(rf"\.+{re.escape(path.stem)}(-[0-9a-f]{{8}})+{re.escape(path.suffix)}")
+        remove_abandoned(each for each in path.parent.iterdir() if unfinished.fullmatch(each.name))
+
+
+def remove_abandoned(unfinished: Iterable[Path]) -> None:
+    """Remove files and folders that were never ended and that nobody writes any more."""
+    for path in unfinished:
+        with suppress(OSError):  # another process may have been quicker
+            if time.time() - path.stat().st_mtime > ABANDONED:
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 def write_files(files: Mapping[Path, bytes], stale: Iterable[Path] = ()) -> None:
@@ -65,13 +75,3 @@ def check_no_source(targets: Iterable[Path], sources: Iterable[str | Path]) -> N
     for target, source in product(targets, list(sources)):
         if os.path.exists(target) and os.path.exists(source) and os.path.samefile(target, source):
             raise CrosscheckError(f"would overwrite {source}, which it reads; name another file")
-
-
-def _remove_abandoned(path: Path) -> None:
-    """Remove the temporary files of `atomic_file`, and those of their own, that nobody writes any more."""
-    unfinished = re.compile(rf"\.+{re.escape(path.stem)}(-[0-9a-f]{{8}})+{re.escape(path.suffix)}")
-    for found in path.parent.iterdir():
-        if unfinished.fullmatch(found.name):
-            with suppress(OSError):  # another process may have been quicker
-                if time.time() - found.stat().st_mtime > ABANDONED:
-                    found.unlink()

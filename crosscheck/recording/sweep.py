@@ -20,12 +20,10 @@ from crosscheck.palette import palette, rgb
 from crosscheck.recording.blueprint import laid_out, sight
 from crosscheck.recording.log import GROUND_COLOR, PLAIN_COLOR, new_recording, send_columns, send_pose
 from crosscheck.recording.shapes import Style, log_shapes
+from crosscheck.sweeps.analysis import LEVELS
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-
-LEVELS = {"least": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "most": 1.0}
-"""Lines of envelopes, and the share of the runs below each."""
 
 THIN, THICK = 1.0, 2.0
 """Widths of lines, points: of envelopes, and of runs."""

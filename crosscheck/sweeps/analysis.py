@@ -28,8 +28,8 @@ MOST_SHARED, MOST_BASE = 2**17, 2**14
 BLOCK = 2**20
 """Numbers that are read at a time."""
 
-LEVELS = (0.0, 0.05, 0.5, 0.95, 1.0)
-"""Of quantiles."""
+LEVELS = {"least": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "most": 1.0}
+"""Shares of the runs below quantiles, by their names."""
 
 MOST_BINS = 50
 """Of runs, by the values of a parameter."""
@@ -134,7 +134,7 @@ class Scalar:
     def quantiles(self) -> Array:
         """Values below which the shares `LEVELS` of the runs lie; not a number if there are none."""
         known = self.values[np.isfinite(self.values)]
-        return np.quantile(known, LEVELS) if len(known) else np.full(len(LEVELS), np.nan)
+        return np.quantile(known, list(LEVELS.values())) if len(known) else np.full(len(LEVELS), np.nan)
 
     @cached_property
     def deviation(self) -> float:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any
 
 import numpy as np
+from scipy import stats
 from scipy.special import ndtr, ndtri
-from scipy.stats import truncnorm
 
 from crosscheck.errors import CrosscheckError
 from newton_euler.errors import choices, is_finite_number, plain_number
@@ -18,47 +19,34 @@ from newton_euler.scalars import Array
 LONGEST = 10_000
 """Characters of a distribution's text, and numbers of a grid."""
 
-PARTS = 1000
-"""As likely as each other, of whose middles means and deviations are taken: normal ones to 0.2 %."""
-
 ROUND_OFF = 1e-12
 """Size of the smallest eigenvalue, negative by rounding, of a correlation that is singular."""
 
 
-def _of_values(u: Array, *numbers: float) -> Array:
-    return np.array(numbers)[np.minimum((u * len(numbers)).astype(int), len(numbers) - 1)]
-
-
-def _of_truncated(u: Array, mean: float, deviation: float, low: float, high: float) -> Array:
-    bounds = (low - mean) / deviation, (high - mean) / deviation
-    return np.clip(truncnorm.ppf(u, *bounds, loc=mean, scale=deviation), low, high)
-
-
-class Kind(NamedTuple):
-    """Names of the numbers of a kind of distributions, and its quantiles (n,) by shares (n,) and numbers."""
-
-    numbers: tuple[str, ...]
-    quantile: Callable[..., Array]
-
-
 KINDS = {
-    "values": Kind(("A", "B", "..."), _of_values),
-    "grid": Kind(("LOW", "HIGH", "COUNT"), lambda u, *range_: _of_values(u, *_spaced(*range_))),
-    "uniform": Kind(("LOW", "HIGH"), lambda u, low, high: low + (high - low) * u),
-    "normal": Kind(("MEAN", "DEVIATION"), lambda u, mean, deviation: mean + deviation * ndtri(u)),
-    "truncated_normal": Kind(("MEAN", "DEVIATION", "LOW", "HIGH"), _of_truncated),
+    "values": ("A", "B", "..."),
+    "grid": ("LOW", "HIGH", "COUNT"),
+    "uniform": ("LOW", "HIGH"),
+    "normal": ("MEAN", "DEVIATION"),
+    "truncated_normal": ("MEAN", "DEVIATION", "LOW", "HIGH"),
 }
-"""Values, equally likely, of which a full grid takes each; a grid of as many, evenly spaced; between two
-bounds, equally likely; Gauss's; Gauss's without what lies outside two bounds, by the numbers before."""
+"""Names of the numbers of distributions: values, equally likely, of which a full grid takes each; a grid of
+as many, evenly spaced; between two bounds, equally likely; Gauss's; Gauss's without what lies outside two
+bounds, by the numbers before."""
 
-FORMS = "; ".join(f"{name}({', '.join(kind.numbers)})" for name, kind in KINDS.items())
+CONTINUOUS: dict[str, Callable[..., Any]] = {
+    "uniform": lambda low, high: stats.uniform(low, high - low),
+    "normal": stats.norm,
+    "truncated_normal": lambda mean, deviation, low, high: stats.truncnorm(
+        (low - mean) / deviation, (high - mean) / deviation, mean, deviation
+    ),
+}
+"""Distributions of SciPy by the numbers of their kind."""
+
+FORMS = "; ".join(f"{name}({', '.join(numbers)})" for name, numbers in KINDS.items())
 FORMS += (
     "; NAME,NAME=normal([MEANS], [[COVARIANCE]]); NAME,NAME=correlated(DISTRIBUTION, ..., [[CORRELATION]])"
 )
-
-
-def _spaced(low: float, high: float, count: float) -> Array:
-    return np.linspace(low, high, int(count))
 
 
 @dataclass(frozen=True)
@@ -77,7 +65,7 @@ class Distribution:
     numbers: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        names = KINDS[self.kind].numbers
+        names = KINDS[self.kind]
         if self.kind == "values":
             names = tuple(f"number {k + 1}" for k in range(len(self.numbers)))
         if len(self.numbers) != len(names):
@@ -104,18 +92,27 @@ class Distribution:
     def levels(self) -> tuple[float, ...]:
         """The values that a full grid takes; empty for a distribution without gaps."""
         if self.kind == "grid":
-            return tuple(_spaced(*self.numbers).tolist())
+            low, high, count = self.numbers
+            return tuple(np.linspace(low, high, int(count)).tolist())
         return self.numbers if self.kind == "values" else ()
+
+    @cached_property
+    def _continuous(self) -> Any:
+        return CONTINUOUS[self.kind](*self.numbers)
 
     def quantile(self, u: Array) -> Array:
         """Return the values (n,) below which shares u (n,) between 0 and 1 of all values lie."""
-        return KINDS[self.kind].quantile(u, *self.numbers)
+        if levels := self.levels:
+            return np.array(levels)[np.minimum((u * len(levels)).astype(int), len(levels) - 1)]
+        values = self._continuous.ppf(u)
+        low, high = self.numbers[2:] if self.kind == "truncated_normal" else (-np.inf, np.inf)
+        return np.clip(values, low, high)
 
     def deviations_of(self, value: float) -> float:
         """Return how many standard deviations a number lies from the mean; 0 if there is one value alone."""
-        values = self.quantile((np.arange(PARTS) + 0.5) / PARTS)
-        deviation = float(values.std())
-        return abs(value - float(values.mean())) / deviation if deviation else 0.0
+        of = np.array(self.levels) if self.levels else self._continuous
+        deviation = float(of.std())
+        return abs(value - float(of.mean())) / deviation if deviation else 0.0
 
     def of_normal(self, z: Array) -> Array:
         """Return the values (n,) that are as likely as the standard normal z (n,)."""

@@ -59,12 +59,10 @@ class Workers:
     Attributes:
         executor: of tasks.
         count: returns the number of workers at the moment.
-        apart: True if they are in other processes, which write what they make.
     """
 
     executor: Executor
     count: Callable[[], int]
-    apart: bool
 
 
 @contextmanager
@@ -90,16 +88,16 @@ def workers(
         with _client(cluster) as client:
             # what is sent along says all; a key made of it would be made anew for each task
             of_client = client.get_executor(pure=False)
-            yield Workers(of_client, lambda: sum(client.ncores().values()), True)
+            yield Workers(of_client, lambda: sum(client.ncores().values()))
     elif executor is not None:
         if not isinstance(executor, Executor):
             raise OptionError("executor", executor, "one of concurrent.futures")
         count = getattr(executor, "_max_workers", USUAL_WORKERS)
-        yield Workers(executor, lambda: count, not isinstance(executor, ThreadPoolExecutor))
+        yield Workers(executor, lambda: count)
     else:
         count = thread_count(threads)
         with ThreadPoolExecutor(count) as pool:
-            yield Workers(pool, lambda: count, False)
+            yield Workers(pool, lambda: count)
 
 
 @contextmanager
@@ -229,11 +227,6 @@ class Pace:
         there = self._there + self._made
         left = span((self._runs - there) / rate)
         self._progress(f"{there:,} of {self._runs:,} runs, {rate:,.0f} per s, {left} left")
-
-    @property
-    def made(self) -> int:
-        """The number of runs that were counted."""
-        return self._made
 
 
 def probed(make: Callable[[int], Any], runs: int) -> float:

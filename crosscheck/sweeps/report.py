@@ -16,7 +16,19 @@ from crosscheck.comparison.figure import Figure
 from crosscheck.engines import ENGINES
 from crosscheck.files import check_writable, write_files
 from crosscheck.report.render import as_json, markdown
-from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, Verdict, figures, texts
+from crosscheck.report.table import (
+    Cell,
+    Column,
+    Lines,
+    Part,
+    Report,
+    Rows,
+    Table,
+    Verdict,
+    figures,
+    judged,
+    texts,
+)
 from crosscheck.sweeps.analysis import (
     LEVELS,
     Analysis,
@@ -263,9 +275,8 @@ def _hint(plan: Plan, reason: str) -> str:
 
 
 def _quantiles(found: Findings, rows: Sequence[Scalar], title: str) -> Table:
-    names = ["least", "5 %", "median", "95 %", "most"]
-    wanted = range(len(LEVELS)) if title else (1, 2, 3, 4)
-    columns = [Column("of each run"), *figures("nominal", *(names[k] for k in wanted))]
+    wanted = slice(None if title else 1, None)
+    columns = [Column("of each run"), *figures("nominal", *list(LEVELS)[wanted])]
     content: Rows = []
     for variable, members in groupby(rows, key=lambda each: each.variable):
         of_variable = list(members)
@@ -273,7 +284,7 @@ def _quantiles(found: Findings, rows: Sequence[Scalar], title: str) -> Table:
             content.append([with_unit(variable, of_variable[0].unit)])
         for each in of_variable:
             name = each.heading if len(of_variable) == 1 else f"  {' '.join(each.names)}"
-            values = [found.nominal[each.label], *(each.quantiles[k] for k in wanted)]
+            values = [found.nominal[each.label], *each.quantiles[wanted]]
             content.append([name, *(f"{value:.{_digits(each)}g}" for value in values)])
     return Table(title, columns, content)
 
@@ -305,26 +316,21 @@ def _checks(checked: Sequence[Checked]) -> list[Part]:
     rows: Rows = []
     kept: Rows = []
     for each in checked:
-        judged = Cell("differ", "fails") if each.differs else Cell("agree", "holds")
-        if not each.complete:
-            judged = Cell("not all", "doubtful")
-        rows.append([str(each.run), each.why, judged])
+        verdict = Cell("differ", "fails") if each.differs else Cell("agree", "holds")
+        rows.append([str(each.run), each.why, verdict if each.complete else Cell("not all", "doubtful")])
         kept.append(f"run {each.run}")
         for figure in each.kept:
             unsettled = "finer runs differ by more" if figure.unsettled else "not judged"
-            verdict = figure.detail or unsettled if figure.informs else _limit(figure)
-            kept.append([figure.quantity, figure.between[0], f"{figure.value:.1e}", verdict])
+            apart = judged(figure.value, figure.tolerance, figure.agrees)
+            if figure.informs:
+                apart = Cell(f"{figure.value:.1e}, {figure.detail or unsettled}")
+            kept.append([figure.quantity, figure.between[0], apart])
     columns = [*figures("run"), *texts("chosen", "engines")]
-    beside = [*texts("kept number", "engine"), *figures("difference"), *texts("limit")]
+    beside = [*texts("kept number", "engine"), *figures("difference")]
     parts: list[Part] = [Table("runs that were cross-checked", columns, rows, folded=True)]
     parts.append(Table("kept numbers of these, each variable's nearest its limit", beside, kept, folded=True))
     wrong = [f"run {each.run}: {each.verdict}" for each in checked if not (each.agrees and each.complete)]
     return [*parts, Lines("", wrong)] if wrong else parts
-
-
-def _limit(figure: Figure) -> Cell:
-    """The limit of a figure, judged."""
-    return Cell(f"{figure.tolerance:.1e}", "holds" if figure.agrees else "fails")
 
 
 def _varied(plan: Plan) -> Table:
@@ -415,9 +421,7 @@ def _data(found: Findings) -> dict[str, object]:
         "errors": len(found.swept.errors),
         "known": {each.label: int(np.isfinite(each.values).sum()) for each in found.scalars},
         "quantiles": {
-            each.label: {
-                f"{level:g}": value for level, value in zip(LEVELS, each.quantiles.tolist(), strict=True)
-            }
+            each.label: dict(zip(map("{:g}".format, LEVELS.values()), each.quantiles.tolist(), strict=True))
             for each in found.scalars
         },
         "effects": {scalar.label: [asdict(each) for each in effects] for scalar, effects in found.effects},

@@ -108,7 +108,6 @@ def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[
         task = 0
         if path is not None and path.exists():
             store = Store.at(path)
-            store.tidy()
             plan = store.resumed(plan)
         else:
             if path is not None:

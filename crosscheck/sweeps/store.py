@@ -9,9 +9,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.files import remove_abandoned
 from crosscheck.sweeps.plan import CONDITIONS, DONE, STOPPED, Chunk, Plan, make_runs
 from crosscheck.sweeps.sampling import EXTENDED, UNEXTENDED
 from newton_euler.variation import units_of
@@ -29,10 +29,7 @@ STATUS, ERROR = "status", "error"
 """Variables beside those that vary and those that are kept."""
 
 UNFINISHED = "*.partial"
-"""Files of Zarr that were never ended."""
-
-ABANDONED = 60.0
-"""s after which these are those of a process that was killed."""
+"""Files of Zarr that were never ended, where a process was killed."""
 
 BLOCK = 2**20
 """Runs whose status is read at a time."""
@@ -106,9 +103,7 @@ class Store:
         """
         _, zarr = libraries()
         record = plan.record()
-        for abandoned in path.parent.glob(f".{path.stem}-????????{path.suffix}"):
-            if _is_abandoned(abandoned):
-                shutil.rmtree(abandoned, ignore_errors=True)
+        remove_abandoned(path.parent.glob(f".{path.stem}-????????{path.suffix}"))
         made = path.parent / f".{path.stem}-{os.urandom(4).hex()}{path.suffix}"
         try:
             with told(path):
@@ -163,6 +158,7 @@ class Store:
             elsewhere = "name another folder (--output), or remove this one"
             raise CrosscheckError(f"{self.path} holds a sweep of {what}; {elsewhere}")
         with told(self.path):
+            remove_abandoned(self.path.rglob(UNFINISHED) if self.path else ())
             if more:
                 self.group.update_attributes({"runs": runs, "samples": plan.samples.digest(runs)})
             # after that, and looked at each time: a process that is killed here is called with as many again
@@ -188,13 +184,6 @@ class Store:
         except (OSError, RuntimeError, ValueError) as error:
             problem = f"{self.path} is damaged: {STATUS}: {error}"[:300]
             raise CrosscheckError(f"{problem}; name another folder (--output), or remove this one") from error
-
-    def tidy(self) -> None:
-        """Remove files that a process which was killed has not ended."""
-        for path in self.path.rglob(UNFINISHED) if self.path else ():
-            if _is_abandoned(path):
-                with suppress(OSError):
-                    path.unlink()
 
     def write(self, first: int, chunk: Chunk) -> None:
         """Write consecutive runs, their status last.
@@ -259,13 +248,6 @@ def _change(name: str, old: Any, new: Any) -> str:
         for value in (old, new)
     )
     return f"{name} was {was:.80}, is {is_:.80}"
-
-
-def _is_abandoned(path: Path) -> bool:
-    try:
-        return time.time() - path.stat().st_mtime > ABANDONED
-    except OSError:  # another process has been quicker
-        return False
 
 
 @contextmanager
