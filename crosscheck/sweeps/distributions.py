@@ -183,10 +183,13 @@ def _matrix(what: str, given: object, count: int) -> Array:
         matrix = np.full(1, np.nan)
     if matrix.shape != (count, count) or not np.all(np.isfinite(matrix)):
         raise CrosscheckError(f"{what} is no matrix of {count} rows of {count} finite numbers")
-    scale = np.sqrt(np.abs(np.diag(matrix)))
-    if not np.all(np.diag(matrix) > 0.0) or not np.array_equal(matrix, matrix.T):
-        raise CrosscheckError(f"{what} is not symmetric with a positive diagonal")
-    if np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] < -ROUND_OFF:
+    if not np.all(np.diag(matrix) > 0.0):
+        raise CrosscheckError(f"{what} has a diagonal that is not positive")
+    scale = np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
+    if np.any(np.abs(matrix - matrix.T) > ROUND_OFF * scale):
+        raise CrosscheckError(f"{what} is not symmetric")
+    matrix = 0.5 * (matrix + matrix.T)
+    if np.linalg.eigvalsh(matrix / scale)[0] < -ROUND_OFF:
         raise CrosscheckError(f"{what} has a negative eigenvalue; no numbers vary together like that")
     return matrix
 

@@ -9,10 +9,7 @@ import pytest
 from SALib.sample import sobol
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.sweeps.distributions import (
-    parse,
-    parse_vary,
-)
+from crosscheck.sweeps.distributions import Correlated, parse, parse_vary
 from crosscheck.sweeps.sampling import SAMPLINGS, samples_of
 from newton_euler.errors import NewtonEulerError
 
@@ -100,6 +97,14 @@ def test_medians(distribution, reference):
     assert parse(distribution).quantile(np.array([0.5]))[0] == pytest.approx(reference, abs=5e-5)
 
 
+def test_covariances_are_symmetric_but_for_round_off():
+    covariance = np.array(COVARIANCE)
+    covariance[0, 1] *= 1.0 + 1e-15
+    assert Correlated.normal([1, 2], covariance).correlation == pytest.approx(
+        np.array([[1.0, 0.75], [0.75, 1.0]]), rel=1e-14
+    )
+
+
 def test_correlated_numbers_keep_their_own_distributions():
     group = "correlated(uniform(0, 1), normal(0, 1), [[1, 1], [1, 1]])"
     values = samples_of({("a", "b"): group}, "sobol", RUNS, 3).values(0, RUNS)
@@ -135,6 +140,7 @@ def test_texts_of_distributions_are_read_back(text):
         ("a=__import__('os')", "is no number"),
         ("a,b=normal([1,2],[[1,2],[2,1]])", "covariance has a negative eigenvalue"),
         ("a,b=normal([1,2],[[1,2],[3,1]])", "covariance is not symmetric"),
+        ("a,b=normal([1,2],[[1,0],[0,0]])", "covariance has a diagonal that is not positive"),
         ("a,b=correlated(normal(1,2),uniform(1,2),[[1,0.5]])", "no matrix of 2 rows"),
         ("a,b=correlated([[1]])", "correlated takes DISTRIBUTION"),
         ("a=normal(1;2)", "--vary 'a=normal(1;2)': there is a semicolon, where commas are needed"),
