@@ -89,6 +89,8 @@ def data(found: Identification) -> dict[str, Any]:
         "degrees_of_freedom": found.degrees_of_freedom,
         "probability": found.probability,
         "is_wrong": found.is_wrong,
+        "unlike": found.unlike,
+        "in_degrees": found.in_degrees,
         "undetermined": found.undetermined,
         "stopped": found.stopped,
         "curvature": found.curvature,

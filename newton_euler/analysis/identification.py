@@ -62,6 +62,7 @@ class Identification:
             parameters that they determine, where all noise was given.
         probability: of a misfit as large or larger, by chance alone; not a number where there is no misfit.
         residuals: measured less computed, for each run by column, (n,) each.
+        unlike: columns without given noise that the scene fits worse than a constant does.
         in_degrees: columns of rad or rad/s that fit as degrees.
         undetermined: a line for each combination of parameters, and for each noise, that the data do not
             determine.
@@ -94,6 +95,7 @@ class Identification:
     degrees_of_freedom: float
     probability: float
     residuals: tuple[dict[str, Floats], ...]
+    unlike: tuple[str, ...]
     in_degrees: tuple[str, ...]
     undetermined: tuple[str, ...]
     stopped: str
@@ -154,7 +156,7 @@ class Identification:
 
     @property
     def doubts(self) -> list[str]:
-        """Lines on a wrong scene, units, what is not determined, and why the fit ended if too early."""
+        """Lines on a wrong scene, columns, what is not determined, and why the fit ended if too early."""
         lines = []
         if self.is_wrong:
             worst = max(self.misfits, key=lambda name: self.misfits[name])
@@ -162,6 +164,7 @@ class Identification:
                 "the scene cannot move as was measured, or there is more noise: do not trust these values",
                 f"largest residuals: {worst}, {self.misfits[worst]:.3g} times its noise",
             ]
+        lines += [f"{name} does not move like this: a constant fits better" for name in self.unlike]
         lines += [f"{name} fits as degrees: [deg] behind its name?" for name in self.in_degrees]
         return [*lines, *self.undetermined, *[self.stopped] * bool(self.stopped)]
 
@@ -245,6 +248,7 @@ def identify(
         degrees_of_freedom=noise.freedom,
         probability=noise.probability,
         residuals=measured.by_column(-residuals),
+        unlike=measured.unlike(residuals),
         in_degrees=fit.in_degrees(change),
         undetermined=(*_lines(names, values, fit, weak), *open_noise),
         stopped=stopped,

@@ -30,6 +30,12 @@ CLEARLY = 0.1
 EXPLAINED = 0.5
 """Share of an angle that residuals are at most if the scene moves like it; one at rest explains nothing."""
 
+UNLIKE = 1.5
+"""Standard deviations of a column from which on its residuals are larger than those of a constant by far."""
+
+ROUND_OFF = 1e-9
+"""Standard deviation, SI and as a share of the largest number, of columns that are constant."""
+
 
 class Evaluated(NamedTuple):
     """Residuals (n,), computed less measured, and their derivatives (n, p)."""
@@ -127,6 +133,17 @@ class Residuals:
     def unexplained(self, residuals: Array) -> set[str]:
         """Return the names of columns of rad or rad/s that the scene does not move like."""
         return {name for name, angle in self._angles(residuals) if angle.left > EXPLAINED * angle.size}
+
+    def unlike(self, residuals: Array) -> tuple[str, ...]:
+        """Return the names of columns without given noise that the scene fits worse than a constant does."""
+        found = {
+            name: None
+            for run, left in zip(self.runs, self.by_column(residuals), strict=True)
+            for name, column in run.columns.items()
+            if name not in run.noise
+            and _rms(left[name]) > UNLIKE * max(np.std(column), ROUND_OFF * (1.0 + np.abs(column).max()))
+        }
+        return tuple(found)
 
     def _angles(self, residuals: Array) -> Iterator[tuple[str, Angle]]:
         """Yield the columns of rad or rad/s of each run with their names."""

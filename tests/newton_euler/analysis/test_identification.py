@@ -335,6 +335,16 @@ def test_a_scene_that_is_wrong_is_said_to_be():
     assert f"misfit {exact.misfit:.3g}, 1 expected" in exact.fit
 
 
+def test_columns_that_the_scene_does_not_move_like_are_named():
+    """At rest, where a mass was seen to swing: no noise was given that says so."""
+    data = replace(measured(sprung(), "rail", noise=1e-3), noise={})
+    still = with_parameters(sprung(), {"line.rest_length": 2.0})
+    with pytest.warns(IdentificationWarning, match="coordinate.rail does not move like this"):
+        found = identify(still, ["line.stiffness"], data)
+    assert found.unlike == ("coordinate.rail",)
+    assert identify(sprung(), ["line.stiffness"], data).unlike == ()
+
+
 @pytest.mark.parametrize("noise", [1e-5, 0.0])
 @pytest.mark.parametrize("others", [[], ["guide"]])
 def test_angles_in_degrees_without_their_unit_are_pointed_out(noise, others):
