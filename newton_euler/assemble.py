@@ -181,11 +181,8 @@ def _motions(coefficients: Mapping[Key, tuple[float, float]]) -> list[Prescribed
 
 def measured_coordinate(scene: Scene, state: State, key: Key) -> tuple[float, float]:
     """Measure a joint coordinate and its rate, m or rad."""
-    equations = scene.mechanism.joint_equations(key[0])
-    measure, frames = equations.coordinates[key[1]], state.frames()
-    first, second = frames[equations.first], frames[equations.second]
-    rate = measure.jacobian(first, second).rate(first, second)[0]
-    return float(measure.phi(first, second)[0]), float(rate)
+    x, rate = scene.mechanism.measure(key, state.frames())
+    return float(x), float(rate)
 
 
 def _unreachable(wanted: Mapping[Key, tuple[float, float]], reason: str) -> MechanismError:

@@ -12,8 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from newton_euler.analysis.inverse_dynamics import InverseDynamics
-from newton_euler.assemble import initial_state
-from newton_euler.equations.applied_forces import surroundings
+from newton_euler.assemble import initial_state, measured_coordinate
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.model_control import Roles, known_scene, roles
 from newton_euler.equations.parameters import PIECE, numbered, pieces
@@ -105,8 +104,8 @@ def _driven(scene: Scene) -> Code | None:
     keys = [law.key for law in scene.control]
     if len(keys) != mobility(scene).degrees_of_freedom:
         return None
-    measured = surroundings(scene, initial_state(scene)).measured
-    functions = [Spline((0.0, scene.duration), (float(measured[key][0]),) * 2) for key in keys]
+    at = [measured_coordinate(scene, initial_state(scene), key)[0] for key in keys]
+    functions = [Spline((0.0, scene.duration), (x, x)) for x in at]
     motions = [PrescribedMotion(joint, f, k) for (joint, k), f in zip(keys, functions, strict=True)]
     bare = replace(scene, control=(), forces=(), armatures=(), outputs=frozenset())
     driven = replace(bare, motions=(*scene.motions, *motions))

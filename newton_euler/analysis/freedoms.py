@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.equations.dense import orthonormal_null
+from newton_euler.equations.parameters import measuring
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.servos import independent_rows, measuring
-from newton_euler.equations.system import dimensionless_jacobian
+from newton_euler.equations.servos import independent_rows, tangents
+from newton_euler.equations.sparse import to_array
 from newton_euler.errors import MechanismError
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
@@ -72,9 +72,7 @@ def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | Non
         return tuple(found)
     q, _ = system.coordinates(state)
     candidates = [*of_joints.values(), *others.values()]
-    closed = dimensionless_jacobian(system, q)[mobility(scene).independent]
-    tangent = orthonormal_null(closed, len(closed))
-    rows = rates_of(system, q, candidates) @ tangent
+    rows = rates_of(system, q, candidates) @ tangents(system, q)
     driven = [k for k, each in enumerate(candidates) if each.key in {law.key for law in scene.control}]
     chosen: list[int] = []
     for group in (driven, range(len(of_joints)), range(len(candidates))):
@@ -88,10 +86,6 @@ def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | Non
 
 def rates_of(system: Relative, q: Array, freedoms: Sequence[Freedom]) -> Array:
     """Compute dimensionless rates (d, nv) of coordinates for each dimensionless velocity."""
-    rows = np.zeros((len(freedoms), system.nv))
-    measured = system.measured(q, np.zeros(system.nv))
-    for row, freedom in zip(rows, freedoms, strict=True):
-        entries = {freedom.place: 1.0} if freedom.key is None else measured[freedom.key].jacobian
-        for k, entry in entries.items():
-            row[k] = entry * system.velocity_units[k] / freedom.unit
-    return rows
+    measured, units = system.measured(q, np.zeros(system.nv)), np.array([each.unit for each in freedoms])
+    rows = [measured[each.key].jacobian if each.key else {each.place: 1.0} for each in freedoms]
+    return to_array(rows, system.nv) * system.velocity_units / units[:, None]

@@ -20,16 +20,10 @@ from newton_euler.assemble import initial_state
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
-from newton_euler.equations.parameters import numbered, pieces, with_values
+from newton_euler.equations.parameters import measuring, numbered, pieces, with_values
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.servos import (
-    fault,
-    independent_rows,
-    measuring,
-    servos_of,
-    tangent_rows,
-)
+from newton_euler.equations.servos import coordinate_rows, fault, independent_rows, servos_of, tangents
 from newton_euler.equations.system import Evaluation, at_time
 from newton_euler.errors import MechanismError, SingularityError, check_type, finite_array
 from newton_euler.integrators.compiled import NEUTRAL
@@ -195,11 +189,11 @@ def statics(
 
 def _independent(scene: Scene, state: State, keys: tuple[Key, ...]) -> tuple[Key, ...]:
     """Choose as many of these coordinates as are independent at a state, in their order."""
+    count = mobility(scene).degrees_of_freedom
     system = Relative(measuring(scene, keys))
     q, _ = system.coordinates(state)
-    decided = mobility(scene)
-    rows = tangent_rows(system, q, keys, decided.independent)
-    chosen = independent_rows(rows, [], range(len(keys)), decided.degrees_of_freedom)
+    rows = coordinate_rows(system, q, keys) @ tangents(system, q)
+    chosen = independent_rows(rows, [], range(len(keys)), count)
     return tuple(keys[k] for k in sorted(chosen))
 
 

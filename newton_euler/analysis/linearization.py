@@ -31,6 +31,7 @@ from newton_euler.equations.dense import largest, singular_values
 from newton_euler.equations.model_control import share_model_control
 from newton_euler.equations.parameters import (
     check_dynamic,
+    measuring,
     numbered,
     parameter_values,
     pieces,
@@ -59,7 +60,6 @@ from newton_euler.errors import (
 )
 from newton_euler.integrators.compiled import NEUTRAL
 from newton_euler.integrators.outputs import at_rows
-from newton_euler.model.control import PD
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -176,8 +176,7 @@ class Linearization:
     ) -> None:
         self.original, self.freedoms, self.measured = scene, freedoms, measured
         self.closed_loop, kept = closed_loop, scene.control if closed_loop else ()
-        probes = (PD(joint, 0.0, 0.0, 0.0, k) for joint, k in measured)
-        self.scene = with_laws(scene, [*kept, *probes])
+        self.scene = with_laws(scene, [*kept, *measuring(scene, measured).control])
         self._probes = {
             key: numbered("control", len(kept) + k, "feedforward") for k, key in enumerate(measured)
         }

@@ -11,8 +11,6 @@ import numpy as np
 from newton_euler.analysis.inverse_dynamics import statics
 from newton_euler.analysis.linearization import linearize
 from newton_euler.assemble import initial_state
-from newton_euler.equations.applied_forces import surroundings
-from newton_euler.equations.servos import measuring
 from newton_euler.errors import MechanismError, OptionError, check_type
 from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.joint import Key
@@ -78,9 +76,9 @@ def lqr(
         needed = "positive weights of forces, and weights of all that does not come to rest by itself"
         where = f"the pair Q and R for scene {scene.name!r}"
         raise OptionError(where, (q.tolist(), r.tolist()), needed) from error
-    measured = surroundings(measuring(scene, keys), state).measured
     given = {mechanism.coordinate(name): value for name, value in (targets or {}).items()}
-    wanted = {key: given.get(key, float(measured[key][0])) for key in keys}
+    frames = state.frames()
+    wanted = {key: given.get(key, float(mechanism.measure(key, frames)[0])) for key in keys}
     found = []
     for (joint, k), u, (k_p, k_d) in zip(acting, held, np.stack(np.split(gains, 2, axis=1), 1), strict=True):
         own: dict[str | Key, tuple[float, float]] = dict(

@@ -283,10 +283,10 @@ class TangentCode(CompiledScene):
         """Trace the coordinates of all joints, m or rad, then their rates."""
         frames, coordinates, rates = system.frames(q, v), list[Scalar](), list[Scalar]()
         for equations in system.equations:
-            ends = frames[equations.first], frames[equations.second]
-            for measure in equations.coordinates:
-                coordinates += measure.phi(*ends).tolist()
-                rates += measure.jacobian(*ends).rate(*ends).tolist()
+            for k in range(len(equations.coordinates)):
+                x, rate = equations.measure(k, frames)
+                coordinates.append(x)
+                rates.append(rate)
         return [*coordinates, *rates]
 
 

@@ -22,14 +22,8 @@ def surroundings(scene: Scene, state: State, time: float = 0.0) -> Surroundings:
     Angles are those within half a revolution.
     """
     mechanism, frames = scene.mechanism, state.frames()
-    measured = {}
     acting = {each.key for each in (*scene.joint_forces, *scene.armatures) if not each.on_ball}
-    for joint, k in acting.union(scene.sensed):
-        equations = mechanism.joint_equations(joint)
-        first, second = frames[equations.first], frames[equations.second]
-        coordinate = equations.coordinates[k]
-        rate = coordinate.jacobian(first, second).rate(first, second)[0]
-        measured[joint, k] = coordinate.phi(first, second)[0], rate
+    measured = {key: mechanism.measure(key, frames) for key in acting.union(scene.sensed)}
     return Surroundings(mechanism, [body.pose for body in mechanism.bodies], frames, measured, time)
 
 

@@ -192,15 +192,9 @@ def residuals(
     The frames are those of the bodies of the mechanism. Angles are in the revolution of `revolutions`.
     """
     x, rates = dict[Key, float](), dict[Key, float]()
-    angles = set()
     for key in {key for coupling in couplings for key in coupling.factors}:
-        equations = mechanism.joint_equations(key[0])
-        coordinate = equations.coordinates[key[1]]
-        first, second = frames[equations.first], frames[equations.second]
-        x[key] = float(coordinate.phi(first, second)[0])
-        rates[key] = float(coordinate.jacobian(first, second).rate(first, second)[0])
-        if not coordinate.is_length:
-            angles.add(key)
+        x[key], rates[key] = map(float, mechanism.measure(key, frames))
+    angles = {key for key in x if not mechanism.is_slide(*key)}
     for key, angle in revolutions(couplings, x, angles, time).items():
         x[key] += angle
     phi = [c.combine(x) - (c.function.value(time) if c.function else 0.0) for c in couplings]

@@ -10,7 +10,8 @@ import numpy as np
 
 from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.dense import solve_constrained
-from newton_euler.equations.model_control import known_scene, roles, without_control
+from newton_euler.equations.model_control import known_scene, roles
+from newton_euler.equations.parameters import measuring
 from newton_euler.equations.redundancy import rows_left_out, without
 from newton_euler.equations.system import System
 from newton_euler.errors import SingularityError
@@ -37,8 +38,8 @@ class EngineControl:
         """`build` makes the engine's model of a scene."""
         self._torque, self._holding, values = roles(scene)
         known = known_scene(scene, values)
-        self._moving = build(without_control(known, self._torque)) if self._torque else None
-        self._resting = build(without_control(known, self._holding)) if self._holding else None
+        self._moving = build(measuring(known, self._torque)) if self._torque else None
+        self._resting = build(measuring(known, self._holding)) if self._holding else None
         if self._resting:
             coupled = self._resting.couplings
             coupled.couplings = tuple(replace(each, function=None) for each in coupled.couplings)

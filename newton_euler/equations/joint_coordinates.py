@@ -7,7 +7,7 @@ and starts within half a revolution.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -69,21 +69,19 @@ def coordinates(
     return found
 
 
+def _carried(
+    measured: dict[Key, Coordinate], frames: Sequence[Frame]
+) -> Iterator[tuple[Constraint, Frame, Frame]]:
+    for each in measured.values():
+        if each.carried is not None:
+            yield each.constraint, frames[each.first], frames[each.second]
+
+
 def carried_angles(measured: dict[Key, Coordinate], frames: Sequence[Frame]) -> Array:
     """Compute the carried angles within half a revolution, rad."""
-    angles = [
-        c.constraint.phi(frames[c.first], frames[c.second])
-        for c in measured.values()
-        if c.carried is not None
-    ]
-    return np.concatenate([np.zeros(0), *angles])
+    return np.array([angle.phi(*ends)[0] for angle, *ends in _carried(measured, frames)])
 
 
 def carried_rates(measured: dict[Key, Coordinate], frames: Sequence[Frame]) -> Array:
     """Compute the rates of the carried angles, rad/s."""
-    rates = [np.zeros(0)]
-    for c in measured.values():
-        if c.carried is not None:
-            first, second = frames[c.first], frames[c.second]
-            rates.append(c.constraint.jacobian(first, second).rate(first, second))
-    return np.concatenate(rates)
+    return np.array([angle.jacobian(*ends).rate(*ends)[0] for angle, *ends in _carried(measured, frames)])

@@ -20,8 +20,8 @@ from newton_euler.equations.parameters import (
     check_dynamic,
     checked,
     element_of,
+    measuring,
     places,
-    with_laws,
     with_values,
 )
 from newton_euler.equations.redundancy import inherit_mobility, mobility, rows_in_use
@@ -106,11 +106,6 @@ def without_wind(scene: Scene) -> Scene:
     return changed
 
 
-def without_control(scene: Scene, keys: Sequence[Key]) -> Scene:
-    """Return the scene with laws of no force on these coordinates alone."""
-    return with_laws(scene, [PD(joint, 0.0, 0.0, 0.0, k) for joint, k in keys])
-
-
 class ModelControl:
     """Inverse dynamics for the control laws of a formulation, in its coordinates.
 
@@ -129,7 +124,7 @@ class ModelControl:
         else:
             scene = known_scene(system.scene, self.roles.model)
         self._moving, self._resting = (
-            form(without_control(scene, keys), 0.0) if keys else None for keys in self.roles[:2]
+            form(measuring(scene, keys), 0.0) if keys else None for keys in self.roles[:2]
         )
         if self._resting:
             still = tuple(replace(each, function=None) for each in self._resting.couplings)

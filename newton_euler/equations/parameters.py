@@ -68,7 +68,9 @@ import numpy as np
 
 from newton_euler.equations.redundancy import inherit_mobility
 from newton_euler.errors import PROPOSED, MechanismError, UnknownNameError, nearest
+from newton_euler.model.control import PD
 from newton_euler.model.digital_control import Law
+from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction, on_piece, piece_numbers, terms
 from newton_euler.model.scene import Scene
@@ -370,6 +372,11 @@ def with_laws(scene: Scene, laws: Iterable[Law]) -> Scene:
     vars(changed).pop("joint_forces", None)  # kept of the laws that have changed
     inherit_mobility(changed, scene)
     return changed
+
+
+def measuring(scene: Scene, keys: Iterable[Key]) -> Scene:
+    """Return the scene with laws of no force on these coordinates as its only control."""
+    return with_laws(scene, [PD(joint, 0.0, 0.0, 0.0, k) for joint, k in dict.fromkeys(keys)])
 
 
 def _substituted(

@@ -12,13 +12,12 @@ import numpy as np
 from newton_euler.equations.dense import RANK_TOLERANCE, orthonormal_null, singular_values
 from newton_euler.equations.formulation import Formulation, Servos
 from newton_euler.equations.model_control import scaled
-from newton_euler.equations.parameters import with_laws
+from newton_euler.equations.parameters import measuring
 from newton_euler.equations.redundancy import mobility, rows_in_use
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import to_array
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.errors import MechanismError
-from newton_euler.model.control import PD
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
@@ -28,11 +27,6 @@ CHOSEN = 1e-3
 
 ALIKE = 6
 """Digits to which such velocities are compared, so that no processor chooses by its last ones."""
-
-
-def measuring(scene: Scene, keys: Iterable[Key]) -> Scene:
-    """Return the scene with laws of no force on these coordinates as its only control."""
-    return with_laws(scene, [PD(joint, 0.0, 0.0, 0.0, k) for joint, k in dict.fromkeys(keys)])
 
 
 def servos_of(
@@ -109,16 +103,10 @@ def coordinate_rows(system: Relative, q: Array, keys: Sequence[Key]) -> Array:
     return rows * system.velocity_units / np.array([system.unit(key) for key in keys])[:, None]
 
 
-def tangent_rows(system: Relative, q: Array, keys: Sequence[Key], closed: Sequence[int]) -> Array:
-    """Compute dimensionless rates (k, d) of coordinates for velocities that keep loops closed, orthonormal.
-
-    Args:
-        system, q: as of `fault`.
-        keys: of the coordinates.
-        closed: rows of `phi` that imply all others.
-    """
-    tangent = orthonormal_null(dimensionless_jacobian(system, q)[list(closed)], len(closed))
-    return coordinate_rows(system, q, keys) @ tangent
+def tangents(system: Relative, q: Array) -> Array:
+    """Compute orthonormal dimensionless velocities (nv, d) that keep loops closed."""
+    closed = dimensionless_jacobian(system, q)[mobility(system.scene).independent]
+    return orthonormal_null(closed, len(closed))
 
 
 def independent_rows(rows: Array, chosen: Sequence[int], candidates: Iterable[int], count: int) -> list[int]:

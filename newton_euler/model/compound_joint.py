@@ -20,7 +20,7 @@ from newton_euler.model.hinge_angles import (
     Separation,
     dual_axes,
 )
-from newton_euler.model.joint import POINTS, Joint, Motion, Pose, perpendicular_pair, unit_vector
+from newton_euler.model.joint import BALL_MOTION, POINTS, Joint, Motion, Pose, perpendicular_pair, unit_vector
 from newton_euler.scalars import Array, cross, sqrt
 
 INDEPENDENT = 1e-3
@@ -150,7 +150,7 @@ class Compound(Joint):
     def motions(self) -> tuple[Motion, ...]:
         slides = (Motion("slide", axis) for axis in self.slides)
         hinges = (Motion("hinge", axis) for axis in self.hinges)
-        return (*slides, *hinges, *((Motion("ball", np.zeros(3)),) if self.ball else ()))
+        return (*slides, *hinges, *((BALL_MOTION,) if self.ball else ()))
 
     @property
     def motion_points(self) -> tuple[Array, ...]:
@@ -188,11 +188,7 @@ class Compound(Joint):
             axis = self.hinges[0]
             pair = perpendicular_pair(axis, self.described.hinges[0])
             return self._parallel(axis, pair, first, second)
-        x, y, z = np.eye(3)
-        return tuple(
-            Perpendicular(first.vector_to_body(a), second.vector_to_body(b))
-            for a, b in ((x, y), (y, z), (z, x))
-        )
+        return self._aligned(first, second)
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         beyond = self.span - self.offsets.sum(axis=0)

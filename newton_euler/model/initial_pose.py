@@ -95,9 +95,8 @@ def described_at(scene: Scene, state: State) -> Scene:
     ]
     zeros: dict[Key, float] = {}
     for equations in mechanism.equations:
-        first, second = frames[equations.first], frames[equations.second]
-        for k, coordinate in enumerate(equations.coordinates):
-            zeros[equations.joint.name, k] = float(coordinate.phi(first, second)[0])
+        for k in range(len(equations.coordinates)):
+            zeros[equations.joint.name, k] = float(equations.measure(k, frames)[0])
         _check_slides(scene, equations, moves[equations.first])
     bodies = [mechanism.bodies[0]]
     for body, move, p in list(zip(mechanism.bodies, moves, state.quaternion, strict=True))[1:]:

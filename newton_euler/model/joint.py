@@ -12,7 +12,7 @@ the first.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal, NamedTuple, Self
 
@@ -30,7 +30,7 @@ from newton_euler.model.constraints import (
 )
 from newton_euler.model.description import ArrayField, DefaultArrayField, description
 from newton_euler.model.variable import Variable
-from newton_euler.scalars import Array, cross, sqrt
+from newton_euler.scalars import Array, Scalar, cross, sqrt
 
 POINTS = ("point", "point_on_first", "point_on_second")
 """Displacements of joint points: of both bodies' own, of the first's, and of the second's."""
@@ -39,12 +39,18 @@ Key = tuple[str, int]
 """A joint coordinate: the name of its joint, and which of the joint's coordinates it is, from 0."""
 
 
+MotionKind = Literal["hinge", "slide", "ball"]
+
+
 class Motion(NamedTuple):
     """One elementary motion of the second body against the first."""
 
-    kind: Literal["hinge", "slide", "ball"]
+    kind: MotionKind
     axis: Array
     """(3,) unit axis in the world at the initial pose; unused for a ball."""
+
+
+BALL_MOTION = Motion("ball", np.zeros(3))
 
 
 class Pose(NamedTuple):
@@ -100,6 +106,11 @@ class JointEquations:
             if blocks
             else Jacobian(empty, empty, empty, empty)
         )
+
+    def measure(self, coordinate: int, frames: Sequence[Frame]) -> tuple[Scalar, Scalar]:
+        """Measure a coordinate, m or rad from the initial pose, and its rate, at frames of all bodies."""
+        measure, ends = self.coordinates[coordinate], (frames[self.first], frames[self.second])
+        return measure.phi(*ends)[0], measure.jacobian(*ends).rate(*ends)[0]
 
 
 def perpendicular_pair(axis: Array, described: Array | None = None) -> tuple[Array, Array]:
@@ -244,8 +255,9 @@ class Joint(Variable):
         raise NotImplementedError
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        """Define a coordinate for each hinge and slide among `motions`."""
-        return ()
+        """Define a coordinate for each hinge and slide among `motions`; here of slides alone."""
+        slides = (motion.axis for motion in self.motions if motion.kind == "slide")
+        return tuple(self._slide(axis, first, second) for axis in slides)
 
     def attach(self, first: int, first_pose: Pose, second: int, second_pose: Pose) -> JointEquations:
         """Tie the joint to bodies number `first` and `second` at their reference poses."""
@@ -276,24 +288,22 @@ class Joint(Variable):
 
     def _on_line(self, pair: tuple[Array, Array], first: Pose, second: Pose) -> tuple[Constraint, ...]:
         """Phi^(p2,2), eq. (28): tilde(s_i) d = 0, again its two components across the axis."""
-        return tuple(self._across(a, first, second) for a in pair)
+        return tuple(self._displacement(a, 0.0, first, second) for a in pair)
 
-    def _across(self, normal: Array, first: Pose, second: Pose) -> Constraint:
-        """Keep the second body's point in a plane through the first's, fixed in the first."""
-        return Displacement(
-            first.vector_to_body(normal),
-            first.point_to_body(self.point),
-            second.point_to_body(self.reaction_point),
-        )
+    def _aligned(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        """Keep the second body's orientation that of the first."""
+        x, y, z = np.eye(3)
+        pairs = (x, y), (y, z), (z, x)
+        return tuple(Perpendicular(first.vector_to_body(a), second.vector_to_body(b)) for a, b in pairs)
 
     def _slide(self, axis: Array, first: Pose, second: Pose) -> Constraint:
-        offset: Any = axis @ self.span
-        return Displacement(
-            first.vector_to_body(axis),
-            first.point_to_body(self.point),
-            second.point_to_body(self.reaction_point),
-            offset=offset,
-        )
+        """Define the displacement of the second body's point along an axis of the first."""
+        return self._displacement(axis, axis @ self.span, first, second)
+
+    def _displacement(self, axis: Array, offset: Any, first: Pose, second: Pose) -> Constraint:
+        """Compute the second body's displacement along an axis of the first, less an offset, m."""
+        ends = first.point_to_body(self.point), second.point_to_body(self.reaction_point)
+        return Displacement(first.vector_to_body(axis), *ends, offset=offset)
 
     def _turn(self, axis: Array, pointer: Array, first: Pose, second: Pose) -> Constraint:
         """Define the angle about `axis` of `pointer`, a vector of the second body perpendicular to it."""

@@ -14,7 +14,7 @@ from newton_euler.errors import MechanismError, is_finite_number
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Constraint, Distance, Perpendicular, Reversed
 from newton_euler.model.description import ArrayField, description
-from newton_euler.model.joint import Joint, Motion, Pose, perpendicular_pair
+from newton_euler.model.joint import BALL_MOTION, Joint, Motion, MotionKind, Pose, perpendicular_pair
 from newton_euler.scalars import Array
 
 AXIS_TOLERANCE = 1e-9
@@ -38,7 +38,7 @@ class Spherical(Joint):
 
     @property
     def motions(self) -> tuple[Motion, ...]:
-        return (Motion("ball", np.zeros(3)),)
+        return (BALL_MOTION,)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         return self._coincident(first, second)
@@ -93,11 +93,23 @@ class _AxisJoint(Joint):
 
     axis: ArrayField = field(kw_only=True)
     axis_names: ClassVar[tuple[str, ...]] = ("axis",)
+    along: ClassVar[tuple[MotionKind, ...]] = ()
+    """Motions along and about the axis, in their order."""
 
     @property
     def pair(self) -> tuple[Array, Array]:
         """Unit vectors (3,) across the axis, see `perpendicular_pair`."""
         return perpendicular_pair(self.axis, self.described.axis)
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        return tuple(Motion(kind, self.axis) for kind in self.along)
+
+    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        slides = super().coordinates(first, second)
+        if "hinge" not in self.coordinate_kinds:
+            return slides
+        return (*slides, self._turn(self.axis, self.pair[0], first, second))
 
     def varied(self, values: Mapping[str, Any]) -> Self:
         """See `Joint.varied`; the second body's point stays on the axis, or plane, of the first."""
@@ -121,16 +133,10 @@ class Revolute(_AxisJoint):
     """
 
     kind: ClassVar[str] = "revolute"
-
-    @property
-    def motions(self) -> tuple[Motion, ...]:
-        return (Motion("hinge", self.axis),)
+    along = ("hinge",)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         return self._coincident(first, second) + self._parallel(self.axis, self.pair, first, second)
-
-    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return (self._turn(self.axis, self.pair[0], first, second),)
 
 
 @description
@@ -146,18 +152,11 @@ class Cylindrical(_AxisJoint):
     """
 
     kind: ClassVar[str] = "cylindrical"
-
-    @property
-    def motions(self) -> tuple[Motion, ...]:
-        return (Motion("slide", self.axis), Motion("hinge", self.axis))
+    along = ("slide", "hinge")
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         pair = self.pair
         return self._parallel(self.axis, pair, first, second) + self._on_line(pair, first, second)
-
-    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        turn = self._turn(self.axis, self.pair[0], first, second)
-        return self._slide(self.axis, first, second), turn
 
 
 @description
@@ -171,10 +170,7 @@ class Translational(_AxisJoint):
     """
 
     kind: ClassVar[str] = "translational"
-
-    @property
-    def motions(self) -> tuple[Motion, ...]:
-        return (Motion("slide", self.axis),)
+    along = ("slide",)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         h_i, h_j = pair = self.pair
@@ -183,9 +179,6 @@ class Translational(_AxisJoint):
             *self._on_line(pair, first, second),
             Perpendicular(first.vector_to_body(h_i), second.vector_to_body(h_j)),
         )
-
-    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return (self._slide(self.axis, first, second),)
 
 
 @description
@@ -263,12 +256,7 @@ class Planar(_AxisJoint):
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         parallel = self._parallel(self.axis, self.pair, first, second)
-        return (*parallel, self._across(self.axis, first, second))
-
-    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        u, w = self.pair
-        turn = self._turn(self.axis, u, first, second)
-        return self._slide(u, first, second), self._slide(w, first, second), turn
+        return (*parallel, self._displacement(self.axis, 0.0, first, second))
 
 
 @description
@@ -284,16 +272,14 @@ class PointOnLine(_AxisJoint):
     """
 
     kind: ClassVar[str] = "point_on_line"
+    along = ("slide",)
 
     @property
     def motions(self) -> tuple[Motion, ...]:
-        return (Motion("slide", self.axis), Motion("ball", np.zeros(3)))
+        return (*super().motions, BALL_MOTION)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         return self._on_line(self.pair, first, second)
-
-    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return (self._slide(self.axis, first, second),)
 
 
 @description
@@ -361,14 +347,7 @@ class Fixed(Joint):
     kind: ClassVar[str] = "fixed"
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        x, y, z = np.eye(3)
-        return (
-            *self._coincident(first, second),
-            *(
-                Perpendicular(first.vector_to_body(a), second.vector_to_body(b))
-                for a, b in ((x, y), (y, z), (z, x))
-            ),
-        )
+        return (*self._coincident(first, second), *self._aligned(first, second))
 
 
 @description
@@ -387,13 +366,10 @@ class Free(Joint):
     def motions(self) -> tuple[Motion, ...]:
         x, y, z = np.eye(3)
         slides = (Motion("slide", x), Motion("slide", y), Motion("slide", z))
-        return (*slides, Motion("ball", np.zeros(3)))
+        return (*slides, BALL_MOTION)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         return ()
-
-    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return tuple(self._slide(axis, first, second) for axis in np.eye(3))
 
 
 JOINT_KINDS: dict[str, type[Joint]] = {

@@ -29,7 +29,7 @@ from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import UNIT_TOLERANCE, Capsule, Mesh, Shape, Solid, total
 from newton_euler.model.joint import Joint, JointEquations, Key, Pose
 from newton_euler.model.variable import Change, Variable
-from newton_euler.scalars import Array, sqrt
+from newton_euler.scalars import Array, Scalar, sqrt
 
 CLOSURE_TOLERANCE = 1e-9
 """How far (meters or radians) a joint may be open at an initial pose."""
@@ -392,6 +392,10 @@ class Mechanism:
     def joint_equations(self, name: str) -> JointEquations:
         """Return the equations of a joint by its name; raises `UnknownNameError`."""
         return self.equations[self.joint_index(name)]
+
+    def measure(self, key: Key, frames: Sequence[Frame]) -> tuple[Scalar, Scalar]:
+        """Measure a joint coordinate and its rate where bodies have these frames, see `JointEquations`."""
+        return self.joint_equations(key[0]).measure(key[1], frames)
 
     @cached_property
     def joints_at(self) -> tuple[tuple[int, ...], ...]:

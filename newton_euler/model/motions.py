@@ -40,17 +40,14 @@ class Sum(Function):
 
     @property
     def knots(self) -> tuple[float, ...]:
-        """Those of all terms."""
         return tuple(sorted({knot for term in self.terms for knot in term.knots}))
 
     @property
     def jumps(self) -> tuple[float, ...]:
-        """Those of all terms."""
         return tuple(sorted({jump for term in self.terms for jump in term.jumps}))
 
     @property
     def numbers(self) -> int:
-        """Those of all terms."""
         return sum(term.numbers for term in self.terms)
 
     @property
@@ -59,19 +56,15 @@ class Sum(Function):
 
     @property
     def is_constant(self) -> bool:
-        """True if all terms are constant between knots."""
         return all(term.is_constant for term in self.terms)
 
     def covers(self, begin: float, end: float) -> bool:
-        """See `Smooth.covers`."""
         return all(term.covers(begin, end) for term in self.terms)
 
     def piece(self, time: float) -> tuple[float, ...]:
-        """See `Smooth.piece`: the numbers of one term after the other."""
         return tuple(number for term in self.terms for number in term.piece(time))
 
     def on_piece(self, numbers: Sequence[Scalar]) -> Sum:
-        """See `Smooth.on_piece`."""
         terms: list[TimeFunction] = []
         for term in self.terms:
             terms.append(term.on_piece(numbers[: term.numbers]))
@@ -90,15 +83,12 @@ class Sum(Function):
         return change(self, terms=tuple(terms))
 
     def value(self, time: Scalar) -> Scalar:
-        """At a time in s: m or rad."""
         return sum(term.value(time) for term in self.terms)
 
     def rate(self, time: Scalar) -> Scalar:
-        """First derivative, m/s or rad/s."""
         return sum(term.rate(time) for term in self.terms)
 
     def acceleration(self, time: Scalar) -> Scalar:
-        """Second derivative, m/s^2 or rad/s^2."""
         return sum(term.acceleration(time) for term in self.terms)
 
 
@@ -116,13 +106,7 @@ def terms(function: TimeFunction) -> Iterator[Polynomial | Sine | Spline | Steps
 
 def scaled(function: TimeFunction, factor: float) -> TimeFunction:
     """Return a multiple of a function of time."""
-    if isinstance(function, Sum):
-        return Sum(tuple(scaled(term, factor) for term in function.terms))
-    if isinstance(function, Sine):
-        return replace(function, amplitude=factor * function.amplitude, offset=factor * function.offset)
-    if isinstance(function, Piecewise):
-        return replace(function, values=factor * function.values)
-    return replace(function, coefficients=tuple(factor * c for c in function.coefficients))
+    return function.with_part("", [factor * number for number in function.part("")], replace)
 
 
 def shifted(function: TimeFunction, by: float) -> TimeFunction:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 from newton_euler.errors import MechanismError, is_finite_number, set_numbers
 from newton_euler.model.variable import Function
@@ -14,36 +14,8 @@ HIGHEST = 1e15
 """rad/s, or rad: a double holds no part of a turn beyond."""
 
 
-class Smooth(Function):
-    """A function of time that has all derivatives at all times.
-
-    Attributes:
-        knots: s, the times at which a function has other derivatives after than before.
-        jumps: the knots at which its value jumps.
-        numbers: how many numbers say what it is between two knots.
-        is_constant: True if it has one value between two knots.
-    """
-
-    knots: ClassVar[tuple[float, ...]] = ()
-    jumps: ClassVar[tuple[float, ...]] = ()
-    numbers: ClassVar[int] = 0
-    is_constant: ClassVar[bool] = False
-
-    def covers(self, begin: float, end: float) -> bool:
-        """Return True if the function is known from one time to another, s."""
-        return True
-
-    def piece(self, time: float) -> tuple[float, ...]:
-        """Return the numbers of what the function is between the knots around a time in s."""
-        return ()
-
-    def on_piece(self, numbers: Sequence[Scalar]) -> Self:
-        """Return the smooth function of such numbers, scalars of any kind, which are not checked."""
-        return self
-
-
 @dataclass(frozen=True)
-class Polynomial(Smooth):
+class Polynomial(Function):
     """c_0 + c_1 t + c_2 t^2 + ...
 
     Attributes:
@@ -74,15 +46,12 @@ class Polynomial(Smooth):
         object.__setattr__(self, "coefficients", tuple(float(c) for c in given))
 
     def value(self, time: Scalar) -> Scalar:
-        """At a time in s: m or rad."""
         return _horner(self.coefficients, self._since(time))
 
     def rate(self, time: Scalar) -> Scalar:
-        """First derivative, m/s or rad/s."""
         return _horner(_derived(self.coefficients), self._since(time))
 
     def acceleration(self, time: Scalar) -> Scalar:
-        """Second derivative, m/s^2 or rad/s^2."""
         return _horner(_derived(_derived(self.coefficients)), self._since(time))
 
     def _since(self, time: Scalar) -> Scalar:
@@ -118,7 +87,7 @@ def _derived(coefficients: tuple[float, ...]) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True)
-class Sine(Smooth):
+class Sine(Function):
     """offset + amplitude sin(angular_frequency t + phase).
 
     Attributes:
@@ -156,15 +125,12 @@ class Sine(Smooth):
             raise MechanismError("sine", problem, needed)
 
     def value(self, time: Scalar) -> Scalar:
-        """At a time in s: m or rad."""
         return self.offset + self.amplitude * sin(self.angular_frequency * time + self.phase)
 
     def rate(self, time: Scalar) -> Scalar:
-        """First derivative, m/s or rad/s."""
         w = self.angular_frequency
         return self.amplitude * w * cos(w * time + self.phase)
 
     def acceleration(self, time: Scalar) -> Scalar:
-        """Second derivative, m/s^2 or rad/s^2."""
         w = self.angular_frequency
         return -(self.amplitude * w * w) * sin(w * time + self.phase)

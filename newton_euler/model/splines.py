@@ -35,7 +35,6 @@ class Piecewise(Function):
 
     noun: ClassVar[str]
     least: ClassVar[int]
-    is_constant: ClassVar[bool] = False
     parts: ClassVar = {"": ("values",)}
     constant: ClassVar = {"times": "where runs are divided"}
 
@@ -64,24 +63,17 @@ class Piecewise(Function):
             vars(changed).pop("_pieces", None)  # of the samples that have changed
         return changed
 
-    def piece(self, time: float) -> tuple[float, ...]:
-        """See `Smooth.piece`: the start of the piece in s, and its coefficients."""
-        raise NotImplementedError
-
     def on_piece(self, numbers: Sequence[Scalar]) -> Piece:
-        """See `Smooth.on_piece`."""
+        """See `Function.on_piece`; the numbers are the start of the piece in s, and its coefficients."""
         return Piece(tuple(numbers[1:]), numbers[0])
 
     def value(self, time: float) -> float:
-        """At a time in s: m or rad."""
         return float(self.on_piece(self.piece(time)).value(time))
 
     def rate(self, time: float) -> float:
-        """First derivative, m/s or rad/s."""
         return float(self.on_piece(self.piece(time)).rate(time))
 
     def acceleration(self, time: float) -> float:
-        """Second derivative, m/s^2 or rad/s^2."""
         return float(self.on_piece(self.piece(time)).acceleration(time))
 
 
@@ -109,7 +101,6 @@ class Spline(Piecewise):
 
     noun, least = "spline", 2
     numbers = DEGREE + 2
-    jumps: ClassVar[tuple[float, ...]] = ()
 
     @cached_property
     def knots(self) -> tuple[float, ...]:
@@ -164,11 +155,7 @@ class Steps(Piecewise):
 
     @property
     def jumps(self) -> tuple[float, ...]:
-        """The same."""
         return self.knots
-
-    def covers(self, begin: float, end: float) -> bool:
-        return True
 
     def piece(self, time: float) -> tuple[float, ...]:
         return 0.0, float(self.values[bisect_right(self.knots, time + ROUND_OFF * abs(time))])

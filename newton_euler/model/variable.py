@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -62,7 +62,7 @@ def altered(thing: T, **fields: Any) -> T:
 
 
 class Function:
-    """A function of time, by its numbers.
+    """A function of time, by its numbers; smooth at all times if it redefines none of the properties.
 
     Attributes:
         parts: fields by what they are: those that the function is linear in by "", others by one of `PARTS`.
@@ -71,6 +71,50 @@ class Function:
 
     parts: ClassVar[Mapping[str, tuple[str, ...]]]
     constant: ClassVar[Mapping[str, str]] = {}
+
+    @property
+    def knots(self) -> tuple[float, ...]:
+        """Times, s, at which the function has other derivatives after than before."""
+        return ()
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        """The knots at which its value jumps."""
+        return ()
+
+    @property
+    def numbers(self) -> int:
+        """The count of numbers that say what it is between two knots."""
+        return 0
+
+    @property
+    def is_constant(self) -> bool:
+        """True if it has one value between two knots."""
+        return False
+
+    def covers(self, begin: float, end: float) -> bool:
+        """Return True if the function is known from one time to another, s."""
+        return True
+
+    def value(self, time: Scalar) -> Scalar:
+        """Compute the value at a time in s: m or rad."""
+        raise NotImplementedError
+
+    def rate(self, time: Scalar) -> Scalar:
+        """Compute the first derivative, m/s or rad/s."""
+        raise NotImplementedError
+
+    def acceleration(self, time: Scalar) -> Scalar:
+        """Compute the second derivative, m/s^2 or rad/s^2."""
+        raise NotImplementedError
+
+    def piece(self, time: float) -> tuple[float, ...]:
+        """Return the numbers of what the function is between the knots around a time in s."""
+        return ()
+
+    def on_piece(self, numbers: Sequence[Scalar]) -> Any:
+        """Return the smooth function of such numbers, scalars of any kind, which are not checked."""
+        return self
 
     def part(self, name: str) -> list[Scalar]:
         """Return the numbers of one of `parts`, none if the function does not have it."""

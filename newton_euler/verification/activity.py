@@ -9,18 +9,16 @@ where outputs are close enough. What these leave open counts as active.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from newton_euler.model.constraints import Frame
 from newton_euler.model.euler_parameters import product
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
@@ -66,20 +64,11 @@ class Course:
     """
 
     def __init__(self, scene: Scene, run: Trajectory) -> None:
-        self.scene, self.run = scene, run
+        self.scene, self.run = scene, replace(run, mechanism=scene.mechanism)
         shares = np.arange(PARTS) / PARTS
         between = run.time[:-1, None] + np.diff(run.time)[:, None] * shares
         self.time: Array = np.append(between.ravel(), run.time[-1])
         self._found: dict[Key, tuple[Array, Array, Array]] = {}
-
-    @cached_property
-    def _frames(self) -> list[list[Frame]]:
-        """Of all bodies, at each output time."""
-        run = self.run
-        assert run.linear_velocity is not None
-        assert run.angular_velocity is not None
-        rows = zip(run.position, run.quaternion, run.linear_velocity, run.angular_velocity, strict=True)
-        return [State(*row).frames() for row in rows]
 
     @cached_property
     def _centers(self) -> Callable[[float], Array]:
@@ -92,11 +81,8 @@ class Course:
         omega = self.run.angular_velocity
         assert omega is not None
         pure = np.concatenate([np.zeros((*omega.shape[:2], 1)), omega], axis=2)
-        rates = [
-            [0.5 * product(w, q) for w, q in zip(*each, strict=True)]
-            for each in zip(pure, self.run.quaternion, strict=True)
-        ]
-        return np.array(rates)
+        w, q = (np.moveaxis(each, -1, 0) for each in (pure, self.run.quaternion))
+        return 0.5 * np.moveaxis(product(w, q), 0, -1)
 
     @cached_property
     def _quaternions(self) -> Callable[[float], Array]:
@@ -126,17 +112,10 @@ class Course:
             where poses do not tell it at all output times.
         """
         if key not in self._found:
-            mechanism = self.scene.mechanism
-            equations = mechanism.joint_equations(key[0])
-            measure = equations.coordinates[key[1]]
-            time = self.run.time
-            x, rate = np.zeros((2, len(time)))
-            for n, frames in enumerate(self._frames):
-                first, second = frames[equations.first], frames[equations.second]
-                x[n] = measure.phi(first, second)[0]
-                rate[n] = measure.jacobian(first, second).rate(first, second)[0]
+            motion, time = self.run.joint(key[0]), self.run.time
+            assert motion.rates is not None
+            x, rate = motion.coordinates[:, key[1]], motion.rates[:, key[1]]
             if np.all(np.isfinite([x, rate])):
-                x = x if measure.is_length else np.unwrap(x)
                 curve = _curve(time, x, rate)
                 self._found[key] = curve(self.time), curve(self.time, 1), missed(time, x, rate)
             else:

@@ -74,13 +74,8 @@ def _watched(placed: Placed, place: Place, bounds: Bounds) -> tuple[float, float
     scale = abs(force)
     for (joint, number), factor in bounds.terms:
         equations = placed.mechanism.joint_equations(joint)
-        coordinate = equations.coordinates[number]
-        ends = frames[equations.first], frames[equations.second]
-        least = SPREAD * (placed.original.size if coordinate.is_length else 1.0)
-        for gain, x in (
-            (bounds.by_value, coordinate.phi(*ends)[0]),
-            (bounds.by_rate, coordinate.jacobian(*ends).rate(*ends)[0]),
-        ):
+        least = SPREAD * (placed.original.size if equations.coordinates[number].is_length else 1.0)
+        for gain, x in zip((bounds.by_value, bounds.by_rate), equations.measure(number, frames), strict=True):
             force += gain * factor * x
             scale += abs(gain * factor) * max(abs(x), least)
     return float(force), float(scale)

@@ -16,8 +16,9 @@ from newton_euler.analysis.poses import solve_poses
 from newton_euler.assemble import initial_state, start
 from newton_euler.codegen.expression import Graph
 from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.parameters import measuring
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.servos import measuring, servos_of
+from newton_euler.equations.servos import servos_of
 from newton_euler.equations.system import at_time
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
