@@ -35,11 +35,8 @@ VELOCITY_TOLERANCE = 1e-9
 STEP = 0.1
 """rad, or sizes of the mechanism, that joints move at a time on the way to where a scene is to start."""
 
-MOST_STEPS = 1000
-"""On that way; longer ones are made in longer steps."""
-
-CHECKED: WeakKeyDictionary[Scene, State] = WeakKeyDictionary()
-"""Consistent states that scenes start from."""
+MOST_STEPS = 1000  # on that way; longer ones are made in longer steps
+CHECKED: WeakKeyDictionary[Scene, State] = WeakKeyDictionary()  # consistent states that scenes start from
 
 
 def assemble(scene: Scene, guess: State) -> State:

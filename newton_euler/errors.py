@@ -19,11 +19,8 @@ T = TypeVar("T")
 NEAR = 0.8
 """Similarity of two names, of which one may be meant by the other: a letter exchanged or left out of six."""
 
-PROPOSED = 8
-"""Names that are proposed instead of an unknown one."""
-
-DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-"""A number as people write it."""
+PROPOSED = 8  # names that are proposed instead of an unknown one
+DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")  # a number as people write it
 
 
 class NewtonEulerError(Exception):

@@ -59,8 +59,7 @@ LIMITS = {
 }
 """By name."""
 
-MB = 1_000_000
-"""Bytes."""
+MB = 1_000_000  # bytes
 
 
 def limit(name: str) -> float:

@@ -35,11 +35,8 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array, Floats
 
 X, Y, Z = np.eye(3)
-
 SLIDES = {"surge": X, "sway": Y, "heave": Z}
-
-HINGES = {"yaw": Z, "pitch": Y, "roll": X}
-"""In their order from the world to the base."""
+HINGES = {"yaw": Z, "pitch": Y, "roll": X}  # in their order from the world to the base
 
 
 def on_moving_base(
@@ -166,22 +163,12 @@ def _carried(state: State, base: Body, motions: Mapping[str, TimeFunction], cent
 # Files of poses
 
 PLACE = {"x": "surge", "y": "sway", "z": "heave"}
-
 QUATERNION = ("qw", "qx", "qy", "qz")
-
 ANGLES = ("roll", "pitch", "yaw")
-
-LEAST_ROWS = 6
-"""As many as a polynomial of a spline has coefficients."""
-
-GAP = 5.0
-"""Times the usual time between rows (their median), from which poses are missing."""
-
-UNIT = 1e-3
-"""By how much the norm of a quaternion may differ from 1: files round to a few digits."""
-
-STEEPEST = np.radians(80.0)
-"""Of the pitch: yaw and roll are one and the same at a right angle."""
+LEAST_ROWS = 6  # as many as a polynomial of a spline has coefficients
+GAP = 5.0  # times the usual time between rows (their median), from which poses are missing
+UNIT = 1e-3  # by how much the norm of a quaternion may differ from 1: files round to a few digits
+STEEPEST = np.radians(80.0)  # of the pitch: yaw and roll are one and the same at a right angle
 
 
 def base_motion_from_csv(path: str | os.PathLike[str]) -> dict[str, Spline]:

@@ -45,8 +45,7 @@ from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajec
 from newton_euler.sampling import Controllers, holding, integrate_intervals, intervals
 from newton_euler.scalars import Array, unstacked
 
-KEPT = 8
-"""Scenes, most recently simulated, whose code stays in memory."""
+KEPT = 8  # scenes, most recently simulated, whose code stays in memory
 
 ROW_CHOICES = 3
 """Times that constraint rows are chosen anew, each time with all that a run has seen until it stopped."""

@@ -53,14 +53,9 @@ from newton_euler.model.variable import UNITS
 from newton_euler.scalars import Array
 from newton_euler.simulate import KEPT
 
-PREFIX, RATE = "start.", ".rate"
-"""Parts of names of initial coordinates and their rates."""
-
-FINER = 16
-"""More steps for runs that few ones have lost."""
-
-NAMED = 3
-"""Values of a run that messages show."""
+PREFIX, RATE = "start.", ".rate"  # parts of names of initial coordinates and their rates
+FINER = 16  # more steps for runs that few ones have lost
+NAMED = 3  # values of a run that messages show
 
 
 class Initial(NamedTuple):

@@ -40,17 +40,10 @@ from newton_euler.starts import Assembly, assembly_of, initial_numbers, own_init
 RESTRICTED = frozenset({"axis_on_first", "axis_on_second", "first_side", "second_side", "stroke"})
 """Attributes whose numbers restrict each other, or those of another attribute."""
 
-DIRECTIONS = frozenset({"direction", "axis", "quaternion"})
-"""Attributes that are vectors of any length but 0."""
-
-NONZERO = frozenset({"ratio", "pitch", "terms"})
-"""Attributes whose numbers are not 0."""
-
-SHORT, LONG = 1e-100, 1e100
-"""Lengths of directions beyond which their constructors are asked."""
-
-CAREFUL = 1e-9
-"""Relative margin within which inertias are suspicious."""
+DIRECTIONS = frozenset({"direction", "axis", "quaternion"})  # attributes that are vectors of any length but 0
+NONZERO = frozenset({"ratio", "pitch", "terms"})  # attributes whose numbers are not 0
+SHORT, LONG = 1e-100, 1e100  # lengths of directions beyond which their constructors are asked
+CAREFUL = 1e-9  # relative margin within which inertias are suspicious
 
 
 class RunValues(NamedTuple):

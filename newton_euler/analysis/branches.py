@@ -17,8 +17,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-STARTS, MOST_STARTS = 500, 5_000
-"""Random configurations at a time, and in all."""
+STARTS, MOST_STARTS = 500, 5_000  # random configurations at a time, and in all
 
 OFTEN = 5
 """Times that each branch is to be found: one as likely as those is missed with a probability of exp(-5)."""
@@ -26,8 +25,7 @@ OFTEN = 5
 SAME = 1e-4
 """Distance of poses that are one, sizes and Euler parameters: double roots have half the digits of others."""
 
-SINGULAR = 1e-5
-"""Dimensionless determinant below which a branch is at a singular configuration."""
+SINGULAR = 1e-5  # dimensionless determinant below which a branch is at a singular configuration
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,14 +32,9 @@ from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-LONGEST_STEP = 0.2
-"""rad, or sizes of the mechanism, by which one step may move a joint."""
-
-SHORT = 1e-15
-"""Sine of the angle between vectors whose plane is round-off."""
-
-FAR = 1e6
-"""Stands for all results of a configuration that are not finite."""
+LONGEST_STEP = 0.2  # rad, or sizes of the mechanism, by which one step may move a joint
+SHORT = 1e-15  # sine of the angle between vectors whose plane is round-off
+FAR = 1e6  # stands for all results of a configuration that are not finite
 
 
 def products(matrices: Array, vectors: Array) -> Array:

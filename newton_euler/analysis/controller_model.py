@@ -27,8 +27,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.splines import Spline
 from newton_euler.scalars import Array
 
-KEPT = 8
-"""Scenes, most recently used, whose code stays in memory."""
+KEPT = 8  # scenes, most recently used, whose code stays in memory
 
 
 class ControllerModel:

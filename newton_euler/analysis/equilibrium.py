@@ -17,9 +17,7 @@ from newton_euler.integrators.projection import project_position
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 
-LONGEST_STEP = 0.2
-"""rad, or sizes of the mechanism, of one step towards an equilibrium."""
-
+LONGEST_STEP = 0.2  # rad, or sizes of the mechanism, of one step towards an equilibrium
 MOST_STEPS = 100
 
 CONVERGED = 1e-10

@@ -38,14 +38,12 @@ from newton_euler.scalars import Array, Floats, Scalar, minimum
 NEAR = 1e-4
 """Dimensionless singular value, of the rows of which one is named, where the elimination has failed."""
 
-KEPT = 8
-"""Scenes, most recently used, whose code stays in memory."""
+KEPT = 8  # scenes, most recently used, whose code stays in memory
 
 AT_REST = 1e-7
 """Share of the largest force that may be left to accelerate a body in statics: round-off of what is held."""
 
-OPEN = 1e-6
-"""Sizes of the mechanism, or rad, that loops of a state may be open by: more than engines leave."""
+OPEN = 1e-6  # sizes of the mechanism, or rad, that loops of a state may be open by: more than engines leave
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,7 @@ from newton_euler.model.trajectory import COMPONENTS, QUANTITIES, SHAPES
 from newton_euler.scalars import Array, Floats
 from newton_euler.starts import PREFIX, RATE
 
-NOISE, START = "noise", "start"
-"""In place of a time: the row of standard deviations, and that of the start."""
+NOISE, START = "noise", "start"  # in place of a time: the row of standard deviations, and that of the start
 
 UNITS = {unit: (unit, 1.0) for unit in ("s", "m", "rad", "m/s", "rad/s", "N", "N m", "J", "1")} | {
     "ms": ("s", 1e-3),
@@ -38,8 +37,7 @@ UNITS = {unit: (unit, 1.0) for unit in ("s", "m", "rad", "m/s", "rad/s", "N", "N
 }
 """Units of columns: the SI unit, and the factor to it."""
 
-HEADING = re.compile(r"(.*?)\s*(?:\[([^]]*)\])?")
-"""A column's name, and its unit in brackets if it has one."""
+HEADING = re.compile(r"(.*?)\s*(?:\[([^]]*)\])?")  # A column's name, and its unit in brackets if it has one
 
 
 @dataclass(frozen=True, eq=False)

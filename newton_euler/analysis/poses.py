@@ -37,11 +37,8 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-FARTHEST = 1e6
-"""rad, or sizes of the mechanism, that goals may be away from the initial pose."""
-
-STATIONARY = 1e-7
-"""Slope of the distance to the goal, per dimensionless motion, at the pose nearest to it."""
+FARTHEST = 1e6  # rad, or sizes of the mechanism, that goals may be away from the initial pose
+STATIONARY = 1e-7  # slope of the distance to the goal, per dimensionless motion, at the pose nearest to it
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,10 +33,8 @@ from newton_euler.starts import Assembly, initial_numbers
 from newton_euler.variation import own_values, run_values
 
 TOO_NEAR = "the run comes too near to a singular configuration"
-
 ALONG = " along"
-RATES, SETTLED = "derivative" + ALONG, "settled" + ALONG
-"""Names of programs that have a direction behind x."""
+RATES, SETTLED = "derivative" + ALONG, "settled" + ALONG  # names of programs that have a direction behind x
 
 DIFFERENCE = 1e-4
 """Of parameters of starts, as a share of the mechanism's size, m, or of their own value beyond 1."""
@@ -47,14 +45,9 @@ WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 /
 SPACING = 0.05
 """Motion between states whose pivot ratios are looked at, rad or as a share of the mechanism's size."""
 
-FINER = 20
-"""Pivot ratios between two that are beside a least one, twice."""
-
-OF_TANGENTS = 100.0
-"""Their tolerance in units of `rtol`: so much that hardly a step of a scene that moves is divided."""
-
-ROOM = 2048
-"""Steps of a run that there is room for; those of a longer one are taken twice."""
+FINER = 20  # pivot ratios between two that are beside a least one, twice
+OF_TANGENTS = 100.0  # their tolerance in units of `rtol`: hardly a step of a scene that moves is divided
+ROOM = 2048  # steps of a run that there is room for; those of a longer one are taken twice
 
 
 def tangent_code(scene: Scene, names: Sequence[str], formulation: FormulationName | None) -> TangentCode:

@@ -27,8 +27,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-SINGULAR_STEPS = 30
-"""Of Newton's method from a closed configuration to a singular one."""
+SINGULAR_STEPS = 30  # of Newton's method from a closed configuration to a singular one
 
 
 @dataclass(frozen=True, eq=False)

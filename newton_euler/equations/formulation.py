@@ -42,9 +42,7 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar, minimum
 
 T = TypeVar("T")
-
-REMEMBERED = 64
-"""States whose kinematics are kept."""
+REMEMBERED = 64  # states whose kinematics are kept
 
 
 class Servos(NamedTuple):

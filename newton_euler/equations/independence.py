@@ -23,11 +23,8 @@ from newton_euler.equations.sparse import (
 )
 from newton_euler.scalars import Array
 
-ROUND_OFF = 1e-10
-"""Independent part of a row below which it is round-off, whatever the tolerance."""
-
-NAMED = 1e-13
-"""Independent part of a row above which it is not exactly redundant."""
+ROUND_OFF = 1e-10  # independent part of a row below which it is round-off, whatever the tolerance
+NAMED = 1e-13  # independent part of a row above which it is not exactly redundant
 
 CERTAIN = 1e-4
 """Pivot of the Gram matrix above which its row is independent: a pivot is the square of what the row adds to

@@ -77,17 +77,14 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.variable import altered, functions_of
 from newton_euler.scalars import NUMBERS, Array
 
-PIECE = ".piece"
-"""Suffix of names of what a function with knots is between two of them."""
+PIECE = ".piece"  # suffix of names of what a function with knots is between two of them
 
 
 Owner = tuple[str, int, str]
 """A parameter: the field of the scene or its mechanism, the number of the element there, and the
 attribute."""
 
-MECHANICAL = ("bodies", "joints", "couplings")
-"""Fields of mechanisms; the others are those of scenes."""
-
+MECHANICAL = ("bodies", "joints", "couplings")  # fields of mechanisms; the others are those of scenes
 GRAVITY: Owner = ("scene", 0, "gravity")
 
 

@@ -43,11 +43,8 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-CONFIGURATIONS = 4
-"""Number of configurations that decide."""
-
-REACH = 0.1
-"""Distance between them: radians, and sizes of the mechanism."""
+CONFIGURATIONS = 4  # number of configurations that decide
+REACH = 0.1  # distance between them: radians, and sizes of the mechanism
 
 LOOSE = 10.0
 """Residual of a nearly redundant constraint in units of the scene's tolerance: noise of that size times the
@@ -57,29 +54,20 @@ SUSPECT = 1e-2, 100.0
 """Singular value below which, and distance to the next larger one from which, a row that is taken literally
 looks like one of a design that was meant to be redundant."""
 
-MOST_NAMED = 20
-"""Redundant constraints of a scene that is too large for its singular values."""
+MOST_NAMED = 20  # redundant constraints of a scene that is too large for its singular values
 
 DENSE_LIMIT = 1_000_000
 """Largest number of elements of a Jacobian whose singular values are computed to name them."""
 
-NEWTON_STEPS = 30
-"""From a singular configuration Newton's steps converge slowly."""
-
-CLOSED = 1e-11
-"""Residual, dimensionless, of the independent rows of a configuration that is closed."""
+NEWTON_STEPS = 30  # from a singular configuration Newton's steps converge slowly
+CLOSED = 1e-11  # residual, dimensionless, of the independent rows of a configuration that is closed
 
 DEGENERATE = 3e-2
 """Smallest singular value of N[D] in a run, see `other_rows`, below which the selection loses digits."""
 
-BETTER = 3.0
-"""Least ratio of that value with other rows to that with the rows in use."""
-
-SAMPLED = 64
-"""Configurations of a run that `other_rows` examines, evenly spread."""
-
-MOST_ROWS = 1000
-"""Rows beyond which singular values would take longer than a run."""
+BETTER = 3.0  # least ratio of that value with other rows to that with the rows in use
+SAMPLED = 64  # configurations of a run that `other_rows` examines, evenly spread
+MOST_ROWS = 1000  # rows beyond which singular values would take longer than a run
 
 
 class NearlyRedundant(NamedTuple):

@@ -25,8 +25,7 @@ from newton_euler.scalars import Array
 CHOSEN = 1e-3
 """Dimensionless rate, independent of those of coordinates chosen so far, below which one adds too little."""
 
-ALIKE = 6
-"""Digits to which such velocities are compared, so that no processor chooses by its last ones."""
+ALIKE = 6  # digits to which such velocities are compared, so that no processor chooses by its last ones
 
 
 def servos_of(

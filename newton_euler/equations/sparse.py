@@ -16,8 +16,7 @@ import numpy as np
 
 from newton_euler.scalars import NUMBERS, Array, Scalar, minimum
 
-SINGULAR = 1e-11
-"""Ratio of a pivot to its usual size below which it counts as zero."""
+SINGULAR = 1e-11  # ratio of a pivot to its usual size below which it counts as zero
 
 
 def is_zero(scalar: Scalar) -> bool:
@@ -25,8 +24,7 @@ def is_zero(scalar: Scalar) -> bool:
     return isinstance(scalar, NUMBERS) and scalar == 0.0
 
 
-Rows = list[dict[int, Any]]
-"""A matrix as one dictionary per row: column to scalar."""
+Rows = list[dict[int, Any]]  # a matrix as one dictionary per row: column to scalar
 
 
 def to_array(rows: Rows, columns: int) -> Array:

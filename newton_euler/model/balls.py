@@ -21,11 +21,8 @@ from newton_euler.model.joint import Pose
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.scalars import Array, arctan2, cos, cross, sin, sqrt
 
-TINY = 1e-300
-"""Added to squares so that no angle is zero; quotients by it and their derivatives stay right."""
-
-SPIN = Jacobian(np.zeros((3, 3)), -np.eye(3), np.zeros((3, 3)), np.eye(3))
-"""Jacobian of omega, world frame."""
+TINY = 1e-300  # added to squares so that no angle is zero; quotients by it and their derivatives stay right
+SPIN = Jacobian(np.zeros((3, 3)), -np.eye(3), np.zeros((3, 3)), np.eye(3))  # Jacobian of omega, world frame
 
 
 def ends(mechanism: Mechanism, joint: str) -> tuple[int, int]:

@@ -23,8 +23,7 @@ from newton_euler.model.hinge_angles import (
 from newton_euler.model.joint import BALL_MOTION, POINTS, Joint, Motion, Pose, perpendicular_pair, unit_vector
 from newton_euler.scalars import Array, cross, sqrt
 
-INDEPENDENT = 1e-3
-"""Least volume (area, length) that the unit axes of independent slides or hinges span."""
+INDEPENDENT = 1e-3  # least volume (area, length) that the unit axes of independent slides or hinges span
 
 
 @description

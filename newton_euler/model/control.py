@@ -17,9 +17,7 @@ from newton_euler.model.smooth_functions import Sine
 from newton_euler.model.variable import functions_of
 from newton_euler.scalars import Array, Scalar
 
-DRIVEN = ("target", "feedforward")
-"""Attributes of laws that may be functions of time."""
-
+DRIVEN = ("target", "feedforward")  # attributes of laws that may be functions of time
 NO_FORCES: Mapping[Key, Scalar] = {}
 
 Readings = Mapping[Key, Sequence[Any]]

@@ -13,8 +13,7 @@ from newton_euler.errors import plain_number
 from newton_euler.model.source_file import SourceError
 from newton_euler.scalars import Array, Floats
 
-Row = tuple[int, list[str]]
-"""Number of a line, the first being 1, and its cells."""
+Row = tuple[int, list[str]]  # number of a line, the first being 1, and its cells
 
 
 def csv_rows(path: str, text: str) -> list[Row]:

@@ -19,9 +19,7 @@ from newton_euler.scalars import Floats
 
 C = TypeVar("C")
 T = TypeVar("T")
-
-LONGEST = 9
-"""Numbers of an array that are shown one by one."""
+LONGEST = 9  # numbers of an array that are shown one by one
 
 if TYPE_CHECKING:
 

@@ -40,8 +40,7 @@ laws get of a model of the mechanism, N or N m."""
 SHORTEST_PERIOD = 1e-6
 """s; no digital controller is quicker, and Python would be called a million times a second."""
 
-LONGEST_DELAY = 1_000_000
-"""samples: a second of the shortest period, and some megabytes of forces under way."""
+LONGEST_DELAY = 1_000_000  # samples: a second of the shortest period, and some megabytes of forces under way
 
 
 class HeldLaw(ControlLaw):

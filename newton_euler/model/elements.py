@@ -20,8 +20,7 @@ from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_coo
 from newton_euler.model.variable import WHICH, Variable
 from newton_euler.scalars import Array, Scalar, cross
 
-BALL = -1
-"""In place of the number of a joint coordinate: all three freedoms of the joint's ball."""
+BALL = -1  # in place of the number of a joint coordinate: all three freedoms of the joint's ball
 
 
 class Surroundings(NamedTuple):

@@ -38,9 +38,7 @@ from newton_euler.model.mechanism import Mechanism, check_name
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array, Scalar, cross, sqrt
 
-SPRING_AND_DAMPER = {"spring": ("stiffness",), "damper": ("damping",)}
-"""Strengths of springs with dampers."""
-
+SPRING_AND_DAMPER = {"spring": ("stiffness",), "damper": ("damping",)}  # strengths of springs with dampers
 ROTOR = {"rotor": ("inertia",)}
 
 

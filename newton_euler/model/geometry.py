@@ -18,8 +18,7 @@ from newton_euler.model.description import ArrayField, IndexField, description
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.scalars import Floats
 
-UNIT_TOLERANCE = 1e-9
-"""How far from 1 the norm of a quaternion may be."""
+UNIT_TOLERANCE = 1e-9  # how far from 1 the norm of a quaternion may be
 
 
 class Inertia(NamedTuple):
@@ -305,5 +304,4 @@ class Mesh(Homogeneous):
             raise MechanismError("mesh", found if len(edges) else "no triangles", "a closed surface")
 
 
-Solid = Shape | Mesh
-"""Shapes that have an inertia."""
+Solid = Shape | Mesh  # shapes that have an inertia

@@ -33,8 +33,7 @@ from newton_euler.scalars import Array, Floats, cross
 COUNTED = ("rest", "force", "torque")
 """Attributes of forces that are counted from the initial pose, or are components there."""
 
-TURNED = 1e-12
-"""Elements of a rotation below which a body has not turned."""
+TURNED = 1e-12  # elements of a rotation below which a body has not turned
 
 
 class Move(NamedTuple):

@@ -20,8 +20,7 @@ from newton_euler.scalars import Array
 AXIS_TOLERANCE = 1e-9
 """How far from perpendicular (radians) a universal joint's axes may be at the initial pose."""
 
-LEAST_LENGTH = 1e-6
-"""m; a shorter rod is a ball joint, and one of length 0 has no direction."""
+LEAST_LENGTH = 1e-6  # m; a shorter rod is a ball joint, and one of length 0 has no direction
 
 
 @description

@@ -13,11 +13,8 @@ from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Cylindrical, Prismatic, Revolute, Spherical, Universal
 from newton_euler.scalars import Array
 
-MEET = 1e-10
-"""m, by which hinges in a row may miss a common point."""
-
-ALIGNED = 1e-12
-"""Sine or cosine of the angle between axes in a row that are parallel or perpendicular."""
+MEET = 1e-10  # m, by which hinges in a row may miss a common point
+ALIGNED = 1e-12  # sine or cosine of the angle between axes in a row that are parallel or perpendicular
 
 
 class Part(NamedTuple):

@@ -31,16 +31,13 @@ from newton_euler.model.joint import Joint, JointEquations, Key, Pose
 from newton_euler.model.variable import Change, Variable
 from newton_euler.scalars import Array, Scalar, sqrt
 
-CLOSURE_TOLERANCE = 1e-9
-"""How far (meters or radians) a joint may be open at an initial pose."""
+CLOSURE_TOLERANCE = 1e-9  # how far (meters or radians) a joint may be open at an initial pose
 
 LEAST = 1e-150
 """kg and kg m^2, of a mass and a principal moment of inertia, so that products with squares of lengths keep
 their digits."""
 
-REALISABLE_TOLERANCE = 1e-12
-"""Relative slack of A + B >= C, for the round-off of an eigenvalue."""
-
+REALISABLE_TOLERANCE = 1e-12  # relative slack of A + B >= C, for the round-off of an eigenvalue
 LOOKS = "what bodies look like, and moves nothing"
 
 _NAME = re.compile(r"[A-Za-z0-9_.\-]+")

@@ -10,8 +10,7 @@ from newton_euler.errors import MechanismError, is_finite_number, set_numbers
 from newton_euler.model.variable import Function
 from newton_euler.scalars import Scalar, cos, sin
 
-HIGHEST = 1e15
-"""rad/s, or rad: a double holds no part of a turn beyond."""
+HIGHEST = 1e15  # rad/s, or rad: a double holds no part of a turn beyond
 
 
 @dataclass(frozen=True)

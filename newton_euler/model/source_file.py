@@ -12,8 +12,7 @@ from newton_euler.errors import NewtonEulerError
 from newton_euler.limits import MB, exceeded, size_in_bytes
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE
 
-LONGEST_PROBLEM = 1000
-"""Characters of a message; names and values in files have any length."""
+LONGEST_PROBLEM = 1000  # characters of a message; names and values in files have any length
 
 
 class ReadOptions(TypedDict, total=False):

@@ -15,8 +15,7 @@ from newton_euler.model.smooth_functions import Piece
 from newton_euler.model.variable import Change, Function
 from newton_euler.scalars import Scalar
 
-DEGREE = 5
-"""Of the polynomials of splines, so that accelerations have two continuous derivatives."""
+DEGREE = 5  # of the polynomials of splines, so that accelerations have two continuous derivatives
 
 BEYOND = 1e-9
 """Share of the time between the first and the last sample by which a spline goes on at both ends, for the

@@ -72,14 +72,9 @@ QUANTITIES = {
 UNREADABLE = (OSError, EOFError, KeyError, RuntimeError, MemoryError, BadZipFile, ZlibError)
 """What broken archives raise, beside ValueError."""
 
-COMPONENTS = {"3": "xyz", "4": "wxyz"}
-"""Names of the components of vectors and quaternions."""
-
-DATA_FRAMES = ("pandas", "polars")
-"""Libraries that make tables of trajectories, the first that is installed."""
-
-NEEDED = ("time", "body_names", "joint_names", "position", "quaternion")
-"""Arrays that every run has."""
+COMPONENTS = {"3": "xyz", "4": "wxyz"}  # names of the components of vectors and quaternions
+DATA_FRAMES = ("pandas", "polars")  # libraries that make tables of trajectories, the first that is installed
+NEEDED = ("time", "body_names", "joint_names", "position", "quaternion")  # arrays that every run has
 
 
 class JointMotion(NamedTuple):

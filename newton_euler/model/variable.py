@@ -19,8 +19,7 @@ Change = Callable[..., Any]
 PARTS = ("angular_frequency", "phase")
 """Numbers of functions of time that these are not linear in, by names that follow those of the attribute."""
 
-WHICH = "which coordinate it is"
-"""Reason why an index does not vary."""
+WHICH = "which coordinate it is"  # reason why an index does not vary
 
 UNITS = {
     **dict.fromkeys(("center_of_mass", "point", "point_on_first", "point_on_second"), "m"),

@@ -8,12 +8,8 @@ from xml.parsers import expat
 from newton_euler.limits import exceeded, limit
 from newton_euler.model.source_file import SourceError
 
-MAXIMUM_DEPTH = 400
-"""Of nested elements; recursive parsers run out of stack somewhere above."""
-
-LARGEST = 1e15
-"""Of any number of a model, so that squares and triple products stay finite and keep digits."""
-
+MAXIMUM_DEPTH = 400  # of nested elements; recursive parsers run out of stack somewhere above
+LARGEST = 1e15  # of any number of a model, so that squares and triple products stay finite and keep digits
 NOT_FINITE = ("nan", "inf", "infinity")
 
 Begin = Callable[[str, dict[str, str], int], None]

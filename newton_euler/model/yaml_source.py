@@ -15,8 +15,7 @@ import yaml
 
 from newton_euler.model.source_file import SourceError
 
-MAXIMUM_DEPTH = 100
-"""Of nested mappings and sequences."""
+MAXIMUM_DEPTH = 100  # of nested mappings and sequences
 
 LOADER = yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLoader
 """What makes events; the one in Python takes twenty times as long."""

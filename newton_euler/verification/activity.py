@@ -22,17 +22,13 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
-AT_REST = 1e-12
-"""m/s and rad/s, below which velocities are round-off."""
-
-PARTS = 16
-"""Of the time between outputs, at whose ends elements are looked at."""
+AT_REST = 1e-12  # m/s and rad/s, below which velocities are round-off
+PARTS = 16  # of the time between outputs, at whose ends elements are looked at
 
 FINE = 1e-2
 """rad, and m per m of the longest body, by which poses between outputs may be off where they are judged."""
 
-UNSEEN = "not seen between output times: ask for more of them"
-"""Words on what may have been active there."""
+UNSEEN = "not seen between output times: ask for more of them"  # words on what may have been active there
 
 
 def missed(time: Array, x: Array, rate: Array) -> Array:

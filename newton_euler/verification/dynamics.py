@@ -24,8 +24,7 @@ from newton_euler.verification.quantities import DOUBT, FREE, KINDS
 RATE = 1.0
 """rad/s and sizes a second, of the samples' velocities: what mechanisms do at least that do nothing else."""
 
-LOSS = 100.0
-"""Times as large as round-off accelerations are that went through those of bodies."""
+LOSS = 100.0  # times as large as round-off accelerations are that went through those of bodies
 
 
 def system_figures(placed: Placed) -> Iterator[Figure]:

@@ -24,8 +24,7 @@ from newton_euler.verification.placed import Place, Placed
 from newton_euler.verification.quantities import KINDS
 from newton_euler.verification.wrenches import Wrenches
 
-ALIKE = 1e-3
-"""Share of a difference (of squares) that what is blamed may leave unexplained."""
+ALIKE = 1e-3  # share of a difference (of squares) that what is blamed may leave unexplained
 
 Alone = Iterator[tuple[str, list[list[Array]]]]
 """Elements by name, and what each of them does at the samples, a list for each way in which it acts."""

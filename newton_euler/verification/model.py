@@ -22,9 +22,7 @@ contradict each other its own way."""
 
 
 PLACES = "center of mass at the start, m"
-
-ARMS = 1e3
-"""Times as large as round-off an inertia's may be that is a difference of places in the world."""
+ARMS = 1e3  # times as large as round-off an inertia's may be that is a difference of places in the world
 
 
 def body_figures(placed: Placed) -> Iterator[Figure]:

@@ -64,8 +64,7 @@ class Forces(NamedTuple):
     """Of inertia in motion, to be moved to the other side of the equations."""
 
 
-KINDS = Forces._fields[:4]
-"""Of forces that are compared apart, so that small ones do not drown."""
+KINDS = Forces._fields[:4]  # of forces that are compared apart, so that small ones do not drown
 
 
 class ForceLimit(NamedTuple):
