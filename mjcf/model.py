@@ -14,8 +14,7 @@ from mjcf.layout import Layout
 from mjcf.loops import body_velocity
 from mjcf.write import controls, welded_to_xml
 from newton_euler.equations.couplings import TreeCouplings
-from newton_euler.equations.engine_control import EngineControl
-from newton_euler.equations.model_control import roles
+from newton_euler.equations.model_control import EngineControl, roles
 from newton_euler.equations.system import MassProperties, Observation
 from newton_euler.model.control import NO_FORCES, Readings, commands
 from newton_euler.model.euler_parameters import rotation

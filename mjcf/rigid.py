@@ -20,7 +20,7 @@ import numpy as np
 from mjcf.evaluate import EvaluatedScene, constraint_jacobian, mass_and_force
 from mjcf.loops import all_loops, closes, loops
 from newton_euler.equations.dense import solve_constrained
-from newton_euler.equations.engine_control import EngineControl, servo_forces
+from newton_euler.equations.model_control import EngineControl, servo_forces
 from newton_euler.equations.redundancy import rows_left_out, without
 from newton_euler.equations.system import Evaluation
 from newton_euler.model.joint import Key

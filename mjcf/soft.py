@@ -29,7 +29,7 @@ from mjcf.evaluate import EvaluatedScene
 from mjcf.forces import wind_loads
 from mjcf.rigid import RigidMuJoCo
 from mjcf.write import control
-from newton_euler.equations.engine_control import EngineControl
+from newton_euler.equations.model_control import EngineControl
 from newton_euler.equations.system import Evaluation
 from newton_euler.model.control import PD, DeclaredLaw, DrivenLaws
 from newton_euler.model.scene import Scene

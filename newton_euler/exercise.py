@@ -57,7 +57,7 @@ def moving(scene: Scene) -> tuple[Scene, str]:
     """
     system = Relative(scene)
     q, _ = system.coordinates(initial_state(scene))
-    lengths = _lengths(system)
+    lengths = system.tree.is_length
     limits = np.where(lengths, SPEED * scene.mechanism.size, SPIN)
     rng = np.random.default_rng(SEED)
     wanted = limits * rng.choice([-1.0, 1.0], system.nv) * rng.uniform(0.5, 1.0, system.nv)
@@ -75,14 +75,6 @@ def moving(scene: Scene) -> tuple[Scene, str]:
     }
     said = " and ".join(f"{speed:.2g} {unit}" for unit, speed in speeds.items() if speed > AT_REST)
     return replace(scene, initial_state=state), f"start velocities up to {said}"
-
-
-def _lengths(system: Relative) -> Array:
-    """(nv,) which velocities are m/s."""
-    found = np.zeros(system.nv, dtype=bool)
-    for motion, _, on_v in system.tree.motions:
-        found[on_v] = motion.kind == "slide"
-    return found
 
 
 def _spins(scene: Scene, system: Relative, q: Array, v: Array) -> Array:

@@ -23,13 +23,12 @@ from numpy.typing import ArrayLike
 from newton_euler.assemble import initial_state
 from newton_euler.errors import MechanismError, check_type, choices, finite_array
 from newton_euler.model.compound_joint import Compound
-from newton_euler.model.csv_source import TimeTable, check_names, csv_rows
 from newton_euler.model.euler_parameters import from_rotation, from_rotation_vector, product, rotation
 from newton_euler.model.joint_kinds import Free
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import PrescribedMotion, TimeFunction
 from newton_euler.model.scene import Scene
-from newton_euler.model.source_file import SourceError, path_text, read_text
+from newton_euler.model.source_file import SourceError, TimeTable, check_names, csv_rows, path_text, read_text
 from newton_euler.model.splines import Spline
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Floats

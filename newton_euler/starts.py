@@ -101,13 +101,8 @@ def initial_numbers(scene: Scene, names: Iterable[str]) -> dict[str, Initial]:
 def initial_names(scene: Scene) -> list[str]:
     """Return the names of all initial coordinates and rates that no motion prescribes."""
     prescribed = {motion.key for motion in scene.motions}
-    names: list[str] = []
-    for joint in scene.mechanism.joints:
-        count = len(joint.coordinate_kinds)
-        for k in range(count):
-            name = f"{PREFIX}{joint.name}{f'.{k}' * (count > 1)}"
-            names += [name, name + RATE] if (joint.name, k) not in prescribed else []
-    return list(initial_numbers(scene, names))
+    free = [name for key, name in scene.mechanism.coordinate_labels.items() if key not in prescribed]
+    return list(initial_numbers(scene, [f"{PREFIX}{name}{end}" for name in free for end in ("", RATE)]))
 
 
 def _is_element(scene: Scene, name: str) -> bool:

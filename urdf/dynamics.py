@@ -18,8 +18,7 @@ import pinocchio as pin
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.dense import solve_constrained
-from newton_euler.equations.engine_control import EngineControl, servo_forces
-from newton_euler.equations.model_control import roles
+from newton_euler.equations.model_control import EngineControl, roles, servo_forces
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, without
 from newton_euler.equations.system import Evaluation, MassProperties, Observation
 from newton_euler.errors import SingularityError

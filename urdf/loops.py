@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from newton_euler.errors import choices
-from newton_euler.model.source_file import SourceError
-from newton_euler.model.xml_source import LARGEST
+from newton_euler.model.source_file import LARGEST, SourceError
 from newton_euler.model.yaml_source import parse_yaml
 from newton_euler.verification.import_report import unique_name
 from urdf.errors import LoopFileError

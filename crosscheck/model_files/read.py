@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from crosscheck.errors import CrosscheckError
 from newton_euler.errors import choices, plain_number
 from newton_euler.model.scene import Scene
-from newton_euler.model.xml_source import LARGEST
+from newton_euler.model.source_file import LARGEST
 from newton_euler.verification.import_report import ACTING, FATES, ImportedElement, ImportReport
 
 if TYPE_CHECKING:

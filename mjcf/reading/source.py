@@ -18,8 +18,7 @@ from mjcf.errors import MjcfError
 from mjcf.reading.compile import compile_spec
 from newton_euler.limits import MB, exceeded, limit, size_in_bytes, too_small
 from newton_euler.model import source_file
-from newton_euler.model.source_file import read_text
-from newton_euler.model.xml_source import LARGEST, NOT_FINITE, scan
+from newton_euler.model.source_file import LARGEST, NOT_FINITE, read_text, scan
 
 WALL_TIME = 60.0
 """s, for a compiler that waits for something."""

@@ -285,15 +285,14 @@ def work_and_energy(force: Array, coordinate: Array) -> tuple[Array, Array]:
     Args:
         force: (n,) N or N m; coordinate: (n,) m or rad.
     """
-    steps = 0.5 * (force[1:] + force[:-1]) * np.diff(coordinate)
+    steps = _steps(force, coordinate)
     work, energy = (np.concatenate([[0.0], np.cumsum(each)]) for each in (steps, np.maximum(steps, 0.0)))
     return work, energy
 
 
-def _cumulative(values: Array, time: Array) -> Array:
-    """Integrate over time by the trapezoidal rule, from 0."""
-    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)
-    return np.concatenate([[0.0], np.cumsum(steps)])
+def _steps(values: Array, over: Array) -> Array:
+    """Compute the parts (n - 1,) of an integral by the trapezoidal rule."""
+    return 0.5 * (values[1:] + values[:-1]) * np.diff(over)
 
 
 def _range(load: Load, cases: Mapping[str, Trajectory], found: list[dict[Load, Array]]) -> LoadRange:
@@ -321,4 +320,4 @@ def _mean(values: Array, time: Array) -> float:
     """Average over time; of a single output its value."""
     if len(time) == 1:
         return float(values[0])
-    return float(_cumulative(values, time)[-1] / (time[-1] - time[0]))
+    return float(np.cumsum(_steps(values, time))[-1] / (time[-1] - time[0]))

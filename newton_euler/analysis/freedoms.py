@@ -58,7 +58,7 @@ def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | Non
         raise MechanismError(f"scene {scene.name!r}", "has no degree of freedom", "a mechanism that can move")
     others = {freedom.name: freedom for freedom in _other_freedoms(Relative(scene))}
     if names is None:
-        keys = [(joint.name, k) for joint in mechanism.joints for k in range(len(joint.coordinate_kinds))]
+        keys = list(mechanism.coordinate_labels)
     else:
         keys = [mechanism.coordinate(name) for name in names if name not in others]
     system = Relative(measuring(scene, keys))

@@ -18,11 +18,19 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.errors import MechanismError, UnknownNameError, is_finite_number, nearest
-from newton_euler.model.csv_source import Row, TimeTable, check_names, csv_rows, row_numbers
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.source_file import SourceError, path_text, read_text
-from newton_euler.model.trajectory import COMPONENTS, QUANTITIES, SHAPES
+from newton_euler.model.source_file import (
+    Row,
+    SourceError,
+    TimeTable,
+    check_names,
+    csv_rows,
+    path_text,
+    read_text,
+    row_numbers,
+)
+from newton_euler.model.trajectory import QUANTITIES, SHAPES, column_names
 from newton_euler.scalars import Array, Floats
 from newton_euler.starts import PREFIX, RATE
 
@@ -206,21 +214,13 @@ def column_places(
     Args:
         layout: of the program "output", see `newton_euler.integrators.compiled.Code`.
     """
-    joints = [
-        f"{joint.name}.{k}" if len(joint.coordinate_kinds) > 1 else joint.name
-        for joint in mechanism.joints
-        for k in range(len(joint.coordinate_kinds))
-    ]
+    joints = list(mechanism.coordinate_labels.values())
     found = {f"coordinate.{name}": ("coordinates", k) for k, name in enumerate(joints)}
     found |= {f"rate.{name}": ("coordinates", len(joints) + k) for k, name in enumerate(joints)}
-    named = {"b": mechanism.body_names, "j": mechanism.joint_names} | COMPONENTS
     for name, (start, _, shape) in layout.items():
-        if name not in SHAPES:
-            continue
-        for k, place in enumerate(np.ndindex(*shape)):
-            ends = zip(SHAPES[name][1:], place, strict=True)
-            parts = (named[letter][number] if letter in named else str(number) for letter, number in ends)
-            found[".".join((name, *parts))] = ("output", start + k)
+        if name in SHAPES:
+            columns = column_names(name, shape, mechanism.body_names, mechanism.joint_names)
+            found |= {column: ("output", start + k) for k, column in enumerate(columns)}
     return found
 
 
@@ -250,8 +250,7 @@ def column_of(scene: Scene, name: str, values: Places, derivatives: Places) -> C
     mechanism, body = scene.mechanism, -1
     unit = QUANTITIES[kind].unit if kind in QUANTITIES else ""
     if kind in ("coordinate", "rate"):
-        joint, _, number = rest.rpartition(".")
-        key = (rest, 0) if rest in mechanism.joint_names else (joint, int(number))
+        key = next(key for key, label in mechanism.coordinate_labels.items() if label == rest)
         unit = ("m" if mechanism.is_slide(*key) else "rad") + ("/s" if kind == "rate" else "")
     elif kind == "actuator_force":
         unit = "N" if mechanism.is_slide(*scene.control[int(rest)].key) else "N m"

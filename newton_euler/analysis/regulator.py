@@ -95,9 +95,8 @@ def _acting(scene: Scene, actuators: Sequence[str | Key] | None) -> tuple[Key, .
     mechanism = scene.mechanism
     if actuators is not None:
         return tuple(mechanism.coordinate(name) for name in actuators)
-    actuated = [joint for joint in mechanism.joints if joint.actuated]
-    of_joints = [(joint.name, k) for joint in actuated for k in range(len(joint.coordinate_kinds))]
-    return tuple(law.key for law in scene.control) or tuple(of_joints)
+    actuated = (key for key in mechanism.coordinate_labels if mechanism.joint(key[0]).actuated)
+    return tuple(law.key for law in scene.control) or tuple(actuated)
 
 
 def _coordinate(scene: Scene, name: str | Key) -> Key:

@@ -1,7 +1,7 @@
 """Applied forces of a scene: sums of their wrenches on the bodies, their energies and their power.
 
 The same for all formulations, over generic scalars; each kind of force is in `newton_euler.model.forces`.
-Forces on joint coordinates act through these coordinates (`newton_euler.equations.joint_coordinates`).
+Forces on joint coordinates act through these coordinates (`newton_euler.equations.couplings`).
 """
 
 from __future__ import annotations

@@ -23,8 +23,8 @@ import numpy as np
 
 from newton_euler.equations import dense, sparse
 from newton_euler.equations.applied_forces import body_wrenches
+from newton_euler.equations.couplings import Measured
 from newton_euler.equations.formulation import Formulation
-from newton_euler.equations.joint_coordinates import Measured
 from newton_euler.equations.model_control import model_control
 from newton_euler.equations.reactions import at_joint_points, pushes
 from newton_euler.equations.redundancy import rows_left_out, without
@@ -382,7 +382,6 @@ class Cartesian(Formulation):
         return force, right
 
     def sparse_coordinates(self, q: Array, v: Array, keys: Sequence[Key]) -> tuple[Rows, Array]:
-        """Compute rows and gamma of joint coordinates, for (rddot, omegadot' / p^T p) of each body."""
         frames, measured, rows = self.frames(q, v), self.measured(q, v), list[dict[int, Scalar]]()
         for key in keys:
             first, second = self.between[key].first, self.between[key].second
@@ -419,7 +418,6 @@ class Cartesian(Formulation):
         return [self.mechanism.bodies[0].quaternion, *(p for _, p in self.split(q))]
 
     def measured(self, q: Array, v: Array) -> dict[Key, Measured]:
-        """Compute the joint coordinates that something acts on."""
         frames = self.frames(q, v)
         return {key: coordinate.measure(q, frames) for key, coordinate in self.between.items()}
 
@@ -433,11 +431,9 @@ class Cartesian(Formulation):
         return np.concatenate(parts), np.concatenate(v)
 
     def own_rate(self, q: Array, v: Array) -> Array:
-        """Return the velocities."""
         return v
 
     def own_retract(self, q: Array, step: Array) -> Array:
-        """Compute q + step with Euler parameters of norm 1."""
         moved = []
         for r, p in self.split(q[: self.nv] + step):
             moved.extend([r, p / sqrt(p @ p)])
@@ -450,7 +446,6 @@ class Cartesian(Formulation):
         return np.concatenate([self.Phi(q, rest), self.norms(q)]), jacobian
 
     def rows_of(self, relative: Collection[int]) -> list[int]:
-        """Select rows of `phi`: these of the joint-coordinate form, and all of joints that its tree keeps."""
         cuts, used, number = SpanningTree(self.mechanism).cuts, set(relative), 0
         numbers: list[int] = []
         starts = np.cumsum([0, *(equations.count for equations in self.equations)])
@@ -467,7 +462,6 @@ class Cartesian(Formulation):
         return sorted([*map(int, numbers), *range(self.rows, self.rows + len(self.bodies))])
 
     def velocity_transformation(self, q: Array) -> Array:
-        """Compute v and omega = 2 G pdot of body 0, 1, ... for each velocity, (6 b, 7 n)."""
         rows = np.zeros((6 * len(self.mechanism.bodies), self.nv))
         for k, (_, p) in enumerate(self.split(q)):
             rows[6 * k + 6 : 6 * k + 9, 7 * k : 7 * k + 3] = np.eye(3)

@@ -1,6 +1,9 @@
-"""Joint coordinates that depend on each other or on time: gears, screws and prescribed motions.
+"""Joint coordinates that control laws, springs and couplings act on, and couplings: gears, screws, motions.
 
-All are one thing, a linear combination of joint coordinates that equals a function of time,
+A slide is measured from the poses of its two bodies. They determine an angle only within a revolution; the
+number of revolutions follows from the integral of its rate, which is carried along in q and starts within
+half a revolution. Coordinates that depend on each other or on time are one thing, a linear combination
+that equals a function of time,
 
     Phi = sum_i c_i x_i - f(t),    Phi_q = sum_i c_i dx_i/dq,    Phi_t = -f'(t)
     gamma = sum_i c_i gamma_i + f''(t)
@@ -11,20 +14,20 @@ Mechanical Systems, 1989, chapters 3 and 9).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from newton_euler.equations.joint_coordinates import Measured
-from newton_euler.model.constraints import Frame
+from newton_euler.model.constraints import Constraint, Frame
 from newton_euler.model.joint import JointEquations, Key
 from newton_euler.model.joint_kinds import Screw
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
-from newton_euler.scalars import Array, Scalar
+from newton_euler.scalars import Array, Scalar, arctan2, cos, sin
 
 MOST_REVOLUTIONS = 1000
 """Most revolutions, in an initial state, of the slowest of angles that are coupled only to each other."""
@@ -32,6 +35,75 @@ MOST_REVOLUTIONS = 1000
 SAME_POSE = 1e-6
 """rad, tolerance of angles that shall agree with a pose: far above the errors of states, and so small that
 other numbers of revolutions hardly ever agree by chance."""
+
+
+class Measured(NamedTuple):
+    """A joint coordinate at a state, with d2x/dt2 = jacobian . accelerations - gamma."""
+
+    x: Scalar
+    """m or rad from the initial pose."""
+    rate: Scalar
+    jacobian: Any
+    """A `Jacobian` between two bodies, blocks (1, 3); in joint coordinates the nonzeros of a row over v."""
+    gamma: Scalar
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinate:
+    """A hinge or slide that is measured between two bodies.
+
+    Attributes:
+        first, second: the bodies.
+        constraint: its residual is the coordinate.
+        carried: where in q its angle is carried; None for a slide, and where its revolutions do not matter.
+    """
+
+    first: int
+    second: int
+    constraint: Constraint
+    carried: int | None
+
+    def measure(self, q: Array, frames: Sequence[Frame]) -> Measured:
+        """Measure the coordinate where the bodies have these frames."""
+        first, second = frames[self.first], frames[self.second]
+        jacobian = self.constraint.jacobian(first, second)
+        x = self.constraint.phi(first, second)[0]
+        if self.carried is not None:
+            past = x - q[self.carried]
+            x = q[self.carried] + arctan2(sin(past), cos(past))
+        rate = jacobian.rate(first, second)[0]
+        return Measured(x, rate, jacobian, self.constraint.gamma(first, second)[0])
+
+
+def coordinates(
+    keys: dict[Key, JointEquations], size: int, counted: Collection[Key]
+) -> dict[Key, Coordinate]:
+    """Describe coordinates of joints; those of `counted` angles are carried from place `size` of q on."""
+    found: dict[Key, Coordinate] = {}
+    for key, equations in keys.items():
+        constraint = equations.coordinates[key[1]]
+        carried = None if constraint.is_length or key not in counted else size
+        size += carried is not None
+        found[key] = Coordinate(equations.first, equations.second, constraint, carried)
+    return found
+
+
+def _carried(
+    measured: dict[Key, Coordinate], frames: Sequence[Frame]
+) -> Iterator[tuple[Constraint, Frame, Frame]]:
+    for each in measured.values():
+        if each.carried is not None:
+            yield each.constraint, frames[each.first], frames[each.second]
+
+
+def carried_angles(measured: dict[Key, Coordinate], frames: Sequence[Frame]) -> Array:
+    """Compute the carried angles within half a revolution, rad."""
+    return np.array([angle.phi(*ends)[0] for angle, *ends in _carried(measured, frames)])
+
+
+def carried_rates(measured: dict[Key, Coordinate], frames: Sequence[Frame]) -> Array:
+    """Compute the rates of the carried angles, rad/s."""
+    return np.array([angle.jacobian(*ends).rate(*ends)[0] for angle, *ends in _carried(measured, frames)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,8 +298,7 @@ class TreeCouplings:
                 row[on_v] = factor
                 if not scene.mechanism.is_slide(*key):
                     self._angles.add(key)
-        size = scene.mechanism.size
-        self.units = np.array([size if coupling.is_length else 1.0 for coupling in self.couplings])
+        self.units = row_units((), self.couplings, scene.mechanism.size)
 
     def phi(self, q: Array, time: float) -> Array:
         """Compute residuals (c,), m or rad."""

@@ -1,8 +1,7 @@
 """Coordinates and outputs that the Cartesian and the joint-coordinate form of the equations of motion share.
 
-Extensions of the paper, the same in both forms: couplings and prescribed motions
-(`newton_euler.equations.couplings`), angles whose revolutions are counted
-(`newton_euler.equations.joint_coordinates`), and the work of what has no potential energy.
+Extensions of the paper, the same in both forms: couplings, prescribed motions and angles whose revolutions
+are counted (`newton_euler.equations.couplings`), and the work of what has no potential energy.
 """
 
 from __future__ import annotations
@@ -14,12 +13,16 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from newton_euler.equations.applied_forces import energies, forces_energy, power, rotors_energy
-from newton_euler.equations.couplings import couplings, needed_coordinates, revolutions, row_owners, row_units
-from newton_euler.equations.joint_coordinates import (
+from newton_euler.equations.couplings import (
     Measured,
     carried_angles,
     carried_rates,
     coordinates,
+    couplings,
+    needed_coordinates,
+    revolutions,
+    row_owners,
+    row_units,
 )
 from newton_euler.equations.sparse import (
     Equations,

@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.equations.couplings import Coupling
+from newton_euler.equations.couplings import Coupling, Measured
 from newton_euler.equations.formulation import Formulation
-from newton_euler.equations.joint_coordinates import Measured
 from newton_euler.equations.sparse import Rows, add
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.euler_parameters import product, rotation
@@ -172,7 +171,6 @@ class TreeKinematics(Formulation):
 
     @property
     def uncounted_angles(self) -> list[int]:
-        """Places in q of angles of hinges whose revolutions nothing counts."""
         counted = set(self.angles.values())
         hinges = [on_q.start for motion, on_q, _ in self.tree.motions if motion.kind == "hinge"]
         return [place for place in hinges if place not in counted]
@@ -185,16 +183,13 @@ class TreeKinematics(Formulation):
         return self.remembered(q, v, lambda q, v: tree_links(self.mechanism, self.tree, q, v, at_rest))
 
     def frames(self, q: Array, v: Array) -> list[Frame]:
-        """Compute the frames of all bodies, ground first."""
         return [link.frame for link in self.links(q, v)]
 
     def orientations(self, q: Array, v: Array) -> list[Array]:
-        """Compute Euler parameters (4,) of all bodies, ground first, continuous in q."""
         bodies = zip(self.links(q, v), self.mechanism.bodies, strict=True)
         return [product(link.orientation, body.quaternion) for link, body in bodies]
 
     def velocity_transformation(self, q: Array) -> Array:
-        """Compute v and omega of body 0, 1, ... for each joint velocity, (6 b, nv)."""
         links = self.links(q, np.zeros(self.nv))
         rows = np.zeros((len(links), 6, self.nv))
         for body, link in enumerate(links):
@@ -217,19 +212,15 @@ class TreeKinematics(Formulation):
     # Coordinates
 
     def place(self, key: Key) -> tuple[int, int] | None:
-        """Find where a joint coordinate is in q and in v; None if the tree cuts its joint."""
         return self.tree.place(*key)
 
     def own_coordinates(self, state: State) -> tuple[Array, Array]:
-        """Compute the joint coordinates and velocities of the tree in a state."""
         return self.tree.coordinates(state)
 
     def own_rate(self, q: Array, v: Array) -> Array:
-        """Compute the rates of the joint coordinates of the tree."""
         return self.tree.rate(q, v)
 
     def own_retract(self, q: Array, step: Array) -> Array:
-        """Move the joint coordinates of the tree by a small step (nv,); quaternions come out with norm 1."""
         return self.tree.retract(q, step)
 
     def measured(self, q: Array, v: Array) -> dict[Key, Measured]:
@@ -273,7 +264,6 @@ class TreeKinematics(Formulation):
         return row
 
     def rows_of(self, relative: Collection[int]) -> list[int]:
-        """Select rows of `phi`: these."""
         return sorted(relative)
 
     def row_scales(self, q: Array) -> Array:

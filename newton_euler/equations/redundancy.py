@@ -37,7 +37,7 @@ from newton_euler.equations.independence import (
 )
 from newton_euler.equations.kinematics import TreeKinematics
 from newton_euler.equations.sparse import Rows, RowsInUse, to_array
-from newton_euler.equations.system import System
+from newton_euler.equations.system import System, dimensionless_jacobian
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -165,8 +165,9 @@ def rows_left_out(system: System) -> list[int]:
 
         best = max(range(len(decided.states)), key=lambda k: decided.configurations[k].rank)
         q, _ = system.coordinates(decided.states[best])
-        jacobian = system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None]
-        used = qr(jacobian.T, mode="r", pivoting=True)[1][: constraint_rank(system)].tolist()
+        used = qr(dimensionless_jacobian(system, q).T, mode="r", pivoting=True)[1][
+            : constraint_rank(system)
+        ].tolist()
     known[system.name] = sorted(set(range(count)) - set(used))
     return known[system.name]
 
@@ -365,9 +366,7 @@ def other_rows(scene: Scene, used: Sequence[int], states: Sequence[State]) -> li
     rank, spaces = len(decided.independent), []
     for k in np.unique(np.linspace(0, len(states) - 1, SAMPLED).round().astype(int)):
         q, _ = system.coordinates(states[k])
-        left, values, _ = singular_values(
-            (system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None])[alive], full=True
-        )
+        left, values, _ = singular_values(dimensionless_jacobian(system, q)[alive], full=True)
         if numerical_rank(values[:rank]) < rank:
             return None
         spaces.append(left[:, rank:])

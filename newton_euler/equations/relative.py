@@ -179,7 +179,6 @@ class Relative(TreeKinematics):
     # Solutions
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Compute M (nv, nv) and f (nv,)."""
         return dense.assemble(self.blocks(q, v), self.actuation(q, v))
 
     def sparse_mass_and_force(self, q: Array, v: Array) -> tuple[Rows, Array]:
@@ -187,7 +186,6 @@ class Relative(TreeKinematics):
         return sparse.assemble(self.blocks(q, v), self.actuation(q, v))
 
     def mass_rows(self, q: Array) -> Rows:
-        """Compute the nonzeros of M (nv, nv), over generic scalars."""
         return self.sparse_mass_and_force(q, np.zeros(self.nv))[0]
 
     def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
@@ -230,12 +228,10 @@ class Relative(TreeKinematics):
         return Equations(factor, sparse.sparse_vector(force), jacobian, right, rows, refine=False)
 
     def sparse_coordinates(self, q: Array, v: Array, keys: Sequence[Key]) -> tuple[Rows, Array]:
-        """Compute rows and gamma of joint coordinates, for qddot."""
         measured = self.measured(q, v)
         return [measured[key].jacobian for key in keys], np.array([measured[key].gamma for key in keys])
 
     def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
-        """Compute qddot (nv,) from a sparse solution."""
         return np.array([solution.acceleration.get(k, 0.0) for k in range(self.nv)])
 
     def servo_velocities(self, q: Array, servos: Servos, rates: Sequence[Scalar]) -> tuple[Array, Scalar]:
@@ -262,7 +258,6 @@ class Relative(TreeKinematics):
     def reactions(
         self, q: Array, v: Array, vdot: Array, bodies: tuple[Array, Array], multipliers: Array
     ) -> tuple[Array, Array]:
-        """Compute forces and torques (j, 3) of joints about their points, on the second bodies."""
         frames, measured, (linear, angular) = self.frames(q, v), self.measured(q, v), bodies
         laws = [law.key for law in self.scene.joint_forces]
         joint_forces = list(zip(laws, self.joint_forces(q, v), strict=True))

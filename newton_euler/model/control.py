@@ -66,6 +66,10 @@ class DeclaredLaw(ControlLaw):
     target: float | TimeFunction
     feedforward: float | TimeFunction
 
+    parameters = ("stiffness", "damping", "target", "feedforward")
+    functions = DRIVEN
+    strengths: ClassVar = {"actuator": ("stiffness", "damping", "feedforward")}
+
     @property
     def is_driven(self) -> bool:
         """True if the law depends on time."""
@@ -156,10 +160,6 @@ class PD(DeclaredLaw):
     coordinate: int = 0
     feedforward: float | TimeFunction = 0.0
     gravity_compensation: bool = False
-
-    parameters = ("stiffness", "damping", "target", "feedforward")
-    functions = DRIVEN
-    strengths: ClassVar = {"actuator": ("stiffness", "damping", "feedforward")}
 
     def __post_init__(self) -> None:
         self._set_numbers(self.parameters)
@@ -296,9 +296,6 @@ class ComputedTorque(DeclaredLaw):
     feedforward: float | TimeFunction = 0.0
     model: Mapping[str, Any] = ()  # type: ignore[assignment]
 
-    parameters = ("stiffness", "damping", "target", "feedforward")
-    functions = DRIVEN
-    strengths: ClassVar = {"actuator": ("stiffness", "damping", "feedforward")}
     constant: ClassVar = DeclaredLaw.constant | {"model": "what a controller knows, the same in all runs"}
     uses_model = True
 

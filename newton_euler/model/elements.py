@@ -89,14 +89,22 @@ class Element(Variable):
         raise NotImplementedError
 
 
-class OnCoordinate(Element):
-    """An element on a hinge or slide of a joint."""
+class OnJoint(Element):
+    """An element on a joint."""
 
     joint: str
-    coordinate: int
-    constant: ClassVar = {"coordinate": WHICH}
     kind_of_parameters: ClassVar[str] = ""
     """Suffix of `prefix`."""
+
+    def check(self, mechanism: Mechanism) -> None:
+        check_known(self.element, "is on an unknown joint", self.joint, mechanism.joint_names)
+
+
+class OnCoordinate(OnJoint):
+    """An element on a hinge or slide of a joint."""
+
+    coordinate: int
+    constant: ClassVar = {"coordinate": WHICH}
 
     @property
     def key(self) -> Key:
@@ -121,7 +129,7 @@ class OnCoordinate(Element):
         return place + self.kind_of_parameters
 
     def check(self, mechanism: Mechanism) -> None:
-        check_known(self.element, "is on an unknown joint", self.joint, mechanism.joint_names)
+        super().check(mechanism)
         check_coordinate(self.element, mechanism.joint(self.joint), self.coordinate)
 
     def measure(self, at: Surroundings) -> tuple[Scalar, Scalar]:
@@ -130,12 +138,8 @@ class OnCoordinate(Element):
         return x, rate
 
 
-class OnBall(Element):
+class OnBall(OnJoint):
     """An element on the ball of a joint, the same about all axes."""
-
-    joint: str
-    kind_of_parameters: ClassVar[str] = ""
-    """Suffix of `prefix`."""
 
     @property
     def key(self) -> Key:
@@ -155,7 +159,7 @@ class OnBall(Element):
         return f"{self.joint}.ball{self.kind_of_parameters}"
 
     def check(self, mechanism: Mechanism) -> None:
-        check_known(self.element, "is on an unknown joint", self.joint, mechanism.joint_names)
+        super().check(mechanism)
         joint = mechanism.joint(self.joint)
         if not any(motion.kind == "ball" for motion in joint.motions):
             needed = "a joint with a ball: spherical, free, or compound with one"

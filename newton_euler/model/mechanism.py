@@ -382,6 +382,13 @@ class Mechanism:
             raise MechanismError(where, f"has {count} coordinates", f"which one, as ({joint!r}, 0)")
         return joint, int(number)
 
+    @cached_property
+    def coordinate_labels(self) -> dict[Key, str]:
+        """All joint coordinates, and their names in columns: `JOINT`, or `JOINT.1` for the second."""
+        counts = {joint.name: len(joint.coordinate_kinds) for joint in self.joints}
+        keys = [(joint, k) for joint, count in counts.items() for k in range(count)]
+        return {(joint, k): f"{joint}.{k}" if counts[joint] > 1 else joint for joint, k in keys}
+
     def coordinate_name(self, key: Key) -> str | Key:
         """Return the name of a joint coordinate: that of its joint, if it has no others."""
         return key[0] if len(self.joint(key[0]).coordinate_kinds) == 1 else key

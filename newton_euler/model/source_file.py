@@ -1,16 +1,27 @@
-"""Files that somebody else wrote: read within limits, refused with one line that names the file."""
+"""Files that somebody else wrote: read within limits, refused with one line that names the file.
+
+CSV becomes columns of finite numbers over ascending times; XML is looked at once before any parser builds or
+expands anything of it.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 import stat
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypedDict
+from typing import NamedTuple, TypedDict
+from xml.parsers import expat
 
-from newton_euler.errors import NewtonEulerError
-from newton_euler.limits import MB, exceeded, size_in_bytes
+import numpy as np
+
+from newton_euler.errors import NewtonEulerError, plain_number
+from newton_euler.limits import MB, exceeded, limit, size_in_bytes
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE
+from newton_euler.scalars import Array, Floats
 
 LONGEST_PROBLEM = 1000  # characters of a message; names and values in files have any length
 
@@ -99,3 +110,129 @@ def read_text(
         return read_content(path, limit, error, before).decode("utf-8-sig")
     except UnicodeDecodeError as failure:
         raise error(os.fspath(path), "not a UTF-8 text file") from failure
+
+
+Row = tuple[int, list[str]]  # number of a line, the first being 1, and its cells
+
+
+def csv_rows(path: str, text: str) -> list[Row]:
+    """Return the rows of a CSV text that are not empty, cells stripped; raises `SourceError`."""
+    reader = csv.reader(io.StringIO(text, newline=""))
+    try:
+        rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
+    except csv.Error as error:
+        raise SourceError(path, f"line {reader.line_num}: {error}") from error
+    for separator in ";\t":
+        if rows and len(rows[0][1]) == 1 and separator in rows[0][1][0]:
+            problem = f"columns are separated by {separator!r}"
+            raise SourceError(path, f"line 1: {problem}; needed: commas, and decimal points in numbers")
+    return rows
+
+
+def row_numbers(path: str, header: Sequence[str], row: Row) -> list[float]:
+    """Return the numbers of a row; raises `SourceError` for cells that are missing or no finite numbers."""
+    line, cells = row
+    if len(cells) != len(header):
+        hint = ", and decimal points, not commas, in numbers" if len(cells) > len(header) else ""
+        raise SourceError(path, f"line {line}: has {len(cells)} cells; needed: {len(header)}{hint}")
+    return list(_numbers(path, header, line, cells))
+
+
+def _numbers(path: str, header: Sequence[str], line: int, cells: Sequence[str]) -> Iterator[float]:
+    for name, cell in zip(header, cells, strict=True):
+        try:
+            yield plain_number(cell)
+        except ValueError as error:
+            problem = f"{name} is {cell!r:.100}" if cell else f"{name} is missing"
+            hint = " with a decimal point" if "," in cell else ""
+            raise SourceError(path, f"line {line}: {problem}; needed: a finite number{hint}") from error
+
+
+class TimeTable(NamedTuple):
+    """Numbers of a file, one of whose columns is `time`.
+
+    Attributes:
+        path: of the file.
+        lines: (n,) numbers of the rows in the file.
+        columns: (n,) each, by name.
+    """
+
+    path: str
+    lines: list[int]
+    columns: dict[str, Floats]
+
+    @classmethod
+    def of(cls, path: str, header: Sequence[str], rows: Sequence[Row]) -> TimeTable:
+        """Read the numbers of rows; raises `SourceError`, for times that do not ascend, too."""
+        numbers = np.array([row_numbers(path, header, row) for row in rows])
+        table = cls(path, [line for line, _ in rows], dict(zip(header, numbers.T, strict=True)))
+        time = table.columns["time"]
+        table.refuse(np.append(False, np.diff(time) <= 0.0), "time", time, "times in ascending order")
+        return table
+
+    def refuse(self, wrong: Array, what: str, values: Array, needed: str) -> None:
+        """Raise `SourceError` for the first row that is wrong."""
+        for row in np.flatnonzero(wrong)[:1]:
+            problem = f"line {self.lines[row]}: {what} is {values[row]:.9g}"
+            raise SourceError(self.path, f"{problem}; needed: {needed}")
+
+
+def check_names(path: str, header: Sequence[str]) -> None:
+    """Raise `SourceError` for columns that are there twice."""
+    for name in header:
+        if header.count(name) > 1:
+            raise SourceError(path, f"line 1: column {name!r:.100} is there twice; needed: once")
+
+
+MAXIMUM_DEPTH = 400  # of nested elements; recursive parsers run out of stack somewhere above
+LARGEST = 1e15  # of any number of a model, so that squares and triple products stay finite and keep digits
+NOT_FINITE = ("nan", "inf", "infinity")
+
+Begin = Callable[[str, dict[str, str], int], None]
+"""What is called for an element's tag, its attributes and its line."""
+
+
+def scan(path: str, text: str, root: str | None, begin: Begin, error: type[SourceError]) -> None:
+    """Call `begin` for every element of an XML text.
+
+    Args:
+        path: of the file, for errors.
+        text: of the file.
+        root: tag of the outermost element; any if None.
+        begin: called in the order of the text.
+        error: class of what is raised.
+
+    Raises:
+        SourceError: for text that is not well-formed, that has another root, a document type (entities
+            unfold to gigabytes or to other files) or too many elements.
+    """
+    parser = expat.ParserCreate()
+    depth = count = 0
+    most = limit("elements")
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth, count
+        line = parser.CurrentLineNumber
+        if count == 0 and root not in (None, tag):
+            raise error(path, f"line {line}: root element is <{tag:.100}>, not <{root}>")
+        depth, count = depth + 1, count + 1
+        if depth > MAXIMUM_DEPTH:
+            raise error(path, f"line {line}: more than {MAXIMUM_DEPTH} nested elements")
+        if count > most:
+            raise error(path, f"line {line}: {exceeded('elements', text.count('<'))}")
+        begin(tag, attributes, line)
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def refuse(*_: object) -> None:
+        raise error(path, f"line {parser.CurrentLineNumber}: a document type declaration, refused")
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as failure:
+        problem = expat.errors.messages[failure.code]
+        raise error(path, f"not XML: line {failure.lineno}: {problem}") from failure

@@ -201,13 +201,17 @@ class SpanningTree:
         return total // 2
 
     @cached_property
+    def is_length(self) -> Array:
+        """(nv,) True for velocities in m/s."""
+        found = np.zeros(self.nv, dtype=bool)
+        for motion, _, on_v in self.motions:
+            found[on_v] = motion.kind == "slide"
+        return found
+
+    @cached_property
     def velocity_units(self) -> Array:
         """(nv,) what makes velocities dimensionless: the mechanism's size for slides, 1 for angles."""
-        units = np.ones(self.nv)
-        for motion, _, on_v in self.motions:
-            if motion.kind == "slide":
-                units[on_v] = self.mechanism.size
-        return units
+        return np.where(self.is_length, self.mechanism.size, 1.0)
 
     def place(self, joint: str, coordinate: int) -> tuple[int, int] | None:
         """Return the places in q and v of a joint's hinge or slide number `coordinate`; None if cut."""
@@ -270,10 +274,7 @@ class SpanningTree:
         q, v = zeros(self.nq, state.position), zeros(self.nv, state.position)
         for kept in self.joints:
             equations = self._equations[kept.joint]
-            i, j = frames[equations.first], frames[equations.second]
-            values = []
-            for coordinate in equations.coordinates:
-                values.append((coordinate.phi(i, j), coordinate.jacobian(i, j).rate(i, j)))
+            values = [equations.measure(k, frames) for k in range(len(equations.coordinates))]
             parent, child = frames[kept.parent], frames[kept.child]
             remaining = iter(values if kept.forward else values[::-1])
             parts = []
@@ -284,8 +285,8 @@ class SpanningTree:
                     parts.append((turn, child.rotation.T @ omega))
                 else:
                     parts.append(next(remaining))
-            q[kept.q] = np.concatenate([np.zeros(0), *(part[0] for part in parts)])
-            v[kept.v] = np.concatenate([np.zeros(0), *(part[1] for part in parts)])
+            q[kept.q] = np.hstack([np.zeros(0), *(part[0] for part in parts)])
+            v[kept.v] = np.hstack([np.zeros(0), *(part[1] for part in parts)])
         return q, v
 
 

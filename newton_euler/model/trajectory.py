@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from importlib import import_module
@@ -24,50 +24,39 @@ from newton_euler.model.source_file import SourceError, read_content
 from newton_euler.model.state import stacked_frames
 from newton_euler.scalars import Array, Floats, unstacked
 
-SHAPES = {
-    "time": "n",
-    "body_names": "b",
-    "joint_names": "j",
-    "position": "nb3",
-    "quaternion": "nb4",
-    "linear_velocity": "nb3",
-    "angular_velocity": "nb3",
-    "reaction_force": "nj3",
-    "reaction_torque": "nj3",
-    "actuator_force": "na",
-    "constraint_violation": "nj",
-    "kinetic_energy": "n",
-    "potential_energy": "n",
-    "work": "n",
-}
-"""Of the arrays of a trajectory: n times, b bodies, j joints, a actuators."""
-
 
 class Quantity(NamedTuple):
     """A computed array of a trajectory.
 
     Attributes:
+        shape: n times, b bodies, j joints, a actuators.
         unit: SI, "" where it depends on the joint.
         output: which a scene has to be asked for; None for what all runs have.
     """
 
+    shape: str
     unit: str
     output: OutputName | None = None
 
 
 QUANTITIES = {
-    "position": Quantity("m"),
-    "quaternion": Quantity("1"),
-    "linear_velocity": Quantity("m/s", "velocities"),
-    "angular_velocity": Quantity("rad/s", "velocities"),
-    "reaction_force": Quantity("N", "reactions"),
-    "reaction_torque": Quantity("N m", "reactions"),
-    "actuator_force": Quantity("", "actuation"),
-    "kinetic_energy": Quantity("J", "energy"),
-    "potential_energy": Quantity("J", "energy"),
-    "work": Quantity("J", "energy"),
+    "position": Quantity("nb3", "m"),
+    "quaternion": Quantity("nb4", "1"),
+    "linear_velocity": Quantity("nb3", "m/s", "velocities"),
+    "angular_velocity": Quantity("nb3", "rad/s", "velocities"),
+    "reaction_force": Quantity("nj3", "N", "reactions"),
+    "reaction_torque": Quantity("nj3", "N m", "reactions"),
+    "actuator_force": Quantity("na", "", "actuation"),
+    "kinetic_energy": Quantity("n", "J", "energy"),
+    "potential_energy": Quantity("n", "J", "energy"),
+    "work": Quantity("n", "J", "energy"),
 }
 """Quantities of bodies, joints and mechanisms, by name."""
+
+SHAPES = {"time": "n", "body_names": "b", "joint_names": "j", "constraint_violation": "nj"} | {
+    name: quantity.shape for name, quantity in QUANTITIES.items()
+}
+"""Of the arrays of a trajectory."""
 
 UNREADABLE = (OSError, EOFError, KeyError, RuntimeError, MemoryError, BadZipFile, ZlibError)
 """What broken archives raise, beside ValueError."""
@@ -196,14 +185,11 @@ class Trajectory:
         Raises:
             NewtonEulerError: if neither is installed.
         """
-        named = {"b": self.body_names, "j": self.joint_names} | COMPONENTS
         columns: dict[str, Array] = {}
         for name, array in self.arrays().items():
             if array.dtype.kind == "f":
-                for place in np.ndindex(array.shape[1:]):
-                    ends = zip(SHAPES[name][1:], place, strict=True)
-                    parts = (named[letter][k] if letter in named else str(k) for letter, k in ends)
-                    columns[".".join((name, *parts))] = array[:, *place]
+                names = column_names(name, array.shape[1:], self.body_names, self.joint_names)
+                columns |= zip(names, array.reshape(len(array), -1).T, strict=True)
         for library in DATA_FRAMES:
             with suppress(ImportError):
                 return import_module(library).DataFrame(columns)
@@ -236,6 +222,16 @@ class Trajectory:
         arrays: dict[str, Any] = dict(self.arrays())
         np.savez_compressed(content, **arrays)
         return content.getvalue()
+
+
+def column_names(name: str, shape: Sequence[int], bodies: Sequence[str], joints: Sequence[str]) -> list[str]:
+    """Name the components of an array of a trajectory at one time, in order: `position.rod.x` for one."""
+    named = {"b": bodies, "j": joints} | COMPONENTS
+    found = []
+    for place in np.ndindex(*shape):
+        ends = zip(SHAPES[name][1:], place, strict=True)
+        found.append(".".join((name, *(named[each][k] if each in named else str(k) for each, k in ends))))
+    return found
 
 
 def coordinate_names(joint: Joint) -> tuple[str, ...]:

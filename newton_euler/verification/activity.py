@@ -9,16 +9,18 @@ where outputs are close enough. What these leave open counts as active.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from newton_euler.model.constraints import Frame
 from newton_euler.model.euler_parameters import product
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
@@ -60,11 +62,20 @@ class Course:
     """
 
     def __init__(self, scene: Scene, run: Trajectory) -> None:
-        self.scene, self.run = scene, replace(run, mechanism=scene.mechanism)
+        self.scene, self.run = scene, run
         shares = np.arange(PARTS) / PARTS
         between = run.time[:-1, None] + np.diff(run.time)[:, None] * shares
         self.time: Array = np.append(between.ravel(), run.time[-1])
         self._found: dict[Key, tuple[Array, Array, Array]] = {}
+
+    @cached_property
+    def _frames(self) -> list[list[Frame]]:
+        """Of all bodies, at each output time."""
+        run = self.run
+        assert run.linear_velocity is not None
+        assert run.angular_velocity is not None
+        rows = zip(run.position, run.quaternion, run.linear_velocity, run.angular_velocity, strict=True)
+        return [State(*row).frames() for row in rows]
 
     @cached_property
     def _centers(self) -> Callable[[float], Array]:
@@ -108,10 +119,10 @@ class Course:
             where poses do not tell it at all output times.
         """
         if key not in self._found:
-            motion, time = self.run.joint(key[0]), self.run.time
-            assert motion.rates is not None
-            x, rate = motion.coordinates[:, key[1]], motion.rates[:, key[1]]
+            mechanism, time = self.scene.mechanism, self.run.time
+            x, rate = np.array([mechanism.measure(key, frames) for frames in self._frames]).T
             if np.all(np.isfinite([x, rate])):
+                x = x if mechanism.is_slide(*key) else np.unwrap(x)
                 curve = _curve(time, x, rate)
                 self._found[key] = curve(self.time), curve(self.time, 1), missed(time, x, rate)
             else:

@@ -12,7 +12,7 @@ import numpy as np
 from newton_euler.errors import choices
 from newton_euler.limits import exceeded
 from newton_euler.model import source_file
-from newton_euler.model.xml_source import LARGEST, scan
+from newton_euler.model.source_file import LARGEST, scan
 from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import Loops, parse_loops
 
