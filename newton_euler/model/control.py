@@ -67,7 +67,7 @@ class DeclaredLaw(ControlLaw):
     feedforward: float | TimeFunction
 
     parameters = ("stiffness", "damping", "target", "feedforward")
-    functions = DRIVEN
+    functions: ClassVar[tuple[str, ...]] = DRIVEN
     strengths: ClassVar = {"actuator": ("stiffness", "damping", "feedforward")}
 
     @property
