@@ -274,7 +274,10 @@ class SpanningTree:
         q, v = zeros(self.nq, state.position), zeros(self.nv, state.position)
         for kept in self.joints:
             equations = self._equations[kept.joint]
-            values = [equations.measure(k, frames) for k in range(len(equations.coordinates))]
+            i, j = frames[equations.first], frames[equations.second]
+            values = []
+            for coordinate in equations.coordinates:
+                values.append((coordinate.phi(i, j), coordinate.jacobian(i, j).rate(i, j)))
             parent, child = frames[kept.parent], frames[kept.child]
             remaining = iter(values if kept.forward else values[::-1])
             parts = []
@@ -285,8 +288,8 @@ class SpanningTree:
                     parts.append((turn, child.rotation.T @ omega))
                 else:
                     parts.append(next(remaining))
-            q[kept.q] = np.hstack([np.zeros(0), *(part[0] for part in parts)])
-            v[kept.v] = np.hstack([np.zeros(0), *(part[1] for part in parts)])
+            q[kept.q] = np.concatenate([np.zeros(0), *(part[0] for part in parts)])
+            v[kept.v] = np.concatenate([np.zeros(0), *(part[1] for part in parts)])
         return q, v
 
 
