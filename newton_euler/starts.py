@@ -26,6 +26,7 @@ from newton_euler.codegen.compile import NativeFunction, Traced
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.codegen.native import Record, Vector, native
+from newton_euler.equations.dense import largest
 from newton_euler.equations.kinematics import TreeKinematics
 from newton_euler.equations.parameters import (
     PIECE,
@@ -36,6 +37,7 @@ from newton_euler.equations.parameters import (
     unambiguous,
     with_values,
 )
+from newton_euler.equations.redundancy import loosely_closed, mobility
 from newton_euler.errors import MechanismError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.compiled import NEUTRAL, Code
@@ -238,7 +240,12 @@ class Assembly:
             again = self._assembled(own[lost], targets[lost], np.minimum(FINER * steps[lost], MOST_STEPS))
             found[lost], statuses[lost] = again
         lost = np.flatnonzero(statuses != DONE)
-        return found, {run: self._error(run, found[run], values) for run in lost.tolist()}
+        errors = {run: self._error(run, found[run], values) for run in lost.tolist()}
+        for run in range(len(found)) if self._is_overdetermined else ():
+            if run not in errors and self._contradicts(found[run]):
+                problem = f"loops do not let joints move with {self._shown(run, values)}"
+                errors[run] = MechanismError(f"run {run}", problem, "rates that loops and couplings allow")
+        return found, errors
 
     def _own(self, values: Mapping[str, Array], states: Sequence[State] | None) -> Array:
         """Return the states (n, inputs) that runs begin at, with the scene's own parameters."""
@@ -307,11 +314,33 @@ class Assembly:
         q, v = x[: system.nq], x[system.nq : self.code.size]
         with np.errstate(all="ignore"):
             joint, residual = worst_joint(system, system.state(q, v))
+        problem = f"joint {joint!r} stays open by {residual:.3g} (m or rad) with {self._shown(run, values)}"
+        given = {number.key for number in self.initial.values() if number.order == 0}
+        labels = self.scene.mechanism.coordinate_labels
+        held = ", ".join(PREFIX + labels[key] for key in self._motions if key not in given)
+        problem += f", where {held} is the own one of the scene" if held else ""
+        return MechanismError(f"run {run}", problem, "values with which all loops close")
+
+    def _shown(self, run: int, values: Mapping[str, Array]) -> str:
+        """Word the values of a run that move its start."""
         moving = [name for name in values if name in self._names or name in self.initial]
         shown = ", ".join(f"{name} = {values[name][run].tolist()!r:.60}" for name in moving[:NAMED])
-        shown += ", ..." if len(moving) > NAMED else ""
-        problem = f"joint {joint!r} stays open by {residual:.3g} (m or rad) with {shown}"
-        return MechanismError(f"run {run}", problem, "values with which all loops close")
+        return shown + (", ..." if len(moving) > NAMED else "")
+
+    @cached_property
+    def _is_overdetermined(self) -> bool:
+        """True if some initial coordinates follow from the others: then rates may contradict each other."""
+        if not self._motions:
+            return False
+        left = self.code.system.nv - len(self.code.rows.numbers)
+        return left > mobility(self.scene).degrees_of_freedom - len(self._motions)
+
+    def _contradicts(self, x: Array) -> bool:
+        """True if constraints do not let joints move at all of the rates in x (inputs,)."""
+        system = self.code.float_system(x)
+        q, v = x[: system.nq], x[system.nq : self.code.size]
+        speed = largest(np.concatenate([v / system.velocity_units, system.phi_t() / system.phi_units]))
+        return largest(system.phi_rate(q, v) / system.phi_units) > loosely_closed(self.code.noise) * speed
 
     def state(self, x: Array) -> State:
         """Return the state of the bodies at x (inputs,)."""

@@ -83,6 +83,8 @@ class Measurements:
             if not isinstance(given := getattr(self, what), Mapping):
                 raise MechanismError("measurements", f"{what} is {given!r:.100}", "a mapping of names")
         factors = {name: _factor(name, unit) for name, unit in self.units.items()}
+        if UNITS[self.units.get("time", "s")][0] != "s":
+            raise MechanismError("measurements", f"unit of time is {self.units['time']!r}", "s or ms")
         time = _numbers("time", self.time, factors.get("time", 1.0))
         if len(time) < 2 or time[0] < 0.0 or np.any(np.diff(time) <= 0.0):
             raise MechanismError("measurements", "have no times in ascending order", "two or more, from 0 on")

@@ -134,10 +134,11 @@ class Starts:
                 raise error
             states = self._assembly.starts(code, found)
             x[: code.size] = states[0]
-            weights = np.array(list(WEIGHTS.values()))
+            weights, system = np.array(list(WEIGHTS.values())), code.system
+            angles = [*system.angles.values(), *system.uncounted_angles]  # within a revolution
             for k, moved in zip(self._moving, states[1:].reshape(-1, len(weights), code.size), strict=True):
                 apart = moved - states[0]
-                apart -= 2.0 * np.pi * np.round(apart / (2.0 * np.pi))  # of angles within a revolution
+                apart[:, angles] -= 2.0 * np.pi * np.round(apart[:, angles] / (2.0 * np.pi))
                 directions[: code.size, k] = weights @ apart / steps[k]
         return x, directions
 

@@ -555,11 +555,25 @@ def test_a_given_state_begins_at_its_own_coordinates(tracker, tracker_states):
         ({"ball.point_on_first.y": [0.0, 5.0]}, "stays open by .* with ball.point_on_first.y = 5.0"),
         ({"start.pivot": [0.4, np.inf]}, "run 1: parameter 'start.pivot': is inf"),
         ({"start.pivot": [0.4, 0.4], "start.guide": [0.0, 3.0]}, "joint '.*' stays open by"),
+        (
+            {"start.pivot.rate": [1.0, 1.0], "start.guide.rate": [0.0, 5.0]},
+            "loops do not let joints move with start.pivot.rate = 1.0, start.guide.rate = 5.0",
+        ),
+        (
+            {"start.pivot": [0.4, 0.5], "start.guide.rate": [0.0, 0.0]},
+            "stays open by .* with start.pivot = 0.5, .*, where start.guide is the own one of the scene",
+        ),
     ],
 )
 def test_a_start_that_cannot_be_is_an_error_of_its_run_alone(crank, values, message):
     if "start.guide" in values:
         values["start.guide"][0] = simulate(crank).joint("guide").coordinates[0, 0]
+    if "start.pivot.rate" in values:
+        (alone,) = simulate_batch(crank, parameters={"start.pivot.rate": [1.0]})
+        values["start.guide.rate"][0] = alone.joint("guide").rates[0, 0]
+    if "start.guide.rate" in values and "start.pivot" in values:
+        values["start.pivot"][0] = simulate(crank).joint("pivot").coordinates[0, 0]
+        values["start.guide.rate"][0] = simulate(crank).joint("guide").rates[0, 0]
     batch = simulate_batch(crank, parameters=values)
     assert list(batch.errors) == [1]
     with pytest.raises(MechanismError, match=message):

@@ -489,3 +489,8 @@ def test_a_start_that_is_fitted_is_not_given():
 def test_numbers_without_names_are_refused(what):
     with pytest.raises(NewtonEulerError, match=f"{what} is None; needed: a mapping of names"):
         Measurements([0.0, 1.0], {"work": [0.0, 0.0]}, **{what: None})
+
+
+def test_times_have_units_of_time():
+    with pytest.raises(NewtonEulerError, match="unit of time is 'deg'; needed: s or ms"):
+        Measurements([0.0, 1.0], {"work": [0.0, 0.0]}, units={"time": "deg"})

@@ -389,3 +389,10 @@ def test_sampled_controllers_have_no_derivatives():
     scene = carts(Sampled("rail_0", lambda t, x, v: -x[0], 0.1))
     with pytest.raises(NewtonEulerError, match="sampled controller of joint 'rail_0' has none"):
         sensitivities(scene, ["cart_0.mass"])
+
+
+def test_large_rates_at_the_start_are_no_angles():
+    scene = replace(pendulum(), duration=1e-5, output_period=1e-5)
+    (joint,) = scene.mechanism.joint_names
+    fast = with_parameters(scene, {f"start.{joint}.rate": 1e5})
+    assert sensitivities(fast, [f"start.{joint}.rate"]).joint(joint).rates[0, 0, 0] == pytest.approx(1.0)

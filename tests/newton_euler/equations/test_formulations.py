@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +13,7 @@ from mechanisms import spinning_top
 
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.formulation import REMEMBERED
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import to_array
 from newton_euler.model.euler_parameters import matrix_l, rotation
@@ -125,3 +128,20 @@ def test_top_follows_euler_equations_about_its_fixed_point():
         support = top.mass * (acceleration - scene.gravity)
         assert np.allclose(at.reaction_force[0], support, rtol=1e-12)
         assert np.allclose(at.reaction_torque[0], 0.0, atol=1e-12)
+
+
+def test_threads_may_share_equations(tracker):
+    """Each finds what it has worked out itself, whatever others forget in between."""
+    system, before = Relative(tracker), sys.getswitchinterval()
+    rest = np.zeros(system.nv)
+
+    def remember(thread: int) -> bool:
+        states = (np.full(system.nq, float(2 * n + thread)) for n in range(100 * REMEMBERED))
+        return all(system.remembered(q, rest, lambda q, _: q[0]) == q[0] for q in states)
+
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(2) as pool:
+            assert all(pool.map(remember, range(2)))
+    finally:
+        sys.setswitchinterval(before)
