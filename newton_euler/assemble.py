@@ -32,9 +32,7 @@ VELOCITY_TOLERANCE = 1e-9
 """How fast a joint may open at the start, as a share of the largest speed: as exact as
 `CLOSURE_TOLERANCE` leaves the positions, in sizes of the mechanism."""
 
-STEP = 0.1
-"""rad, or sizes of the mechanism, that joints move at a time on the way to where a scene is to start."""
-
+STEP = 0.1  # rad, or sizes of the mechanism, that joints move at a time on the way to a start
 MOST_STEPS = 1000  # on that way; longer ones are made in longer steps
 CHECKED: WeakKeyDictionary[Scene, State] = WeakKeyDictionary()  # consistent states that scenes start from
 

@@ -32,15 +32,9 @@ from newton_euler.scalars import Array
 SPIN, SPEED = 0.5, 0.1  # rad/s and sizes/s, at most, of joints at the start
 SWING, SHIFT = 0.2, 0.05  # rad and sizes, about as far as a driven joint moves
 LOWEST, HIGHEST = 0.7, 1.9  # Hz, between which frequencies are spread
-
-GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
-"""Its multiples, less whole numbers, are spread evenly however many there are."""
-
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # its multiples, less whole numbers, are spread evenly
 SEED = 0  # of the directions of start velocities
-
-RANDOM_AMPLITUDE = 0.2
-"""How far `random_states` moves joints before it closes the loops: radians, and sizes of the mechanism."""
-
+RANDOM_AMPLITUDE = 0.2  # rad, and sizes, that `random_states` moves joints by before it closes the loops
 STRAY = 3.0  # how many times as far as that a joint may end up from where it started
 ATTEMPTS = 50
 AT_REST = 1e-9  # rad/s and sizes/s, below which a mechanism that is given velocities cannot move

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 from newton_euler.errors import OptionError, UnknownNameError, plain_number
 
-VARIABLE = "NEWTON_EULER_LIMITS"
-"""Environment variable of changed limits, `NAME=VALUE NAME=VALUE`; processes started here inherit it."""
+VARIABLE = "NEWTON_EULER_LIMITS"  # of the environment, `NAME=VALUE NAME=VALUE`; started processes inherit it
 
 
 @dataclass(frozen=True)

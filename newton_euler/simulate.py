@@ -46,9 +46,7 @@ from newton_euler.sampling import Controllers, holding, integrate_intervals, int
 from newton_euler.scalars import Array, unstacked
 
 KEPT = 8  # scenes, most recently simulated, whose code stays in memory
-
-ROW_CHOICES = 3
-"""Times that constraint rows are chosen anew, each time with all that a run has seen until it stopped."""
+ROW_CHOICES = 3  # times that constraint rows are chosen anew, by all that a run has seen until it stopped
 
 
 def simulate(

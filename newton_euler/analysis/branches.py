@@ -18,13 +18,8 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 STARTS, MOST_STARTS = 500, 5_000  # random configurations at a time, and in all
-
-OFTEN = 5
-"""Times that each branch is to be found: one as likely as those is missed with a probability of exp(-5)."""
-
-SAME = 1e-4
-"""Distance of poses that are one, sizes and Euler parameters: double roots have half the digits of others."""
-
+OFTEN = 5  # times that each branch is to be found: one as likely is missed with probability exp(-5)
+SAME = 1e-4  # distance of poses that are one, sizes and Euler parameters: double roots have half the digits
 SINGULAR = 1e-5  # dimensionless determinant below which a branch is at a singular configuration
 
 

@@ -14,28 +14,18 @@ from newton_euler.analysis.configurations import LONGEST_STEP, Chain, Configurat
 from newton_euler.equations.dense import RANK_TOLERANCE
 from newton_euler.scalars import Array
 
-NEAR = 0.25
-"""rad, or sizes of the mechanism, between a goal and the solved pose that Newton's method begins at."""
-
+NEAR = 0.25  # rad, or sizes, between a goal and the solved pose that Newton's method begins at
 MOST_STRIDES = 1000  # between the start and a goal; longer ones are too long for Newton's method in the end
 NEWTON_STEPS, RANDOM_STEPS = 12, 60  # from a solved configuration next to the goal, and from a random one
 ROUND_OFF = 16.0 * np.finfo(float).eps  # dimensionless residuals below this are what evaluating them loses
-
-CLOSED = 1e-11
-"""Dimensionless residuals of a pose that is reached; ones that no longer halve stay above `ROUND_OFF`."""
-
+CLOSED = 1e-11  # dimensionless residuals of a pose that is reached; others still halve
 APPROACH_STEPS = 60
-
-DIFFERENCE = 1e-5
-"""Dimensionless step of central differences, whose error is its square and round-off over it."""
-
+DIFFERENCE = 1e-5  # dimensionless step of central differences, off by its square and round-off over it
 FLAT = 1e-9  # curvature below which a direction counts as straight
 HALVINGS = 8
 CHORDS = 15  # steps that close loops by the inverse of another configuration's Jacobian
 NOISE = 1e-12  # share of a squared distance that is round-off
-
-WALKERS, WALK = 64, 20
-"""Number of random paths that look for configurations near to goals, and of their steps."""
+WALKERS, WALK = 64, 20  # random paths that look for configurations near to goals, and their steps
 
 
 def newton(at: Configurations, goal: Goal, steps: int = NEWTON_STEPS) -> tuple[Configurations, Array]:

@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -307,13 +308,9 @@ def _range(load: Load, cases: Mapping[str, Trajectory], found: list[dict[Load, A
         (_mean(loads[load] ** 2, run.time), case)
         for (case, run), loads in zip(cases.items(), found, strict=True)
     ]
-    mean, case = max(squares, key=lambda each: each[0])
-    least, most = min(moments, key=_value), max(moments, key=_value)
+    mean, case = max(squares, key=itemgetter(0))
+    least, most = min(moments, key=itemgetter(0)), max(moments, key=itemgetter(0))
     return LoadRange(*load, *least, *most, float(np.sqrt(mean)), case)
-
-
-def _value(moment: tuple[float, float, str]) -> float:
-    return moment[0]
 
 
 def _mean(values: Array, time: Array) -> float:

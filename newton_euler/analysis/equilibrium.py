@@ -19,9 +19,7 @@ from newton_euler.model.state import State
 
 LONGEST_STEP = 0.2  # rad, or sizes of the mechanism, of one step towards an equilibrium
 MOST_STEPS = 100
-
-CONVERGED = 1e-10
-"""rad, or sizes of the mechanism, of the step at which an equilibrium is found: its square is left."""
+CONVERGED = 1e-10  # rad, or sizes, of the step at which an equilibrium is found: its square is left
 
 
 def at_rest(scene: Scene) -> Scene:

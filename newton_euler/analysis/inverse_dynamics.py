@@ -35,14 +35,9 @@ from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array, Floats, Scalar, minimum
 
-NEAR = 1e-4
-"""Dimensionless singular value, of the rows of which one is named, where the elimination has failed."""
-
+NEAR = 1e-4  # dimensionless singular value, of the rows of which one is named, of a failed elimination
 KEPT = 8  # scenes, most recently used, whose code stays in memory
-
-AT_REST = 1e-7
-"""Share of the largest force that may be left to accelerate a body in statics: round-off of what is held."""
-
+AT_REST = 1e-7  # share of the largest force that may accelerate a body in statics: round-off
 OPEN = 1e-6  # sizes of the mechanism, or rad, that loops of a state may be open by: more than engines leave
 
 

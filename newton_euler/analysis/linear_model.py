@@ -12,11 +12,8 @@ from newton_euler.model.joint import Key
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Floats
 
-RIGID = 1e-7
-"""Share of the largest eigenvalue below which one is zero: the root of round-off, as it is a double root."""
-
-STILL = 1e-9
-"""Share of a unit per period of the fastest mode below which rates and accelerations are round-off."""
+RIGID = 1e-7  # share of the largest eigenvalue below which one is zero: the root of round-off
+STILL = 1e-9  # share of a unit per period of the fastest mode below which rates are round-off
 
 
 def label(name: str | Key) -> str:

@@ -66,8 +66,7 @@ from newton_euler.model.state import State
 from newton_euler.sampling import Controllers, holding
 from newton_euler.scalars import Array, minimum, tilde
 
-SINGULAR = 1e-9
-"""Dimensionless singular value of [J; J_z] below which the coordinates do not determine the motion."""
+SINGULAR = 1e-9  # of singular values of [J; J_z], below which coordinates do not determine the motion
 
 OPEN = 1e-6
 """Sizes of the mechanism, or rad, that loops of a state may be open by, and open in the time of its fastest

@@ -35,16 +35,12 @@ from newton_euler.variation import own_values, run_values
 TOO_NEAR = "the run comes too near to a singular configuration"
 ALONG = " along"
 RATES, SETTLED = "derivative" + ALONG, "settled" + ALONG  # names of programs that have a direction behind x
-
-DIFFERENCE = 1e-4
-"""Of parameters of starts, as a share of the mechanism's size, m, or of their own value beyond 1."""
+DIFFERENCE = 1e-4  # of parameters of starts, of the mechanism's size, m, or of their own value beyond 1
 
 WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
 """Of the central difference of order 6."""
 
-SPACING = 0.05
-"""Motion between states whose pivot ratios are looked at, rad or as a share of the mechanism's size."""
-
+SPACING = 0.05  # rad, or share of the size, between states whose pivot ratios are looked at
 FINER = 20  # pivot ratios between two that are beside a least one, twice
 OF_TANGENTS = 100.0  # their tolerance in units of `rtol`: hardly a step of a scene that moves is divided
 ROOM = 2048  # steps of a run that there is room for; those of a longer one are taken twice

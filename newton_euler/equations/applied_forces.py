@@ -55,16 +55,6 @@ def energies(scene: Scene, frames: list[Frame], inertias: list[Array]) -> tuple[
     return kinetic, potential
 
 
-def forces_energy(scene: Scene, at: Surroundings) -> Scalar:
-    """Compute the potential energy of all forces but gravity, J."""
-    return sum((force.energy(at) for force in scene.forces), start=0.0)
-
-
-def rotors_energy(scene: Scene, at: Surroundings) -> Scalar:
-    """Compute the kinetic energy of the armatures, J."""
-    return sum((armature.energy(at) for armature in scene.armatures), start=0.0)
-
-
 def power(scene: Scene, at: Surroundings) -> Scalar:
     """Compute the power, W, of control laws, dampers, wrenches and wind, which have no potential energy."""
     forces = (*scene.joint_forces, *scene.body_forces)

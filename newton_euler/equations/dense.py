@@ -16,8 +16,7 @@ import numpy as np
 from newton_euler.equations.sparse import Block
 from newton_euler.scalars import Array
 
-RANK_TOLERANCE = 1e-9
-"""Singular values of a dimensionless matrix below this, or this share of the largest, count as zero."""
+RANK_TOLERANCE = 1e-9  # singular values below this, or this share of the largest, count as zero
 
 
 def largest(residuals: Array) -> float:

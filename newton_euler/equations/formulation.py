@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from newton_euler.equations.applied_forces import energies, forces_energy, power, rotors_energy
+from newton_euler.equations.applied_forces import energies, power
 from newton_euler.equations.couplings import (
     Measured,
     carried_angles,
@@ -354,7 +354,8 @@ class Formulation(System):
     def energies(self, at: Surroundings) -> tuple[Scalar, Scalar]:
         """Compute the kinetic and the potential energy, J."""
         kinetic, potential = energies(self.scene, list(at.frames), self.inertias)
-        return kinetic + rotors_energy(self.scene, at), potential + forces_energy(self.scene, at)
+        rotors = sum((armature.energy(at) for armature in self.scene.armatures), start=0.0)
+        return kinetic + rotors, potential + sum((f.energy(at) for f in self.scene.forces), start=0.0)
 
     def power(self, q: Array, v: Array) -> Scalar:
         """Compute the power, W, of what has no potential energy; that of constraints is -lambda . Phi_t."""

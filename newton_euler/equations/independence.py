@@ -30,8 +30,7 @@ CERTAIN = 1e-4
 """Pivot of the Gram matrix above which its row is independent: a pivot is the square of what the row adds to
 those before it, so that smaller ones leave doubt."""
 
-LEAST_RATIO = 10.0
-"""Least ratio of the parts that the weakest independent row and the strongest redundant one add."""
+LEAST_RATIO = 10.0  # of the parts that the weakest independent row and the strongest redundant one add
 
 
 class Independent(NamedTuple):

@@ -23,13 +23,9 @@ from newton_euler.model.scene import REDUNDANCY_TOLERANCE
 from newton_euler.model.source_file import SourceError
 from newton_euler.scalars import Array
 
-CLOSED = 1e-12
-"""Dimensionless residual of loops that are closed as they stand: round-off of the file's own numbers."""
-
+CLOSED = 1e-12  # dimensionless residual of loops that are closed as they stand, to the file's round-off
 NEWTON_STEPS = 60
-
-LONGEST_STEP = 0.2
-"""rad or spreads of the mechanism, of one step of assembly, so that it stays on the branch it starts on."""
+LONGEST_STEP = 0.2  # rad or spreads of the mechanism, of one step, so that it stays on its branch
 
 
 class Units(NamedTuple):

@@ -55,16 +55,10 @@ SUSPECT = 1e-2, 100.0
 looks like one of a design that was meant to be redundant."""
 
 MOST_NAMED = 20  # redundant constraints of a scene that is too large for its singular values
-
-DENSE_LIMIT = 1_000_000
-"""Largest number of elements of a Jacobian whose singular values are computed to name them."""
-
+DENSE_LIMIT = 1_000_000  # elements of the largest Jacobian whose singular values are computed to name them
 NEWTON_STEPS = 30  # from a singular configuration Newton's steps converge slowly
 CLOSED = 1e-11  # residual, dimensionless, of the independent rows of a configuration that is closed
-
-DEGENERATE = 3e-2
-"""Smallest singular value of N[D] in a run, see `other_rows`, below which the selection loses digits."""
-
+DEGENERATE = 3e-2  # smallest singular value of N[D], see `other_rows`, below which digits are lost
 BETTER = 3.0  # least ratio of that value with other rows to that with the rows in use
 SAMPLED = 64  # configurations of a run that `other_rows` examines, evenly spread
 MOST_ROWS = 1000  # rows beyond which singular values would take longer than a run

@@ -22,9 +22,7 @@ from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
-CHOSEN = 1e-3
-"""Dimensionless rate, independent of those of coordinates chosen so far, below which one adds too little."""
-
+CHOSEN = 1e-3  # dimensionless rate, independent of those chosen so far, below which one adds too little
 ALIKE = 6  # digits to which such velocities are compared, so that no processor chooses by its last ones
 
 

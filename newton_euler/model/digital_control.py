@@ -37,9 +37,7 @@ Model = Callable[[Readings, Sequence[float], float], Mapping[Key, float]]
 laws get of a model of the mechanism, N or N m."""
 
 
-SHORTEST_PERIOD = 1e-6
-"""s; no digital controller is quicker, and Python would be called a million times a second."""
-
+SHORTEST_PERIOD = 1e-6  # s; no digital controller is quicker, and Python is called a million times a second
 LONGEST_DELAY = 1_000_000  # samples: a second of the shortest period, and some megabytes of forces under way
 
 

@@ -33,8 +33,7 @@ from newton_euler.scalars import Array, Scalar, arctan2, cross, sqrt, tilde
 
 _ZERO = np.zeros((1, 3))
 
-RIGHT_ANGLE = 1e-14
-"""Cosine below which axes count as perpendicular, so that their products are structural zeros."""
+RIGHT_ANGLE = 1e-14  # cosine below which axes count as perpendicular: their products are structural zeros
 
 
 def dual_axes(axes: Array) -> Array:

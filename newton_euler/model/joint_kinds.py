@@ -17,9 +17,7 @@ from newton_euler.model.description import ArrayField, description
 from newton_euler.model.joint import BALL_MOTION, Joint, Motion, MotionKind, Pose, perpendicular_pair
 from newton_euler.scalars import Array
 
-AXIS_TOLERANCE = 1e-9
-"""How far from perpendicular (radians) a universal joint's axes may be at the initial pose."""
-
+AXIS_TOLERANCE = 1e-9  # rad, from perpendicular, of a universal joint's axes at the initial pose
 LEAST_LENGTH = 1e-6  # m; a shorter rod is a ball joint, and one of length 0 has no direction
 
 

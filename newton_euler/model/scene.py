@@ -39,9 +39,7 @@ PARTS: dict[str, tuple[type, ...]] = {
 
 MAXIMUM_OUTPUTS = 1_000_000
 MAXIMUM_DURATION = 1e7  # s, four months: fixed steps of a millisecond would go on for a day
-
-REDUNDANCY_TOLERANCE = 1e-4
-"""Noise that files have at most: points rounded to 1e-6 m on a mechanism of a centimeter."""
+REDUNDANCY_TOLERANCE = 1e-4  # noise of files: points rounded to 1e-6 m on a mechanism of a centimeter
 
 _NAME = re.compile(r"[A-Za-z0-9_.\-]{1,100}")
 

@@ -21,8 +21,7 @@ BEYOND = 1e-9
 """Share of the time between the first and the last sample by which a spline goes on at both ends, for the
 round-off of times."""
 
-ROUND_OFF = 1e-12
-"""Share of a time by which a knot may lie after it and is reached all the same: times are sums of periods."""
+ROUND_OFF = 1e-12  # share of a time by which a knot may lie after it and is reached: times are sums
 
 
 @description

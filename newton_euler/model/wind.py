@@ -26,18 +26,10 @@ from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.scalars import Array, Scalar, arctan2, cross, exp, sqrt
 
 FACE_ON = 1.98  # normal force coefficient of a plate of infinite span across the wind
-
-ATTACHED, SEPARATED = 0.56, 0.44
-"""Of the normal force coefficient: FACE_ON sin(a) / (ATTACHED + SEPARATED sin(a))."""
-
-END_LOSS, END_RATE = 0.41, 17.0
-"""Of the normal force coefficient of finite plates: END_LOSS (1 - exp(-END_RATE / aspect ratio))."""
-
+ATTACHED, SEPARATED = 0.56, 0.44  # of C_N: FACE_ON sin(a) / (ATTACHED + SEPARATED sin(a))
+END_LOSS, END_RATE = 0.41, 17.0  # of finite plates: END_LOSS (1 - exp(-END_RATE / aspect ratio))
 LEAD = 0.175  # center of pressure ahead of the plate's center along the wind, in chords
-
-CALM = 1e-2
-"""m/s, below which a speed counts as this one, smoothly: round-off of any wind that loads a structure."""
-
+CALM = 1e-2  # m/s, below which a speed counts as this one, smoothly: round-off of any wind that loads
 LONG = 1e100  # of any vector, so that its square is finite, and so is the plate's area
 SQUARE = 1e-9  # cosine of the angle between the sides of a plate that are perpendicular
 MOST_SINES = 1000  # of turbulence, as code is made of each

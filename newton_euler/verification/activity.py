@@ -26,10 +26,7 @@ from newton_euler.scalars import Array
 
 AT_REST = 1e-12  # m/s and rad/s, below which velocities are round-off
 PARTS = 16  # of the time between outputs, at whose ends elements are looked at
-
-FINE = 1e-2
-"""rad, and m per m of the longest body, by which poses between outputs may be off where they are judged."""
-
+FINE = 1e-2  # rad, and m per m of the longest body, by which poses between outputs may be off
 UNSEEN = "not seen between output times: ask for more of them"  # words on what may have been active there
 
 

@@ -21,9 +21,7 @@ from newton_euler.verification.original import CLOSED, ROUND_OFF, Sample
 from newton_euler.verification.placed import Place, Placed
 from newton_euler.verification.quantities import DOUBT, FREE, KINDS
 
-RATE = 1.0
-"""rad/s and sizes a second, of the samples' velocities: what mechanisms do at least that do nothing else."""
-
+RATE = 1.0  # rad/s and sizes per s, of the samples' velocities: what mechanisms do at least
 LOSS = 100.0  # times as large as round-off accelerations are that went through those of bodies
 
 

@@ -14,9 +14,7 @@ from newton_euler.verification.original import Original
 Fate = Literal["exactly", "approximated", "inactive", "left out"]
 
 FATES: tuple[Fate, ...] = ("exactly", "approximated", "inactive", "left out")
-
-CONTACTS, LIMITS, FRICTION = "contacts", "limits", "dry friction"
-"""Topics of what files of several formats hold."""
+CONTACTS, LIMITS, FRICTION = "contacts", "limits", "dry friction"  # topics of files
 
 CONTROL, FORCE, ROTOR = "control law", "force", "rotor"
 """What elements became that not every format has; all have dampers along hinges and slides."""

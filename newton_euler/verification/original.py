@@ -28,9 +28,7 @@ from newton_euler.verification.quantities import (
     freedom,
 )
 
-ROUND_OFF = 1e-12
-"""Relative: some hundred operations in a row, each to 1e-16, on numbers that went through a compiler."""
-
+ROUND_OFF = 1e-12  # relative: some hundred operations, each to 1e-16, on numbers that were compiled
 LOOSEST = 1e-4  # tolerance beyond which a state says next to nothing
 STENCIL = ((1, 4.0 / 5.0), (2, -1.0 / 5.0), (3, 4.0 / 105.0), (4, -1.0 / 280.0))
 STEPS = (2.5e-4, 1e-3)
@@ -40,24 +38,16 @@ what turns at 1 rad/s. Short rods turn faster; by how much the two steps differ 
 CLOSED = 1e-12  # of residuals in sizes or rad that are round-off
 NEWTON_STEPS = 40
 LONGEST_STEP = 0.2  # rad or sizes, of one step of closing
-
-AMPLITUDES = (0.2, 0.6, 2.5)
-"""rad or sizes, how far velocities' coordinates are moved from the start before loops are closed."""
-
+AMPLITUDES = (0.2, 0.6, 2.5)  # rad or sizes, by which coordinates are moved from the start before loops close
 REACH = 2.9  # rad, that an angle may be from where it starts, so that poses tell it, and sizes
 
 SEVERAL_HINGES = 1.2
 """rad, that hinges in a row without a mass between them are moved from the start: beyond a quarter turn of
 the second of three, poses tell other angles."""
 
-WORST_CONDITION = 1e4
-"""Of constraints at a random state: beyond, it is next to a singular one, where little can be seen."""
-
+WORST_CONDITION = 1e4  # of constraints at a random state: beyond, it is next to a singular one
 ATTEMPTS = 12
-
-NEAR = (1e-2, 1e-3, 1e-4, 1e-5)
-"""rad or sizes, along motions that are free at the start, where loops close nowhere farther away."""
-
+NEAR = (1e-2, 1e-3, 1e-4, 1e-5)  # rad or sizes, along free motions at the start, if loops close nowhere else
 ELSEWHERE = 1e-9  # rad or sizes, from the start: less is the start itself
 
 

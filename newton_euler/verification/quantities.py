@@ -19,8 +19,7 @@ from newton_euler.equations.dense import singular_values
 from newton_euler.scalars import Array
 from newton_euler.verification.activity import Bounds
 
-FREE = 1e-10
-"""Largest singular value that is round-off, of a dimensionless Jacobian or as a share of its largest."""
+FREE = 1e-10  # largest singular value that is round-off, or as a share of the largest one
 
 DOUBT = 1e-3
 """Largest one that tilts and rounded points of a file may make of a redundant row, in whatever units of
