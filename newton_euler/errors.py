@@ -88,6 +88,12 @@ def check_texts(where: str, thing: object, *fields: str) -> None:
             raise MechanismError(where, f"{field} is {value!r:.100}", "a name")
 
 
+def check_flag(where: str, thing: object, field: str) -> None:
+    """Raise `MechanismError` unless this attribute is a truth value."""
+    if not isinstance(value := getattr(thing, field), bool):
+        raise MechanismError(where, f"{field} is {value!r:.100}", "True or False")
+
+
 def finite_array(element: str, name: str, value: object, shape: tuple[int, ...]) -> NDArray[Any]:
     """Convert a value to a read-only array of finite numbers; raises `MechanismError`."""
     try:

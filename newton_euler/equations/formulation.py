@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from newton_euler.equations import sparse
 from newton_euler.equations.applied_forces import energies, power
 from newton_euler.equations.couplings import (
     Measured,
@@ -24,17 +25,7 @@ from newton_euler.equations.couplings import (
     row_owners,
     row_units,
 )
-from newton_euler.equations.sparse import (
-    Equations,
-    Rows,
-    RowsInUse,
-    Solution,
-    dot,
-    least_squares,
-    solve_constrained,
-    sparse_vector,
-    to_array,
-)
+from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, dot, sparse_vector, to_array
 from newton_euler.equations.system import Evaluation, MassProperties, Observation, System
 from newton_euler.model.constraints import Frame
 from newton_euler.model.elements import Surroundings
@@ -371,7 +362,7 @@ class Formulation(System):
 
     def sparse_solution(self, q: Array, v: Array, rows: RowsInUse) -> Solution:
         """Solve by sparse elimination; `rows` of `phi` are used, the others must follow from them."""
-        return solve_constrained(self.sparse_equations(q, v, rows))
+        return sparse.solve_constrained(self.sparse_equations(q, v, rows))
 
     def servo_forces(
         self, q: Array, v: Array, servos: Servos, accelerations: Sequence[Scalar]
@@ -399,7 +390,7 @@ class Formulation(System):
         gamma = np.concatenate([equations.gamma, gamma + np.array(accelerations)])
         equations = equations.extended(wanted, gamma, servos.scales)
         places = range(len(gamma) - len(wanted), len(gamma))
-        solution = solve_constrained(equations)
+        solution = sparse.solve_constrained(equations)
         forces = np.array([solution.multipliers.get(place, 0.0) for place in places])
         if actuators == coordinates:
             return forces, solution.pivot_ratio
@@ -409,9 +400,9 @@ class Formulation(System):
         for place, unit in zip(places, units, strict=True):
             only = np.zeros(len(equations.gamma))
             only[place] = unit
-            tangent = solve_constrained(equations._replace(force={}, gamma=only)).acceleration
+            tangent = sparse.solve_constrained(equations._replace(force={}, gamma=only)).acceleration
             shares.append(sparse_vector([dot(row, tangent) / on[k] for k, row in enumerate(acting)]))
-        found, pivot_ratio = least_squares(shares, forces * units)
+        found, pivot_ratio = sparse.least_squares(shares, forces * units)
         forces = np.array([found.get(k, 0.0) / unit for k, unit in enumerate(on)])
         return forces, minimum(solution.pivot_ratio, pivot_ratio)
 

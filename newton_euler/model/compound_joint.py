@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, finite_array
+from newton_euler.errors import MechanismError, check_flag, finite_array
 from newton_euler.model.constraints import Constraint, Displacement, Perpendicular
 from newton_euler.model.description import ArrayField, DefaultArrayField, description
 from newton_euler.model.hinge_angles import (
@@ -74,8 +74,7 @@ class Compound(Joint):
                 raise MechanismError(where, problem, "at most three axes, not in one plane or line")
             axes.flags.writeable = False
             object.__setattr__(self, name, axes)
-        if not isinstance(self.ball, bool):
-            raise MechanismError(where, f"ball is {self.ball!r:.100}", "a truth value")
+        check_flag(where, self, "ball")
         if self.ball and len(self.hinges):
             raise MechanismError(where, "has a ball and hinges", "one or the other")
         needed = max(len(self.hinges) - 1, 0)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_key, finite_array, set_numbers
+from newton_euler.errors import MechanismError, check_flag, check_key, finite_array, set_numbers
 from newton_euler.model.elements import CoordinateForce, Surroundings
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism, check_coordinate
@@ -164,9 +164,7 @@ class PD(DeclaredLaw):
     def __post_init__(self) -> None:
         self._set_numbers(self.parameters)
         check_key(self.element, self.joint, self.coordinate)
-        if not isinstance(self.gravity_compensation, bool):
-            problem = f"gravity_compensation is {self.gravity_compensation!r:.100}"
-            raise MechanismError(self.element, problem, "True or False")
+        check_flag(self.element, self, "gravity_compensation")
 
     @property
     def uses_model(self) -> bool:

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_texts, finite_array, set_arrays
+from newton_euler.errors import MechanismError, check_flag, check_texts, finite_array, set_arrays
 from newton_euler.model.constraints import (
     Angle,
     Coincidence,
@@ -168,10 +168,7 @@ class Joint(Variable):
 
     def __post_init__(self) -> None:
         check_texts(f"joint {self.name!r:.100}", self, "name", "first", "second")
-        if not isinstance(self.actuated, bool):
-            raise MechanismError(
-                f"joint {self.name!r:.100}", f"actuated is {self.actuated!r:.100}", "a truth value"
-            )
+        check_flag(f"joint {self.name!r:.100}", self, "actuated")
         if self.point_on_second is None:
             object.__setattr__(self, "point_on_second", self.point)
         set_arrays(self, f"joint {self.name!r}", point=(3,), point_on_second=(3,))

@@ -17,6 +17,7 @@ import numpy as np
 from newton_euler.errors import (
     MechanismError,
     check_choice,
+    check_flag,
     check_key,
     elements_of,
     is_finite_number,
@@ -102,9 +103,7 @@ class Body(Variable):
         check_name("body", self.name)
         where = f"body {self.name!r}"
         set_arrays(self, where, mass=(), center_of_mass=(3,), inertia=(3, 3), quaternion=(4,))
-        if not isinstance(self.allow_unrealisable_inertia, bool):
-            problem = f"allow_unrealisable_inertia is {self.allow_unrealisable_inertia!r:.100}"
-            raise MechanismError(where, problem, "True or False")
+        check_flag(where, self, "allow_unrealisable_inertia")
 
     @classmethod
     def ground(
