@@ -17,12 +17,7 @@ from newton_euler.equations.couplings import couplings
 from newton_euler.equations.parameters import pieces
 from newton_euler.equations.redundancy import inherit_mobility, mobility, other_rows
 from newton_euler.equations.system import Observation, System, at_time
-from newton_euler.errors import (
-    NearlyRedundantWarning,
-    NewtonEulerError,
-    OptionError,
-    check_type,
-)
+from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, OptionError, check_type
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.formulations import check_formulation
 from newton_euler.integrators.interpreted import integrate
@@ -147,11 +142,7 @@ class CompiledScene(Code):
         other.__dict__.update(start=other.packed(q, v), _others={})
         return other
 
-    def simulate(
-        self,
-        integrator: IntegratorName = "DOP853",
-        **control: Unpack[StepControl],
-    ) -> Trajectory:
+    def simulate(self, integrator: IntegratorName = "DOP853", **control: Unpack[StepControl]) -> Trajectory:
         """Run the scene; arguments and errors as of `newton_euler.simulate`."""
         return self._run(Options.of(integrator, control))
 

@@ -42,12 +42,7 @@ from newton_euler.equations.parameters import (
 from newton_euler.equations.redundancy import rows_in_use
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import dot
-from newton_euler.equations.system import (
-    at_time,
-    constraint_rate,
-    dimensionless_jacobian,
-    fastest_joint,
-)
+from newton_euler.equations.system import at_time, constraint_rate, dimensionless_jacobian, fastest_joint
 from newton_euler.errors import (
     MechanismError,
     OptionError,

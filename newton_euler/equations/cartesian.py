@@ -250,13 +250,7 @@ class Cartesian(Formulation):
         phi_q_rows, b_rows = self.Phi_q_and_B(q, qdot)
         Phi_q, B, P = to_array(phi_q_rows, n7), to_array(b_rows, n6), to_array(self.P(q), n7)
         M, force = self.mass_and_force(q, qdot)
-        matrix = np.block(
-            [
-                [M, B.T],
-                [P, np.zeros((len(P), len(B)))],
-                [Phi_q, np.zeros((len(B), len(B)))],
-            ]
-        )
+        matrix = np.block([[M, B.T], [P, np.zeros((len(P), len(B)))], [Phi_q, np.zeros((len(B), len(B)))]])
         right = [
             force,
             -self.c(qdot) - self.K_D * (P @ qdot) - self.K_P * self.norms(q),  # erratum 11
@@ -285,11 +279,9 @@ class Cartesian(Formulation):
         n, unused = self.nv, rows_left_out(self)
         matrix[n:], right[n:] = without(matrix[n:], unused), without(right[n:], unused)
         force_units = np.concatenate([self.force_units, np.ones(len(self.bodies))])
-        row_units = self.phi_units[: self.rows]
+        units = self.phi_units[: self.rows], self.velocity_units, force_units
         try:
-            qddot, multipliers = dense.solve_augmented(
-                matrix, right, row_units, self.velocity_units, force_units
-            )
+            qddot, multipliers = dense.solve_augmented(matrix, right, *units)
         except np.linalg.LinAlgError as error:
             raise SingularityError(self._weakest_joint(q), f"{error} in equation (21)") from error
         if not np.isfinite(qddot).all():
@@ -446,20 +438,10 @@ class Cartesian(Formulation):
         return np.concatenate([self.Phi(q, rest), self.norms(q)]), jacobian
 
     def rows_of(self, relative: Collection[int]) -> list[int]:
-        cuts, used, number = SpanningTree(self.mechanism).cuts, set(relative), 0
-        numbers: list[int] = []
-        starts = np.cumsum([0, *(equations.count for equations in self.equations)])
-        for joint, start in enumerate(starts[:-1]):
-            if joint not in cuts:
-                numbers.extend(range(start, starts[joint + 1]))
-        for joint in cuts:
-            for row in range(starts[joint], starts[joint + 1]):
-                if number in used:
-                    numbers.append(int(row))
-                number += 1
-        coupled = range(starts[-1], self.rows)
-        numbers.extend(row for k, row in enumerate(coupled, start=number) if k in used)
-        return sorted([*map(int, numbers), *range(self.rows, self.rows + len(self.bodies))])
+        rows = np.split(np.arange(self.rows), np.cumsum([equations.count for equations in self.equations]))
+        of_cuts = [rows[joint] for joint in SpanningTree(self.mechanism).cuts]
+        left_out = set(np.delete(np.concatenate([*of_cuts, rows[-1]]), list(relative)).tolist())
+        return [row for row in range(len(self.phi_units)) if row not in left_out]
 
     def velocity_transformation(self, q: Array) -> Array:
         rows = np.zeros((6 * len(self.mechanism.bodies), self.nv))

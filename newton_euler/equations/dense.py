@@ -78,12 +78,7 @@ def independent_rows(jacobian: Array, row_units: Array, column_units: Array) -> 
 
 
 def solve_constrained(
-    mass: Array,
-    force: Array,
-    jacobian: Array,
-    gamma: Array,
-    row_units: Array,
-    column_units: Array,
+    mass: Array, force: Array, jacobian: Array, gamma: Array, row_units: Array, column_units: Array
 ) -> tuple[Array, Array]:
     """Solve M a = f + J^T lambda, J a = gamma for a (n,) and lambda (k,).
 

@@ -67,13 +67,7 @@ def tree_links(mechanism: Mechanism, tree: SpanningTree, q: Array, v: Array, vdo
 
 
 def _child(
-    mechanism: Mechanism,
-    tree: SpanningTree,
-    joint: TreeJoint,
-    parent: Link,
-    q: Array,
-    v: Array,
-    vdot: Array,
+    mechanism: Mechanism, tree: SpanningTree, joint: TreeJoint, parent: Link, q: Array, v: Array, vdot: Array
 ) -> Link:
     """Compute the kinematics of a joint's child, motion by motion from its parent."""
     r, a, velocity, omega = parent.frame

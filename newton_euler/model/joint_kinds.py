@@ -26,8 +26,7 @@ class Spherical(Joint):
     """Ball joint, eq. (25): three equations.
 
     Examples:
-        >>> joint = Spherical("joint", "ground", "body", [0.0, 0.0, 0.0])
-        >>> joint.coordinate_kinds
+        >>> Spherical("joint", "ground", "body", [0.0, 0.0, 0.0]).coordinate_kinds
         ()
     """
 
@@ -124,8 +123,7 @@ class Revolute(_AxisJoint):
     """Hinge, eq. (27): five equations.
 
     Examples:
-        >>> joint = Revolute("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0])
-        >>> joint.coordinate_kinds
+        >>> Revolute("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
         ('hinge',)
     """
 
@@ -143,8 +141,7 @@ class Cylindrical(_AxisJoint):
     Its coordinates are the displacement, then the angle.
 
     Examples:
-        >>> joint = Cylindrical("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0])
-        >>> joint.coordinate_kinds
+        >>> Cylindrical("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
         ('slide', 'hinge')
     """
 
@@ -161,8 +158,7 @@ class Translational(_AxisJoint):
     """Slide without rotation, eq. (28): five equations, h_i and h_j across the axis.
 
     Examples:
-        >>> joint = Translational("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0])
-        >>> joint.coordinate_kinds
+        >>> Translational("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
         ('slide',)
     """
 
@@ -183,8 +179,7 @@ class Prismatic(Translational):
     """The paper's translational joint under the name that robot models give it.
 
     Examples:
-        >>> joint = Prismatic("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0])
-        >>> joint.coordinate_kinds
+        >>> Prismatic("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
         ('slide',)
     """
 
@@ -230,8 +225,7 @@ class Planar(_AxisJoint):
     body, then the angle about the axis.
 
     Examples:
-        >>> joint = Planar("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0])
-        >>> joint.coordinate_kinds
+        >>> Planar("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
         ('slide', 'slide', 'hinge')
     """
 
@@ -263,8 +257,7 @@ class PointOnLine(_AxisJoint):
     Its coordinate is the displacement along the line.
 
     Examples:
-        >>> joint = PointOnLine("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0])
-        >>> joint.coordinate_kinds
+        >>> PointOnLine("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
         ('slide',)
     """
 
@@ -286,8 +279,7 @@ class Rod(Joint):
     Its reaction is the force along it; tension pulls the second body towards the first.
 
     Examples:
-        >>> joint = Rod("joint", "ground", "body", [0.0, 0.0, 0.0], point_on_second=[0.0, 0.0, 0.5])
-        >>> joint.only_closes
+        >>> Rod("joint", "ground", "body", [0.0, 0.0, 0.0], point_on_second=[0.0, 0.0, 0.5]).only_closes
         True
     """
 
@@ -336,8 +328,7 @@ class Fixed(Joint):
     """No motion at all: six equations.
 
     Examples:
-        >>> joint = Fixed("joint", "ground", "body", [0.0, 0.0, 0.0])
-        >>> joint.coordinate_kinds
+        >>> Fixed("joint", "ground", "body", [0.0, 0.0, 0.0]).coordinate_kinds
         ()
     """
 
@@ -352,8 +343,7 @@ class Free(Joint):
     """All motion: no equation. It marks a body that floats on purpose.
 
     Examples:
-        >>> joint = Free("joint", "ground", "body", [0.0, 0.0, 0.0])
-        >>> joint.coordinate_kinds
+        >>> Free("joint", "ground", "body", [0.0, 0.0, 0.0]).coordinate_kinds
         ('slide', 'slide', 'slide')
     """
 

@@ -17,11 +17,7 @@ from itertools import count
 
 import numpy as np
 
-from newton_euler.model.euler_parameters import (
-    from_rotation,
-    matrix_l,
-    rotation,
-)
+from newton_euler.model.euler_parameters import from_rotation, matrix_l, rotation
 from newton_euler.model.joint import Joint, JointEquations, Motion, Pose
 from newton_euler.model.joint_kinds import Fixed, Free, Rod, Spherical
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Body, Mechanism
@@ -132,18 +128,8 @@ class SpanningTree:
                 points = points[::-1]
             q_size = sum(4 if m.kind == "ball" else 1 for m in motions)
             v_size = sum(3 if m.kind == "ball" else 1 for m in motions)
-            kept.append(
-                TreeJoint(
-                    index,
-                    parent,
-                    child,
-                    forward,
-                    motions,
-                    points,
-                    slice(nq, nq + q_size),
-                    slice(nv, nv + v_size),
-                )
-            )
+            on_q, on_v = slice(nq, nq + q_size), slice(nv, nv + v_size)
+            kept.append(TreeJoint(index, parent, child, forward, motions, points, on_q, on_v))
             nq, nv = nq + q_size, nv + v_size
             reached[child] = depth + 1
             offer(child)

@@ -48,11 +48,7 @@ class State:
         return [
             Frame(r, rotation(p), v, w)
             for r, p, v, w in zip(
-                self.position,
-                self.quaternion,
-                self.linear_velocity,
-                self.angular_velocity,
-                strict=True,
+                self.position, self.quaternion, self.linear_velocity, self.angular_velocity, strict=True
             )
         ]
 

@@ -85,12 +85,7 @@ class ImportReport:
         self.entries.append(ImportedElement(element, "approximated", how, became, topic))
 
     def left_out(
-        self,
-        element: str,
-        why: str,
-        topic: str = "",
-        inert: bool = False,
-        watches: Sequence[Watch] = (),
+        self, element: str, why: str, topic: str = "", inert: bool = False, watches: Sequence[Watch] = ()
     ) -> None:
         """`watches` tell of a limit and the like whether it is active; all of it has to be watched."""
         if watches and not inert:
