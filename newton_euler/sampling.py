@@ -304,8 +304,7 @@ def _driven(scene: Scene) -> Code | None:
     at = [measured_coordinate(scene, initial_state(scene), key)[0] for key in keys]
     functions = [Spline((0.0, scene.duration), (x, x)) for x in at]
     motions = [PrescribedMotion(joint, f, k) for (joint, k), f in zip(keys, functions, strict=True)]
-    bare = replace(scene, control=(), forces=(), armatures=(), outputs=frozenset())
-    driven = replace(bare, motions=(*scene.motions, *motions))
+    driven = replace(scene.without_forces(), motions=(*scene.motions, *motions))
     return Code(driven, "relative") if mobility(driven).degrees_of_freedom == 0 else None
 
 

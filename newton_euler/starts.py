@@ -200,15 +200,8 @@ class Assembly:
         """Equations of the constraints, with prescribed motions for the initial coordinates."""
         start = initial_state(self.scene)
         motions = [PrescribedMotion(key[0], self._held(start, key), key[1]) for key in self._motions]
-        held = replace(
-            self.scene,
-            motions=(*self.scene.motions, *motions),
-            control=(),
-            forces=(),
-            armatures=(),
-            outputs=frozenset(),
-            initial_state=start,
-        )
+        bare = self.scene.without_forces()
+        held = replace(bare, motions=(*bare.motions, *motions), initial_state=start)
         return Code(held, "relative", parameters=(*self._names.values(), *self._motions.values()))
 
     @property
@@ -364,14 +357,9 @@ class Assembly:
         """Return the function that gives (q, v) of a formulation at x (inputs,) of the assembly's."""
         code = self.code
         # work, an element of the state, depends on the outputs
-        chosen = (
-            compiled.formulation,
-            compiled.size,
-            tuple(self._names),
-            code.scene.motions,
-            tuple(code.parameters),
-        )
-        known = fingerprint(self.scene, *chosen, neutral=NEUTRAL | {"outputs"})
+        chosen = compiled.formulation, compiled.size, tuple(self._names)
+        moving = code.scene.motions, tuple(code.parameters)
+        known = fingerprint(self.scene, *chosen, *moving, neutral=NEUTRAL | {"outputs"})
 
         def traced() -> Traced:
             graph = Graph()

@@ -158,7 +158,7 @@ class Chain:
             for joint, k in self.keys
             if (joint, k) not in values
         )
-        bare = replace(scene, control=(), forces=(), armatures=(), outputs=frozenset())
+        bare = scene.without_forces()
         loops = replace(bare, motions=held, initial_state=state)
         if not scene.motions:
             mobility(scene)  # decided once for all chains

@@ -327,15 +327,12 @@ class Cartesian(Formulation):
         inertias, _, of_rotors, gammas = self.rotors(q, v)
         soft = dict(enumerate([1.0 / inertia for inertia in inertias], start=self.rows))
         used = RowsInUse([*rows.numbers[:count], *soft], rows.scales and rows.scales[: count + len(soft)])
-        return Equations(
-            factor,
+        push, rows_of_all, right = (
             sparse.sparse_vector(force),
             [*B, *of_rotors],
             np.concatenate([right, gammas]),
-            used,
-            refine=True,
-            softness=soft,
         )
+        return Equations(factor, push, rows_of_all, right, used, refine=True, softness=soft)
 
     def sparse_residuals(
         self, q: Array, v: Array, rows: RowsInUse, accelerations: Array, multipliers: Array

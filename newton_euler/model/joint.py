@@ -258,13 +258,8 @@ class Joint(Variable):
 
     def attach(self, first: int, first_pose: Pose, second: int, second_pose: Pose) -> JointEquations:
         """Tie the joint to bodies number `first` and `second` at their reference poses."""
-        return JointEquations(
-            self,
-            first,
-            second,
-            self.constraints(first_pose, second_pose),
-            self.coordinates(first_pose, second_pose),
-        )
+        poses = first_pose, second_pose
+        return JointEquations(self, first, second, self.constraints(*poses), self.coordinates(*poses))
 
     # What the joint kinds are made of: the constraint sets of Appendix A.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Set
+from dataclasses import replace
 from functools import cached_property
 from typing import ClassVar, Literal, get_args
 
@@ -231,6 +232,10 @@ class Scene(Variable):
         else:
             return
         raise MechanismError(f"ground {ground.name!r}", problem, "the ground's own pose, at rest")
+
+    def without_forces(self) -> Scene:
+        """Return the mechanism with its motions alone, for kinematics."""
+        return replace(self, control=(), forces=(), armatures=(), outputs=frozenset())
 
     @property
     def sampled(self) -> tuple[Sampled | Digital, ...]:

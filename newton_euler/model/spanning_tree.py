@@ -301,12 +301,7 @@ class WeldedMechanism:
     def state(self, state: State) -> State:
         """The state of the original with rows repeated for the halves."""
         rows = list(self.origin)
-        return State(
-            state.position[rows],
-            state.quaternion[rows],
-            state.linear_velocity[rows],
-            state.angular_velocity[rows],
-        )
+        return State(*(array[rows] for array in state.arrays))
 
 
 def weld_loops(

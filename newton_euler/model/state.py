@@ -43,30 +43,28 @@ class State:
             np.zeros((len(mechanism.bodies), 3)),
         )
 
+    @property
+    def arrays(self) -> tuple[Array, ...]:
+        """The four, in their order."""
+        return self.position, self.quaternion, self.linear_velocity, self.angular_velocity
+
     def frames(self) -> list[Frame]:
         """One `Frame` for each body."""
-        return [
-            Frame(r, rotation(p), v, w)
-            for r, p, v, w in zip(
-                self.position, self.quaternion, self.linear_velocity, self.angular_velocity, strict=True
-            )
-        ]
+        return [Frame(r, rotation(p), v, w) for r, p, v, w in zip(*self.arrays, strict=True)]
 
 
 def stacked(states: Sequence[State]) -> State:
     """Return one state whose numbers are stacks of those of n states."""
-    motion = ("position", "quaternion", "linear_velocity", "angular_velocity")
-    return State(*(_stacks(np.array([getattr(state, name) for state in states])) for name in motion))
+    columns = zip(*(state.arrays for state in states), strict=True)
+    return State(*(_stacks(np.array(column)) for column in columns))
 
 
-def stacked_frames(
-    position: Array, quaternion: Array, linear_velocity: Array, angular_velocity: Array
-) -> list[Frame]:
+def stacked_frames(*arrays: Array) -> list[Frame]:
     """One `Frame` for each of b bodies at n times at once: its numbers are stacks of n.
 
-    Arguments are as in a `State`, (n, b, 3) and quaternions (n, b, 4).
+    The arrays are those of a `State`, (n, b, 3) and quaternions (n, b, 4).
     """
-    return State(*map(_stacks, (position, quaternion, linear_velocity, angular_velocity))).frames()
+    return State(*map(_stacks, arrays)).frames()
 
 
 def _stacks(array: Array) -> Array:
