@@ -247,9 +247,8 @@ def _fewest_revolutions(ratios: Mapping[Key, float], x: Mapping[Key, float]) -> 
     share = np.array([ratios[key] / ratios[slowest] for key in ratios])
     count = np.arange(MOST_REVOLUTIONS + 1)
     count = np.stack([count, -count], axis=1).ravel()
-    angle = (
-        x[slowest] + 2.0 * np.pi * count[np.argsort(np.abs(x[slowest] + 2.0 * np.pi * count), kind="stable")]
-    )
+    angle = x[slowest] + 2.0 * np.pi * count
+    angle = angle[np.argsort(np.abs(angle), kind="stable")]
     turned = (np.outer(angle, share) - [x[key] for key in ratios]) / (2.0 * np.pi)
     agree = np.all(np.abs(turned - np.round(turned)) < SAME_POSE / (2.0 * np.pi), axis=1)
     return dict(zip(ratios, float(angle[np.argmax(agree)]) * share, strict=True))

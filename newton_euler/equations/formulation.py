@@ -300,7 +300,6 @@ class Formulation(System):
         return to_array(self.phi_and_jacobian(q)[1], self.nv)
 
     def phi_t(self) -> Array:
-        """Compute the partial derivative (k,) of `phi` by time, which prescribed motions have."""
         prescribed = [coupling.phi_t(self.time) for coupling in self.couplings]
         before, after = self.rows - len(prescribed), len(self.phi_units) - self.rows
         return np.concatenate([np.zeros(before), prescribed, np.zeros(after)])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
-from typing import Protocol, TypeGuard, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -86,6 +86,8 @@ class System(Protocol):
     name: str
     scene: Scene
     mechanism: Mechanism
+    time: Scalar
+    """s, at which prescribed motions, control laws and wind are looked at."""
     nq: int
     nv: int
     phi_units: Array
@@ -127,6 +129,9 @@ class System(Protocol):
     def phi(self, q: Array) -> Array:
         """Compute the constraint residuals (k,) that projection removes."""
 
+    def phi_t(self) -> Array:
+        """Compute the partial derivative (k,) of `phi` by time, which prescribed motions have."""
+
     def coupling_phi(self, q: Array) -> Array:
         """Compute residuals (c,) of all couplings, m or rad."""
 
@@ -146,28 +151,13 @@ class System(Protocol):
         """Compute v and omega of body 0, 1, ... for each velocity, (6 b, nv)."""
 
 
-class Rheonomic(Protocol):
-    """A system whose constraints may depend on time; its residuals and rates are those at `time`."""
-
-    time: Scalar
-
-    def phi_t(self) -> Array:
-        """Compute the partial derivative (k,) of `phi` by time."""
-
-
-S = TypeVar("S")
-
-
-def is_rheonomic(system: object) -> TypeGuard[Rheonomic]:
-    """Test for constraints that may depend on time: at every evaluation, where `isinstance` would be slow."""
-    return hasattr(system, "phi_t")
+S = TypeVar("S", bound=System)
 
 
 def at_time(system: S, time: float) -> S:
     """Copy a system to a time in s."""
     changed = copy.copy(system)
-    if is_rheonomic(changed):
-        changed.time = time
+    changed.time = time
     return changed
 
 
@@ -183,8 +173,7 @@ def constraint_rate(system: System, q: Array, v: Array) -> Array:
 
 def rate_of_phi(system: System, jacobian: Array, v: Array) -> Array:
     """Compute the same where Phi_q (k, nv) is known."""
-    rate = jacobian @ v
-    return np.asarray(rate + system.phi_t() if is_rheonomic(system) else rate)
+    return np.asarray(jacobian @ v + system.phi_t())
 
 
 def fastest_joint(mechanism: Mechanism, state: State) -> str:

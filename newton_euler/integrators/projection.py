@@ -17,7 +17,7 @@ from newton_euler.codegen.native import Vector, native
 from newton_euler.equations.couplings import couplings, residuals, row_owners, row_units
 from newton_euler.equations.dense import largest, minimum_norm
 from newton_euler.equations.redundancy import loosely_closed, rows_left_out, without
-from newton_euler.equations.system import System, is_rheonomic, rate_of_phi
+from newton_euler.equations.system import System, rate_of_phi
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.dense_projection import ROUND_OFF, close
 from newton_euler.integrators.singular import DENSE_PIVOT_RATIO, evaluate, leaving
@@ -338,8 +338,7 @@ def check_still_closed(scene: Scene, times: Array, phi: Array) -> None:
 def worst_joint(system: System, state: State) -> tuple[str, float]:
     """Find the joint or gear with the largest residual: its name and that residual, m or rad."""
     coupled = couplings(system.scene)
-    time = system.time if is_rheonomic(system) else 0.0
-    phi, _ = residuals(system.mechanism, coupled, state.frames(), time)
+    phi, _ = residuals(system.mechanism, coupled, state.frames(), system.time)
     violations = np.concatenate([joint_violations(system.mechanism, state), np.abs(phi)])
     worst = int(np.argmax(violations))
     names = (*system.mechanism.joint_names, *(coupling.name for coupling in coupled))
