@@ -126,8 +126,11 @@ class Starts:
             raise error
         if self._assembly.is_needed:
             found, errors = self._assembly(values.arrays)
-            for error in errors.values():
-                raise error
+            for row, error in errors.items():
+                if row == 0:
+                    raise error
+                name = self._names[self._moving[(row - 1) // len(WEIGHTS)]]
+                raise SensitivityError(f"{name} cannot vary alone: {error.problem}")
             states = self._assembly.starts(code, found)
             x[: code.size] = states[0]
             weights, system = np.array(list(WEIGHTS.values())), code.system

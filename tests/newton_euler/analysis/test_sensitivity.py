@@ -396,3 +396,8 @@ def test_large_rates_at_the_start_are_no_angles():
     (joint,) = scene.mechanism.joint_names
     fast = with_parameters(scene, {f"start.{joint}.rate": 1e5})
     assert sensitivities(fast, [f"start.{joint}.rate"]).joint(joint).rates[0, 0, 0] == pytest.approx(1.0)
+
+
+def test_a_coordinate_that_loops_hold_has_no_derivatives():
+    with pytest.raises(NewtonEulerError, match=r"start\.pivot cannot vary alone: joint '.*' stays open"):
+        sensitivities(load("slider_crank"), ["start.pivot", "start.guide"])
