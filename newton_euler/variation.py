@@ -58,7 +58,8 @@ class RunValues(NamedTuple):
 def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """Return the scene with other values of some parameters, all of it checked, its loops closed again.
 
-    It is what a run of `simulate_batch` with these values is a run of.
+    It is what a run of `simulate_batch` with these values is a run of; `simulate` alone goes over to other
+    constraint rows where those in use degenerate on the way.
 
     Args:
         scene: the scene to change.
