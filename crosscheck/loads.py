@@ -99,7 +99,7 @@ def loads(
         CrosscheckError: naming the path that cannot be written, or a case that takes too long.
         NewtonEulerError: for a scene that cannot be run.
     """
-    from crosscheck.recording.log import recorded
+    from crosscheck.recording.log import log_run, recorded
 
     table, results, plot, recording = (folder / f"loads.{suffix}" for suffix in ("csv", "json", "png", "rrd"))
     check_writable(table, results, plot, recording)
@@ -113,7 +113,7 @@ def loads(
     still = [] if at_rest else [name for name, run in runs.items() if stays({name: run}, first)]
     report = _report(first, envelope, at_rest, still)
     progress("plot and recording")
-    drawn = recorded(first, runs, markdown(report), report.title)
+    drawn = recorded(log_run, first, runs, markdown(report), report.title)
     shown = {plot: png(_figure(first, runs)), recording: drawn}
     data = {"scene": first.name, "at_rest": at_rest, "cases": list(scenes)}
     write_files({table: envelope.to_csv().encode(), results: as_json(data, report, shown), **shown})

@@ -107,8 +107,7 @@ class Verdict:
         from crosscheck.recording.log import log_run
         from crosscheck.recording.show import show
 
-        recorded = to_record(self.crosscheck, self.report)
-        show(self.crosscheck.scene, lambda recording: log_run(recording, *recorded))
+        show(log_run, *to_record(self.crosscheck, self.report))
 
 
 def check(

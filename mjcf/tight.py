@@ -198,13 +198,6 @@ class Rollout:
         self._states = np.empty((runs, steps, size))
         self._control = np.tile(_held(system.scene, steps, model.opt.timestep), (runs, 1, 1))
 
-    def start(self, q: Array, v: Array) -> Array:
-        """The full physics state (size,) of tree coordinates and velocities."""
-        self._system.place(q, v)
-        state = np.empty(self._states.shape[-1])
-        mujoco.mj_getState(self._system.model, self._system.data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-        return state
-
     def __call__(self, starts: Array) -> Array:
         """qpos (runs, n, nq) at all outputs, of runs from full physics states (runs, size)."""
         model, number = self._system.model, self._number

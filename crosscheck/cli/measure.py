@@ -29,7 +29,7 @@ from crosscheck.studies.faults import PLANTED_IN
 
 
 @cli.command("figures")
-@click.option("--output", type=click.Path(path_type=Path), default=Path("output/figures"), show_default=True)
+@folder_option("output/figures")
 def figures_command(output: Path) -> int:
     """Redraw the paper's Figures 5 to 9 from the three engines."""
     from crosscheck.figures import draw
@@ -172,7 +172,8 @@ def modes_command(
     SCENE is a name or a file, as of run.
     """
     from crosscheck.files import check_no_source, check_writable, write_files
-    from crosscheck.recording.modes import recorded, report
+    from crosscheck.recording.log import recorded
+    from crosscheck.recording.modes import log_modes, report
     from newton_euler.analysis.equilibrium import at_rest, equilibrium
     from newton_euler.analysis.linearization import linearize
 
@@ -189,7 +190,7 @@ def modes_command(
         model = linearize(loaded, state, closed_loop=not open_loop)
         modes = model.modes()
         progress("recording")
-        write_files({path: recorded(loaded, model, modes)})
+        write_files({path: recorded(log_modes, loaded, model, modes)})
     show(report(loaded, model, modes), f"wrote {path}", "more  -v")
     return AGREE
 
@@ -236,13 +237,7 @@ def workspace_command(
 @click.option(
     "--full/--ci", "full", default=True, show_default=True, help="All cases, or a short form of them."
 )
-@click.option(
-    "--output",
-    type=click.Path(path_type=Path),
-    default=Path("output/stress"),
-    show_default=True,
-    help="Folder.",
-)
+@folder_option("output/stress")
 @click.option("--only", "letters", default="", metavar="LETTERS", help="Topics, such as bd.  [default: all]")
 def stress_command(full: bool, output: Path, letters: str) -> int:
     """Push every engine until something breaks, and report where."""

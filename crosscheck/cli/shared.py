@@ -89,9 +89,10 @@ def scene_options(settings: tuple[str, ...], given_as: str = "--set") -> dict[st
 
 
 def folder_option(default: str) -> Callable[[Callable[..., int]], Callable[..., int]]:
-    """Parse the folder of results, None for a default that depends on the scene."""
+    """Parse the folder of results; it is None by default where that depends on the scene."""
+    fixed = None if "SCENE" in default else Path(default)
     folder = click.Path(path_type=Path)
-    return click.option("--output", type=folder, default=None, help=f"Folder.  [default: {default}]")
+    return click.option("--output", type=folder, default=fixed, help=f"Folder.  [default: {default}]")
 
 
 def without_exercise(options: dict[str, str], why: str) -> dict[str, str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from crosscheck.cli.shared import AGREE, cli, progress_shown, say, show, verbose_option
+from crosscheck.cli.shared import AGREE, cli, folder_option, progress_shown, say, show, verbose_option
 from crosscheck.errors import CrosscheckError
 
 
@@ -33,9 +33,7 @@ from crosscheck.errors import CrosscheckError
     metavar="SPEED|CSV",
     help="Wind over the day, m/s, or time (s) and speed in a CSV; needs --stow.",
 )
-@click.option(
-    "--output", type=click.Path(path_type=Path), default=Path("output/sun"), show_default=True, help="Folder."
-)
+@folder_option("output/sun")
 @verbose_option
 def sun_command(
     latitudes: tuple[float, ...],

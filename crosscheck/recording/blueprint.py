@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -58,15 +59,9 @@ def blueprint(
         moments: whether there is a log of the worst ones, in a tab behind the verdict: its times can be
             clicked, and links to times, beside those to entities, do not exist in text.
     """
-    eye, grid = sight(mechanism, run)
-    scene_view = rrb.Spatial3DView(
-        origin="/",
-        contents=["+ /**", "- /plots/**", "- /verdict", "- /worst"],
-        name=heading,
-        overrides={rr.new_entity_path(path): rrb.EntityBehavior(visible=False) for path in hidden},
-        eye_controls=eye,
-        line_grid=grid,
-    )
+    contents = ["+ /**", "- /plots/**", "- /verdict", "- /worst"]
+    overrides = {rr.new_entity_path(path): rrb.EntityBehavior(visible=False) for path in hidden}
+    drawn = scene_view(mechanism, run, heading, contents, overrides=overrides)
     texts: list[rrb.View] = [rrb.TextDocumentView(origin="/verdict", name="Verdict")]
     if moments:
         columns = rrb.TextLogColumns(timeline_columns=[TIME], text_log_columns=["body"])
@@ -76,7 +71,7 @@ def blueprint(
     plotted = [_row(row, end) for row in rows if row]
     return laid_out(
         rrb.Horizontal(
-            rrb.Vertical(scene_view, rrb.Tabs(*texts, active_tab=0), row_shares=[1.0, LOWER]),
+            rrb.Vertical(drawn, rrb.Tabs(*texts, active_tab=0), row_shares=[1.0, LOWER]),
             rrb.Vertical(*plotted, row_shares=[1.0, LOWER][: len(plotted)]),
             column_shares=[1.0, 1.2],
         ),
@@ -100,8 +95,13 @@ def laid_out(views: rrb.Container, duration: float = QUICKEST) -> rrb.Blueprint:
     )
 
 
-def sight(mechanism: Mechanism, run: Trajectory) -> tuple[rrb.EyeControls3D, rrb.LineGrid3D]:
-    """Place the camera so that all of a run is seen, face on if it is in a plane, and a grid behind it."""
+def scene_view(
+    mechanism: Mechanism, run: Trajectory, name: str, contents: Sequence[str], **more: Any
+) -> rrb.Spatial3DView:
+    """Show entities in 3-D; `more` as of Rerun's view.
+
+    The camera is placed so that all of a run is seen, face on if it is in a plane, and a grid behind it.
+    """
     ways = [paths(mechanism, k, run) for k in range(len(mechanism.bodies))]
     moving = np.concatenate([way.reshape(-1, 3) for way in ways[1:]])
     # of a wide floor what is near
@@ -124,7 +124,10 @@ def sight(mechanism: Mechanism, run: Trajectory) -> tuple[rrb.EyeControls3D, rrb
         kind=rrb.Eye3DKind.Orbital, position=target + distance * direction, look_target=target, eye_up=up
     )
     plane = rr.components.Plane3D(floor, float(np.min(points @ floor)))
-    return eye, rrb.LineGrid3D(spacing=10.0 ** np.floor(np.log10(np.max(high - low))), plane=plane)
+    grid = rrb.LineGrid3D(spacing=10.0 ** np.floor(np.log10(np.max(high - low))), plane=plane)
+    return rrb.Spatial3DView(
+        origin="/", contents=contents, name=name, eye_controls=eye, line_grid=grid, **more
+    )
 
 
 def _row(plots: list[Plot], end: float) -> rrb.Tabs:

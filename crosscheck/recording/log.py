@@ -95,7 +95,7 @@ def log_run(
     trajectories: dict[str, Trajectory],
     verdict: str,
     title: str,
-    tolerances: Tolerances,
+    tolerances: Tolerances | None = None,
     moments: Sequence[tuple[float, str]] = (),
     directions: Mapping[str, Array] | None = None,
 ) -> None:
@@ -117,7 +117,7 @@ def log_run(
     mechanism = scene.mechanism
     engines = list(trajectories)
     styles = _styles(engines)
-    shown = plots(scene, trajectories, tolerances)
+    shown = plots(scene, trajectories, tolerances or {})
     arrow_scale = _arrow_scale(mechanism, trajectories)
     first = next(iter(trajectories.values()), None) or _at_rest(mechanism)
     apart = {engine: _apart(mechanism, first, trajectories[engine]) for engine in engines[1:]}
@@ -127,20 +127,18 @@ def log_run(
     layout = blueprint(mechanism, first, shown, _heading(title, engines, apart, near), hidden, bool(moments))
     recording.send_blueprint(layout)  # active, or a viewer in a browser would lay it out by itself
     recording.send_recording_name(title)
-    recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     text = f"{verdict}\nHidden engines, labels and reactions: eye icons of the blueprint panel, left.\n"
     if moments:
         text += "Bodies and joints in the table are links; times to click are behind the other tab.\n"
     if arrow_scale is not None:
         text += f"Of reactions 1 N is {arrow_scale:.2g} m long.\n"
-    recording.log("/verdict", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+    log_text(recording, "/verdict", text)
     if moments:
         times, lines = zip(*moments, strict=True)
         send_columns(recording, "/worst", np.array(times), rr.TextLog.columns, text=lines)
-    log_shapes(recording, "/ground", mechanism, 0, Style(GROUND_COLOR))
-    send_pose(recording, "/ground", first.time[:1], first.position[:1, 0], first.quaternion[:1, 0])
+    log_ground(recording, mechanism, first)
     for engine, run in trajectories.items():
-        _log_bodies(recording, mechanism, engine, run, styles[engine])
+        log_bodies(recording, ["mechanism", engine], mechanism, run, styles[engine])
         _log_joints(recording, mechanism, engine, run, arrow_scale)
     _log_labels(recording, mechanism, first)
     if any(plot.path[0] == "tilt" for plot in shown):
@@ -153,19 +151,11 @@ def log_run(
         _log_plot(recording, plot, outputs, styles)
 
 
-def recorded(
-    scene: Scene,
-    trajectories: dict[str, Trajectory],
-    verdict: str,
-    title: str,
-    tolerances: Tolerances | None = None,
-    moments: Sequence[tuple[float, str]] = (),
-    directions: Mapping[str, Array] | None = None,
-) -> bytes:
-    """The content of an .rrd; arguments as of `log_run`."""
+def recorded(log: Callable[..., None], scene: Scene, *args: Any, **more: Any) -> bytes:
+    """Return the content of an .rrd of a scene that `log`, such as `log_run`, logs to with arguments."""
     recording = new_recording(scene)
     memory = recording.memory_recording()
-    log_run(recording, scene, trajectories, verdict, title, tolerances or {}, moments, directions)
+    log(recording, scene, *args, **more)
     return bytes(memory.drain_as_bytes())
 
 
@@ -228,15 +218,24 @@ def send_pose(
     send_columns(recording, path, time, pose, translation=position, quaternion=xyzw(quaternion))
 
 
-def _log_bodies(
-    recording: rr.RecordingStream,
-    mechanism: Mechanism,
-    engine: str,
-    run: Trajectory,
-    style: Style,
+def log_text(recording: rr.RecordingStream, path: str, text: str) -> None:
+    """Log Markdown."""
+    recording.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+
+
+def log_ground(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory) -> None:
+    """Draw the fixed body where a run has it."""
+    recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    log_shapes(recording, "/ground", mechanism, 0, Style(GROUND_COLOR))
+    send_pose(recording, "/ground", run.time[:1], run.position[:1, 0], run.quaternion[:1, 0])
+
+
+def log_bodies(
+    recording: rr.RecordingStream, folder: Sequence[str], mechanism: Mechanism, run: Trajectory, style: Style
 ) -> None:
+    """Draw the moving bodies of a run over time; the parts of their paths are those of `folder` and names."""
     for k in range(1, len(mechanism.bodies)):
-        path = rr.new_entity_path(["mechanism", engine, mechanism.body_names[k]])
+        path = rr.new_entity_path([*folder, mechanism.body_names[k]])
         log_shapes(recording, path, mechanism, k, style)
         send_pose(recording, path, run.time, run.position[:, k], run.quaternion[:, k])
 

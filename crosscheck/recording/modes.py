@@ -15,9 +15,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from crosscheck.palette import palette, rgb
-from crosscheck.recording.blueprint import laid_out, sight
-from crosscheck.recording.log import GROUND_COLOR, new_recording, send_pose
-from crosscheck.recording.shapes import Style, log_shapes
+from crosscheck.recording.blueprint import laid_out, scene_view
+from crosscheck.recording.log import log_bodies, log_ground, log_text
+from crosscheck.recording.shapes import Style
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Cell, Column, Part, Report, Rows, Table, figures, texts
 from newton_euler.analysis.linear_model import LinearModel, Modes, label
@@ -146,37 +146,22 @@ def largest_movement(mechanism: Mechanism, twist: Array) -> str:
     return f"{mechanism.body_names[body]}: {kind} {'xyz'[k % 3]}"
 
 
-def recorded(scene: Scene, model: LinearModel, modes: Modes) -> bytes:
-    """The content of an .rrd with one view per mode, of the slowest `MOST_SHOWN`."""
-    recording, mechanism = new_recording(scene), scene.mechanism
-    memory = recording.memory_recording()
+def log_modes(recording: rr.RecordingStream, scene: Scene, model: LinearModel, modes: Modes) -> None:
+    """Log one view per mode, of the slowest `MOST_SHOWN`, and how the viewer lays them out."""
+    mechanism = scene.mechanism
     text = "\n".join([f"# Modes of {scene.name}", "", *markdown_table(table(mechanism, modes))])
-    recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    recording.log("/modes", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
-    log_shapes(recording, "/ground", mechanism, 0, Style(GROUND_COLOR))
-    ground = model.state.position[:1, :], model.state.quaternion[:1, :]
-    send_pose(recording, "/ground", np.zeros(1), *ground)
+    log_text(recording, "/modes", text)
+    log_ground(recording, mechanism, swinging(mechanism, model, np.zeros((len(mechanism.bodies), 6))))
     names = [f"mode_{number}" for number in range(1, len(modes.twists) + 1)][:MOST_SHOWN]
     views = []
     for k, (name, color) in enumerate(palette(names).items()):
         run = swinging(mechanism, model, modes.twists[k])
-        for body in range(1, len(mechanism.bodies)):
-            path = rr.new_entity_path([name, mechanism.body_names[body]])
-            log_shapes(recording, path, mechanism, body, Style(rgb(color)))
-            send_pose(recording, path, run.time, run.position[:, body], run.quaternion[:, body])
-        eye, grid = sight(mechanism, run)
-        view = rrb.Spatial3DView(
-            origin="/",
-            contents=["+ /ground/**", f"+ /{name}/**"],
-            name=f"mode {k + 1}" + f", {modes.frequencies[k]:.4g} Hz" * bool(modes.frequencies[k]),
-            eye_controls=eye,
-            line_grid=grid,
-        )
-        views.append(view)
-    text = rrb.TextDocumentView(origin="/modes", name="Modes")
-    recording.send_blueprint(laid_out(rrb.Vertical(rrb.Grid(*views), text, row_shares=[2.0, 1.0])))
+        log_bodies(recording, [name], mechanism, run, Style(rgb(color)))
+        heading = f"mode {k + 1}" + f", {modes.frequencies[k]:.4g} Hz" * bool(modes.frequencies[k])
+        views.append(scene_view(mechanism, run, heading, ["+ /ground/**", f"+ /{name}/**"]))
+    told = rrb.TextDocumentView(origin="/modes", name="Modes")
+    recording.send_blueprint(laid_out(rrb.Vertical(rrb.Grid(*views), told, row_shares=[2.0, 1.0])))
     recording.send_recording_name(f"modes of {scene.name}")
-    return bytes(memory.drain_as_bytes())
 
 
 def swinging(mechanism: Mechanism, model: LinearModel, twist: Array) -> Trajectory:

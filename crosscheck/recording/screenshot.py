@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import socket
@@ -18,7 +17,6 @@ from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.files import write_files
 
 LOOPBACK = "127.0.0.1"
 
@@ -127,21 +125,3 @@ def _wait_until_loaded(viewer: ViewerClient, rrd: str | os.PathLike[str]) -> Non
             raise CrosscheckError(f"the Rerun viewer did not load {os.fspath(rrd)}")
         time.sleep(POLL)
         state = viewer.get_state()
-
-
-def main() -> None:
-    """`python -m crosscheck.recording.screenshot FILE.rrd OUT.png`"""
-    parser = argparse.ArgumentParser(description="take a picture of a recording without a display")
-    parser.add_argument("rrd")
-    parser.add_argument("png")
-    parser.add_argument("--time", type=float, default=0.0, help="s on the recording's timeline")
-    arguments = parser.parse_args()
-    try:
-        (picture,) = screenshots(arguments.rrd, [arguments.time])
-        write_files({Path(arguments.png): picture})
-    except CrosscheckError as error:
-        sys.exit(f"crosscheck.recording.screenshot: {error}")
-
-
-if __name__ == "__main__":
-    main()

@@ -5,16 +5,15 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-
-import rerun as rr
+from typing import Any
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.recording.log import new_recording
 from newton_euler.model.scene import Scene
 
 
-def show(scene: Scene, log: Callable[[rr.RecordingStream], None]) -> None:
-    """Show a recording of a scene that a function logs to.
+def show(log: Callable[..., None], scene: Scene, *args: Any) -> None:
+    """Show a recording of a scene that `log` logs to with these arguments, see `recorded`.
 
     Raises:
         CrosscheckError: where no viewer can be opened.
@@ -25,11 +24,11 @@ def show(scene: Scene, log: Callable[[rr.RecordingStream], None]) -> None:
     recording = new_recording(scene)
     try:
         if notebook:
-            log(recording)
+            log(recording, scene, *args)
             recording.notebook_show()
         else:
             recording.spawn()
-            log(recording)
+            log(recording, scene, *args)
     except (ImportError, RuntimeError) as error:
         raise CrosscheckError(f"no viewer: {' '.join(str(error).split())}") from error
 

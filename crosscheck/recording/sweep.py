@@ -17,9 +17,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from crosscheck.palette import palette, rgb
-from crosscheck.recording.blueprint import laid_out, sight
-from crosscheck.recording.log import GROUND_COLOR, PLAIN_COLOR, new_recording, send_columns, send_pose
-from crosscheck.recording.shapes import Style, log_shapes
+from crosscheck.recording.blueprint import laid_out, scene_view
+from crosscheck.recording.log import PLAIN_COLOR, log_bodies, log_ground, log_text, send_columns
+from crosscheck.recording.shapes import Style
 from crosscheck.sweeps.analysis import LEVELS
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
@@ -64,28 +64,16 @@ def log_sweep(
         title: of the recording.
     """
     mechanism = scene.mechanism
-    recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    recording.log("/sweep", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+    log_text(recording, "/sweep", text)
     first, colors = next(iter(runs.values())), palette(list(runs))
-    log_shapes(recording, "/ground", mechanism, 0, Style(GROUND_COLOR))
-    send_pose(recording, "/ground", first.time[:1], first.position[:1, 0], first.quaternion[:1, 0])
+    log_ground(recording, mechanism, first)
     for name, run in runs.items():
         style = Style(rgb(colors[name]), THICK, ghost=run is not first)
-        for k in range(1, len(mechanism.bodies)):
-            path = rr.new_entity_path(["mechanism", name, mechanism.body_names[k]])
-            log_shapes(recording, path, mechanism, k, style)
-            send_pose(recording, path, run.time, run.position[:, k], run.quaternion[:, k])
+        log_bodies(recording, ["mechanism", name], mechanism, run, style)
     for number, envelope in enumerate(envelopes):
         _log_envelope(recording, f"{number}", envelope, colors)
-    eye, grid = sight(mechanism, first)
     heading = f"{title}: {next(iter(runs))} solid, extreme runs as ghosts"
-    view = rrb.Spatial3DView(
-        origin="/",
-        contents=["+ /ground/**", "+ /mechanism/**"],
-        name=heading,
-        eye_controls=eye,
-        line_grid=grid,
-    )
+    view = scene_view(mechanism, first, heading, ["+ /ground/**", "+ /mechanism/**"])
     plots = [
         rrb.TimeSeriesView(origin=f"/plots/{number}", name=envelope.title)
         for number, envelope in enumerate(envelopes)
@@ -95,16 +83,6 @@ def log_sweep(
     whole = rrb.Horizontal(left, rrb.Vertical(*plots)) if plots else left
     recording.send_blueprint(laid_out(whole, float(first.time[-1])))
     recording.send_recording_name(title)
-
-
-def recorded(
-    scene: Scene, runs: Mapping[str, Trajectory], envelopes: Sequence[Envelope], text: str, title: str
-) -> bytes:
-    """The content of an .rrd; arguments as of `log_sweep`."""
-    recording = new_recording(scene)
-    memory = recording.memory_recording()
-    log_sweep(recording, scene, runs, envelopes, text, title)
-    return bytes(memory.drain_as_bytes())
 
 
 def _log_envelope(

@@ -144,7 +144,7 @@ def check(
     Raises:
         CrosscheckError: for a baseline that is missing or cannot be read, and a file that cannot be written.
     """
-    from crosscheck.recording.log import recorded
+    from crosscheck.recording.log import log_run, recorded
 
     baselines = [each.baseline() for each in guarded]
     reports = [folder / name for name in REPORTS]
@@ -161,7 +161,7 @@ def check(
             path, title = folder / f"{each.scene.name}.rrd", f"{each.scene.name} against its baseline"
             text = markdown(report([comparison], {}))
             recordings[each.scene.name] = path
-            contents[path] = recorded(regress_scene(each.scene), runs, text, title)
+            contents[path] = recorded(log_run, regress_scene(each.scene), runs, text, title)
     summary = markdown(report(found, recordings))
     texts = as_json(found, recordings, contents), junit(found).encode(), summary.encode()
     write_files(dict(zip(reports, texts, strict=True)) | contents)

@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from crosscheck.comparison.figure import OF_RUNS, Figure
 from crosscheck.engines import ENGINES
@@ -16,9 +17,7 @@ from crosscheck.files import write_files
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.table import Report
 from crosscheck.run import Crosscheck
-from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import SourceError, read_content
-from newton_euler.model.trajectory import Trajectory
 
 PLAIN = re.compile(r"[\w:/.-]+", re.ASCII)
 """Addresses of entities whose names need no escapes."""
@@ -28,7 +27,7 @@ MOMENT = re.compile(r"(?:(.*) at )?(\S+) s")
 
 RECORDS = {
     "crosscheck": ("summary.json",),
-    "benchmark": ("bench.json", "rhs.json", "batch.json"),
+    "benchmark": ("bench.json", "rhs.json", "batch.json", "sensitivities.json"),
 }
 """Files that tell whose results a folder has."""
 
@@ -48,10 +47,10 @@ def write(result: Crosscheck, report: Report, folder: Path, recording: Path, nam
     Raises:
         CrosscheckError: naming the path that cannot be written.
     """
-    from crosscheck.recording.log import recorded
+    from crosscheck.recording.log import log_run, recorded
 
     made = {folder / f"{name}.npz": run.archive() for name, run in result.trajectories.items()}
-    made[recording] = recorded(*to_record(result, report))
+    made[recording] = recorded(log_run, *to_record(result, report))
     beside = {path: content for path, content in made.items() if path.parent == folder}
     summary = folder / "summary.json"
     others = {*ENGINES, *(engine.name for engine in result.engines)} - result.trajectories.keys()
@@ -63,10 +62,8 @@ def write(result: Crosscheck, report: Report, folder: Path, recording: Path, nam
     return [*runs, summary, recording]
 
 
-def to_record(
-    result: Crosscheck, report: Report
-) -> tuple[Scene, dict[str, Trajectory], str, str, dict[tuple[str, ...], float], list[tuple[float, str]]]:
-    """The arguments of `crosscheck.recording.log.log_run` for a crosscheck and the report on it.
+def to_record(result: Crosscheck, report: Report) -> tuple[Any, ...]:
+    """Return the arguments of `crosscheck.recording.log.log_run` for a crosscheck and the report on it.
 
     Bodies and joints that tables name are links to what is drawn of the first engine.
     """

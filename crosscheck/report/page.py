@@ -33,6 +33,7 @@ RESULTS = (
     "bench.json",
     "rhs.json",
     "batch.json",
+    "sensitivities.json",
     "sweep.json",
     "loads.json",
     "identify.json",

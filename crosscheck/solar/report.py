@@ -226,14 +226,13 @@ def write(day: Day, report: Report, folder: Path) -> list[Path]:
     Raises:
         CrosscheckError: naming the path that cannot be written.
     """
-    from crosscheck.recording.log import recorded
+    from crosscheck.recording.log import log_run, recorded
 
     paths = [folder / name for name in FILES]
     check_writable(*paths)
     text = f"# {report.title}\n\n{report.verdict}\n"
-    recording = recorded(
-        day.scene, {"newton_euler": day.run}, text, report.title, directions={"sun": day.sun_seen}
-    )
+    runs, directions = {"newton_euler": day.run}, {"sun": day.sun_seen}
+    recording = recorded(log_run, day.scene, runs, text, report.title, directions=directions)
     contents = (table_of_commands(day), png(picture(day)), recording)
     write_files(dict(zip(paths, contents, strict=True)))
     return paths

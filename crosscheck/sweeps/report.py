@@ -384,7 +384,8 @@ def write(found: Findings, made: Report, folder: Path) -> list[Path]:
     Raises:
         CrosscheckError: naming the path that cannot be written.
     """
-    from crosscheck.recording.sweep import recorded
+    from crosscheck.recording.log import recorded
+    from crosscheck.recording.sweep import log_sweep
 
     paths = [folder / name for name in FILES]
     check_writable(*paths)
@@ -393,17 +394,18 @@ def write(found: Findings, made: Report, folder: Path) -> list[Path]:
     drawn = pictures(found.effects, points, found.swept.inputs(runs[points]), found.nominal)
     files = {folder / name: content for name, content in drawn.items()}
     to_show = to_record(found, made)
-    if to_show[0]:
-        files[folder / FILES[1]] = recorded(found.swept.scene, *to_show)
+    if to_show[1]:
+        files[folder / FILES[1]] = recorded(log_sweep, *to_show)
     whole = {folder / FILES[0]: as_json(_data(found), made, files), **files}
     write_files(whole, [path for path in paths if path not in whole])
     return list(whole)
 
 
-def to_record(found: Findings, made: Report) -> tuple[dict[str, Trajectory], list[Envelope], str, str]:
-    """Return the arguments of `crosscheck.recording.sweep.log_sweep` after the scene."""
+def to_record(found: Findings, made: Report) -> tuple[Any, ...]:
+    """Return the arguments of `crosscheck.recording.sweep.log_sweep`."""
     runs = _extremes(found)
-    return runs, list(_envelopes(found, runs)), markdown(replace(made, parts=made.summary)), made.title
+    text = markdown(replace(made, parts=made.summary))
+    return found.swept.scene, runs, list(_envelopes(found, runs)), text, made.title
 
 
 def _data(found: Findings) -> dict[str, object]:

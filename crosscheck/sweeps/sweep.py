@@ -167,10 +167,10 @@ class Sweep:
         from crosscheck.recording.show import show
         from crosscheck.recording.sweep import log_sweep
 
-        scene, told = self.results.scene, to_record(self.findings, self.report)
-        if not told[0]:
+        to_show = to_record(self.findings, self.report)
+        if not to_show[1]:
             raise CrosscheckError("no run to show came to its end")
-        show(scene, lambda recording: log_sweep(recording, scene, *told))
+        show(log_sweep, *to_show)
 
 
 def own_scene(model: Model, scene: Scene) -> Scene:

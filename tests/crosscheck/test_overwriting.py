@@ -66,7 +66,7 @@ def test_runs_of_other_models_that_were_not_ended_are_not_overwritten_unasked(ca
     assert run(capsys, "run", "other/pendulum.yaml", *quick)[0] == 0
 
 
-@pytest.mark.parametrize("earlier", ["bench.json", "rhs.json", "batch.json"])
+@pytest.mark.parametrize("earlier", ["bench.json", "rhs.json", "batch.json", "sensitivities.json"])
 def test_benchmarks_of_other_models_are_not_overwritten_unasked(capsys, monkeypatch, tmp_path, earlier):
     monkeypatch.chdir(tmp_path)
     scene_file(tmp_path, short_example() | {"name": "mine"}, "scene.yaml")

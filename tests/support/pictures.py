@@ -35,7 +35,7 @@ from rich.text import Text
 import newton_euler
 from crosscheck.cli import main
 from crosscheck.engines import ENGINES, Engine
-from crosscheck.recording.log import recorded
+from crosscheck.recording.log import log_run, recorded
 from crosscheck.recording.screenshot import MECHANISM, screenshots
 from crosscheck.report import page
 from crosscheck.report.page import PAGE, telling
@@ -120,7 +120,8 @@ def shown(scene: str) -> str:
     run = newton_euler.simulate(loaded)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.rrd"
-        path.write_bytes(recorded(loaded, dict.fromkeys(ENGINES, run), "", scene, None, [(0.0, "start")]))
+        runs, moments = dict.fromkeys(ENGINES, run), [(0.0, "start")]
+        path.write_bytes(recorded(log_run, loaded, runs, "", scene, None, moments))
         found, layout = read_recording(path), _layout(path)
     moments = telling(run.arrays())
     poses = {}

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rerun.chunk import RrdReader
 
-from crosscheck.recording.log import recorded
+from crosscheck.recording.log import log_run, recorded
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.geometry import Box, Capsule
@@ -82,7 +82,7 @@ def write_recording(
     title: str = "lid_scene",
     tolerances: dict[tuple[str, ...], float] | None = None,
 ) -> None:
-    path.write_bytes(recorded(scene, runs, VERDICT, title, tolerances))
+    path.write_bytes(recorded(log_run, scene, runs, VERDICT, title, tolerances))
 
 
 class Recording(NamedTuple):

@@ -1,4 +1,4 @@
-"""Many runs of one scene: runs per second of newton_euler and others, on one thread and on all cores.
+"""Many runs of one scene: runs per second of newton_euler and MuJoCo, on one thread and on all cores.
 
 newton_euler's runs are side by side in the lanes of vector registers; as many as `ALONE` says are also made
 one by one by scalar code, on one thread, with the same results to the last bit.
@@ -6,8 +6,8 @@ one by one by scalar code, on one thread, with the same results to the last bit.
 Runs start from random consistent states. Each engine has the setting that runs a sample of these very states
 in the least time with none of them further off than the wanted error. newton_euler delivers the poses of all
 bodies at all outputs. `mujoco.rollout` delivers MuJoCo's full physics state (time, qpos, qvel) after every
-step, of which qpos at outputs is kept; poses are not worked out. Exudyn, where it is installed, delivers its
-coordinates at outputs. States are made, and turned into each engine's own, before.
+step, of which qpos at outputs is kept; poses are not worked out. States are made, and turned into each
+engine's own, before.
 """
 
 from __future__ import annotations
@@ -18,8 +18,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -27,7 +25,6 @@ import numpy as np
 from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import time_limit
 from crosscheck.report.table import Lines, Part, Rows, Table, figures, texts
-from crosscheck.studies.benchmark import exudyn
 from crosscheck.studies.benchmark.ladders import (
     JUDGED,
     STEPS,
@@ -82,16 +79,6 @@ PER_DECADE = 8
 TRIES = 2
 """How often a sample is run at a setting that reaches the error; the quicker counts."""
 
-SCALAR = f"{JUDGED}, one by one"
-
-DELIVERED = {
-    JUDGED: "poses of all bodies at all outputs",
-    SCALAR: "the same, by scalar code",
-    "mujoco": "time, qpos and qvel after every step, of which qpos at outputs is kept",
-    "exudyn": "coordinates at all outputs",
-}
-"""Included in the time of a run, by engine."""
-
 
 # Engines
 
@@ -113,9 +100,14 @@ class Done(NamedTuple):
 
 
 class Engine(Protocol):
-    """One engine on the states of one scene."""
+    """One engine on the states of one scene.
+
+    Attributes:
+        delivers: what is included in the time of a run.
+    """
 
     name: str
+    delivers: str
 
     def ladders(self) -> Iterator[Ladder]:
         """Yield all methods that run a batch."""
@@ -128,21 +120,18 @@ class Own:
     """newton_euler: its adaptive methods. Fixed steps could only favor MuJoCo."""
 
     name = JUDGED
+    delivers = "poses of all bodies at all outputs"
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
 
     def ladders(self) -> Iterator[Ladder]:
-        for how in product(FORMULATIONS, STABILIZATIONS):
-            compiled = compile_scene(self._scene, formulation=how[0], stabilization=how[1])
-            for ladder in adaptive_ladders(*how, PER_DECADE):
-                load_lanes(compiled, ladder.finer(1)[1]["integrator"])  # compiling is no time of a sample's
-                yield ladder._replace(finer=partial(self._of_formulation, how, ladder))
-
-    @staticmethod
-    def _of_formulation(how: tuple[str, str], ladder: Ladder, number: int) -> tuple[str, Options]:
-        name, options = ladder.finer(number)
-        return name, options | {"formulation": how[0], "stabilization": how[1]}
+        for formulation, stabilization in product(FORMULATIONS, STABILIZATIONS):
+            compiled = compile_scene(self._scene, formulation, stabilization)
+            how = {"formulation": formulation, "stabilization": stabilization}
+            for ladder in adaptive_ladders(formulation, stabilization, PER_DECADE):
+                load_lanes(compiled, ladder.common["integrator"])  # compiling is no time of a sample's
+                yield ladder._replace(common=ladder.common | how)
 
     def run(self, options: Options, states: Sequence[State], threads: int) -> Done:
         start = time.perf_counter()
@@ -152,17 +141,11 @@ class Own:
         return Done(batch.wall_time, setup, lambda: [(r.position, r.quaternion) for r in batch], failed)
 
 
-class Scalar:
+class Scalar(Own):
     """newton_euler's scalar code, which makes one run after another."""
 
-    name = SCALAR
-
-    def __init__(self, scene: Scene) -> None:
-        self._scene = scene
-
-    def ladders(self) -> Iterator[Ladder]:
-        """Yield nothing: settings are those of runs side by side."""
-        return iter(())
+    name = f"{JUDGED}, one by one"
+    delivers = "the same, by scalar code"
 
     def run(self, options: Options, states: Sequence[State], threads: int) -> Done:
         start = time.perf_counter()
@@ -194,6 +177,7 @@ class MuJoCo:
     """`mujoco.rollout`, which writes the full physics state after every step."""
 
     name = "mujoco"
+    delivers = "time, qpos and qvel after every step, of which qpos at outputs is kept"
 
     def __init__(self, scene: Scene, period: float) -> None:
         """Steps are no shorter than in the ladder of runs with outputs of this period, s."""
@@ -217,37 +201,6 @@ class MuJoCo:
         runs = rollout(starts)
         seconds = time.perf_counter() - begun
         return Done(seconds, begun - start, lambda: [rollout.poses(qpos) for qpos in runs])
-
-
-class Exudyn:
-    """`exudyn.processing.ParameterVariation`, whose threads are processes."""
-
-    name = "exudyn"
-
-    def __init__(self, scene: Scene) -> None:
-        self._scene = scene
-        self._redundant = exudyn.redundant(scene)
-
-    def ladders(self) -> Iterator[Ladder]:
-        yield from exudyn.ladders(output_interval(self._scene), self._redundant)
-
-    def run(self, options: Options, states: Sequence[State], threads: int) -> Done:
-        start = time.perf_counter()
-        left_out = self._redundant[options["element"]]
-        with TemporaryDirectory() as folder:
-            task = Path(folder) / "task"
-            model = exudyn.prepare(task, self._scene, options, left_out, states)
-            begun = time.perf_counter()
-            runs = exudyn.vary(task, len(states), threads)
-            seconds = time.perf_counter() - begun
-
-        def poses() -> list[Poses]:
-            rows = [run for run in runs if run is not None]
-            if len(rows) < len(runs):
-                raise CrosscheckError(f"Exudyn cannot go on in {len(runs) - len(rows)} runs")
-            return [model.poses(each) for each in rows]
-
-        return Done(seconds, begun - start, poses, sum(run is None for run in runs))
 
 
 # Settings
@@ -318,7 +271,7 @@ class Rate(Timed):
     """One engine on some threads.
 
     Attributes:
-        engine, setting: names.
+        engine, delivers, setting: names, see `Engine` and `Choice`.
         error: m or rad, the largest of the sample.
         threads, runs: how many.
         setup: s, to turn the states of as many runs into the engine's own, and to load.
@@ -327,6 +280,7 @@ class Rate(Timed):
     """
 
     engine: str
+    delivers: str
     setting: str
     error: float
     threads: int
@@ -399,27 +353,25 @@ def benchmark_batch(given: Scene, runs: int, error: float, progress: Progress) -
     choice = cheapest(own, known, poses, error, progress)
     shares: list[tuple[Engine, Choice, Sequence[State]]] = [(own, choice, states)]
     missing: dict[str, str] = {}
-    others: dict[str, Callable[[Scene], Engine]]
-    others = {"mujoco": partial(MuJoCo, period=given.output_period), "exudyn": Exudyn}
-    for name, load in others.items():
-        try:
-            other = load(scene)
-            found = cheapest(other, known, poses, error, progress)
-        except (NewtonEulerError, CrosscheckError) as reason:
-            missing[name] = reason_of(reason)
-            continue
+    try:
+        other = MuJoCo(scene, given.output_period)
+        found = cheapest(other, known, poses, error, progress)
+    except (NewtonEulerError, CrosscheckError) as reason:
+        missing[MuJoCo.name] = reason_of(reason)
+    else:
         most = LIMIT * len(known) / found.seconds
         shares.append((other, found, states[: max(len(known), int(most))]))
     cases = [*product(shares, thread_counts())]
     cases.append(((Scalar(scene), choice, states[:: min(ALONE, runs)]), 1))
     firsts: dict[str, Done] = {}
     calls = [partial(_timed, *case, threads, firsts) for case, threads in cases]
-    times = in_turns(calls, [REPEATS] * len(calls), progress)
     rates = []
-    for ((engine, chosen, share), threads), row in zip(cases, times, strict=True):
+    for ((engine, chosen, share), threads), times in zip(
+        cases, in_turns(calls, [REPEATS] * len(calls), progress), strict=True
+    ):
         first = firsts[engine.name]
-        of_sample = engine.name, chosen.name, chosen.error
-        rates.append(Rate(*of_sample, threads, len(share), first.setup, first.failed, row))
+        of_sample = engine.name, engine.delivers, chosen.name, chosen.error
+        rates.append(Rate(*of_sample, threads, len(share), first.setup, first.failed, times))
     unknown = len(sample) - len(known)
     made = scene.duration, len(scene.times), error, uncertainty, len(known), unknown
     return BatchBenchmark(*made, tuple(rates), missing)
@@ -467,7 +419,7 @@ def parts(result: BatchBenchmark) -> list[Part]:
     for rate in result.rates:
         if rate.threads == 1:
             failed = f"; {rate.failed} runs could not go on" if rate.failed else ""
-            made = f"{rate.setting} (error {rate.error:.1e}); delivers {DELIVERED[rate.engine]}"
+            made = f"{rate.setting} (error {rate.error:.1e}); delivers {rate.delivers}"
             lines.append(f"{rate.engine}: {made}{failed}")
     lines += [f"{name} takes no part: {reason}" for name, reason in result.missing.items()]
     return [table, Lines("", lines)]

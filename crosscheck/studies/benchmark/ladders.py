@@ -54,18 +54,20 @@ class Ladder(NamedTuple):
 
     Attributes:
         method: name.
-        finer: the name of the n-th setting, and its options; errors fall with n.
+        finer: the name of the n-th setting, and its own options; errors fall with n.
         numbers: those that are run, from the coarsest to the finest.
+        common: options of all settings.
     """
 
     method: str
     finer: Callable[[int], tuple[str, Options]]
     numbers: Sequence[int]
+    common: Options
 
     def setting(self, number: int) -> tuple[str, Options]:
         """Return the n-th setting's full name, and its options."""
         name, options = self.finer(number)
-        return f"{self.method}, {name}", options
+        return f"{self.method}, {name}", self.common | options
 
 
 class Model(NamedTuple):
@@ -104,20 +106,20 @@ def _by_tolerance(
 
     def finer(number: int) -> tuple[str, Options]:
         rtol = 10.0 ** (-number / per_decade)
-        return f"rtol {rtol:.2g}", {**options, "rtol": rtol, "atol": share * rtol}
+        return f"rtol {rtol:.2g}", {"rtol": rtol, "atol": share * rtol}
 
     numbers = range(round(coarsest * per_decade), round(finest * per_decade) + 1)
-    return Ladder(f"{method}, atol = {share:g} rtol", finer, numbers)
+    return Ladder(f"{method}, atol = {share:g} rtol", finer, numbers, options)
 
 
-def by_step(method: str, option: str, interval: float, numbers: Sequence[int], **options: Any) -> Ladder:
+def _by_step(method: str, option: str, interval: float, numbers: Sequence[int], **options: Any) -> Ladder:
     """A ladder of numbers of steps from one output to the next, `interval` s later; `option` sets them."""
 
     def finer(number: int) -> tuple[str, Options]:
         step = interval / number
-        return f"step {step:.3g} s", {**options, option: number if option == "number" else step}
+        return f"step {step:.3g} s", {option: number if option == "number" else step}
 
-    return Ladder(method, finer, numbers)
+    return Ladder(method, finer, numbers, options)
 
 
 def output_interval(scene: Scene) -> float:
@@ -162,7 +164,7 @@ def _load_own(scene: Scene, formulation: FormulationName, stabilization: Stabili
     ladders, interval = adaptive_ladders(formulation, stabilization), output_interval(scene)
     for integrator in ("RK4", "Euler"):
         method, numbers = f"{formulation}, {stabilization}, {integrator}", (1, 2, 5, 10, 20, 50)
-        ladders.append(by_step(method, "step", interval, numbers, integrator=integrator))
+        ladders.append(_by_step(method, "step", interval, numbers, integrator=integrator))
 
     def run(options: Options) -> Run:
         found = compiled.simulate(**options)
@@ -187,7 +189,7 @@ step (10 ms) where they do."""
 def mujoco_ladders(interval: float, numbers: Sequence[int] = STEPS) -> list[Ladder]:
     """MuJoCo's methods, with outputs `interval` s apart."""
     return [
-        by_step(
+        _by_step(
             f"{integrator}, solref (2 steps, {ratio:g})",
             "number",
             interval,

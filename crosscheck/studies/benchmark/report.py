@@ -71,35 +71,9 @@ class Benchmark:
     def _of(self, engine: str) -> list[Measurement]:
         return [m for m in self.measured.measurements if m.engine == engine]
 
-    def answer(self, error: float) -> Iterator[str]:
-        """Say what each engine needs to reach an error, and how many times as long that takes."""
-        if self.reference.uncertainty > error:
-            yield f"error {error:g} is below what the reference is known to, {self.reference.uncertainty:.1e}"
-            return
-        own = self.cheapest(JUDGED, error)
-        yield f"to an error of {error:g} (m, rad, every body, every output time):"
-        for engine in ENGINES:
-            m = self.cheapest(engine, error)
-            if m is None:
-                yield f"  {self._short(engine)}"
-                continue
-            text = f"  {engine} takes {shown(m.median)} with {m.name} (error {m.error:.1e})"
-            if own is not None and m is not own:
-                level = m.quartiles[0] <= own.quartiles[1] and own.quartiles[0] <= m.quartiles[1]
-                text += f", {rounded(m.ratio(own))} times as long as {JUDGED}"
-                text += ", level within the spread" if level else ""
-            yield text
 
-    def _short(self, engine: str) -> str:
-        """Say why an engine does not reach an error."""
-        best = min(self._of(engine), key=lambda m: m.error, default=None)
-        if best is None:
-            return f"{engine} cannot run the scene"
-        return f"{engine} does not reach it: at best {best.error:.1e} in {shown(best.median)} ({best.name})"
-
-
-def parts(result: Benchmark, error: float) -> Iterator[Part]:
-    """The times for each error, what the wanted one takes, and on demand settings and failures."""
+def parts(result: Benchmark) -> Iterator[Part]:
+    """The times for each error, and on demand settings and failures."""
     reference = result.reference
     yield Lines(
         "",
@@ -110,7 +84,6 @@ def parts(result: Benchmark, error: float) -> Iterator[Part]:
         ],
     )
     yield _times(result)
-    yield Lines("", list(result.answer(error)))
     yield _settings(result)
     against = [f"{m:.1e} m, {rad:.1e} rad from {name}" for name, (m, rad) in reference.differences.items()]
     missing = [f"could not run {name}: {reason}" for name, reason in reference.missing.items()]
@@ -123,7 +96,7 @@ def parts(result: Benchmark, error: float) -> Iterator[Part]:
 def verdict(result: Benchmark, error: float) -> str:
     """Word the time that each engine needs to reach an error."""
     if result.reference.uncertainty > error:
-        return next(result.answer(error))
+        return f"error {error:g} is below what the reference is known to, {result.reference.uncertainty:.1e}"
     own, said = result.cheapest(JUDGED, error), list[str]()
     for engine in ENGINES:
         m = result.cheapest(engine, error)

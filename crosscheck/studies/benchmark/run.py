@@ -93,7 +93,7 @@ def _whole_runs(wanted: Wanted, progress: Progress) -> Found:
     result = report.Benchmark(wanted.title, scene, motion, measured)
     return Found(
         report.data(result),
-        list(report.parts(result, wanted.error)),
+        list(report.parts(result)),
         report.picture(result),
         report.verdict(result, wanted.error),
         list(report.summary(result, wanted.error)),

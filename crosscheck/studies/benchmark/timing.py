@@ -14,7 +14,7 @@ import numpy as np
 
 from newton_euler.codegen.compile import uncollected
 
-PACKAGES = ("crosscheck", "numpy", "scipy", "llvmlite", "mujoco", "pin", "exudyn")
+PACKAGES = ("crosscheck", "numpy", "scipy", "llvmlite", "mujoco", "pin")
 """Whose versions are recorded."""
 
 MESSAGES = 5
@@ -38,15 +38,9 @@ class Timed:
         return float(np.median(self.times))
 
     @property
-    def quartiles(self) -> tuple[float, float]:
-        """s"""
-        low, high = np.quantile(self.times, [0.25, 0.75])
-        return float(low), float(high)
-
-    @property
     def spread(self) -> str:
         """The difference between the quartiles as a share of the median."""
-        low, high = self.quartiles
+        low, high = np.quantile(self.times, [0.25, 0.75])
         return f"{(high - low) / self.median:.0%}"
 
     def ratio(self, other: Timed) -> float:

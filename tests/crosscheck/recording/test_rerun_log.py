@@ -28,6 +28,7 @@ from crosscheck.recording.log import (
     LONGEST_ARROW,
     PIXEL,
     application_id,
+    log_run,
     recorded,
 )
 from crosscheck.recording.plots import SMALLEST, plots
@@ -237,7 +238,8 @@ def test_worst_moments_are_lines_at_their_times(
     scene: Scene, runs: dict[str, Trajectory], tmp_path: Path
 ) -> None:
     path = tmp_path / "moments.rrd"
-    path.write_bytes(recorded(scene, runs, "", "lid_scene", None, [(0.3, "drift: hinge"), (1.2, "energy")]))
+    moments = [(0.3, "drift: hinge"), (1.2, "energy")]
+    path.write_bytes(recorded(log_run, scene, runs, "", "lid_scene", None, moments))
     found = read_recording(path)
     assert found.times["/worst"] == [300_000_000, 1_200_000_000]
     assert found.columns["/worst", "TextLog:text"] == [["drift: hinge"], ["energy"]]

@@ -87,13 +87,13 @@ def test_outputs_are_as_rare_as_memory_needs(tracker):
 
 
 def test_rollouts_are_the_runs_one_by_one(short, tracker_states):
-    from mjcf.tight import Rollout, Stepper, compiled
+    from mjcf.tight import Rollout, Stepper, compiled, physics_states
 
     system = compiled(short)
     rollout = Rollout(system, "RK4", 2, 1.0, 2)
     states = tracker_states[:25]
-    starts = np.array([rollout.start(*system.coordinates(state)) for state in states])
-    found = rollout(starts)
+    coordinates = [system.coordinates(state) for state in states]
+    found = rollout(physics_states(system, *map(np.array, zip(*coordinates, strict=True))))
     for k in (0, 24):
         single = compiled(dataclasses.replace(short, initial_state=states[k]))
         stepper = Stepper(single, "RK4", intervals(short.times), 2, 1.0)
@@ -115,7 +115,7 @@ class MadeUp:
     def ladders(self):
         for k, (make, most) in enumerate(self._methods):
             finer = lambda n, make=make: (f"number {n}", {"n": n} | make(n))  # noqa: E731
-            yield Ladder(f"method {k}", finer, range(1, most + 1))
+            yield Ladder(f"method {k}", finer, range(1, most + 1), {})
 
     def run(self, options, states, threads):
         self.tried.append((options["n"], threads))
@@ -157,21 +157,21 @@ def test_the_setting_is_the_quickest_of_all_methods():
         choice([method(1, 0.5)], 1e-10)
 
 
-def refused(scene):
-    raise CrosscheckError("made up")
-
-
-def test_a_batch_is_measured_for_the_engines_that_can(monkeypatch, tracker):
+def quick_batch(monkeypatch, tracker, error):
+    """Four runs at one setting of each engine."""
     monkeypatch.setattr(batch, "LIMIT", 0.5)
     monkeypatch.setattr(batch, "SAMPLE", 2)
     monkeypatch.setattr(batch, "REPEATS", 2)
     own_setting = {"formulation": "relative", "stabilization": "projection", "rtol": 1e-8}
     other_setting = {"integrator": "RK4", "number": 2, "damping_ratio": 0.6}
     for engine, setting in ((Own, own_setting), (MuJoCo, other_setting)):
-        ladder = Ladder("method", lambda n, setting=setting: ("setting", setting), [1])
+        ladder = Ladder("method", lambda n: ("setting", {}), [1], setting)
         monkeypatch.setattr(engine, "ladders", lambda self, ladder=ladder: iter([ladder]))
-    monkeypatch.setattr(batch, "Exudyn", refused)
-    result = batch.benchmark_batch(tracker, 4, 1e-5, lambda message: None)
+    return batch.benchmark_batch(tracker, 4, error, lambda message: None)
+
+
+def test_a_batch_is_measured_for_every_engine(monkeypatch, tracker):
+    result = quick_batch(monkeypatch, tracker, 1e-5)
     counts = batch.thread_counts()
     own, other = result.rates[: len(counts)], result.rates[len(counts) : -1]
     assert [(rate.engine, rate.threads, rate.runs) for rate in own] == [
@@ -183,13 +183,21 @@ def test_a_batch_is_measured_for_the_engines_that_can(monkeypatch, tracker):
     assert own[0].error < other[0].error < 1e-5
     assert result.uncertainty < 1e-9
     table, lines = batch.parts(result)
-    assert (result.rates[-1].engine, result.rates[-1].threads) == (batch.SCALAR, 1)
+    assert (result.rates[-1].engine, result.rates[-1].threads) == (batch.Scalar.name, 1)
     assert len(table.rows) == 2 * len(counts) + 1
     assert lines.lines[2].startswith("newton_euler: method, setting (error ")
-    assert lines.lines[-1] == "exudyn takes no part: made up"
     for rate in result.rates:
         assert len(rate.times) == 2
         assert rate.per_second == rate.runs / np.median(rate.times)
+
+
+def test_an_engine_that_does_not_reach_the_error_takes_no_part(monkeypatch, tracker):
+    result = quick_batch(monkeypatch, tracker, 1e-7)
+    assert {rate.engine for rate in result.rates} == {Own.name, batch.Scalar.name}
+    _, lines = batch.parts(result)
+    assert lines.lines[-1].startswith(
+        "mujoco takes no part: mujoco does not reach an error of 1e-07 on all of 2"
+    )
 
 
 def test_an_error_below_what_the_reference_is_known_to_is_refused(monkeypatch, tracker):

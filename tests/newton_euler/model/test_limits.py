@@ -18,7 +18,7 @@ from hostile_files import MJCF, WEDGE
 import mjcf
 import newton_euler
 from crosscheck.model_files.read import MJCF_OPTIONS, URDF_OPTIONS
-from crosscheck.recording.log import recorded
+from crosscheck.recording.log import log_run, recorded
 from crosscheck.scenes import SCENES, load
 from crosscheck.scenes.options import options_of
 from mjcf.errors import ModelError
@@ -137,7 +137,7 @@ def test_standard_error_that_is_full(
 def test_a_recording_is_made_whatever_logging_is_set_to(monkeypatch: pytest.MonkeyPatch, switch: str) -> None:
     monkeypatch.setenv("RERUN", switch)
     scene = load("pendulum")
-    content = recorded(scene, {"newton_euler": newton_euler.simulate(scene)}, "verdict", "title")
+    content = recorded(log_run, scene, {"newton_euler": newton_euler.simulate(scene)}, "verdict", "title")
     assert content.startswith(b"RRF2")
     assert os.environ["RERUN"] == switch
 
