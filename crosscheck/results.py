@@ -1,9 +1,12 @@
-"""Files of results that a command left, read and checked before they are used."""
+"""Files of results that a command left, read and checked before they are used, and versions beside them."""
 
 from __future__ import annotations
 
 import hashlib
+import platform
 import reprlib
+from collections.abc import Iterable
+from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,6 +16,9 @@ from crosscheck.errors import CrosscheckError
 from newton_euler.model.source_file import SourceError, read_content
 
 Kind = TypeVar("Kind", bound=BaseModel)
+
+PACKAGES = ("numpy", "scipy", "llvmlite", "mujoco", "pin", "crosscheck")
+"""What figures depend on."""
 
 
 def read_json(path: Path, kind: type[Kind]) -> Kind:
@@ -28,6 +34,11 @@ def read_json(path: Path, kind: type[Kind]) -> Kind:
         got = f" (got {reprlib.repr(first['input'])})" if first["loc"] and first["type"] != "missing" else ""
         reason = first["msg"].removeprefix("Value error, ")
         raise CrosscheckError(f"{path}: {field:.100}: {reason}{got}") from error
+
+
+def versions(packages: Iterable[str] = PACKAGES) -> dict[str, str]:
+    """Versions of Python and of packages that results are made with."""
+    return {"python": platform.python_version()} | {package: version(package) for package in packages}
 
 
 def digest(path: Path) -> str:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
-from importlib.metadata import version
 from typing import Any
 
 from crosscheck.advice import Advice, advise
@@ -21,6 +19,7 @@ from crosscheck.each_run import Stop, as_far_as_it_goes, each_run, finite
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import SHORTER, limited
+from crosscheck.results import versions
 from crosscheck.scenes.options import titled
 from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import NewtonEulerError
@@ -213,7 +212,7 @@ class Crosscheck:
             "agrees": self.agrees,
             "verdict": self.verdict,
             "wall_time": self.wall_time,
-            "versions": {"python": platform.python_version()} | {p: version(p) for p in packages},
+            "versions": versions(packages),
             "diagnosis": [diagnosis.summary() for diagnosis in self.diagnosis],
             "unfinished": [asdict(stop) for stop in self.unfinished],
             "engines": {engine.name: self._ran(engine.name) for engine in self.engines},

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -27,11 +27,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from crosscheck.scenes import load
-from crosscheck.studies.benchmark.ladders import Poses, poses_only
+from crosscheck.studies.benchmark.ladders import poses_only
 from crosscheck.studies.benchmark.reference import batch_references, pose_errors
+from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.relative import Relative
 from newton_euler.exercise import random_states
-from newton_euler.model.euler_parameters import matrix_l, rotation
 from newton_euler.model.joint import Pose, perpendicular_pair
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -55,122 +56,89 @@ ROWS = {
 }
 """Constrained translations and rotations of the generic joint in the axes of `axes_of`, by joint kind."""
 
-
-class Model(NamedTuple):
-    """A scene in Exudyn.
-
-    Attributes:
-        coordinates: those of a state, and their rates, (n,).
-        poses: those of the rows (m, n) that a run keeps.
-    """
-
-    coordinates: Callable[[State], tuple[Array, Array]]
-    poses: Callable[[Array], Poses]
+Mark = Callable[[int, Array, Array], Any]
+"""Adds a marker on a body, by its number, at a point and with axes in columns, world at the initial pose."""
 
 
-def rigid_bodies(mbs: Any, scene: Scene) -> Model:
+def rigid_bodies(mbs: Any, scene: Scene) -> Formulation:
     """Translate into rigid bodies with Euler parameters, joints, and springs along sliding joints."""
-    bodies = scene.mechanism.bodies
-    objects = [mbs.AddObject(items.ObjectGround())]
-    for body in bodies[1:]:
+    mechanism, objects = scene.mechanism, [mbs.AddObject(items.ObjectGround())]
+    for body in mechanism.bodies[1:]:
         pose = [*body.center_of_mass, *body.quaternion]
         node = mbs.AddNode(items.NodeRigidBodyEP(referenceCoordinates=pose))
         inertia = body.inertia[[0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]]
         objects.append(mbs.AddObject(items.ObjectRigidBody(mass=body.mass, inertia=inertia, nodeNumber=node)))
         if np.any(scene.gravity):
-            mass = mbs.AddMarker(items.MarkerBodyMass(bodyNumber=objects[-1]))
-            mbs.AddLoad(items.LoadMassProportional(markerNumber=mass, loadVector=scene.gravity))
-        keep(mbs, node, exudyn.OutputVariableType.CoordinatesTotal)
+            center = mbs.AddMarker(items.MarkerBodyMass(bodyNumber=objects[-1]))
+            mbs.AddLoad(items.LoadMassProportional(markerNumber=center, loadVector=scene.gravity))
+        keep(mbs, node)
 
-    def ends(joint: Any) -> list[Any]:
-        found = []
-        for name, point in ((joint.first, joint.point), (joint.second, joint.reaction_point)):
-            k = scene.mechanism.body_index(name)
-            make = partial(items.MarkerBodyRigid, bodyNumber=objects[k])
-            found.append(marker(mbs, make, bodies[k].pose if k else WORLD, axes_of(joint), point))
-        return found
+    def mark(body: int, point: Array, axes: Array) -> Any:
+        frame = mechanism.bodies[body].pose if body else WORLD
+        return mbs.AddMarker(
+            items.MarkerBodyRigid(bodyNumber=objects[body], localHT=place(frame, point, axes))
+        )
 
-    for joint in scene.mechanism.joints:
+    for joint in mechanism.joints:
+        ends = ends_of(scene, joint, axes_of(joint), mark)
         if joint.kind == "spherical":  # the generic one keeps multipliers of rotations, too
-            mbs.AddObject(items.ObjectJointSpherical(markerNumbers=ends(joint)))
+            mbs.AddObject(items.ObjectJointSpherical(markerNumbers=ends))
         else:
-            rows = ROWS[joint.kind]
-            mbs.AddObject(items.ObjectJointGeneric(markerNumbers=ends(joint), constrainedAxes=rows))
+            mbs.AddObject(items.ObjectJointGeneric(markerNumbers=ends, constrainedAxes=ROWS[joint.kind]))
     for force in scene.joint_forces:
-        joint = scene.mechanism.joint(force.joint)
+        joint = mechanism.joint(force.joint)
         rest = force.target if force in scene.control else force.rest
         spring = items.ObjectConnectorLinearSpringDamper(
-            markerNumbers=ends(joint),
+            markerNumbers=ends_of(scene, joint, axes_of(joint), mark),
             stiffness=force.stiffness,
             damping=force.damping,
             axisMarker0=[0.0, 0.0, 1.0],
             offset=rest + joint.axis @ joint.span,
         )
         mbs.AddObject(spring)
-
-    def coordinates(state: State) -> tuple[Array, Array]:
-        q, v = [], []
-        for k, body in enumerate(bodies[1:], 1):
-            p = state.quaternion[k] * np.sign(state.quaternion[k] @ body.quaternion)
-            omega = rotation(p).T @ state.angular_velocity[k]
-            q += [state.position[k] - body.center_of_mass, p - body.quaternion]
-            v += [state.linear_velocity[k], 0.5 * (matrix_l(p).T @ omega)]
-        return np.concatenate(q), np.concatenate(v)
-
-    def poses(rows: Array) -> Poses:
-        ground = np.tile([*bodies[0].center_of_mass, *bodies[0].quaternion], (len(rows), 1, 1))
-        every = np.concatenate([ground, rows.reshape(len(rows), -1, 7)], axis=1)
-        return every[..., :3], every[..., 3:] / np.linalg.norm(every[..., 3:], axis=-1, keepdims=True)
-
-    return Model(coordinates, poses)
+    return Cartesian(scene)
 
 
-def kinematic_tree(mbs: Any, scene: Scene) -> Model:
+def kinematic_tree(mbs: Any, scene: Scene) -> Formulation:
     """Translate into a tree of hinges, whose flat loops balls close, by two rows each."""
-    system = Relative(scene)
-    links: dict[int, tuple[int, Pose]] = {0: (-1, WORLD)}
-    parents, turns, offsets, masses, centers, inertias = [], [], [], [], [], []
+    system, bodies = Relative(scene), scene.mechanism.bodies
+    links, columns = {0: (-1, WORLD)}, []
     for number, joint in enumerate(system.tree.joints):
-        parent, frame = links[joint.parent]
-        along = axes_about(joint.motions[0].axis)
-        parents.append(parent)
-        turns.append(frame.rotation.T @ along)
-        offsets.append(frame.point_to_body(joint.points[0]))
-        frame, body = Pose(joint.points[0], along), scene.mechanism.bodies[joint.child]
-        turn = frame.rotation.T @ body.pose.rotation
-        masses.append(body.mass)
-        centers.append(frame.point_to_body(body.center_of_mass))
-        inertias.append(turn @ body.inertia @ turn.T)
+        parent, before = links[joint.parent]
+        body, frame = bodies[joint.child], Pose(joint.points[0], axes_about(joint.motions[0].axis))
+        turn, joined = frame.rotation.T @ body.pose.rotation, place(before, *frame)
+        inertia = turn @ body.inertia @ turn.T
+        center = frame.point_to_body(body.center_of_mass)
+        columns.append((parent, joined[:3, :3], joined[:3, 3], inertia, center, body.mass))
         links[joint.child] = number, frame
+    parents, turns, offsets, inertias, centers, masses = map(list, zip(*columns, strict=True))
     zeros = [0.0] * system.nv
     node = mbs.AddNode(items.NodeGenericODE2("", zeros, zeros, zeros, system.nv))
-    matrices, vectors = exudyn.Matrix3DList, exudyn.Vector3DList
     tree = items.ObjectKinematicTree(
         nodeNumber=node,
         gravity=scene.gravity,
         jointTypes=[exudyn.JointType.RevoluteZ] * system.nv,
         linkParents=parents,
-        jointTransformations=matrices(turns),
-        jointOffsets=vectors(offsets),
-        linkInertiasCOM=matrices(inertias),
-        linkCOMs=vectors(centers),
+        jointTransformations=exudyn.Matrix3DList(turns),
+        jointOffsets=exudyn.Vector3DList(offsets),
+        linkInertiasCOM=exudyn.Matrix3DList(inertias),
+        linkCOMs=exudyn.Vector3DList(centers),
         linkMasses=masses,
     )
-    number = mbs.AddObject(tree)
-    keep(mbs, node, exudyn.OutputVariableType.Coordinates)
+    made = mbs.AddObject(tree)
+    keep(mbs, node)
+
+    def mark(body: int, point: Array, axes: Array) -> Any:
+        link, frame = links[body]
+        local = place(frame, point, axes)
+        return mbs.AddMarker(
+            items.MarkerKinematicTreeRigid(objectNumber=made, linkNumber=link, localHT=local)
+        )
+
     for ball in (scene.mechanism.joints[k] for k in system.tree.cuts):
-        ends = []
-        for name, point in ((ball.first, ball.point), (ball.second, ball.reaction_point)):
-            link, frame = links[scene.mechanism.body_index(name)]
-            make = partial(items.MarkerKinematicTreeRigid, objectNumber=number, linkNumber=link)
-            ends.append(marker(mbs, make, frame, np.eye(3), point))
+        ends = ends_of(scene, ball, np.eye(3), mark)
         mbs.AddObject(items.ObjectJointSpherical(markerNumbers=ends, constrainedAxes=[1, 1, 0]))
-
-    def poses(rows: Array) -> Poses:
-        states = [system.state(q, np.zeros(system.nv)) for q in rows]
-        return np.array([s.position for s in states]), np.array([s.quaternion for s in states])
-
-    return Model(system.coordinates, poses)
+    return system
 
 
 def axes_about(axis: Array) -> Array:
@@ -186,25 +154,30 @@ def axes_of(joint: Any) -> Array:
     return axes_about(joint.axis) if joint.axis_names else np.eye(3)
 
 
-def marker(mbs: Any, make: Callable[..., Any], frame: Pose, axes: Array, point: Array) -> Any:
-    """Add a marker with these axes at a point, world at the initial pose, of what moves with a frame."""
-    place = np.eye(4)
-    place[:3, :3], place[:3, 3] = frame.rotation.T @ axes, frame.point_to_body(point)
-    return mbs.AddMarker(make(localHT=place))
+def ends_of(scene: Scene, joint: Any, axes: Array, mark: Mark) -> list[Any]:
+    """Add markers at both ends of a joint."""
+    ends = (joint.first, joint.point), (joint.second, joint.reaction_point)
+    return [mark(scene.mechanism.body_index(name), point, axes) for name, point in ends]
 
 
-def keep(mbs: Any, node: Any, variable: Any) -> None:
-    """Have coordinates of a node kept at outputs."""
-    mbs.AddSensor(
-        items.SensorNode(nodeNumber=node, outputVariableType=variable, storeInternal=True, writeToFile=False)
-    )
+def place(frame: Pose, point: Array, axes: Array) -> Array:
+    """Compute the homogeneous transformation (4, 4) of a point with axes in a frame."""
+    found = np.eye(4)
+    found[:3, :3], found[:3, 3] = frame.rotation.T @ axes, frame.point_to_body(point)
+    return found
+
+
+def keep(mbs: Any, node: Any) -> None:
+    """Have the coordinates of a node kept at outputs."""
+    variable = exudyn.OutputVariableType.Coordinates
+    sensor = partial(items.SensorNode, storeInternal=True, writeToFile=False)
+    mbs.AddSensor(sensor(nodeNumber=node, outputVariableType=variable))
 
 
 class Case(NamedTuple):
-    """A scene and its cheapest setting for an error of 1e-6 m or rad.
+    """A scene of the library, and its cheapest setting in Exudyn for an error of 1e-6 m or rad.
 
     Attributes:
-        scene, options: from the library.
         elements: translates it.
         solver: by Exudyn's name.
         steps: from one output to the next.
@@ -213,7 +186,7 @@ class Case(NamedTuple):
 
     scene: str
     options: Mapping[str, Any]
-    elements: Callable[[Any, Scene], Model]
+    elements: Callable[[Any, Scene], Formulation]
     solver: str
     steps: int
     runs: int
@@ -225,9 +198,8 @@ CASES = (
     Case("stewart", {}, rigid_bodies, "GeneralizedAlpha", 2300, 3),
     Case("chain", {"N": 20}, kinematic_tree, "RK67", 25, 20),
 )
-"""Of Exudyn's solvers generalized-alpha of index 3 is the only one for closed loops that is no dearer; the
-explicit ones run open trees only. On the tracker radii of 0.95 and 1 and `TrapezoidalIndex2` are no cheaper,
-nodes of Lie groups take 1.2 times as long, and the solver for redundant constraints is slower."""
+"""Generalized-alpha is of index 3; on the tracker spectral radii of 0.95 and 1 and `TrapezoidalIndex2` are no
+cheaper, nodes of Lie groups take 1.2 times as long. Explicit solvers run open trees only."""
 
 
 def settings_of(scene: Scene, case: Case) -> Any:
@@ -248,7 +220,7 @@ def settings_of(scene: Scene, case: Case) -> Any:
     return settings
 
 
-def measure(case: Case) -> Sequence[str]:
+def measure(case: Case) -> Iterable[str]:
     """Run a case; return its row of the table."""
     scene = poses_only(load(case.scene, **case.options))
     scene = replace(scene, output_period=scene.duration / OUTPUTS)
@@ -256,32 +228,38 @@ def measure(case: Case) -> Sequence[str]:
     exact, _ = batch_references(scene, states, lambda message: None)
     container = exudyn.SystemContainer()
     mbs = container.AddSystem()
-    model = case.elements(mbs, scene)
+    system = case.elements(mbs, scene)
     mbs.Assemble()
-    starts = [model.coordinates(state) for state in states]
+    origin, _ = system.own_coordinates(State.initial(scene.mechanism))
+    starts = [system.own_coordinates(state) for state in states]
     settings, solver = settings_of(scene, case), getattr(exudyn.DynamicSolverType, case.solver)
     initial = exudyn.ConfigurationType.Initial
 
     def run(parameters: Mapping[str, Any]) -> Array:
         q, v = starts[parameters["run"]]
-        mbs.systemData.SetODE2Coordinates(q, configuration=initial)
+        mbs.systemData.SetODE2Coordinates(q - origin, configuration=initial)
         mbs.systemData.SetODE2Coordinates_t(v, configuration=initial)
         mbs.SolveDynamic(settings, solverType=solver)
         sensors = range(mbs.systemData.NumberOfSensors())
-        return np.column_stack([mbs.GetSensorStoredData(k)[:, 1:] for k in sensors])
+        return origin + np.column_stack([mbs.GetSensorStoredData(k)[:, 1:] for k in sensors])
 
     begun = time.process_time()
     _, runs = ParameterVariation(run, {"run": list(range(case.runs))}, showProgress=False)
-    seconds = time.process_time() - begun
-    worst = max(max(pose_errors(model.poses(runs[k]), poses)) for k, poses in exact.items())
+    seconds = (time.process_time() - begun) / case.runs
+    worst = 0.0
+    for k, poses in exact.items():
+        found = [system.state(q, np.zeros(system.nv)) for q in runs[k]]
+        own = np.array([s.position for s in found]), np.array([s.quaternion for s in found])
+        worst = max(worst, *pose_errors(own, poses))
     step = 1e3 * scene.output_period / case.steps
-    words = f"{case.scene}, {scene.duration:g} s", case.elements.__name__.replace("_", " ")
+    what = ", ".join([case.scene, *(f"{name}={value}" for name, value in case.options.items())])
     return (
-        *words,
+        f"{what}, {scene.duration:g} s",
+        case.elements.__name__.replace("_", " "),
         f"{case.solver}, {step:.2g} ms",
-        f"{case.runs}",
+        str(case.runs),
         f"{worst:.1e}",
-        f"{1e3 * seconds / case.runs:.3g}",
+        f"{1e3 * seconds:,.3g}",
     )
 
 

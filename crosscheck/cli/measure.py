@@ -12,6 +12,7 @@ from crosscheck.cli.shared import (
     AGREE,
     DISAGREE,
     cli,
+    engines_option,
     folder_option,
     load_and_tell,
     progress_shown,
@@ -90,8 +91,8 @@ def bench_command(
 @cli.command("controllers")
 @click.argument("scene", default="tracker_computed_torque")
 @setting_options
-@click.option("--engines", metavar="NAMES", help="With commas between.  [default: all]")
-def controllers_command(scene: str, settings: tuple[str, ...], engines: str | None) -> int:
+@engines_option
+def controllers_command(scene: str, settings: tuple[str, ...], engines: list[str] | None) -> int:
     """Compare tracking error, effort and energy of controllers in all engines.
 
     SCENE is a name or a file, as of run; one with the option controller is run with each of its values. The
@@ -99,14 +100,10 @@ def controllers_command(scene: str, settings: tuple[str, ...], engines: str | No
     """
     from crosscheck.controllers import compared
     from crosscheck.engines import ENGINES
-    from newton_euler.errors import check_choice
 
-    chosen = list(ENGINES) if engines is None else engines.split(",")
-    for engine in chosen:
-        check_choice("engine", engine, ENGINES)
     options = without_exercise(scene_options(settings), "controllers are those of the scene")
     with progress_shown() as progress:
-        tables = compared(scene, options, chosen, progress)
+        tables = compared(scene, options, engines or list(ENGINES), progress)
     click.echo(terminal(tables), nl=False)
     return AGREE
 

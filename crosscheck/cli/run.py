@@ -20,6 +20,7 @@ from crosscheck.cli.shared import (
     DISAGREE,
     UNFINISHED,
     cli,
+    engines_option,
     is_verbose,
     load_and_tell,
     progress_shown,
@@ -57,7 +58,7 @@ DIGITS = 12
 @cli.command("run")
 @click.argument("scene", required=False)
 @click.option("--all", "library", is_flag=True, help="Run all scenes of the library, a line each.")
-@click.option("--engines", metavar="NAMES", help="With commas between.  [default: all]")
+@engines_option
 @setting_options
 @click.option("--against", metavar="MODEL", help="Compare with another model instead, by newton_euler alone.")
 @click.option(
@@ -75,7 +76,7 @@ DIGITS = 12
 def run_command(
     scene: str | None,
     library: bool,
-    engines: str | None,
+    engines: list[str] | None,
     settings: tuple[str, ...],
     against: str | None,
     against_settings: tuple[str, ...],
@@ -89,13 +90,14 @@ def run_command(
     SCENE is a name, a scene file, an MJCF or a URDF; the tracker if not given. What OPTION can be is told
     by crosscheck list.
     """
+    from crosscheck.engines import ENGINES
+
     output, save = files["output"], files["save"]
-    wanted = _names(engines)
     if library:
         alone = scene is None and against is None and not (settings or advice or save)
         if not alone:
             raise CrosscheckError("--all runs all scenes at their defaults, without SCENE and its options")
-        return _run_all(wanted, output)
+        return _run_all(engines or list(ENGINES), output)
     if against is None and against_settings:
         raise CrosscheckError("--against-set is for the model of --against")
     if against is not None and engines is not None:
@@ -106,17 +108,8 @@ def run_command(
         raise CrosscheckError(f"--save {save}: a recording's name ends in .rrd")
     chosen = "tracker" if scene is None else scene
     if against is None:
-        return _run(chosen, wanted, settings, output, save, advice)
+        return _run(chosen, engines or list(ENGINES), settings, output, save, advice)
     return _run_against(_models((chosen, settings), (against, against_settings)), output, save)
-
-
-def _names(engines: str | None) -> list[str]:
-    """Names of engines that are asked for, all if nothing is said."""
-    from crosscheck.engines import ENGINES
-
-    if engines is None:
-        return list(ENGINES)
-    return [name.strip() for name in engines.split(",") if name.strip()]
 
 
 def _run_all(engines: list[str], output: Path | None) -> int:

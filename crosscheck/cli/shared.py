@@ -95,6 +95,20 @@ def folder_option(default: str) -> Callable[[Callable[..., int]], Callable[..., 
     return click.option("--output", type=folder, default=fixed, help=f"Folder.  [default: {default}]")
 
 
+def engines_option(command: Callable[..., int]) -> Callable[..., int]:
+    """Parse names of engines; it is None by default, for all."""
+
+    def names(context: click.Context, _: click.Parameter, given: str | None) -> list[str] | None:
+        from crosscheck.engines import choose
+
+        if given is None:
+            return None
+        return [engine.name for engine in choose([name.strip() for name in given.split(",") if name.strip()])]
+
+    text = "With commas between.  [default: all]"
+    return click.option("--engines", metavar="NAMES", callback=names, help=text)(command)
+
+
 def without_exercise(options: dict[str, str], why: str) -> dict[str, str]:
     """Options of a command on which exercise has no effect; an error, which says why, if they ask for it."""
     if options.get("exercise") == "on":

@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import json
 import os
-import platform
 from collections import Counter
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -18,12 +16,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.results import read_json
+from crosscheck.results import read_json, versions
 from crosscheck.scenes.entries import Number, Quaternion, Vector
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
-
-PACKAGES = ("numpy", "scipy", "llvmlite", "mujoco", "pin", "crosscheck")
 
 GroupName = Literal["model", "relative", "cartesian", "integrators", "mujoco", "pinocchio"]
 """Of `crosscheck.regress.measure.GROUPS`."""
@@ -178,11 +174,6 @@ class Baseline(_Strict):
                 text = f"[\n{text}\n ]"
             parts.append(f" {json.dumps(key)}: {text}")
         return "{\n" + ",\n".join(parts) + "\n}\n"
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that figures depend on."""
-    return {"python": platform.python_version()} | {package: version(package) for package in PACKAGES}
 
 
 def read(path: Path) -> Baseline:

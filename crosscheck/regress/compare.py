@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from crosscheck.comparison.figure import Figure
-from crosscheck.regress.baseline import Baseline, Record, StoredFigure, versions
+from crosscheck.regress.baseline import Baseline, Record, StoredFigure
 from crosscheck.regress.measure import MAIN, measure_group, regress_scene
+from crosscheck.results import versions
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import ImportReport

@@ -6,16 +6,13 @@ import os
 import platform
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from crosscheck.results import versions
 from newton_euler.codegen.compile import uncollected
-
-PACKAGES = ("crosscheck", "numpy", "scipy", "llvmlite", "mujoco", "pin")
-"""Whose versions are recorded."""
 
 MESSAGES = 5
 """Messages of progress about all turns."""
@@ -76,18 +73,13 @@ def in_turns(
 
 
 def machine() -> dict[str, Any]:
-    """Describe the machine: processor, cores, load by others now, system, Python, packages."""
-    versions = {}
-    for package in PACKAGES:
-        with suppress(PackageNotFoundError):
-            versions[package] = version(package)
+    """Describe the machine: processor, cores, load by others now, system, versions."""
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),
         "load": round(os.getloadavg()[0], 2),
         "system": f"{platform.system()} {platform.machine()}",
-        "python": platform.python_version(),
-        "versions": versions,
+        "versions": versions(),
     }
 
 

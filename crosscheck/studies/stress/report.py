@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 
 from crosscheck.files import write_files
 from crosscheck.report import render
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
+from crosscheck.results import versions
 from crosscheck.studies.stress.cases import PROCESSES, Row
 from crosscheck.studies.stress.topics import TOPICS
 
@@ -18,16 +18,14 @@ FILES = ("stress.json", "stress.md")
 OWN, ALL = "newton_euler", "all"
 """The first column, and the last: what all engines share."""
 
-PACKAGES = ("numpy", "scipy", "mujoco", "pin")
-
 
 def report(rows: Sequence[Row], full: bool, wall_time: float) -> Report:
     """Cases that each engine passes, and on demand by topic what does not pass."""
     form = "full" if full else "ci"
-    versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
+    made_with = ", ".join(f"{name} {number}" for name, number in versions().items())
     preface = (
         f"Made by `crosscheck stress --{form}` in {wall_time / 60.0:.1f} minutes on {PROCESSES} processes "
-        f"({platform.machine()}; {versions}). Each case measures one figure of one engine at one setting: "
+        f"({platform.machine()}; {made_with}). Each case measures one figure of one engine at one setting: "
         "within its bound the engine survives, up to a laxer one it degrades, beyond that it fails. "
         "It refuses when it stops with a stated reason, which is right where there is no answer and a "
         "shortcoming where there is one. All cases, with figures and reasons, are in stress.json."
