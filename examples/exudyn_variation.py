@@ -194,7 +194,7 @@ class Case(NamedTuple):
 
 CASES = (
     Case("tracker", {}, rigid_bodies, "GeneralizedAlpha", 290, 20),
-    Case("four_bar", {}, kinematic_tree, "GeneralizedAlpha", 3300, 4),
+    Case("four_bar", {}, kinematic_tree, "GeneralizedAlpha", 5600, 4),
     Case("stewart", {}, rigid_bodies, "GeneralizedAlpha", 2300, 3),
     Case("chain", {"N": 20}, kinematic_tree, "RK67", 25, 20),
 )
