@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import repeat
+from timeit import Timer
 from typing import NamedTuple
 
 from crosscheck.errors import reason_of
@@ -90,33 +90,20 @@ def _newton_euler(scene: Scene, formulation: FormulationName) -> RightHandSide:
 def _mj_forward(scene: Scene) -> RightHandSide:
     from mjcf.tight import forward
 
-    return RightHandSide(partial(_seconds, _looped(forward(scene))))
+    return RightHandSide(Timer(forward(scene)).timeit)
 
 
 def _mj_step(scene: Scene) -> RightHandSide:
     from mjcf.tight import steps
 
-    return RightHandSide(partial(_seconds, steps(scene)))
+    call = steps(scene)
+    return RightHandSide(lambda count: Timer(partial(call, count)).timeit(1))
 
 
 def _pinocchio(scene: Scene, lcaba: tuple[float, int] | None) -> RightHandSide:
     from urdf.tight import equations_of
 
-    return RightHandSide(partial(_seconds, _looped(equations_of(scene, 0.0, lcaba).acceleration)))
-
-
-def _looped(call: Callable[[], object]) -> Callable[[int], None]:
-    def loop(count: int) -> None:
-        for _ in repeat(None, count):
-            call()
-
-    return loop
-
-
-def _seconds(calls: Callable[[int], object], count: int) -> float:
-    start = time.perf_counter()
-    calls(count)
-    return time.perf_counter() - start
+    return RightHandSide(Timer(equations_of(scene, 0.0, lcaba).acceleration).timeit)
 
 
 WAYS: dict[str, Callable[[Scene], RightHandSide]] = {
