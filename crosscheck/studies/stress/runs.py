@@ -40,10 +40,6 @@ class Setting:
         """Run a scene; raises what the engine does."""
         return SIMULATE[self.engine](scene, **self.options)
 
-    @property
-    def label(self) -> str:
-        return f"{self.engine}, {self}"
-
     def __str__(self) -> str:
         texts = (
             value if isinstance(value, str) else f"{name} {value:.3g}" for name, value in self.options.items()
