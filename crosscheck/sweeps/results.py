@@ -177,7 +177,7 @@ def _make(
     made = sum(last - first for first, last in tasks)
     pace = Pace(plan.samples.runs, plan.samples.runs - made, progress)
     if tasks:
-        progress(f"{made:,} runs to make, {at.count()} workers")
+        progress(f"runs to make: {made:,}, workers: {at.count()}")
     task: Callable[[tuple[int, int]], Chunk | None] = partial(make_runs, plan)
     if store.path is not None:
         task = partial(store_runs, plan, store.path.absolute())
