@@ -28,10 +28,7 @@ from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State, stacked
 from newton_euler.scalars import Array, Floats, unstacked
 
-VELOCITY_TOLERANCE = 1e-9
-"""How fast a joint may open at the start, as a share of the largest speed: as exact as
-`CLOSURE_TOLERANCE` leaves the positions, in sizes of the mechanism."""
-
+VELOCITY_TOLERANCE = 1e-9  # of the largest speed, in sizes of the mechanism, at which a joint may open
 STEP = 0.1  # rad, or sizes of the mechanism, that joints move at a time on the way to a start
 MOST_STEPS = 1000  # on that way; longer ones are made in longer steps
 CHECKED: WeakKeyDictionary[Scene, State] = WeakKeyDictionary()  # consistent states that scenes start from

@@ -35,9 +35,7 @@ from newton_euler.model.splines import Spline
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
-SAME = 1e-9
-"""Times that differ by less than this share of a controller's period, or of the time between knots, are one:
-multiples of different periods meet only up to round-off."""
+SAME = 1e-9  # share of a period, or of the time between knots, by which times that are one may differ
 
 
 class Interval(NamedTuple):

@@ -30,10 +30,7 @@ from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array, Scalar, arctan2, cos, sin
 
 MOST_REVOLUTIONS = 1000  # in an initial state, of the slowest of angles that are coupled only to each other
-
-SAME_POSE = 1e-6
-"""rad, tolerance of angles that shall agree with a pose: far above the errors of states, and so small that
-other numbers of revolutions hardly ever agree by chance."""
+SAME_POSE = 1e-6  # rad, to which angles agree with a pose: other revolutions hardly ever do by chance
 
 
 class Measured(NamedTuple):

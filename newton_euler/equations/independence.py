@@ -25,11 +25,7 @@ from newton_euler.scalars import Array
 
 ROUND_OFF = 1e-10  # independent part of a row below which it is round-off, whatever the tolerance
 NAMED = 1e-13  # independent part of a row above which it is not exactly redundant
-
-CERTAIN = 1e-4
-"""Pivot of the Gram matrix above which its row is independent: a pivot is the square of what the row adds to
-those before it, so that smaller ones leave doubt."""
-
+CERTAIN = 1e-4  # pivot of the Gram matrix, a square of what the row adds, above which it is independent
 LEAST_RATIO = 10.0  # of the parts that the weakest independent row and the strongest redundant one add
 
 

@@ -33,11 +33,7 @@ from newton_euler.model.variable import Change, Variable
 from newton_euler.scalars import Array, Scalar, sqrt
 
 CLOSURE_TOLERANCE = 1e-9  # how far (meters or radians) a joint may be open at an initial pose
-
-LEAST = 1e-150
-"""kg and kg m^2, of a mass and a principal moment of inertia, so that products with squares of lengths keep
-their digits."""
-
+LEAST = 1e-150  # kg and kg m^2, so that products with squares of lengths keep their digits
 REALISABLE_TOLERANCE = 1e-12  # relative slack of A + B >= C, for the round-off of an eigenvalue
 LOOKS = "what bodies look like, and moves nothing"
 

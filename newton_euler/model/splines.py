@@ -16,11 +16,7 @@ from newton_euler.model.variable import Change, Function
 from newton_euler.scalars import Scalar
 
 DEGREE = 5  # of the polynomials of splines, so that accelerations have two continuous derivatives
-
-BEYOND = 1e-9
-"""Share of the time between the first and the last sample by which a spline goes on at both ends, for the
-round-off of times."""
-
+BEYOND = 1e-9  # share of its whole time by which a spline goes on at both ends: round-off of times
 ROUND_OFF = 1e-12  # share of a time by which a knot may lie after it and is reached: times are sums
 
 

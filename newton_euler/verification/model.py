@@ -16,11 +16,7 @@ from newton_euler.verification.original import ROUND_OFF
 from newton_euler.verification.placed import Place, Placed, shifted
 from newton_euler.verification.quantities import FREE, Freedom
 
-TIMES = 10.0
-"""Offsets of loops, times the condition, by which closed starts may differ: each reader weighs rows that
-contradict each other its own way."""
-
-
+TIMES = 10.0  # offsets of loops, times the condition, by which starts of two readers may differ
 PLACES = "center of mass at the start, m"
 ARMS = 1e3  # times as large as round-off an inertia's may be that is a difference of places in the world
 
