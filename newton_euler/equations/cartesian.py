@@ -250,7 +250,13 @@ class Cartesian(Formulation):
         phi_q_rows, b_rows = self.Phi_q_and_B(q, qdot)
         Phi_q, B, P = to_array(phi_q_rows, n7), to_array(b_rows, n6), to_array(self.P(q), n7)
         M, force = self.mass_and_force(q, qdot)
-        matrix = np.block([[M, B.T], [P, np.zeros((len(P), len(B)))], [Phi_q, np.zeros((len(B), len(B)))]])
+        matrix = np.block(
+            [
+                [M, B.T],
+                [P, np.zeros((len(P), len(B)))],
+                [Phi_q, np.zeros((len(B), len(B)))],
+            ]
+        )
         right = [
             force,
             -self.c(qdot) - self.K_D * (P @ qdot) - self.K_P * self.norms(q),  # erratum 11
