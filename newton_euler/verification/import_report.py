@@ -76,13 +76,11 @@ class ImportReport:
         """`inert` is what moves nothing as the file has it, such as an idle motor."""
         self.entries.append(ImportedElement(element, "exactly", how, became, inert=inert))
 
-    def approximated(
-        self, element: str, how: str, became: str = "", topic: str = "", watches: Sequence[Watch] = ()
-    ) -> None:
+    def approximated(self, element: str, how: str, watches: Sequence[Watch] = ()) -> None:
         """`watches` tell how far it is off in a run."""
         if watches:
             self.watches[len(self.entries)] = watches
-        self.entries.append(ImportedElement(element, "approximated", how, became, topic))
+        self.entries.append(ImportedElement(element, "approximated", how))
 
     def left_out(
         self, element: str, why: str, topic: str = "", inert: bool = False, watches: Sequence[Watch] = ()
