@@ -74,6 +74,9 @@ that are farthest apart, at 1/3 and 3/5; and the earliest and the latest that wi
 NOWHERE = 1e9
 """Place of a singular configuration that a step does not come near to, in units of the step."""
 
+AT_END = 0.05
+"""Ratio of the distances after and before a step below which it ends in the singular configuration."""
+
 LEAVING = 1e-4
 """rad or m, within which accelerations are unsafe; what leaves slower than they would make it is at rest."""
 
@@ -133,7 +136,8 @@ def crossing(first: float, middle: float, last: float) -> float:
     """Find where a step passes or will pass a singular configuration, in units of its length.
 
     The root of the pivot ratio is a distance: what it is at both ends, 0 and 1, tells where it vanishes,
-    within the step or beyond it, and the stage at `MIDDLE` which of the two. `NOWHERE` if neither fits.
+    within the step or beyond it, and the stage at `MIDDLE` which of the two. `NOWHERE` if neither fits: far
+    away the pivot ratio is 1 at any distance. Of a step that ends there it does not matter.
 
     Args:
         first, middle, last: pivot ratios.
@@ -148,7 +152,7 @@ def crossing(first: float, middle: float, last: float) -> float:
     beyond = first / (first - last)
     residual_beyond = abs((beyond - MIDDLE) * (first - last) - middle)
     if min(residual_within, residual_beyond) > 0.2 * (first + last):
-        return NOWHERE
+        return within if last < AT_END * first else NOWHERE
     return within if residual_within < residual_beyond else beyond
 
 

@@ -18,6 +18,7 @@ from newton_euler.equations.system import MassProperties
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.compiled import OPEN_TOLERANCE
 from newton_euler.integrators.projection import NATIVE_STEPS, check_still_closed, project
+from newton_euler.integrators.singular import AT_END, GAP, crossing_factor
 from newton_euler.integrators.stepper import COUNTS, DONE, OPEN, Equations
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
@@ -229,6 +230,12 @@ def test_what_the_last_newton_step_leaves_counts(steps, status):
     )
     assert project(system, 0, x) == status
     assert x[0] == pytest.approx(begun * 0.2**10)
+
+
+@pytest.mark.parametrize("middle", [0.16, 0.4, 0.9])
+def test_a_step_that_would_end_in_a_singular_configuration_passes_it(middle):
+    """However far away it begins, where the pivot ratio says nothing of the distance."""
+    assert crossing_factor(0.98, middle, 4e-6, 1.0) == pytest.approx(1.0 - GAP, abs=AT_END)
 
 
 # Starting flat
