@@ -154,9 +154,10 @@ def limited(size: int):
 
 def check_one_line(done: subprocess.CompletedProcess[str], path: str) -> None:
     assert done.returncode == 2
-    assert done.stderr.startswith(f"crosscheck: error: cannot write {path}"), done.stderr
-    assert done.stderr.endswith(": File too large\n")
-    assert len(done.stderr.splitlines()) == 1
+    # a busy machine names stages that take long
+    (line,) = (line for line in done.stderr.splitlines() if not line.endswith(" ..."))
+    assert line.startswith(f"crosscheck: error: cannot write {path}")
+    assert line.endswith(": File too large")
 
 
 def test_a_full_disk_keeps_an_older_run(tmp_path, finished):
