@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from newton_euler.codegen.cache import cache_key, read_cache, write_cache
-from newton_euler.codegen.emit import declarations, emit_straight
+from newton_euler.codegen.emit import emit_straight, with_callees
 from newton_euler.codegen.expression import Program
 from newton_euler.codegen.native import Signature
 from newton_euler.codegen.rolled import emit_rolled
@@ -184,7 +184,7 @@ class NativeFunction:
             else:
                 body = emit_rolled(program, "f", lanes)
             description = program.inputs, len(program.outputs), lanes, program.operations, layout
-            written = declarations(lanes) + body + _constant(DESCRIPTION, json.dumps(description))
+            written = with_callees(body, lanes) + _constant(DESCRIPTION, json.dumps(description))
             return written, LEVEL if straight else QUICK_LEVEL
 
         limits = LARGE, VERY_LARGE, REGISTER, lane_count()

@@ -18,9 +18,9 @@ _CALLS = {"sqrt": "llvm.sqrt", "minimum": "llvm.minnum"}
 _BOTH = ("sin", "cos")
 
 
-def declarations(lanes: int = 1) -> str:
-    """Declare the functions that emitted ones call."""
-    return f"\ndeclare double @atan2(double, double)\n{sincos(lanes)}\n"
+def with_callees(body: str, lanes: int = 1) -> str:
+    """Return emitted functions with those that they call."""
+    return f"declare double @atan2(double, double)\n{sincos(lanes) if '@sincos(' in body else ''}\n{body}"
 
 
 class Instructions:
