@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 import resource
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from timeit import Timer
@@ -188,7 +188,7 @@ def fastest_other(timings: Iterable[Timing]) -> Timing | None:
 
 
 def parts(timings: Sequence[Timing]) -> list[Part]:
-    """Times, operations, memory and loading of each way to call an engine, and the ratios in words."""
+    """Times, operations and loading of each way to call an engine."""
     best = fastest_other(timings)
     rows: Rows = []
     for t in timings:
@@ -203,15 +203,7 @@ def parts(timings: Sequence[Timing]) -> list[Part]:
             ]
         rows.append([t.way, *cells])
     heads = figures("operations", "time, us", "spread", "ratio", "load, s")
-    words = ["load: in a fresh process, without a cache", *_words(timings)]
+    words = [] if best is None else [f"ratio: to {best.way}, the fastest of the others"]
+    words.append("load: in a fresh process, without a cache")
+    words += [f"{t.way} cannot run the scene: {t.reason}" for t in timings if t.reason]
     return [Table("", [*texts("right-hand side"), *heads], rows), Lines("", words)]
-
-
-def _words(timings: Sequence[Timing]) -> Iterator[str]:
-    """The ratios in words, and what cannot run the scene."""
-    best = fastest_other(timings)
-    for t in timings:
-        if t.reason:
-            yield f"{t.way} cannot run the scene: {t.reason}"
-        elif t.judged and best is not None:
-            yield f"{t.way} takes {t.ratio(best):.3g} times as long as {best.way}"

@@ -359,3 +359,4 @@ def test_derivatives_are_timed_in_runs(capsys, tmp_path, monkeypatch):
     costs = json.loads((tmp_path / "sensitivities.json").read_text())["sensitivities"]
     assert [cost["parameters"] for cost in costs] == [0, 1, 2]  # of three bodies
     assert all(len(cost["times"]) == 2 and min(cost["times"]) > 0.0 for cost in costs)
+    assert "runs per parameter" in write_report(tmp_path, lambda _: None).read_text()
