@@ -192,10 +192,10 @@ class Case(NamedTuple):
 
 
 CASES = (
-    Case(load("tracker"), rigid_bodies, "GeneralizedAlpha", 330, 20),
+    Case(load("tracker"), rigid_bodies, "GeneralizedAlpha", 290, 20),
     Case(load("four_bar"), kinematic_tree, "GeneralizedAlpha", 3800, 4),
     Case(load("stewart"), rigid_bodies, "GeneralizedAlpha", 2300, 3),
-    Case(load("chain", N=20), kinematic_tree, "RK67", 25, 20),
+    Case(load("chain", N=20), kinematic_tree, "RK67", 15, 20),
 )
 """Generalized-alpha is of index 3; on the tracker spectral radii of 0.95 and 1 and `TrapezoidalIndex2` are no
 cheaper, nodes of Lie groups take 1.2 times as long. Explicit solvers run open trees only."""
