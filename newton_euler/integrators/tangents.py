@@ -199,44 +199,53 @@ def interpolate_tangents(tangents: Tangents, share: float, y: Vector) -> None:
 
 @native
 def estimate_errors(tangents: Tangents, h: float) -> None:
-    """Estimate the errors of the tangents in a part of size h of a step, all its stages known."""
+    """Estimate the errors of the tangents in a part of size h of a step, all its stages known.
+
+    Rows 13 and 14 of k, of stages that only outputs need, get the two of each element.
+    """
     lanes = tangents.lanes
     size = tangents.n * lanes
     row = 2 * size + lanes
     k = tangents.k[size:]
+    fives = k[13 * row :]
+    threes = k[14 * row :]
     end = tangents.at[tangents.inputs * lanes :]
     begun = tangents.x[tangents.inputs * lanes :]
+    for i in range(size):
+        five = ERROR_5[0] * k[i]
+        three = ERROR_3[0] * k[i]
+        for j in range(SECOND_OF_STEP, STAGES):
+            five += ERROR_5[j] * k[row * j + i]
+            three += ERROR_3[j] * k[row * j + i]
+        fives[i] = five
+        threes[i] = three
     for lane in range(lanes):
-        largest_place = 0.0
-        largest_speed = 0.0
-        for i in range(tangents.n):
-            largest = max(abs(begun[lanes * i + lane]), abs(end[lanes * i + lane]))
-            if i < tangents.places:
-                largest_place = max(largest_place, largest)
-            if i >= tangents.speeds:
-                largest_speed = max(largest_speed, largest)
+        place = 0.0
+        fifth_place = 0.0
+        third_place = 0.0
+        for i in range(tangents.places):
+            e = lanes * i + lane
+            place = max(place, max(abs(begun[e]), abs(end[e])))
+            fifth_place += fives[e] * fives[e]
+            third_place += threes[e] * threes[e]
+        speed = 0.0
+        fifth_speed = 0.0
+        third_speed = 0.0
+        for i in range(tangents.speeds, tangents.n):
+            e = lanes * i + lane
+            speed = max(speed, max(abs(begun[e]), abs(end[e])))
+            fifth_speed += fives[e] * fives[e]
+            third_speed += threes[e] * threes[e]
         # of the tangents that pass through zero, or begin there, in one of the two alone
-        of_place = tangents.tolerance * max(largest_place, h * largest_speed) + TINY
-        of_speed = tangents.tolerance * max(largest_speed, largest_place) + TINY
-        fifth = 0.0
-        third = 0.0
-        whole = 0.0
-        for i in range(tangents.n):
-            if i < tangents.places or i >= tangents.speeds:
-                five = 0.0
-                three = 0.0
-                for j in range(STAGES):
-                    five += ERROR_5[j] * k[row * j + lanes * i + lane]
-                    three += ERROR_3[j] * k[row * j + lanes * i + lane]
-                scale = of_place if i < tangents.places else of_speed
-                fifth += (five / scale) * (five / scale)
-                third += (three / scale) * (three / scale)
-                whole += five * five
+        of_place = tangents.tolerance * max(place, h * speed) + TINY
+        of_speed = tangents.tolerance * max(speed, place) + TINY
+        fifth = fifth_place / of_place / of_place + fifth_speed / of_speed / of_speed
+        third = third_place / of_place / of_place + third_speed / of_speed / of_speed
         error = 0.0
         if fifth > 0.0 or third > 0.0:
             error = h * fifth / sqrt((fifth + 0.01 * third) * tangents.n)
         tangents.errors[lane] = error if error < FAILED else FAILED
-        whole = h * sqrt(whole)
+        whole = h * sqrt(fifth_place + fifth_speed)
         tangents.errors[lanes + lane] = whole if whole < HUGE else HUGE
 
 
