@@ -10,7 +10,7 @@ from armed_scenes import COMPOUNDS, armed
 from ball_scenes import with_balls
 from elements import driven_loop, forced, geared_loop, planar_loop, rod_loop, windy
 from finite_difference import derivative
-from mechanisms import CART, ball_loop, carts, mass_on_rail, pendulum, planar_four_bar
+from mechanisms import CART, ball_loop, carts, line_spring, mass_on_rail, pendulum, planar_four_bar
 from scipy.integrate import solve_ivp
 
 from crosscheck.scenes import load
@@ -19,7 +19,7 @@ from newton_euler.analysis.tangent_run import OF_TANGENTS, FollowedRun, Starts, 
 from newton_euler.equations.parameters import is_kinematic, parameter_values, places
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.options import Options
-from newton_euler.model.control import PD, StateFeedback
+from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import LinearCoupling
 from newton_euler.model.digital_control import Sampled
 from newton_euler.model.euler_parameters import rotation
@@ -75,6 +75,11 @@ def coupled_carts():
     return replace(scene, mechanism=Mechanism(scene.mechanism.bodies, scene.mechanism.joints, (coupling,)))
 
 
+def hung(law, *forces):
+    """A mass on a vertical rail that a law moves, under gravity."""
+    return mass_on_rail(*forces, gravity=(0.0, 0.0, -9.81), control=(law,))
+
+
 TRACKER = (
     "ball_57.point",
     "hinge_14.axis",
@@ -100,6 +105,14 @@ SCENES = {
     "rotors": (short(armed(ball_loop())), ()),
     "balls": (short(with_balls(ball_loop())), ()),
     "compound joints": (short(armed(COMPOUNDS["compound, cut"])), ()),
+    "computed torque": (
+        short(hung(ComputedTorque("rail", 30.0, 4.0, Sine(0.3, 9.0), model={"mass.mass": 3.0}))),
+        ("mass.mass", "gravity.z", "start.rail"),
+    ),
+    "gravity compensation": (
+        short(hung(PD("rail", 40.0, 3.0, 0.2, gravity_compensation=True), line_spring(rest_length=1.8))),
+        ("mass.mass", "gravity.z", "line.stiffness", "start.rail"),
+    ),
     "wind": (short(windy(pendulum())), ("wind.speed", "wind.air_density", "wind.direction")),
     "functions of time": (short(carts_along_functions()), ()),
     "screw and prescribed motion": (
