@@ -102,20 +102,15 @@ def keep_step(n: int, h: float, method: Dop853, number: int) -> None:
 
 
 @native
-def stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> int:
-    """Evaluate stage s of a step of size h: its state in `at`, its derivative in row s of k; returns a
-    status."""
-    n = system.n
-    row = n + 1
-    now = method.now
-    k = method.k
+def advance(s: int, h: float, count: int, row: int, x: Vector, k: Vector, at: Vector) -> None:
+    """Advance `count` numbers x to stage s of a step of size h, their rates in the rows of k; into `at`."""
     weights = COUPLING[16 * s :]
     second = int(SECOND[s])
-    part = (n + 3) // 4
+    part = (count + 3) // 4
     for i0 in range(part):  # four sums at a time: each has to wait for its last product
-        i1 = i0 + part if i0 + part < n else i0
-        i2 = i0 + 2 * part if i0 + 2 * part < n else i0
-        i3 = i0 + 3 * part if i0 + 3 * part < n else i0
+        i1 = i0 + part if i0 + part < count else i0
+        i2 = i0 + 2 * part if i0 + 2 * part < count else i0
+        i3 = i0 + 3 * part if i0 + 3 * part < count else i0
         change0 = 0.0 + weights[0] * k[i0]
         change1 = 0.0 + weights[0] * k[i1]
         change2 = 0.0 + weights[0] * k[i2]
@@ -125,12 +120,21 @@ def stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> in
             change1 += weights[j] * k[row * j + i1]
             change2 += weights[j] * k[row * j + i2]
             change3 += weights[j] * k[row * j + i3]
-        at[i0] = now[i0] + h * change0  # once, for each sum with the state loses digits
-        at[i1] = now[i1] + h * change1
-        at[i2] = now[i2] + h * change2
-        at[i3] = now[i3] + h * change3
-    at[n] = now[n] + NODES[s] * h
-    return evaluate(system, at, k[row * s :])
+        at[i0] = x[i0] + h * change0  # once, for each sum with the state loses digits
+        at[i1] = x[i1] + h * change1
+        at[i2] = x[i2] + h * change2
+        at[i3] = x[i3] + h * change3
+
+
+@native
+def stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> int:
+    """Evaluate stage s of a step of size h: its state in `at`, its derivative in row s of k; returns a
+    status."""
+    n = system.n
+    row = n + 1
+    advance(s, h, n, row, method.now, method.k, at)
+    at[n] = method.now[n] + NODES[s] * h
+    return evaluate(system, at, method.k[row * s :])
 
 
 @native

@@ -23,14 +23,12 @@ from math import sqrt
 
 from newton_euler.codegen.native import Callback, Record, Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.integrators.dop853 import EXPONENT, FAILED, LARGEST, SAFETY, SMALLEST
+from newton_euler.integrators.dop853 import EXPONENT, FAILED, LARGEST, SAFETY, SMALLEST, advance
 from newton_euler.integrators.dop853_tableau import (
-    COUPLING,
     DENSE,
     ERROR_3,
     ERROR_5,
     NODES,
-    SECOND,
     SECOND_OF_STEP,
     STAGES,
 )
@@ -131,19 +129,13 @@ def tangent_stage(tangents: Tangents, s: int, t: float, h: float) -> None:
     at = tangents.at
     x = tangents.x
     k = tangents.k
-    weights = COUPLING[16 * s :]
-    second = int(SECOND[s])
-    for i in range(size):
-        change = 0.0
-        turn = 0.0
-        if s > 0:
-            change = weights[0] * k[i]
-            turn = weights[0] * k[size + i]
-        for j in range(second, s):
-            change += weights[j] * k[row * j + i]
-            turn += weights[j] * k[row * j + size + i]
-        at[i] = x[i] + h * change
-        at[along + i] = x[along + i] + h * turn
+    if s > 0:
+        advance(s, h, size, row, x, k, at)
+        advance(s, h, size, row, x[along:], k[size:], at[along:])
+    else:
+        for i in range(size):
+            at[i] = x[i]
+            at[along + i] = x[along + i]
     for lane in range(lanes):
         at[size + lane] = t + NODES[s] * h
     tangents.rates(at, k[row * s :])
