@@ -149,8 +149,12 @@ def test_weak_closures_beside_redundant_ones():
 def test_every_mechanism_has_a_case_of_every_system():
     found = Counter()
     for case in random_mechanisms.cases(True):
-        found[case.setting.label] += len(case.measure.args[1])
-    assert found == {setting.label: 1000 for setting in SYSTEMS} | {setting.label: 20 for setting in NATIVE}
+        found[case.setting.engine, str(case.setting)] += len(case.measure.args[1])
+    assert found == {
+        (setting.engine, str(setting)): count
+        for settings, count in ((SYSTEMS, 1000), (NATIVE, 20))
+        for setting in settings
+    }
 
 
 @pytest.mark.slow
