@@ -96,6 +96,10 @@ class Distribution:
             return tuple(np.linspace(low, high, int(count)).tolist())
         return self.numbers if self.kind == "values" else ()
 
+    def __reduce__(self) -> tuple[type[Distribution], tuple[str, tuple[float, ...]]]:
+        """Leave SciPy's object, 10 kB, out of what is sent to workers."""
+        return Distribution, (self.kind, self.numbers)
+
     @cached_property
     def _continuous(self) -> Any:
         return CONTINUOUS[self.kind](*self.numbers)
