@@ -381,6 +381,9 @@ def _timed(
     engine: Engine, choice: Choice, states: Sequence[State], threads: int, firsts: dict[str, Done]
 ) -> float:
     """Return the s of a batch, and keep the first of each engine."""
+    np.ones(
+        MOST // 8
+    )  # a virtual machine takes back what is free for seconds, and would give it anew meanwhile
     done = engine.run(choice.options, states, threads)
     firsts.setdefault(engine.name, done)
     return done.seconds
