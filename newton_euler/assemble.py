@@ -20,7 +20,7 @@ from newton_euler.equations.system import at_time
 from newton_euler.errors import AssemblyError, MechanismError, check_type, finite_array
 from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.geometry import UNIT_TOLERANCE
-from newton_euler.model.joint import Key
+from newton_euler.model.joint import JointEquations, Key
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
@@ -214,7 +214,7 @@ def _check_velocities(scene: Scene, state: State) -> None:
     for equations in mechanism.equations:
         first, second = frames[equations.first], frames[equations.second]
         rates = np.abs(equations.jacobian(first, second).rate(first, second))
-        allowed = VELOCITY_TOLERANCE * speed * np.where(equations.is_length, 1.0, 1.0 / size)
+        allowed = _rates_allowed(equations, speed, size)
         if np.any(rates > allowed):
             worst = int(np.argmax(rates - allowed))
             unit = "m/s" if equations.is_length[worst] else "rad/s"
@@ -223,6 +223,11 @@ def _check_velocities(scene: Scene, state: State) -> None:
                 f"opens at {rates[worst]:.3g} {unit} in the initial state",
                 f"at most {allowed[worst]:.3g} {unit}, as newton_euler.assemble(scene, guess) makes it",
             )
+
+
+def _rates_allowed(equations: JointEquations, speed: Any, size: float) -> Array:
+    """Compute how fast the rows of a joint may open (m/s, rad/s) at the largest speed of a state, m/s."""
+    return VELOCITY_TOLERANCE * speed * np.where(equations.is_length, 1.0, 1.0 / size)
 
 
 def check_states(scene: Scene, states: Sequence[State]) -> dict[int, MechanismError]:
@@ -266,8 +271,7 @@ def _are_consistent(scene: Scene, states: Sequence[State]) -> Array:
     count, mechanism, state = len(states), scene.mechanism, stacked(states)
     ground, frames = mechanism.bodies[0], state.frames()
     place = np.concatenate([ground.center_of_mass, ground.quaternion, np.zeros(6)])
-    pose, motion = (state.position, state.quaternion), (state.linear_velocity, state.angular_velocity)
-    own = np.concatenate([array[0] for array in (*pose, *motion)])
+    own = np.concatenate([array[0] for array in state.arrays])
     found = np.all(np.abs(unstacked(own, count) - place) <= np.finfo(float).eps, axis=1)
     norms = [unstacked([p @ p], count)[:, 0] for p in state.quaternion]
     found &= np.all(np.abs(np.sqrt(norms) - 1.0) <= UNIT_TOLERANCE, axis=0)
@@ -276,7 +280,7 @@ def _are_consistent(scene: Scene, states: Sequence[State]) -> Array:
         first, second = frames[equations.first], frames[equations.second]
         phi = unstacked(equations.phi(first, second), count)
         rates = unstacked(equations.jacobian(first, second).rate(first, second), count)
-        allowed = VELOCITY_TOLERANCE * speed * np.where(equations.is_length, 1.0, 1.0 / mechanism.size)
+        allowed = _rates_allowed(equations, speed, mechanism.size)
         found &= np.all((np.abs(phi) <= CLOSURE_TOLERANCE) & (np.abs(rates) <= allowed), axis=1)
     at = surroundings(scene, state)
     for span in (span for force in scene.forces for span in force.spans(at)):

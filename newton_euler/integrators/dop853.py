@@ -161,30 +161,33 @@ def error_norm(system: Equations, h: float, method: Dop853) -> float:
 
 
 @native
-def prepare_dense(n: int, h: float, method: Dop853) -> None:
-    """Work out the terms of the dense output of a step, all sixteen stages known."""
-    k = method.k
-    terms = method.terms
-    last = (n + 1) * STAGES
-    for i in range(n):
-        change = method.end[i] - method.now[i]
-        terms[i] = change
-        terms[n + i] = h * k[i] - change
-        terms[2 * n + i] = 2.0 * change - h * (k[last + i] + k[i])
-    for i in range(n):
-        fourth = 0.0 + DENSE[0] * k[i]
-        fifth = 0.0 + DENSE[16] * k[i]
-        sixth = 0.0 + DENSE[32] * k[i]
-        seventh = 0.0 + DENSE[48] * k[i]
+def prepare_dense(
+    h: float, count: int, row: int, stride: int, begun: Vector, end: Vector, k: Vector, terms: Vector
+) -> None:
+    """Work out the terms of the dense output of `count` numbers in a step of size h, `stride` apart.
+
+    All sixteen stages are known, their rates in the rows of k, of which `terms` may take the place.
+    """
+    for i in range(count):
+        change = end[i] - begun[i]
+        first = h * k[i] - change
+        second = 2.0 * change - h * (k[row * STAGES + i] + k[i])
+        third = 0.0 + DENSE[0] * k[i]
+        fourth = 0.0 + DENSE[16] * k[i]
+        fifth = 0.0 + DENSE[32] * k[i]
+        sixth = 0.0 + DENSE[48] * k[i]
         for j in range(SECOND_OF_STEP, 16):
-            fourth += DENSE[j] * k[(n + 1) * j + i]
-            fifth += DENSE[16 + j] * k[(n + 1) * j + i]
-            sixth += DENSE[32 + j] * k[(n + 1) * j + i]
-            seventh += DENSE[48 + j] * k[(n + 1) * j + i]
-        terms[3 * n + i] = h * fourth
-        terms[4 * n + i] = h * fifth
-        terms[5 * n + i] = h * sixth
-        terms[6 * n + i] = h * seventh
+            third += DENSE[j] * k[row * j + i]
+            fourth += DENSE[16 + j] * k[row * j + i]
+            fifth += DENSE[32 + j] * k[row * j + i]
+            sixth += DENSE[48 + j] * k[row * j + i]
+        terms[i] = change
+        terms[stride + i] = first
+        terms[2 * stride + i] = second
+        terms[3 * stride + i] = h * third
+        terms[4 * stride + i] = h * fourth
+        terms[5 * stride + i] = h * fifth
+        terms[6 * stride + i] = h * sixth
 
 
 @native
@@ -289,7 +292,7 @@ def write_outputs(system: Equations, table: Table, states: Vector, method: Dop85
         status = stage(system, method, s, h, method.at)
         if status != DONE:
             return status
-    prepare_dense(n, h, method)
+    prepare_dense(h, n, n + 1, n, now, method.end, method.k, method.terms)
     due = int(method.control[DUE])
     row = due
     while row < table.count and times[row] <= now[n] + h:

@@ -23,9 +23,16 @@ from math import sqrt
 
 from newton_euler.codegen.native import Callback, Record, Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.integrators.dop853 import EXPONENT, FAILED, LARGEST, SAFETY, SMALLEST, advance
+from newton_euler.integrators.dop853 import (
+    EXPONENT,
+    FAILED,
+    LARGEST,
+    SAFETY,
+    SMALLEST,
+    advance,
+    prepare_dense,
+)
 from newton_euler.integrators.dop853_tableau import (
-    DENSE,
     ERROR_3,
     ERROR_5,
     NODES,
@@ -149,28 +156,8 @@ def prepare_terms(tangents: Tangents, h: float) -> None:
     size = tangents.n * tangents.lanes
     row = 2 * size + tangents.lanes
     k = tangents.k[size:]
-    end = tangents.k[row * 16 :]
     begun = tangents.x[tangents.inputs * tangents.lanes :]
-    for i in range(size):
-        change = end[i] - begun[i]
-        first = h * k[i] - change
-        second = 2.0 * change - h * (k[row * STAGES + i] + k[i])
-        third = DENSE[0] * k[i]
-        fourth = DENSE[16] * k[i]
-        fifth = DENSE[32] * k[i]
-        sixth = DENSE[48] * k[i]
-        for j in range(SECOND_OF_STEP, 16):
-            third += DENSE[j] * k[row * j + i]
-            fourth += DENSE[16 + j] * k[row * j + i]
-            fifth += DENSE[32 + j] * k[row * j + i]
-            sixth += DENSE[48 + j] * k[row * j + i]
-        k[i] = change
-        k[row + i] = first
-        k[2 * row + i] = second
-        k[3 * row + i] = h * third
-        k[4 * row + i] = h * fourth
-        k[5 * row + i] = h * fifth
-        k[6 * row + i] = h * sixth
+    prepare_dense(h, size, row, row, begun, tangents.k[row * 16 :], k, k)
 
 
 @native
