@@ -22,9 +22,16 @@ from newton_euler.errors import OptionError, SensitivityError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.options import FormulationName, Options, StepControl
 from newton_euler.integrators.outputs import at_rows
-from newton_euler.integrators.run import Integrator
+from newton_euler.integrators.run import Fallback, Integrator, most_steps
 from newton_euler.integrators.singular import NEAR, UNSAFE
-from newton_euler.integrators.tangents import Tangents, evaluate_along, follow, methods
+from newton_euler.integrators.tangents import (
+    REACHED,
+    Tangents,
+    evaluate_along,
+    follow,
+    methods,
+    settle_outputs,
+)
 from newton_euler.model.scene import Scene
 from newton_euler.sampling import Interval, integrate_intervals
 from newton_euler.scalars import Array, Scalar, minimum, objects, zeros
@@ -180,11 +187,12 @@ class TangentCode(CompiledScene):
             return super()._traced(name, in_lanes)
         program = self.program(name)
         straight = program.operations < VERY_LARGE
-        return Traced(program, not self.alone, self._layouts.get(name), straight=straight)
+        many = name != RATES or not self.alone  # a single direction is beside itself at other output times
+        return Traced(program, many, self._layouts.get(name), straight=straight)
 
     def _identity_of(self, name: str) -> str | None:
         known = super()._identity_of(name.removesuffix(ALONG))
-        return known and f"{known}{' alone' * self.alone}"
+        return known and f"{known}{' alone' * (self.alone and name == RATES)}"
 
     def _trace(self, name: str) -> Program:
         if not name.endswith(ALONG):
@@ -385,23 +393,28 @@ class FollowedRun:
             name: np.empty((rows, function.outputs, directions.shape[1]))
             for name, function in functions.items()
         }
-        x = np.zeros((2 * inputs, lanes))
+        x, wide = np.zeros((2 * inputs, lanes)), next(iter(functions.values())).lanes
+        python, most = Fallback(code), most_steps(self._options)
         tangents = Tangents(
             n=n,
             inputs=inputs,
             lanes=lanes,
+            wide=wide,
             count=steps,
             rows=rows,
+            most=most,
             projecting=int(code.projects),
             places=code.system.work.start,
             speeds=code.system.nq,
             tolerance=OF_TANGENTS * self._options.rtol,
             rates=rates,
             settled=settled,
+            pause=python.pause,
             steps=integrator.steps,
             times=integrator.times,
             states=integrator.table,
             x=x,
+            beside=np.empty((2 * inputs, wide)),
             at=np.zeros_like(x),
             k=np.empty((17, 2 * n + 1, lanes)),
             table=np.empty((rows, n, lanes)),
@@ -409,7 +422,8 @@ class FollowedRun:
             errors=np.empty(2 * lanes),
             tried=np.empty(lanes + 1),
             noise=np.zeros(lanes),
-            found=np.empty((max(function.outputs for function in functions.values()), lanes)),
+            counts=np.zeros(3),
+            found=np.empty((max(n, *(function.outputs for function in functions.values())), wide)),
         )
         for first in range(0, directions.shape[1], lanes):
             beside = directions[:, first : first + lanes]
@@ -419,13 +433,18 @@ class FollowedRun:
             x[inputs:, :together] = beside
             tangents.at[:] = x
             tangents.noise[:] = 0.0
-            methods()(follow, tangents, integrator.x)
+            with python.interruptible():
+                status = methods()(follow, tangents, integrator.x)
+            if status == m.TOO_MANY_STEPS:
+                reached = f"more than {most} parts of steps at t = {tangents.counts[REACHED]:.6g} s"
+                raise SensitivityError(f"{reached}; derivatives vibrate much faster than the run moves")
             if code.projects and tangents.least[0] < UNSAFE:
                 raise SensitivityError(TOO_NEAR)
             beside[:n] = x[inputs : inputs + n, :together]
+            methods()(settle_outputs, tangents, together)
             for name, function in functions.items():
-                results, columns = found[name], directions.shape[1]
-                methods()(evaluate_along, tangents, function, function.outputs, first, columns, results)
+                into = function.outputs, first, directions.shape[1], found[name]
+                methods()(evaluate_along, tangents, together, function, *into)
         return found
 
     def _turn_pieces(self, x: Array, interval: Interval, directions: Array) -> None:

@@ -40,7 +40,7 @@ from newton_euler.integrators.dop853_tableau import (
     STAGES,
 )
 from newton_euler.integrators.singular import NEAR
-from newton_euler.integrators.stepper import HUGE
+from newton_euler.integrators.stepper import DONE, HUGE, INTERRUPTED, PATIENCE, TOO_MANY_STEPS
 
 TENTH = 0.1
 """Ratio of the sizes of two parts that show of what order an error is."""
@@ -54,6 +54,9 @@ NOISY = 4.0
 TINY = 1e-300
 """Keeps ratios to nothing finite."""
 
+PARTS, WISH, REACHED = 0, 1, 2
+"""Places in the vector `counts`."""
+
 
 @dataclass(frozen=True, eq=False)
 class Tangents(Record):
@@ -62,16 +65,20 @@ class Tangents(Record):
     Attributes:
         n, inputs: lengths of a state, and of one with time and parameters.
         lanes: number of directions.
+        wide: lanes of `settled` and of outputs, as many or more: these take several output times at once.
         count, rows: numbers of steps and of output times.
+        most: the largest number of parts that steps are taken in.
         projecting: 1 if states are kept on the constraints, else 0.
         places, speeds: (q, v) are the elements up to `places` and from `speeds` on; between is work done,
             which nothing depends on, and whose error is not looked at.
         tolerance: of errors of a part of a step, in units of the largest of q and of v in each lane.
         rates: of a state and of a direction, with the pivot ratio behind them.
         settled: directions on the linearized constraints.
+        pause: lets Python stop the run: asked for every `PATIENCE` parts.
         steps: (count, n + 2) states, times and sizes of steps.
         times, states: (rows,) s, and (rows, n) of the run.
         x: (2 inputs, lanes) state with time and parameters, then the direction in each lane.
+        beside: (2 inputs, wide) the same, for `settled` and outputs.
         at: the same, of a stage.
         k: (17, 2 n + 1, lanes) rates of the stages, then scratch.
         table: (rows, n, lanes) tangents at the output times.
@@ -79,24 +86,29 @@ class Tangents(Record):
         errors: (2, lanes) of the last part in units of the tolerance, and in their own.
         tried: (lanes + 1,) the errors of a longer part, and its size, s.
         noise: (lanes,) error per second that no division makes less.
-        found: (outputs, lanes) scratch for the outputs of any function.
+        counts: (3,) parts taken, the wish to stop, and the time reached, s.
+        found: (outputs, wide) scratch for the outputs of any function.
     """
 
     n: int
     inputs: int
     lanes: int
+    wide: int
     count: int
     rows: int
+    most: int
     projecting: int
     places: int
     speeds: int
     tolerance: float
     rates: Callback
     settled: Callback
+    pause: Callback
     steps: Vector
     times: Vector
     states: Vector
     x: Vector
+    beside: Vector
     at: Vector
     k: Vector
     table: Vector
@@ -104,6 +116,7 @@ class Tangents(Record):
     errors: Vector
     tried: Vector
     noise: Vector
+    counts: Vector
     found: Vector
 
 
@@ -116,14 +129,21 @@ def put(count: int, lanes: int, state: Vector, x: Vector) -> None:
 
 
 @native
-def settle(tangents: Tangents, x: Vector) -> None:
-    """Put the tangents beside a state on the linearized constraints; x is (2 inputs, lanes)."""
+def settle(tangents: Tangents) -> None:
+    """Put the tangents beside the state x on the linearized constraints."""
     if tangents.projecting == 1:
-        size = tangents.n * tangents.lanes
-        direction = x[tangents.inputs * tangents.lanes :]
-        tangents.settled(x, tangents.k)
-        for i in range(size):
-            direction[i] = tangents.k[i]
+        lanes = tangents.lanes
+        wide = tangents.wide
+        direction = tangents.x[tangents.inputs * lanes :]
+        for i in range(2 * tangents.inputs):
+            for lane in range(wide):
+                tangents.beside[wide * i + lane] = tangents.x[
+                    lanes * i + (lane if lane < lanes else lanes - 1)
+                ]
+        tangents.settled(tangents.beside, tangents.found)
+        for i in range(tangents.n):
+            for lane in range(lanes):
+                direction[lanes * i + lane] = tangents.found[wide * i + lane]
 
 
 @native
@@ -304,36 +324,24 @@ def take_part(tangents: Tangents, t: float, h: float) -> float:
 @native
 def write_tangents(tangents: Tangents, t: float, h: float, due: int, stop: float) -> int:
     """Write rows of the table from `due` on, until time `stop`, by a part of size h from t; returns the row
-    that is due then."""
-    n = tangents.n
-    lanes = tangents.lanes
-    size = n * lanes
-    along = tangents.inputs * lanes
-    at = tangents.at
-    table = tangents.table
+    that is due then. They are not on the linearized constraints yet."""
+    size = tangents.n * tangents.lanes
     if due < tangents.rows and tangents.times[due] <= stop:
         for s in range(STAGES + 1, 16):
             tangent_stage(tangents, s, t, h)
         prepare_terms(tangents, h)
-        first = due
         while due < tangents.rows and tangents.times[due] <= stop:
-            interpolate_tangents(tangents, (tangents.times[due] - t) / h, table[size * due :])
+            interpolate_tangents(tangents, (tangents.times[due] - t) / h, tangents.table[size * due :])
             due += 1
-        for late in range(first, due):  # the stages are no longer needed
-            put(n, lanes, tangents.states[n * late :], at)
-            for lane in range(lanes):
-                at[size + lane] = tangents.times[late]
-            for i in range(size):
-                at[along + i] = table[size * late + i]
-            settle(tangents, at)
-            for i in range(size):
-                table[size * late + i] = at[along + i]
     return due
 
 
 @native
-def follow(tangents: Tangents, last: Vector) -> None:
-    """Carry the tangents through all steps, into the table, and to the state (n,) at the end of the last."""
+def follow(tangents: Tangents, last: Vector) -> int:
+    """Carry the tangents through all steps, into the table, and to the state (n,) at the end of the last;
+    returns a status."""
+    counts = tangents.counts
+    counts[PARTS] = 0.0
     n = tangents.n
     lanes = tangents.lanes
     size = n * lanes
@@ -348,12 +356,20 @@ def follow(tangents: Tangents, last: Vector) -> None:
         stop = t + step[n + 1]
         h = step[n + 1]
         put(n + 1, lanes, step, x)
-        settle(tangents, x)
+        settle(tangents)
         if due == 0:
             for i in range(size):
                 tangents.table[i] = x[along + i]
             due = 1
         while t < stop:
+            counts[PARTS] += 1.0
+            counts[REACHED] = t
+            if counts[PARTS] > tangents.most:
+                return TOO_MANY_STEPS
+            if int(counts[PARTS]) % PATIENCE == 0:
+                tangents.pause(counts, counts[WISH:])
+                if counts[WISH] > 0.0:
+                    return INTERRUPTED
             taken = take_part(tangents, t, h)
             for i in range(size):
                 end[i] = at[along + i]
@@ -368,41 +384,95 @@ def follow(tangents: Tangents, last: Vector) -> None:
                     x[i] = end[size + i]
                 for lane in range(lanes):
                     x[size + lane] = t
-                settle(tangents, x)
+                settle(tangents)
                 error = worst_error(tangents, taken)
                 growth = SAFETY * error**EXPONENT if error > 0.0 else LARGEST
                 h = min(taken * min(LARGEST, max(SMALLEST, growth)), stop - t)
     put(n + 1, lanes, last, x)
-    settle(tangents, x)
+    settle(tangents)
+    return DONE
+
+
+@native
+def gather(tangents: Tangents, row: int, lane: int, used: int) -> None:
+    """Set `beside` to tangents at output times from one on, `used` of each; after the last to that again."""
+    n = tangents.n
+    lanes = tangents.lanes
+    wide = tangents.wide
+    inputs = tangents.inputs
+    beside = tangents.beside
+    for place in range(wide):
+        state = tangents.states[n * row :]
+        tangent = tangents.table[n * lanes * row :]
+        for i in range(n):
+            beside[wide * i + place] = state[i]
+            beside[wide * (inputs + i) + place] = tangent[lanes * i + lane]
+        beside[wide * n + place] = tangents.times[row]
+        beside[wide * (inputs + n) + place] = 0.0
+        for i in range(n + 1, inputs):
+            beside[wide * i + place] = tangents.x[lanes * i + lane]
+            beside[wide * (inputs + i) + place] = tangents.x[lanes * (inputs + i) + lane]
+        if lane < used - 1:
+            lane += 1
+        elif row < tangents.rows - 1:
+            row += 1
+            lane = 0
+
+
+@native
+def settle_outputs(tangents: Tangents, used: int) -> None:
+    """Put the first `used` tangents at all output times but the first, which are, on the linearized
+    constraints."""
+    lanes = tangents.lanes
+    wide = tangents.wide
+    row = 1 if tangents.projecting == 1 else tangents.rows
+    lane = 0
+    while row < tangents.rows:
+        gather(tangents, row, lane, used)
+        tangents.settled(tangents.beside, tangents.found)
+        for place in range(wide):
+            if row < tangents.rows:
+                tangent = tangents.table[tangents.n * lanes * row :]
+                for i in range(tangents.n):
+                    tangent[lanes * i + lane] = tangents.found[wide * i + place]
+                lane += 1
+                if lane == used:
+                    row += 1
+                    lane = 0
 
 
 @native
 def evaluate_along(
-    tangents: Tangents, function: Callback, outputs: int, first: int, columns: int, results: Vector
+    tangents: Tangents,
+    used: int,
+    function: Callback,
+    outputs: int,
+    column: int,
+    columns: int,
+    results: Vector,
 ) -> None:
-    """Evaluate a function of states and tangents at all output times.
+    """Evaluate a function of states and of the first `used` tangents at all output times.
 
-    Results (rows, outputs, columns) get those of the lanes in the columns from `first` on.
+    Results (rows, outputs, columns) get those of the tangents in the columns from `column` on.
     """
-    n = tangents.n
-    lanes = tangents.lanes
-    size = n * lanes
-    along = tangents.inputs * lanes
-    at = tangents.at
-    for row in range(tangents.rows):
-        put(n, lanes, tangents.states[n * row :], at)
-        for lane in range(lanes):
-            at[size + lane] = tangents.times[row]
-        for i in range(size):
-            at[along + i] = tangents.table[size * row + i]
-        function(at, tangents.found)
-        result = results[outputs * columns * row + first :]
-        for j in range(outputs):
-            for lane in range(lanes if first + lanes < columns else columns - first):
-                result[columns * j + lane] = tangents.found[lanes * j + lane]
+    wide = tangents.wide
+    row = 0
+    lane = 0
+    while row < tangents.rows:
+        gather(tangents, row, lane, used)
+        function(tangents.beside, tangents.found)
+        for place in range(wide):
+            if row < tangents.rows:
+                result = results[outputs * columns * row + column + lane :]
+                for j in range(outputs):
+                    result[columns * j] = tangents.found[wide * j + place]
+                lane += 1
+                if lane == used:
+                    row += 1
+                    lane = 0
 
 
 @lru_cache
 def methods() -> NativeFunctions:
     """Compile the loops over steps and outputs, once."""
-    return NativeFunctions([follow, evaluate_along])
+    return NativeFunctions([follow, settle_outputs, evaluate_along])

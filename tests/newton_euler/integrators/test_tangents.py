@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from newton_euler.integrators.stepper import TOO_MANY_STEPS
 from newton_euler.integrators.tangents import Tangents, follow
 
 
-def followed(rates_along, start):
-    """Carry one tangent (q, v) from `start` through a step of 1 s; the tangent, and how often its rates were
-    evaluated.
+def followed(rates_along, start, most=2000):
+    """Carry one tangent (q, v) from `start` through a step of 1 s, in `most` parts at most; the tangent, how
+    often its rates were evaluated, and a status.
 
     `rates_along` gives the rates (2,) of the tangent (2,).
     """
@@ -26,18 +27,22 @@ def followed(rates_along, start):
         n=2,
         inputs=3,
         lanes=1,
+        wide=1,
         count=1,
         rows=1,
+        most=most,
         projecting=0,
         places=1,
         speeds=1,
         tolerance=1e-8,
         rates=rates,
         settled=None,
+        pause=None,
         steps=np.array([0.0, 0.0, 0.0, 1.0]),
         times=np.zeros(1),
         states=np.zeros(2),
         x=x,
+        beside=np.empty(6),
         at=x.copy(),
         k=np.empty(17 * 5),
         table=np.empty(2),
@@ -45,23 +50,31 @@ def followed(rates_along, start):
         errors=np.empty(2),
         tried=np.empty(2),
         noise=np.zeros(1),
+        counts=np.zeros(3),
         found=np.empty(1),
     )
-    follow(tangents, np.zeros(3))
-    return x[3:5], len(calls)
+    status = follow(tangents, np.zeros(3))
+    return x[3:5], len(calls), status
 
 
 def test_a_step_is_taken_in_parts():
     """Of an oscillator of 30 rad/s, which a step of 1 s blows up."""
-    found, _ = followed(lambda tangent: [tangent[1], -900.0 * tangent[0]], [1.0, 0.0])
+    found, _, _ = followed(lambda tangent: [tangent[1], -900.0 * tangent[0]], [1.0, 0.0])
     # fewer than a hundred parts, each to 1e-8 of the largest
     assert found == pytest.approx([np.cos(30.0), -30.0 * np.sin(30.0)], abs=30.0 * 1e-6)
+
+
+def test_parts_have_a_limit():
+    _, evaluations, status = followed(lambda tangent: [tangent[1], -900.0 * tangent[0]], [1.0, 0.0], most=5)
+    assert status == TOO_MANY_STEPS
+    # of five parts, and the tries to find the length of the first
+    assert evaluations < 13 * 10
 
 
 def test_round_off_does_not_divide_steps():
     """Rates that are nothing but noise have no error that shorter parts make less: that is found out once."""
     rng = np.random.default_rng(5)
-    found, evaluations = followed(lambda tangent: [tangent[1], 1e-16 * rng.normal()], [0.0, 0.0])
+    found, evaluations, _ = followed(lambda tangent: [tangent[1], 1e-16 * rng.normal()], [0.0, 0.0])
     assert np.abs(found).max() < 1e-15
     # some tries, and parts that grow from a tenth of the step; without it there is no end
     assert evaluations < 13 * 15
@@ -69,5 +82,5 @@ def test_round_off_does_not_divide_steps():
 
 def test_what_is_not_finite_ends():
     """Such results are refused where they are used."""
-    found, _ = followed(lambda tangent: [tangent[1], np.nan], [1.0, 0.0])
+    found, _, _ = followed(lambda tangent: [tangent[1], np.nan], [1.0, 0.0])
     assert np.isnan(found).any()
