@@ -9,7 +9,7 @@
 
 A scene is translated once, into whichever kind of element is cheaper in Exudyn; each run of
 `exudyn.processing.ParameterVariation` sets initial coordinates and solves. No Python is called in a step, and
-Exudyn's own checks of ranges are off.
+Exudyn's own checks of ranges are off. newton_euler makes the same runs on one thread at its cheapest setting.
 
 J. Gerstmayr, Exudyn - a C++-based Python package for flexible multibody systems, Multibody System Dynamics
 60, 2024.
@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from crosscheck.scenes import load
+from crosscheck.studies.benchmark.batch import Own, cheapest
 from crosscheck.studies.benchmark.ladders import poses_only
 from crosscheck.studies.benchmark.reference import batch_references, pose_errors
 from newton_euler.equations.cartesian import Cartesian
@@ -42,6 +43,9 @@ vars(sys)["exudynFast"] = True  # without range checks, if set before the import
 import exudyn  # noqa: E402
 from exudyn import itemInterface as items  # noqa: E402
 from exudyn.processing import ParameterVariation  # noqa: E402
+
+ERROR = 1e-6
+"""m or rad, of the worst run."""
 
 OUTPUTS = 20
 """After the start, equally far apart; errors are the largest of all bodies at these."""
@@ -223,7 +227,7 @@ def measure(case: Case) -> Iterable[str]:
     """Run a case; return its row of the table."""
     scene = replace(poses_only(case.scene), output_period=case.scene.duration / OUTPUTS)
     states = random_states(scene, case.runs)
-    exact, _ = batch_references(scene, states, lambda message: None)
+    exact, _ = batch_references(scene, states, ERROR, lambda message: None)
     container = exudyn.SystemContainer()
     mbs = container.AddSystem()
     system = case.elements(mbs, scene)
@@ -247,8 +251,10 @@ def measure(case: Case) -> Iterable[str]:
     worst = 0.0
     for k, poses in exact.items():
         found = [system.state(q, np.zeros(system.nv)) for q in runs[k]]
-        own = np.array([s.position for s in found]), np.array([s.quaternion for s in found])
-        worst = max(worst, *pose_errors(own, poses))
+        poses_found = np.array([s.position for s in found]), np.array([s.quaternion for s in found])
+        worst = max(worst, *pose_errors(poses_found, poses))
+    known = [states[k] for k in exact]
+    own = cheapest(Own(scene), known, list(exact.values()), ERROR, lambda message: None)
     step = 1e3 * scene.output_period / case.steps
     return (
         f"{scene.name}, {len(scene.mechanism.bodies) - 1} bodies, {scene.duration:g} s",
@@ -257,13 +263,14 @@ def measure(case: Case) -> Iterable[str]:
         str(case.runs),
         f"{worst:.1e}",
         f"{1e3 * seconds:,.0f}",
+        f"{1e3 * own.seconds / len(known):.2g}",
     )
 
 
 def main() -> None:
     """Print the table, a row after each case."""
     exudyn.config.printToConsole = False
-    heads = "scene", "elements", "solver, step", "runs", "worst error", "ms per run"
+    heads = "scene", "elements", "solver, step", "runs", "worst error", "ms per run", "newton_euler, ms"
     print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
     for case in CASES:
         print(f"| {' | '.join(measure(case))} |", flush=True)

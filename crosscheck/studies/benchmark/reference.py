@@ -116,11 +116,12 @@ def _ways(scene: Scene, tightest: float) -> dict[str, Callable[[], Trajectory]]:
 
 
 def batch_references(
-    scene: Scene, states: Sequence[State], progress: Progress
+    scene: Scene, states: Sequence[State], error: float, progress: Progress
 ) -> tuple[dict[int, Poses], float]:
     """Make references of runs from several states; return them by number of the state, and their uncertainty.
 
-    A state has none from which engines cannot go that tightly: its run passes a singular configuration.
+    A state has none from which engines cannot go that tightly, or do not agree to `error`, m or rad: its run
+    passes a singular configuration.
 
     Raises:
         CrosscheckError: if none has any.
@@ -129,9 +130,15 @@ def batch_references(
     for k, state in enumerate(states):
         progress(f"reference of run {k + 1} of {len(states)}")
         try:
-            found[k] = reference(replace(scene, initial_state=state), lambda _: None, (BATCH_RTOL,))
-        except CrosscheckError as error:
-            reason = str(error)
+            made = reference(replace(scene, initial_state=state), lambda _: None, (BATCH_RTOL,))
+        except CrosscheckError as failure:
+            reason = str(failure)
+            continue
+        if made.uncertainty <= error:
+            found[k] = made
+        else:
+            reason = f"is known to {made.uncertainty:.1e} only"
     if not found:
-        raise CrosscheckError(f"none of {len(states)} random runs has a reference; the last: {reason}")
+        none = f"none of {len(states)} random runs has a reference to judge errors of {error:g} by"
+        raise CrosscheckError(f"{none}; the last: {reason}")
     return {k: each.poses for k, each in found.items()}, max(each.uncertainty for each in found.values())

@@ -201,14 +201,11 @@ def test_an_engine_that_does_not_reach_the_error_takes_no_part(monkeypatch, trac
     )
 
 
-def test_an_error_below_what_the_reference_is_known_to_is_refused(monkeypatch, tracker):
-    monkeypatch.setattr(batch, "SAMPLE", 1)
-    monkeypatch.setattr(batch, "batch_references", lambda *_: ({}, 1e-9))
-    with pytest.raises(CrosscheckError, match=r"--error 1e-10: the reference is known to 1\.0e-09 only"):
-        batch.benchmark_batch(tracker, 2, 1e-10, lambda message: None)
-
-
-def test_a_batch_without_a_reference_is_refused(short, tracker_states, monkeypatch):
-    monkeypatch.setattr(benchmark_reference, "LIMIT", 1e-3)
-    with pytest.raises(CrosscheckError, match=r"none of 1 random runs has a reference.*0\.001 s"):
-        batch_references(short, tracker_states[:1], lambda message: None)
+@pytest.mark.parametrize(
+    ("limit", "error", "reason"),
+    [(1e-3, 1e-6, r".*0\.001 s"), (10.0, 1e-20, r"is known to .* only")],
+)
+def test_a_batch_without_a_reference_is_refused(short, tracker_states, monkeypatch, limit, error, reason):
+    monkeypatch.setattr(benchmark_reference, "LIMIT", limit)
+    with pytest.raises(CrosscheckError, match=rf"none of 1 random runs has a reference.*{reason}"):
+        batch_references(short, tracker_states[:1], error, lambda message: None)
