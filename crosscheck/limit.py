@@ -60,7 +60,7 @@ def time_limit(seconds: float, progress: Callable[[float], None] = lambda used: 
             signal.setitimer(signal.ITIMER_PROF, 0.0)
             signal.signal(signal.SIGPROF, at_work)
             signal.signal(signal.SIGINT, at_interrupt)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError):  # what CPython 3.11 makes of an interrupt while `ast` parses
         if over:
             raise TooLongError(f"not finished after {seconds:g} s of processor time") from None
         raise

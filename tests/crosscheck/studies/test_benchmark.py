@@ -129,6 +129,20 @@ def test_native_runs_are_given_up_too(tracker):
         endless.simulate(integrator="RK4", step=1e-5, most_steps=10**9)
 
 
+def test_an_interrupt_while_python_parses_is_understood():
+    """CPython 3.11 makes a SystemError of it."""
+
+    def parse():
+        try:
+            while True:
+                pass
+        except KeyboardInterrupt:
+            raise SystemError("AST constructor recursion depth mismatch") from None
+
+    with pytest.raises(CrosscheckError, match="not finished"), time_limit(0.01):
+        parse()
+
+
 def test_interrupts_from_the_keyboard_stay_what_they_are():
     before = signal.getsignal(signal.SIGPROF)
     with pytest.raises(KeyboardInterrupt), time_limit(30.0):
