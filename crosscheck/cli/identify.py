@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from shlex import quote
 
 import click
 
@@ -13,6 +12,7 @@ from crosscheck.cli.shared import (
     cli,
     folder_option,
     load_and_tell,
+    next_step,
     progress_shown,
     scene_options,
     setting_options,
@@ -64,5 +64,5 @@ def identify_command(
         found = identify(loaded, names, measured, rtol=rtol)
     made = report(found)
     write_files({path: as_json(data(found), made)})
-    show(made, f"wrote {path}", f"more  crosscheck report {quote(str(path.parent))}")
+    show(made, f"wrote {path}", f"more  {next_step('report', path.parent)}")
     return UNFINISHED if found.doubts else AGREE

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from shlex import quote
 
 import click
 
@@ -15,6 +14,7 @@ from crosscheck.cli.shared import (
     engines_option,
     folder_option,
     load_and_tell,
+    next_step,
     progress_shown,
     say,
     scene_options,
@@ -83,8 +83,8 @@ def bench_command(
     wanted = Wanted(load_and_tell(scene, options), scene, options, error, batch or 0)
     with progress_shown() as progress:
         found, written = bench(wanted, kinds[0], output, progress)
-    folder = quote(str(written[0].parent))
-    show(found, f"wrote {', '.join(map(str, written))}", f"more  -v; crosscheck report {folder}")
+    more = f"more  -v; {next_step('report', written[0].parent)}"
+    show(found, f"wrote {', '.join(map(str, written))}", more)
     return AGREE
 
 
@@ -142,8 +142,8 @@ def loads_command(
     with progress_shown() as progress:
         found, written = loads(scenes, at_rest, folder, progress)
     after = (
-        f"look  crosscheck view {quote(str(written[-1]))}",
-        f"more  crosscheck report {quote(str(folder))}",
+        f"look  {next_step('view', written[-1])}",
+        f"more  {next_step('report', folder)}",
     )
     show(found, "wrote " + ", ".join(map(str, written)), *after)
     return AGREE
@@ -305,7 +305,7 @@ def faults_command(
     wall_time = time.perf_counter() - start
     found = report(loaded.name, search, wall_time)
     write_files({path: as_json(data(loaded.name, options, search), found)})
-    show(found, f"wrote {path}", f"more  -v; crosscheck report {quote(str(path.parent))}")
+    show(found, f"wrote {path}", f"more  -v; {next_step('report', path.parent)}")
     return AGREE if holds(search) else DISAGREE
 
 

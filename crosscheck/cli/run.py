@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import shutil
 import socket
 import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
-from shlex import join, quote
+from textwrap import TextWrapper
 from typing import TYPE_CHECKING
 from urllib.parse import quote_plus
 
@@ -23,6 +22,7 @@ from crosscheck.cli.shared import (
     engines_option,
     is_verbose,
     load_and_tell,
+    next_step,
     progress_shown,
     say,
     scene_options,
@@ -52,7 +52,10 @@ MOST_NUMBERS = 9
 """Of a parameter's value that are listed, as many as an inertia has."""
 
 DIGITS = 12
-"""Of initial coordinates, which are m, rad or their rates: what follows is round-off."""
+"""Of values beside the largest of their array, and of initial coordinates: what follows is round-off."""
+
+WIDTH = 80
+"""Characters of a line of the list of parameters, unless names are long."""
 
 
 @cli.command("run")
@@ -223,24 +226,16 @@ def _carry_out(
         progress("writing")
         found = report(result)
         write(result, found, folder, recording, name)
-    more = ["-v", f"crosscheck report {quote(str(folder))}"]
+    more = ["-v", next_step("report", folder)]
     if not isinstance(result, Against):
         settings = [word for key, value in result.options.items() for word in ("--set", f"{key}={value}")]
-        more.append(join(["crosscheck", "bench", result.source, *settings]))
-    show(found, f"look  {_called()} view {quote(str(recording))}", f"more  {'; '.join(more)}")
+        more.append(next_step("bench", result.source, *settings))
+    show(found, f"look  {next_step('view', recording)}", f"more  {'; '.join(more)}")
     if result.agrees:
         return AGREE
     if result.unfinished and not isinstance(result, Against):
         return UNFINISHED  # whatever was found until then; models that differ do so anyway
     return DISAGREE if result.differs else UNFINISHED
-
-
-def _called() -> str:
-    """Return the command as it was called, where the shell does not find it by its name."""
-    called = Path(sys.argv[0])
-    if called.name != "crosscheck" or shutil.which("crosscheck") == str(called.absolute()):
-        return "crosscheck"
-    return quote(os.path.relpath(called))
 
 
 @cli.command("list")
@@ -281,10 +276,7 @@ def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
 
 
 def _parameters(scene: Scene) -> Iterator[str]:
-    """Yield a line for each parameter and initial coordinate: name, unit and own value.
-
-    Lines are never wrapped: names are there to be copied.
-    """
+    """Yield lines for each parameter and initial coordinate: name, unit and own value, a matrix by rows."""
     from newton_euler.equations.parameters import parameter_values
     from newton_euler.starts import initial_names
     from newton_euler.variation import own_values, units_of
@@ -294,13 +286,18 @@ def _parameters(scene: Scene) -> Iterator[str]:
     units = units_of(scene, own)
     columns = max(map(len, own)), max(map(len, units.values()))
     for name, value in own.items():
-        yield f"{name:{columns[0]}}  {units[name]:{columns[1]}}  {_value(value)}"
+        before = f"{name:{columns[0]}}  {units[name]:{columns[1]}}  "
+        lines = TextWrapper(WIDTH, before, " " * len(before), break_long_words=False, break_on_hyphens=False)
+        for row in value if value.shape == (3, 3) else [value]:
+            yield from lines.wrap(_numbers(row, abs(value).max(initial=0.0)))
+            lines.initial_indent = lines.subsequent_indent
 
 
-def _value(value: Array) -> str:
-    """Write the numbers of a parameter, of many the first ones and how many there are."""
-    shown = " ".join(f"{number + 0.0:.6g}" for number in value.flat[:MOST_NUMBERS])
-    return shown if value.size <= MOST_NUMBERS else f"{shown} ... ({value.size} numbers)"
+def _numbers(row: Array, largest: float) -> str:
+    """Write numbers beside the largest of their array, of many the first ones and how many there are."""
+    known = [number if abs(number) > 10.0**-DIGITS * largest else 0.0 for number in row.flat[:MOST_NUMBERS]]
+    shown = " ".join(f"{number:.6g}" for number in known)
+    return shown if row.size <= MOST_NUMBERS else f"{shown} ... ({row.size} numbers)"
 
 
 @cli.command("convert")

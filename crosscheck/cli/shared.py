@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from shlex import join
 from threading import Timer
 from typing import TYPE_CHECKING, Self
 
@@ -183,6 +186,14 @@ def tell(scene: str, mapping: ImportReport | None) -> None:
         lines[MOST_LINES:] = [f"{more} more elements are not as in the file; crosscheck run -v names all"]
     for line in lines:
         click.echo(wrapped(f"{scene}: {line}", sys.stderr), err=True)
+
+
+def next_step(*words: object) -> str:
+    """Word a command to go on with, called as this one was where the shell does not find it by its name."""
+    called, command = Path(sys.argv[0]), "crosscheck"
+    if called.name == command and shutil.which(command) != str(called.absolute()):
+        command = os.path.relpath(called)
+    return join([command, *map(str, words)])
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
 import click
@@ -15,6 +14,7 @@ from crosscheck.cli.shared import (
     cli,
     folder_option,
     load_and_tell,
+    next_step,
     progress_shown,
     scene_options,
     setting_options,
@@ -78,6 +78,7 @@ def sweep_command(
     """
     from crosscheck.load import exercised
     from crosscheck.sweeps.distributions import parse_vary
+    from crosscheck.sweeps.store import NAME
     from crosscheck.sweeps.sweep import own_scene, sweep
 
     vary = parse_vary(varied)
@@ -89,7 +90,8 @@ def sweep_command(
             swept = swept.check(check, progress=progress)
         progress("analysis, pictures and recording")
         written = swept.save(folder)
-    look = [f"look  crosscheck view {quote(str(path))}" for path in written if path.suffix == ".rrd"]
-    more = f"more  -v; crosscheck report {quote(str(folder))}; numbers in {swept.results.path}"
+    look = [f"look  {next_step('view', path)}" for path in written if path.suffix == ".rrd"]
+    beside = ", ".join(path.name for path in written if path.suffix == ".png")
+    more = f"more  -v; {next_step('report', folder)}; there {beside or 'no pictures'} and numbers, {NAME}"
     show(swept.report, *look, more)
     return {"fails": DISAGREE, "doubtful": UNFINISHED}.get(swept.report.judged.verdict, AGREE)

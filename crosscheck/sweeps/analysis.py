@@ -13,7 +13,7 @@ from scipy.stats import rankdata
 from crosscheck.sweeps.plan import Parameters
 from crosscheck.sweeps.results import Results
 from crosscheck.sweeps.sampling import Samples
-from crosscheck.sweeps.store import missing
+from crosscheck.sweeps.store import not_installed
 from newton_euler.scalars import Array
 
 MOST_NUMBERS = 2**25
@@ -222,8 +222,10 @@ class Analysis:
 
     @property
     def too_few(self) -> str:
-        """The reason why there are no shares; empty if there are."""
+        """The reason why there are no shares; empty if there are, as that of a single parameter: all."""
         block = self._samples.block
+        if len(self.names) == 1:
+            return ""
         runs, least = self._samples.runs, LEAST_BASE * block if block > 1 else LEAST_BINS * PER_BIN
         return f"too few runs for shares of variance: {runs:,}; at least {least:,}" if runs < least else ""
 
@@ -236,7 +238,8 @@ class Analysis:
         independent = 2 * len(y) // self._samples.block if self._samples.block > 1 else len(y)
         if not scalar.varies or independent < LEAST_RANKED or np.ptp(y) == 0.0:
             return []
-        sobol = self._sobol(values) if self._samples.block > 1 else None
+        alone = len(self.names) == 1
+        sobol = self._sobol(values) if self._samples.block > 1 and not alone else None
         found = []
         ranks = rankdata(y)
         for k, (name, inputs) in enumerate(zip(self.names, self._inputs, strict=True)):
@@ -247,7 +250,8 @@ class Analysis:
                 share = _share(x, y)
                 if np.ptp(x) > 0.0:
                     rank = _rank(float(np.corrcoef(rankdata(x), ranks)[0, 1]), independent)
-            found.append(Effect(name, **_tenths(x, y), **rank, **(sobol[k] if sobol else share)))
+            shares = {"share": 1.0} if alone else sobol[k] if sobol else share
+            found.append(Effect(name, **_tenths(x, y), **rank, **shares))
         return sorted(found, key=lambda effect: -effect.size)
 
     def _sobol(self, y: Array) -> list[dict[str, float]]:
@@ -258,7 +262,7 @@ class Analysis:
         try:
             from SALib.analyze import sobol
         except ImportError as error:
-            raise missing(error) from error
+            raise not_installed(error) from error
         whole = np.isfinite(y).reshape(-1, self._samples.block).all(axis=1)
         y = y[np.repeat(whole, self._samples.block)]
         if whole.sum() < LEAST_BASE or np.ptp(y) == 0.0:

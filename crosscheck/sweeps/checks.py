@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from importlib.metadata import version
@@ -150,6 +150,55 @@ def _check(
     return Checked(run, "", complete, not result.differs, result.verdict, kept, moves, names)
 
 
+def worded(checked: Sequence[Checked], extremes: Collection[int]) -> str:
+    """Word what crosschecks found: the first that is not in order, or what is nearest its limit.
+
+    Args:
+        checked: them.
+        extremes: numbers of all extreme runs, of which some may not have been checked.
+    """
+    count, random = len(checked), sum(each.why == RANDOM for each in checked)
+    left = len(set(extremes).difference(each.run for each in checked))
+    of_extremes = (
+        f"{count - random} of {count - random + left} extremes" if left else f"{count - random} extreme"
+    )
+    kinds = [of_extremes] * (count > random) + [f"{random} at random"] * (random > 0)
+    of_runs = f"{count} run{'s'[: count - 1]} ({', '.join(kinds)})"
+    for each in sorted(checked, key=lambda each: not each.differs):
+        named = f"run {each.run} ({each.why})"
+        if not (each.agrees and each.complete):
+            return f"{named}: {each.verdict}; {of_runs} cross-checked"
+        wrong = [figure for figure in each.kept if not figure.agrees]
+        if wrong:
+            return f"{named}: {_difference(max(wrong, key=_share))}; {of_runs} cross-checked"
+    kept = [figure for each in checked for figure in each.kept]
+    judged = [figure for figure in kept if not figure.informs]
+    engines = checked[0].engines
+    who = "all engines" if set(engines) == set(ENGINES) else ", ".join(engines)
+    who += " alone" if len(engines) == 1 else ""
+    found = f"{who} in all figures of {of_runs}"
+    if judged:
+        found += f"; kept numbers as well, nearest its limit {_difference(max(judged, key=_share))}"
+    soft = sorted({figure.between[0] for figure in kept if figure.detail})
+    unsettled = sum(bool(figure.unsettled) for figure in kept)
+    open_ = [f"reactions of {name}, whose constraints are soft" for name in soft]
+    open_ += [f"{unsettled} numbers that finer runs change by more"] if unsettled else []
+    found += f"; not judged: {', '.join(open_)}" if open_ else ""
+    return found if any(each.moves for each in checked) else f"{found}; nothing moves"
+
+
+def _share(figure: Figure) -> float:
+    return float(np.nan_to_num(figure.share, nan=np.inf))
+
+
+def _difference(figure: Figure) -> str:
+    """Word the difference of a kept number between an engine and the sweep."""
+    name, _, unit = figure.quantity.rpartition(", ")
+    quantity, unit = (name, f" {unit}") if name else (figure.quantity, "")
+    compared = f"{figure.value:.1e} {'<' if figure.agrees else '>'} {figure.tolerance:.1e}{unit}"
+    return f"{quantity}, {figure.between[0]} in {figure.where}: {compared}"
+
+
 def _compared(
     swept: Results, found: Sequence[Scalar], run: int, result: Crosscheck, engines: Sequence[Engine]
 ) -> Iterator[Figure]:
@@ -210,7 +259,7 @@ def _compared(
         for of_variable in figures.values():
             for informs in (False, True):
                 alike = [each for each in of_variable if each.informs == informs]
-                yield from sorted(alike, key=lambda each: np.nan_to_num(each.share, nan=np.inf))[-1:]
+                yield from sorted(alike, key=_share)[-1:]
 
 
 def finer_control(control: Mapping[str, Any]) -> dict[str, Any]:

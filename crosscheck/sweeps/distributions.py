@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -96,25 +96,17 @@ class Distribution:
             return tuple(np.linspace(low, high, int(count)).tolist())
         return self.numbers if self.kind == "values" else ()
 
-    def __reduce__(self) -> tuple[type[Distribution], tuple[str, tuple[float, ...]]]:
-        """Leave SciPy's object, 10 kB, out of what is sent to workers."""
-        return Distribution, (self.kind, self.numbers)
-
-    @cached_property
-    def _continuous(self) -> Any:
-        return CONTINUOUS[self.kind](*self.numbers)
-
     def quantile(self, u: Array) -> Array:
         """Return the values (n,) below which shares u (n,) between 0 and 1 of all values lie."""
         if levels := self.levels:
             return np.array(levels)[np.minimum((u * len(levels)).astype(int), len(levels) - 1)]
-        values = self._continuous.ppf(u)
+        values = _continuous(self).ppf(u)
         low, high = self.numbers[2:] if self.kind == "truncated_normal" else (-np.inf, np.inf)
         return np.clip(values, low, high)
 
     def deviations_of(self, value: float) -> float:
         """Return how many standard deviations a number lies from the mean; 0 if there is one value alone."""
-        of = np.array(self.levels) if self.levels else self._continuous
+        of = np.array(self.levels) if self.levels else _continuous(self)
         deviation = float(of.std())
         return abs(value - float(of.mean())) / deviation if deviation else 0.0
 
@@ -126,6 +118,12 @@ class Distribution:
 
     def __str__(self) -> str:
         return f"{self.kind}({_texts(self.numbers)})"
+
+
+@lru_cache(maxsize=1000)
+def _continuous(of: Distribution) -> Any:
+    """Return SciPy's object of a distribution, 10 kB that are not to be sent to workers with it."""
+    return CONTINUOUS[of.kind](*of.numbers)
 
 
 def _texts(numbers: Iterable[float]) -> str:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.limit import span
-from crosscheck.sweeps.store import KEPT_GOES_ON, missing
+from crosscheck.sweeps.store import KEPT_GOES_ON, not_installed
 from newton_euler.batch import thread_count
 from newton_euler.errors import OptionError
 
@@ -46,7 +46,7 @@ PROBE, LONG = 0.05, 1.0
 PATIENCE = 10.0
 """s for a cluster to answer."""
 
-NO_SCHEDULER = "what listens there does not answer as a scheduler of Dask"
+NO_WORKERS = f"there are no workers: waits until there are; Ctrl-C ends, {KEPT_GOES_ON}"
 
 LOGS, SILENT = ("distributed.client", "distributed.protocol.core", "distributed.comm"), logging.CRITICAL + 1
 """Logs of Dask that repeat what is raised, and a level above all of theirs."""
@@ -106,7 +106,7 @@ def _client(cluster: Client | str) -> Iterator[Client]:
     try:
         import distributed
     except ImportError as error:
-        raise missing(error) from error
+        raise not_installed(error) from error
     if isinstance(cluster, distributed.Client):
         yield cluster
         return
@@ -136,61 +136,52 @@ def _connected(address: str) -> Client:
             with ThreadPoolExecutor(1) as thread:
                 thread.submit(asyncio.run, _check_scheduler(address)).result()
         return distributed.Client(address, timeout=PATIENCE, set_as_default=False)
-    except (OSError, ValueError, TypeError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        raise CrosscheckError(f"cannot reach the cluster {address}: {reason}"[:300]) from error
+    except Exception as error:  # whatever Dask makes of an answer that is none of Dask's
+        reason = " ".join(str(error).split()) or "it does not answer"
+        raise CrosscheckError(f"cannot reach a scheduler of Dask at {address}: {reason}"[:300]) from error
 
 
 async def _check_scheduler(address: str) -> None:
-    """Raise `OSError` where something else than a scheduler listens.
-
-    A client of Dask limits the time until there is a connection, but not until its handshake is done, and
-    reads any answer as one of Dask's.
-    """
-    from distributed import Security, comm
-    from distributed.core import send_recv
+    """Raise an error where something else than a scheduler listens: a client would wait for it for ever."""
+    from distributed import Security, rpc
 
     secured = Security().get_connection_args("client")
-    try:
-        async with asyncio.timeout(2.0 * PATIENCE):  # half of it for the connection itself
-            connection = await comm.connect(address, timeout=PATIENCE, **secured)
-            try:
-                kind = (await send_recv(connection, op="identity"))["type"]
-            finally:
-                connection.abort()
-    except TimeoutError as error:
-        raise OSError(f"{NO_SCHEDULER} within {2.0 * PATIENCE:g} s") from error
-    except (OSError, ValueError, TypeError):
-        raise
-    except Exception as error:  # of reading what is not Dask's: sizes without sense, unknown formats
-        raise OSError(NO_SCHEDULER) from error
+    async with asyncio.timeout(2.0 * PATIENCE):  # half of it for the connection itself
+        async with rpc(address, timeout=PATIENCE, connection_args=secured) as listener:
+            kind = (await listener.identity())["type"]
     if kind != "Scheduler":
-        raise OSError(f"a {kind} of Dask listens there; needed: a scheduler")
+        raise OSError(f"a {kind} listens there")
 
 
 def in_any_order(
-    task: Callable[[Item], Result], items: Iterable[Item], at: Workers
+    task: Callable[[Item], Result],
+    items: Iterable[Item],
+    at: Workers,
+    progress: Callable[[str], None] = lambda stage: None,
 ) -> Generator[tuple[Item, Result]]:
     """Execute a task for each item; yields items and results as they come.
 
     No more than `AHEAD` tasks per worker are given out at a time, so that a million of them are no burden.
-    What is running when this is left ends; what is waiting is not begun.
+    What is running when this is left ends; what is waiting is not begun. While there are no workers, as
+    before a queue lets them start, it waits for them, which `progress` is told.
 
     Raises:
         CrosscheckError: of a task, and where processes that make them are lost again and again.
     """
-    left, count, counted = iter(items), at.count(), time.perf_counter()
+    left, count, counted = iter(items), 1, -COUNT_AFTER
     running: dict[Future[Result], Item] = {}
     try:
         while True:
             if time.perf_counter() - counted > COUNT_AFTER:
-                count, counted = at.count(), time.perf_counter()
+                before, count, counted = count, at.count(), time.perf_counter()
+                if before and not count:
+                    progress(NO_WORKERS)
             room = AHEAD * max(1, count) - len(running)
             for _, item in zip(range(room), left, strict=False):
                 running[at.executor.submit(task, item)] = item
             if not running:
                 return
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
+            for future in wait(running, COUNT_AFTER, FIRST_COMPLETED).done:
                 yield running.pop(future), _result(future)
     except BrokenExecutor as error:
         raise CrosscheckError(f"a process of the executor died; {KEPT_GOES_ON}") from error

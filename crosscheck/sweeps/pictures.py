@@ -116,7 +116,8 @@ def share_of(effect: Effect) -> str:
     """Word the share of a parameter and its 95 % interval, or its rank where there is none."""
     if effect.share is None:
         return rank_of(effect)
-    text = f"{round(100.0 * effect.share)} ± {np.ceil(100.0 * effect.error):.0f} %"
+    either_side = f" ± {np.ceil(100.0 * effect.error):.0f}" if effect.error else ""
+    text = f"{round(100.0 * effect.share)}{either_side} %"
     return text if effect.total is None else f"{text}, in all {100.0 * effect.total:.0f} %"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 import platform
 from collections.abc import Iterator, Mapping
@@ -19,21 +20,20 @@ from crosscheck.sweeps.expressions import DIMENSIONS, Outputs, labels
 from crosscheck.sweeps.reductions import Reduction, pruned, reductions
 from crosscheck.sweeps.sampling import Samples
 from newton_euler.batch import Batch, simulate_batch
-from newton_euler.codegen.compile import llvm_binding
+from newton_euler.codegen.compile import lane_count, llvm_binding
 from newton_euler.codegen.fingerprint import SOURCE, fingerprint
+from newton_euler.equations.parameters import parameter_names
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.options import Options
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import QUANTITIES
 from newton_euler.scalars import Array
-from newton_euler.variation import with_parameters
+from newton_euler.starts import initial_names
+from newton_euler.variation import own_values, with_parameters
 
 ROOM = 48_000_000
 """Bytes of the outputs of runs that are in memory together."""
-
-LANES = 8
-"""Runs that native code may advance side by side: fewer are never made together but at an end."""
 
 UNSEEN = frozenset({"description", "shapes", "meshes"})
 """Fields of scenes that no run depends on."""
@@ -109,15 +109,6 @@ class Plan:
         """The scene with those outputs alone that are needed: one for plans that keep the same."""
         return _kept(self.scene, self.keep, self.integrator)[1]
 
-    @property
-    def chunks(self) -> int:
-        """The number of chunks."""
-        return -(-self.samples.runs // self.chunk)
-
-    def bounds(self, k: int) -> tuple[int, int]:
-        """Return the first run of a chunk and the first after it."""
-        return k * self.chunk, min((k + 1) * self.chunk, self.samples.runs)
-
     def parameters(self, first: int, last: int) -> Parameters:
         """Return the parameters of the runs from `first` to before `last`."""
         values = self.samples.values(first, last)
@@ -136,8 +127,7 @@ class Plan:
             for name, quantity in QUANTITIES.items()
             if quantity.output is None or quantity.output in self.lean.outputs
         )
-        runs = ROOM // (8 * numbers * len(self.lean.times))
-        return max(LANES, runs // LANES * LANES)
+        return max(lane_count(), ROOM // (8 * numbers * len(self.lean.times)))
 
     def scene_of(self, run: int) -> Scene:
         """Return the scene of one run, for any engine.
@@ -178,8 +168,10 @@ class Plan:
                     f"a worker on {platform.node()} has {what} than this process; needed: the same"
                 )
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> dict[str, str | int | float]:
         """Describe the plan for a file of results: another plan has another record.
+
+        Of texts and numbers, as netCDF has them.
 
         Raises:
             CrosscheckError: for a scene with functions whose meaning is not in their numbers.
@@ -191,14 +183,16 @@ class Plan:
         return {
             "scene": self.scene.name,
             "fingerprint": known,
-            "vary": [[*names, str(each)] for names, each in self.samples.groups],
+            "numbers": json.dumps(_numbers(self.scene)),
+            **{f"vary {', '.join(names)}": str(each) for names, each in self.samples.groups},
+            "vary": ", ".join(self.samples.names),
             "sampling": self.samples.sampling,
             "runs": self.samples.runs,
             "seed": self.samples.seed,
-            "keep": list(self.keep),
-            "control": dict(self.control),
+            "keep": ", ".join(self.keep),
+            **self.control,
             "chunk": self.chunk,
-            "versions": {name: version(name) for name in RECORDED},
+            "versions": json.dumps({name: version(name) for name in RECORDED}),
             **self.conditions,
         }
 
@@ -213,6 +207,13 @@ def processor() -> str:
 def _kept(scene: Scene, keep: tuple[str, ...], integrator: str) -> tuple[tuple[Reduction, ...], Scene]:
     kept = reductions(keep, scene)
     return kept, pruned(scene, kept, integrator)
+
+
+def _numbers(scene: Scene) -> dict[str, str]:
+    """Return the numbers of a scene by their names, by which it can be told what another one has changed."""
+    own = own_values(scene, [*parameter_names(scene), *initial_names(scene)])
+    own |= {name: np.array(getattr(scene, name)) for name in ("duration", "output_period")}
+    return {name: " ".join(f"{number:.12g}" for number in value.flat) for name, value in own.items()}
 
 
 def _unseen(scene: Scene) -> Scene:
@@ -260,7 +261,7 @@ def _parts(plan: Plan, parameters: Parameters) -> Iterator[Chunk]:
     """Make and reduce as many runs at a time as there is room for."""
     count = len(next(iter(parameters.values())))
     parts = -(-count // plan.together)
-    size = -(-count // (parts * LANES)) * LANES
+    size = -(-count // (parts * lane_count())) * lane_count()
     for start in range(0, count, size):
         own = {name: values[start : start + size] for name, values in parameters.items()}
         batch = plan.batch(own, plan.lean)

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crosscheck.comparison.figure import Figure
-from crosscheck.engines import ENGINES
 from crosscheck.files import check_writable, write_files
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.table import (
@@ -41,7 +39,7 @@ from crosscheck.sweeps.analysis import (
     thinned,
     with_unit,
 )
-from crosscheck.sweeps.checks import RANDOM, Checked
+from crosscheck.sweeps.checks import Checked, worded
 from crosscheck.sweeps.distributions import Distribution
 from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.pictures import MOST_POINTS, pictures, rank_of, share_of
@@ -111,8 +109,11 @@ class Findings:
         runs, stopped = self.swept.plan.samples.runs, len(self.swept.errors)
         of_runs = "1 run came to its" if runs == 1 else f"{runs:,} runs came to their"
         ended = f"{runs - stopped:,} of {of_runs} end"
-        checks = f"{self._checks}; {ended}" if self.checked else f"{ended}; none was cross-checked"
-        return f"{self._word}: {checks}" if self._word else checks
+        found = f"{ended}; none was cross-checked"
+        if self.checked:
+            extremes = {scalar.extreme(largest) for scalar, _ in self.effects for largest in (True, False)}
+            found = f"{worded(self.checked, extremes)}; {ended}"
+        return f"{self._word}: {found}" if self._word else found
 
     @property
     def _word(self) -> str:
@@ -123,55 +124,10 @@ class Findings:
         return "AGREE" if self.checked else ""
 
     @property
-    def _checks(self) -> str:
-        """Word what the cross-checks found: the first that is not in order, or what is nearest its limit."""
-        count = len(self.checked)
-        random = sum(each.why == RANDOM for each in self.checked)
-        kinds = f"{random} at random and {count - random} extreme"
-        extremes = {scalar.extreme(largest) for scalar, _ in self.effects for largest in (True, False)}
-        if left := len(extremes.difference(each.run for each in self.checked)):
-            kinds += f" of {count - random + left}"
-        of_runs = f"{count} run{'s'[: count - 1]}"
-        checked = f"{of_runs} cross-checked, {kinds}"
-        for each in sorted(self.checked, key=lambda each: not each.differs):
-            named = f"run {each.run} ({each.why})"
-            if not (each.agrees and each.complete):
-                return f"{named}: {each.verdict}; {checked}"
-            wrong = [figure for figure in each.kept if not figure.agrees]
-            if wrong:
-                return f"{named}: {told(max(wrong, key=_share))}; {checked}"
-        kept = [figure for each in self.checked for figure in each.kept]
-        judged = [figure for figure in kept if not figure.informs]
-        engines = self.checked[0].engines
-        who = "all engines" if set(engines) == set(ENGINES) else ", ".join(engines)
-        who += " alone" if len(engines) == 1 else ""
-        found = f"{who} in all figures of {of_runs}, {kinds}"
-        if judged:
-            found += f"; kept numbers as well, nearest its limit {told(max(judged, key=_share))}"
-        soft = sorted({figure.between[0] for figure in kept if figure.detail})
-        unsettled = sum(bool(figure.unsettled) for figure in kept)
-        open_ = [f"reactions of {name}, whose constraints are soft" for name in soft]
-        open_ += [f"{unsettled} numbers that finer runs change by more"] if unsettled else []
-        found += f"; not judged: {', '.join(open_)}" if open_ else ""
-        return found if any(each.moves for each in self.checked) else f"{found}; nothing moves"
-
-    @property
     def judged(self) -> Cell:
         """The verdict in one word."""
         verdicts: dict[str, Verdict] = {"DISAGREE": "fails", "UNFINISHED": "doubtful", "AGREE": "holds"}
         return Cell(self._word or "made", verdicts.get(self._word, ""))
-
-
-def _share(figure: Figure) -> float:
-    return np.inf if np.isnan(figure.share) else figure.share
-
-
-def told(figure: Figure) -> str:
-    """Word the difference of a kept number between an engine and the sweep."""
-    name, _, unit = figure.quantity.rpartition(", ")
-    quantity, unit = (name, f" {unit}") if name else (figure.quantity, "")
-    compared = f"{figure.value:.1e} {'<' if figure.agrees else '>'} {figure.tolerance:.1e}{unit}"
-    return f"{quantity}, {figure.between[0]} in {figure.where}: {compared}"
 
 
 def findings(swept: Results, checked: Sequence[Checked] = ()) -> Findings:
@@ -197,7 +153,7 @@ def report(found: Findings) -> Report:
     """Make the tables of a sweep, and their short forms for the terminal."""
     swept, samples = found.swept, found.swept.plan.samples
     of_runs = "1 run" if samples.runs == 1 else f"{samples.runs:,} runs"
-    title = f"{swept.scene.name}: {of_runs}, {samples.sampling}, seed {samples.seed}"
+    title = f"{swept.plan.scene.name}: {of_runs}, {samples.sampling}, seed {samples.seed}"
     if swept.made:
         title += f"; {swept.made:,} made at {swept.made / swept.wall_time:,.0f} per s"
     if swept.made < samples.runs:
@@ -405,7 +361,7 @@ def to_record(found: Findings, made: Report) -> tuple[Any, ...]:
     """Return the arguments of `crosscheck.recording.sweep.log_sweep`."""
     runs = _extremes(found)
     text = markdown(replace(made, parts=made.summary))
-    return found.swept.scene, runs, list(_envelopes(found, runs)), text, made.title
+    return found.swept.plan.scene, runs, list(_envelopes(found, runs)), text, made.title
 
 
 def _data(found: Findings) -> dict[str, object]:

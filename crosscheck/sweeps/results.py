@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import groupby
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -23,9 +22,9 @@ from crosscheck.sweeps.expressions import labels
 from crosscheck.sweeps.plan import STOPPED, Chunk, Parameters, Plan, make_runs, run_all
 from crosscheck.sweeps.store import BLOCK, ERROR, NAME, STATUS, Store, store_runs
 from newton_euler.errors import NewtonEulerError
-from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
-from newton_euler.variation import own_values
+from newton_euler.starts import assembly_of
+from newton_euler.variation import own_values, run_values
 
 TASK = 1.0
 """s that a task takes about: its overhead is small beside it, and little is lost with one."""
@@ -33,12 +32,14 @@ TASK = 1.0
 OVERHEAD = 0.01
 """s of processor time that a Dask scheduler takes for a task, so that tasks for many workers are longer."""
 
+PROBED = 64
+"""Runs by which speed is told at most where a sweep has fewer: some are made again."""
+
+TRIED = 1_000
+"""Samples of which one has to start where the first run does not."""
+
 LARGEST_TASK, MOST_NUMBERS = 2**16, 2**22
 """Runs of a task, and numbers that are kept of them, 34 MB."""
-
-TASKS_PER_WORKER = 4
-"""At least, if there are runs enough: so that all have work to the end."""
-
 
 TIMES = re.compile(r"time\d*")
 """Names of the times of what is kept at some."""
@@ -70,11 +71,6 @@ class Results:
         """Of the Zarr store; None in memory."""
         return self.store.path
 
-    @property
-    def scene(self) -> Scene:
-        """The scene with its nominal values."""
-        return self.plan.scene
-
     def inputs(self, runs: Array) -> Parameters:
         """Return the parameters of runs (n,)."""
         return {name: self.dataset[name][runs].values for name in self.plan.samples.names}
@@ -104,22 +100,19 @@ def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[
     start = time.perf_counter()
     with tidied_up():
         progress("compiling")
-        run_all(plan, plan.parameters(0, 1))
-        task = 0
+        if run_all(plan, plan.parameters(0, 1)).errors[0]:
+            _check_starts(plan)
         if path is not None and path.exists():
             store = Store.at(path)
             plan = store.resumed(plan)
         else:
             if path is not None:
                 check_writable(path)
-            task = _task(plan, at, progress)
-            plan = replace(plan, chunk=task)
+            plan = replace(plan, chunk=_task(plan, at, progress))
             store = Store.make(plan, path) if path else Store.in_memory(plan)
-        if left := store.missing(plan):
-            task = task or _task(plan, at, progress)
-        made = _make(plan, store, list(_tasks(plan, left, task)), at, progress)
-        if lost := store.missing(plan):
-            problem = f"{len(lost)} of {plan.chunks} chunks of runs are not in {path}"
+        made = _make(plan, store, store.missing(plan), at, progress)
+        if lost := sum(last - first for first, last in store.missing(plan)):
+            problem = f"{lost:,} of {plan.samples.runs:,} runs are not in {path}"
             raise CrosscheckError(f"{problem}; needed: a folder that all workers see")
     dataset = store.dataset()
     wall_time = time.perf_counter() - start
@@ -144,30 +137,37 @@ def _check_names(plan: Plan) -> None:
             raise CrosscheckError(f"--vary {name}: it has {np.prod(shape)} numbers; name one, {example}")
 
 
+def _check_starts(plan: Plan) -> None:
+    """Raise `CrosscheckError` where no run can start: for values without sense, or loops that stay open."""
+    samples = replace(plan.samples, sampling="random", runs=TRIED)
+    values = run_values(plan.scene, replace(plan, samples=samples).parameters(0, TRIED))
+    errors, assembly = dict(values.errors), assembly_of(plan.scene, samples.names)
+    if assembly.is_needed:
+        errors = assembly(values.arrays)[1] | errors
+    if len(errors) == TRIED:
+        reason = str(errors[0]).removeprefix("run 0: ")
+        guilty = (group for group in samples.groups if any(repr(name) in reason for name in group[0]))
+        where = next((f"--vary {', '.join(names)}={given}: " for names, given in guilty), "")
+        raise CrosscheckError(f"{where}no run can start, of {TRIED:,} that were tried: {reason}")
+
+
 def _task(plan: Plan, at: Workers, progress: Callable[[str], None]) -> int:
-    """Return how many runs take about as long as a task is to take: a power of 2."""
+    """Return how many runs take about as long as a task is to take: a power of 2, however few runs there are.
+
+    So a sweep that goes on with more of them has tasks that are as long.
+    """
     runs = plan.samples.runs
+
+    def make(count: int) -> None:
+        own = plan.parameters(0, min(count, runs))
+        run_all(plan, {name: np.resize(values, count) for name, values in own.items()})
+
     progress("timing some runs")
-    rate = probed(lambda count: run_all(plan, plan.parameters(0, count)), runs)
-    workers = max(1, at.count())
-    most = -(-runs // (TASKS_PER_WORKER * workers))
+    rate = probed(make, max(runs, PROBED))
     numbers = sum(prod(map(len, each.dimensions.values())) for each in plan.kept)
     largest = min(LARGEST_TASK, MOST_NUMBERS // numbers)
-    about = max(1, min(int(max(TASK, OVERHEAD * workers) * rate), most, largest))
+    about = max(1, min(int(max(TASK, OVERHEAD * at.count()) * rate), largest))
     return 1 << (about.bit_length() - 1)
-
-
-def _tasks(plan: Plan, left: Sequence[int], runs: int) -> Iterator[tuple[int, int]]:
-    """Yield the first run of each task and the first after it: of chunks in a row, so many runs or fewer.
-
-    Chunks are short where a sweep began with few runs.
-    """
-    most = max(1, runs // plan.chunk)
-    for _, group in groupby(enumerate(left), key=lambda pair: pair[1] - pair[0]):
-        chunks = [k for _, k in group]
-        for start in range(0, len(chunks), most):
-            part = chunks[start : start + most]
-            yield plan.bounds(part[0])[0], plan.bounds(part[-1])[1]
 
 
 def _make(
@@ -181,7 +181,7 @@ def _make(
     task: Callable[[tuple[int, int]], Chunk | None] = partial(make_runs, plan)
     if store.path is not None:
         task = partial(store_runs, plan, store.path.absolute())
-    with closing(in_any_order(task, tasks, at)) as results:
+    with closing(in_any_order(task, tasks, at, progress)) as results:
         for (first, last), chunk in results:
             if chunk is not None:
                 store.write(first, chunk)

@@ -34,8 +34,8 @@ UNFINISHED = "*.partial"
 BLOCK = 2**20
 """Runs whose status is read at a time."""
 
-FREE = ("chunk", "versions")
-"""Parts of a plan's record that results do not depend on: of packages, samples do, which are compared."""
+FREE = ("chunk", "versions", "numbers")
+"""Parts of a plan's record that are not compared: of packages samples are, and of scenes fingerprints."""
 
 KEPT_GOES_ON = "what is stored is kept, the same command goes on from there"
 
@@ -50,11 +50,11 @@ def libraries() -> tuple[Any, Any]:
         import xarray
         import zarr
     except ImportError as error:
-        raise missing(error) from error
+        raise not_installed(error) from error
     return xarray, zarr
 
 
-def missing(error: ImportError) -> CrosscheckError:
+def not_installed(error: ImportError) -> CrosscheckError:
     """Return the error about a package of the optional group."""
     return CrosscheckError(f'{error.name} is not installed; pip install "crosscheck[sweep]"')
 
@@ -116,7 +116,7 @@ class Store:
 
     def _create(self, plan: Plan, attributes: Mapping[str, Any]) -> None:
         """Make all variables, without values, and the names along their dimensions."""
-        self.group.update_attributes(_encoded(attributes))
+        self.group.update_attributes(dict(attributes))
         of_runs = {"run": plan.samples.runs}
 
         def make(name: str, kind: Any, sizes: Mapping[str, int], unit: str = "", about: str = "") -> Any:
@@ -124,7 +124,7 @@ class Store:
             return self.group.create_array(
                 name,
                 shape=tuple(sizes.values()),
-                chunks=tuple(min(plan.chunk, n) if each == "run" else n for each, n in sizes.items()),
+                chunks=tuple(plan.chunk if each == "run" else n for each, n in sizes.items()),
                 dtype=kind,
                 dimension_names=tuple(sizes),
                 attributes={key: text for key, text in said.items() if text},
@@ -167,19 +167,24 @@ class Store:
                     array.resize((runs, *array.shape[1:]))
         return replace(plan, chunk=int(own["chunk"]))
 
-    def missing(self, plan: Plan) -> list[int]:
-        """Return the chunks that are not there.
+    def missing(self, plan: Plan) -> list[tuple[int, int]]:
+        """Return the runs that are not there: of each chunk the first of them and the first after them.
+
+        They are at its end, of the last chunk of a sweep to which runs were added.
 
         Raises:
             CrosscheckError: for files that are damaged.
         """
-        status, left = self.group[STATUS], list[int]()
-        step = max(1, BLOCK // plan.chunk)
+        runs, left = plan.samples.runs, list[tuple[int, int]]()
+        step = max(1, BLOCK // plan.chunk) * plan.chunk
         try:
-            for k in range(0, plan.chunks, step):
-                ends = np.array([plan.bounds(each)[1] for each in range(k, min(k + step, plan.chunks))])
-                first = plan.bounds(k)[0]
-                left += (k + np.flatnonzero(status[first : ends[-1]][ends - first - 1] == 0)).tolist()
+            for start in range(0, runs, step):
+                there = (self.group[STATUS][start : start + step] != 0).astype(int)
+                chunks = np.arange(0, len(there), plan.chunk)
+                firsts = start + chunks + np.add.reduceat(there, chunks)
+                lasts = np.minimum(start + chunks + plan.chunk, runs)
+                some = firsts < lasts
+                left += zip(firsts[some].tolist(), lasts[some].tolist(), strict=True)
             return left
         except (OSError, RuntimeError, ValueError) as error:
             problem = f"{self.path} is damaged: {STATUS}: {error}"[:300]
@@ -205,49 +210,33 @@ class Store:
         return xarray.open_zarr(self.group.store, consolidated=False, chunks=None)
 
 
-def _encoded(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return texts and numbers, as netCDF has them; lists and dictionaries as JSON."""
-    return {
-        name: json.dumps(each) if isinstance(each, list | dict) else each for name, each in record.items()
-    }
-
-
 def _difference(own: Mapping[str, Any], record: Mapping[str, Any]) -> str:
     """Word the first difference of a store's attributes from the record of a plan; empty without one."""
-    for name, new in record.items():
-        old = own.get(name)
-        if name in FREE or old == _encoded({name: new})[name]:
-            continue
-        if name in ("fingerprint", "scene"):
+    for name in _changed(own, record):
+        if name == "fingerprint":
             if own.get("solver") == record["solver"]:  # which is in the fingerprint, too
-                return f"another scene, or another version of {own.get('scene')!r:.100}"
+                old, new = (json.loads(each.get("numbers", "{}")) for each in (own, record))
+                changes = [_change(number, old, new) for number in _changed(old, new)]
+                return f"another scene: {next(iter(changes), 'its numbers are the same')}"
         elif name in CONDITIONS:
             return CONDITIONS[name].rstrip(",")
-        else:
-            why = UNEXTENDED.get((record["sampling"], name), "")
-            return f"another plan: {_change(name, old, new)}{why}"
+        elif name not in FREE:
+            why = UNEXTENDED.get((record["sampling"], name.partition(" ")[0]), "")
+            return f"another plan: {_change(name, own, record)}{why}"
     return ""
 
 
-def _change(name: str, old: Any, new: Any) -> str:
-    """Word the first part of a plan that differs: its name, what it was and what it is."""
-    if isinstance(new, list | dict):
-        old = json.loads(old)
-    if name == "vary":
-        old, new = ({", ".join(names): text for *names, text in each} for each in (old, new))
-    if isinstance(new, list | dict) and sorted(old) == sorted(new) and list(old) != list(new):
-        name, old, new = f"order of {name}", ", ".join(old), ", ".join(new)
-    elif isinstance(new, dict):
-        part = next(key for key in [*old, *new] if old.get(key) != new.get(key))
-        name, old, new = (f"vary {part}" if name == "vary" else part), old.get(part), new.get(part)
-    elif isinstance(new, list):
-        gone, come = (", ".join(x for x in one if x not in two) for one, two in ((old, new), (new, old)))
-        old, new = gone or "without it", come or "without it"
+def _changed(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
+    return [name for name in {**new, **old} if old.get(name) != new.get(name)]
+
+
+def _change(name: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
+    """Word a part of a plan or a scene that differs: its name, what it was and what it is."""
     was, is_ = (
-        f"{value:g}" if isinstance(value, float) else "not given" if value is None else str(value)
-        for value in (old, new)
+        f"{value:g}" if isinstance(value, float) else f"{value!s:.200}"
+        for value in (old.get(name, "not given"), new.get(name, "not given"))
     )
-    return f"{name} was {was:.80}, is {is_:.80}"
+    return f"{name} was {was}, is {is_}"
 
 
 @contextmanager

@@ -82,6 +82,15 @@ def test_list_of_a_scene_has_its_parameters_with_units_and_values(capsys):
     assert ["start.slide_13.rate", "m/s", "0"] in rows
 
 
+def test_list_of_a_scene_fits_80_columns(capsys):
+    _, out, _ = run(capsys, "list", "tracker")
+    lines = out.splitlines()
+    assert max(map(len, lines)) <= 80
+    place = next(k for k, line in enumerate(lines) if line.startswith("leg_5.inertia"))
+    rows = [line.split()[-3:] for line in lines[place : place + 3]]
+    assert rows == [["5.827e-05", "0", "-8.24e-06"], ["0", "5.94e-05", "0"], ["-8.24e-06", "0", "1.72e-06"]]
+
+
 def test_help_is_not_cut_off(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     status, out, _ = run(capsys, "--help")

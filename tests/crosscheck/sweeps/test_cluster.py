@@ -11,44 +11,31 @@ import signal
 import socket
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from threading import Thread
 
-import numpy as np
 import pytest
 from distributed import Client, LocalCluster
+from small_sweep import assert_equal
 
 import crosscheck.sweeps.execute
 import crosscheck.sweeps.results
 from crosscheck import sweep
 from crosscheck.errors import CrosscheckError
-from crosscheck.sweeps.execute import in_any_order, workers
+from crosscheck.sweeps.execute import NO_WORKERS, in_any_order, workers
+
+pytestmark = pytest.mark.usefixtures("short_tasks")
 
 ARGUMENTS = ("pendulum", {"dumbbell.mass": "uniform(1, 2)"}, 90, "peak:reaction_force")
+
+
+SETTINGS = {"dashboard_address": None, "silence_logs": 50, "host": "127.0.0.1"}
 
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[LocalCluster]:
     """Two processes; a nanny makes another one of each that dies."""
-    settings = {"dashboard_address": None, "silence_logs": 50, "host": "127.0.0.1"}
-    with LocalCluster(n_workers=2, threads_per_worker=1, **settings) as cluster:
+    with LocalCluster(n_workers=2, threads_per_worker=1, **SETTINGS) as cluster:
         yield cluster
-
-
-@pytest.fixture(autouse=True)
-def short_tasks(monkeypatch):
-    """Tasks of few runs, so that a small sweep has several of them."""
-    monkeypatch.setattr(crosscheck.sweeps.results, "replace", lambda plan, chunk: replace(plan, chunk=8))
-
-
-def values(swept):
-    """All numbers of a sweep."""
-    return [swept.dataset[name].values for name in ("dumbbell.mass", "peak:reaction_force", "status")]
-
-
-def assert_equal(found, reference):
-    """All numbers are equal to the last bit."""
-    assert all(map(np.array_equal, values(found), values(reference)))
 
 
 @pytest.mark.parametrize("on_disk", [False, True])
@@ -57,6 +44,19 @@ def test_a_cluster_gives_what_threads_give(cluster, tmp_path, on_disk):
     level = logging.getLogger("distributed.client").level
     assert_equal(sweep(*ARGUMENTS, cluster=cluster.scheduler_address, output=output), sweep(*ARGUMENTS))
     assert logging.getLogger("distributed.client").level == level
+
+
+def test_a_cluster_without_workers_is_waited_for():
+    told = []
+    with LocalCluster(n_workers=0, threads_per_worker=1, **SETTINGS) as empty:
+
+        def tell(stage: str) -> None:
+            told.append(stage)
+            if stage == NO_WORKERS:
+                empty.scale(1)
+
+        assert_equal(sweep(*ARGUMENTS, cluster=empty.scheduler_address, progress=tell), sweep(*ARGUMENTS))
+    assert told.count(NO_WORKERS) == 1
 
 
 def test_a_task_that_fails_is_not_made_again(cluster, tmp_path):
@@ -116,9 +116,7 @@ def test_what_is_no_scheduler_is_one_line(capfd, monkeypatch, answer):
         thread = Thread(target=serve)
         thread.start()
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
-        words = (
-            f"cannot reach the cluster {address}: what listens there does not answer as a scheduler of Dask"
-        )
+        words = f"cannot reach a scheduler of Dask at {address}: "
         with pytest.raises(CrosscheckError, match=words), workers(cluster=address):
             pytest.fail("connected")
         thread.join()
@@ -128,5 +126,5 @@ def test_what_is_no_scheduler_is_one_line(capfd, monkeypatch, answer):
 
 def test_a_worker_is_no_scheduler(cluster):
     address = cluster.workers[0].worker_address
-    with pytest.raises(CrosscheckError, match="listens there; needed: a scheduler"), workers(cluster=address):
+    with pytest.raises(CrosscheckError, match="a Worker listens there"), workers(cluster=address):
         pytest.fail("connected")

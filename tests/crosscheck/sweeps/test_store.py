@@ -1,0 +1,278 @@
+"""Sweeps on disk: taken up where they were ended, other plans refused, nothing lost."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from random import Random
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import xarray
+import zarr
+from small_sweep import ARGUMENTS, assert_equal
+
+import crosscheck.sweeps.results
+from crosscheck import sweep
+from crosscheck.errors import CrosscheckError
+from crosscheck.scenes import load
+from crosscheck.sweeps.sampling import _latin_hypercube
+from crosscheck.sweeps.store import NAME, Store
+from newton_euler import with_parameters
+from newton_euler.codegen.compile import llvm_binding
+
+pytestmark = pytest.mark.usefixtures("short_tasks")
+
+
+def test_an_interrupted_sweep_goes_on(reference, tmp_path):
+    told = []
+
+    def interrupt(stage):
+        told.append(stage)
+        if len(told) == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sweep(*ARGUMENTS, output=tmp_path, progress=interrupt)
+    store = Store.at(tmp_path / NAME)
+    there = int(np.sum(store.group["status"][:] > 0))
+    assert 0 < there < 60
+    told.clear()
+    found = sweep(*ARGUMENTS, output=tmp_path, progress=told.append)
+    assert found.results.made == 60 - there
+    assert f"{there} of 60 runs were there" in told
+    assert f"; {there} were there" in found.report.title
+    assert_equal(found, reference)
+    assert sweep(*ARGUMENTS, output=tmp_path).results.made == 0
+
+
+@pytest.mark.parametrize("sampling", ["random", "sobol", "saltelli"])
+def test_a_sweep_goes_on_with_more_runs(tmp_path, monkeypatch, sampling):
+    scene, vary, _, keep = ARGUMENTS
+    sweep(scene, vary, 24, keep, sampling=sampling, output=tmp_path)
+    resized, resize = [], zarr.Array.resize
+
+    def killed(array, shape):
+        resized.append(array)
+        if len(resized) == 2:
+            raise KeyboardInterrupt
+        resize(array, shape)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(zarr.Array, "resize", killed)
+        with pytest.raises(KeyboardInterrupt):
+            sweep(scene, vary, 96, keep, sampling=sampling, output=tmp_path)
+    found = sweep(scene, vary, 96, keep, sampling=sampling, output=tmp_path)
+    assert found.results.made == 96 - 24
+    assert_equal(found, sweep(scene, vary, 96, keep, sampling=sampling))
+    assert sweep(scene, vary, 96, keep, sampling=sampling, output=tmp_path).results.made == 0
+
+
+def test_a_small_sweep_that_goes_on_has_as_few_files_as_a_large_one(tmp_path, monkeypatch):
+    monkeypatch.undo()
+    monkeypatch.setattr(crosscheck.sweeps.results, "probed", lambda make, runs: 1000.0)
+    short, told = replace(load("pendulum"), duration=0.1), list[str]()
+    arguments = short, {"dumbbell.mass": "uniform(1, 2)"}
+    sweep(*arguments, 10, "peak:reaction_force", output=tmp_path)
+    found = sweep(*arguments, 6000, "peak:reaction_force", output=tmp_path, progress=told.append)
+    assert found.results.made == 5990
+    assert "10 of 6,000 runs were there" in told
+    assert "5,990 made" in found.report.title
+    # 512 runs, a power of 2, take a second
+    for name in ("status", "dumbbell.mass", "peak:reaction_force"):
+        chunks = [path for path in (tmp_path / NAME / name / "c").rglob("*") if path.is_file()]
+        assert len(chunks) == 12
+    assert_equal(found, sweep(*arguments, 6000, "peak:reaction_force"))
+
+
+@pytest.mark.parametrize(
+    ("sampling", "vary", "runs", "words"),
+    [
+        (
+            "latin_hypercube",
+            ["uniform(1, 2)"] * 2,
+            [8, 16],
+            "runs was 8, is 16 (a Latin hypercube of more runs",
+        ),
+        ("grid", [[1.0, 2.0], [1.0, 2.0, 3.0]], [None, None], "is values(1, 2, 3) (a grid of other values"),
+    ],
+)
+def test_why_a_sweep_cannot_go_on_with_more_runs_is_said(tmp_path, sampling, vary, runs, words):
+    scene, _, _, keep = ARGUMENTS
+    first, more = ({"dumbbell.mass": each} for each in vary)
+    sweep(scene, first, runs[0], keep, sampling=sampling, output=tmp_path)
+    with pytest.raises(CrosscheckError) as caught:
+        sweep(scene, more, runs[1], keep, sampling=sampling, output=tmp_path)
+    assert words in str(caught.value)
+
+
+def test_runs_that_are_not_in_the_store_are_one_line(tmp_path, monkeypatch):
+    write = Store.write
+    monkeypatch.setattr(Store, "write", lambda store, first, chunk: first and write(store, first, chunk))
+    with pytest.raises(CrosscheckError, match=r"7 of 60 runs are not in .*; needed: a folder that all"):
+        sweep(*ARGUMENTS, output=tmp_path)
+
+
+def test_attributes_are_those_of_netcdf(tmp_path):
+    short = replace(load("pendulum"), duration=0.1)
+    sweep(short, *ARGUMENTS[1:3], "peak:reaction_force", output=tmp_path).check(1, ["newton_euler"])
+    found = xarray.open_zarr(tmp_path / NAME, consolidated=False)
+    values = [*found.attrs.values(), *(value for each in found.values() for value in each.attrs.values())]
+    assert all(isinstance(value, str | int | float) for value in values)
+    found.to_netcdf(tmp_path / "sweep.nc", engine="scipy")
+
+
+def test_a_full_disk_is_one_line_and_loses_nothing(reference, tmp_path, monkeypatch):
+    written, into_place = [], Path.replace
+
+    def full(path, target):
+        if "dumbbell" in str(target):
+            written.append(path)
+            if len(written) > 9:
+                raise OSError(errno.ENOSPC, "No space left on device")
+        return into_place(path, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", full)
+        with pytest.raises(
+            CrosscheckError, match=r"cannot write .*: No space left on device; what is stored is kept"
+        ):
+            sweep(*ARGUMENTS, output=tmp_path)
+    found = sweep(*ARGUMENTS, output=tmp_path)
+    assert 0 < found.results.made < 60
+    assert_equal(found, reference)
+
+
+def test_folders_of_starts_that_were_killed_are_removed(tmp_path):
+    old, new = tmp_path / ".sweep-0123abcd.zarr", tmp_path / ".sweep-4567abcd.zarr"
+    for folder in (old, new):
+        (folder / "status").mkdir(parents=True)
+    os.utime(old, (0.0, 0.0))
+    sweep(*ARGUMENTS, output=tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {NAME, new.name}
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"seed": 1}, "another plan: seed was 0, is 1;"),
+        ({"runs": 59}, "another plan: runs was 60, is 59;"),
+        (
+            {"vary": {"dumbbell.mass": "uniform(1, 3)", "gravity.y": "uniform(-10, -9)"}},
+            "another plan: vary dumbbell.mass was uniform(1, 2), is uniform(1, 3);",
+        ),
+        # whose columns of random numbers would change places
+        (
+            {"vary": {"gravity.y": "uniform(-10, -9)", "dumbbell.mass": "uniform(1, 2)"}},
+            "another plan: vary was dumbbell.mass, gravity.y, is gravity.y, dumbbell.mass;",
+        ),
+        (
+            {"keep": "peak:reaction_force"},
+            "keep was peak:reaction_force, at(1;2):dumbbell.position, is peak:reaction_force;",
+        ),
+        ({"rtol": 1e-6}, "another plan: rtol was 1e-10, is 1e-06;"),
+        ({"scene": replace(load("pendulum"), name="swing")}, "another plan: scene was pendulum, is swing;"),
+        ({"scene": replace(load("pendulum"), duration=9.0)}, "another scene: duration was 10, is 9;"),
+        (
+            {"scene": with_parameters(load("pendulum"), {"dumbbell.mass": 3.0})},
+            "another scene: dumbbell.mass was 2, is 3;",
+        ),
+        (
+            {"scene": replace(load("pendulum"), redundancy_tolerance=0.0)},
+            "another scene: its numbers are the same;",
+        ),
+    ],
+)
+def test_another_plan_or_scene_is_refused(tmp_path, changed, words):
+    arguments = dict(zip(("scene", "vary", "runs", "keep"), ARGUMENTS, strict=True))
+    arguments["vary"] = {**arguments["vary"], "gravity.y": "uniform(-10, -9)"}
+    sweep(**arguments, output=tmp_path)
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    with pytest.raises(CrosscheckError) as caught:
+        sweep(**arguments | changed, output=tmp_path)
+    assert words in str(caught.value)
+    assert "name another folder" in str(caught.value)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("crosscheck.sweeps.sampling.qmc.LatinHypercube", "other samples"),
+        ("crosscheck.sweeps.plan.llvm_binding", "another kind of processor"),
+    ],
+)
+def test_another_package_or_processor_is_refused(tmp_path, monkeypatch, place, words):
+    def other(size=0, seed=0):
+        features = {"fma": not llvm_binding().get_host_cpu_features().get("fma", False)}
+        return SimpleNamespace(
+            random=lambda runs: np.full((runs, size), 0.5), get_host_cpu_features=lambda: features
+        )
+
+    sweep(*ARGUMENTS, sampling="latin_hypercube", output=tmp_path)
+    _latin_hypercube.cache_clear()
+    monkeypatch.setattr(place, other)
+    with pytest.raises(CrosscheckError, match=f"holds a sweep of {words}"):
+        sweep(*ARGUMENTS, sampling="latin_hypercube", output=tmp_path)
+    _latin_hypercube.cache_clear()
+
+
+def test_a_folder_with_something_else_is_refused(tmp_path):
+    (tmp_path / NAME).mkdir()
+    with pytest.raises(CrosscheckError, match="holds no sweep"):
+        sweep(*ARGUMENTS, output=tmp_path)
+
+
+def test_a_damaged_folder_is_one_line(tmp_path):
+    sweep(*ARGUMENTS, output=tmp_path)
+    chunk = tmp_path / NAME / "status" / "c" / "3"
+    chunk.write_bytes(chunk.read_bytes()[:-4])
+    with pytest.raises(CrosscheckError, match="is damaged: status"):
+        sweep(*ARGUMENTS, output=tmp_path)
+
+
+KILLED = """
+import sys
+import crosscheck.sweeps.results
+from crosscheck.sweeps.sweep import sweep
+crosscheck.sweeps.results.TASK = 0.1  # many tasks, so that some are left
+arguments = "tracker", {"panel_7.mass": "normal(0.89, 0.05)"}, 5000, "peak:reaction_force"
+sweep(*arguments, rtol=1e-6, output=sys.argv[1])
+"""
+
+
+def stored(folder):
+    """The number of runs that a sweep on disk has; none before it is there."""
+    path = folder / NAME
+    return int(np.count_nonzero(Store.at(path).group["status"][:])) if path.exists() else 0
+
+
+@pytest.mark.slow  # a sweep of seconds, begun ten times
+def test_a_sweep_killed_ten_times_is_the_one_that_was_not(tmp_path, monkeypatch):
+    monkeypatch.undo()
+    runs, random, folder, counts = 5000, Random(1), tmp_path / "killed", [0]
+    for _ in range(10):
+        process = subprocess.Popen([sys.executable, "-c", KILLED, folder])
+        while process.poll() is None and stored(folder) == counts[-1]:
+            time.sleep(0.001)
+        time.sleep(random.uniform(0.0, 0.05))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        counts.append(stored(folder))
+    # a busy machine may come too late for some of them
+    assert sum(before < after < runs for before, after in pairwise(counts)) >= 3
+    arguments = ("tracker", {"panel_7.mass": "normal(0.89, 0.05)"}, runs, "peak:reaction_force")
+    found = sweep(*arguments, rtol=1e-6, output=folder).dataset
+    other = sweep(*arguments, rtol=1e-6, output=tmp_path / "other").dataset
+    for name in ("panel_7.mass", "peak:reaction_force", "status"):
+        assert np.array_equal(found[name].values, other[name].values)
+    assert np.all(found["status"].values == 1)
+    assert len(np.unique(found["panel_7.mass"].values)) == runs
