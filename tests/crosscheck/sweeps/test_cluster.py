@@ -28,7 +28,7 @@ pytestmark = pytest.mark.usefixtures("short_tasks")
 ARGUMENTS = ("pendulum", {"dumbbell.mass": "uniform(1, 2)"}, 90, "peak:reaction_force")
 
 
-SETTINGS = {"dashboard_address": None, "silence_logs": 50, "host": "127.0.0.1"}
+SETTINGS = {"dashboard_address": "127.0.0.1:0", "silence_logs": 50, "host": "127.0.0.1"}
 
 
 @pytest.fixture(scope="module")
