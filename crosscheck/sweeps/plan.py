@@ -22,15 +22,14 @@ from crosscheck.sweeps.sampling import Samples
 from newton_euler.batch import Batch, simulate_batch
 from newton_euler.codegen.compile import lane_count, llvm_binding
 from newton_euler.codegen.fingerprint import SOURCE, fingerprint
-from newton_euler.equations.parameters import parameter_names
+from newton_euler.equations.parameters import parameter_values
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.options import Options
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import QUANTITIES
 from newton_euler.scalars import Array
-from newton_euler.starts import initial_names
-from newton_euler.variation import own_values, with_parameters
+from newton_euler.variation import with_parameters
 
 ROOM = 48_000_000
 """Bytes of the outputs of runs that are in memory together."""
@@ -211,7 +210,7 @@ def _kept(scene: Scene, keep: tuple[str, ...], integrator: str) -> tuple[tuple[R
 
 def _numbers(scene: Scene) -> dict[str, str]:
     """Return the numbers of a scene by their names, by which it can be told what another one has changed."""
-    own = own_values(scene, [*parameter_names(scene), *initial_names(scene)])
+    own = parameter_values(scene)
     own |= {name: np.array(getattr(scene, name)) for name in ("duration", "output_period")}
     return {name: " ".join(f"{number:.12g}" for number in value.flat) for name, value in own.items()}
 

@@ -217,7 +217,7 @@ def _difference(own: Mapping[str, Any], record: Mapping[str, Any]) -> str:
             if own.get("solver") == record["solver"]:  # which is in the fingerprint, too
                 old, new = (json.loads(each.get("numbers", "{}")) for each in (own, record))
                 changes = [_change(number, old, new) for number in _changed(old, new)]
-                return f"another scene: {next(iter(changes), 'its numbers are the same')}"
+                return f"another scene: {next(iter(changes), 'its start or structure differs')}"
         elif name in CONDITIONS:
             return CONDITIONS[name].rstrip(",")
         elif name not in FREE:

@@ -187,7 +187,7 @@ def test_folders_of_starts_that_were_killed_are_removed(tmp_path):
         ),
         (
             {"scene": replace(load("pendulum"), redundancy_tolerance=0.0)},
-            "another scene: its numbers are the same;",
+            "another scene: its start or structure differs;",
         ),
     ],
 )
