@@ -35,7 +35,7 @@ OVERHEAD = 0.01
 PROBED = 64
 """Runs by which speed is told at most where a sweep has fewer: some are made again."""
 
-TRIED = 1_000
+TRIED = 300
 """Samples of which one has to start where the first run does not."""
 
 LARGEST_TASK, MOST_NUMBERS = 2**16, 2**22
@@ -148,7 +148,7 @@ def _check_starts(plan: Plan) -> None:
         reason = str(errors[0]).removeprefix("run 0: ")
         guilty = (group for group in samples.groups if any(repr(name) in reason for name in group[0]))
         where = next((f"--vary {', '.join(names)}={given}: " for names, given in guilty), "")
-        raise CrosscheckError(f"{where}no run can start, of {TRIED:,} that were tried: {reason}")
+        raise CrosscheckError(f"{where}no run can start, of {TRIED} that were tried: {reason}")
 
 
 def _task(plan: Plan, at: Workers, progress: Callable[[str], None]) -> int:
