@@ -326,7 +326,7 @@ def _gaps(found: Findings) -> list[str]:
             )
     for scalar, effects in found.effects if block > 1 else ():
         whole = np.asarray(np.isfinite(scalar.values).reshape(-1, block).all(axis=1))
-        if effects and effects[0].share is not None and not whole.all():
+        if effects and effects[0].total is not None and not whole.all():
             of_all = f"{whole.sum():,} of {len(whole):,} base samples"
             lines.append(
                 f"what matters for {scalar.label} is of {of_all}: without the others shares are distorted"
