@@ -103,7 +103,7 @@ def read(
         >>> found.scene.duration, len(found.report.of("exactly")) > 0
         (2.0, True)
     """
-    request = Request(**options)
+    request = Request.of(options)
     with heard_warnings() as warnings:
         if isinstance(model, str | os.PathLike):
             where = path_text(model, SourceError)

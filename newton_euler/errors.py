@@ -172,6 +172,12 @@ def check_choice(what: str, name: object, valid: Collection[str]) -> None:
         raise UnknownNameError(what, name, tuple(valid))
 
 
+def check_choices(what: str, names: Iterable[str], valid: Collection[str]) -> None:
+    """Raise `UnknownNameError` for the first name that is not among the valid ones."""
+    for name in names:
+        check_choice(what, name, valid)
+
+
 class OptionError(NewtonEulerError):
     """An option of a solver with a value that it cannot take."""
 

@@ -12,14 +12,22 @@ import sys
 import textwrap
 import warnings
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
 
+import crosscheck
+import mjcf
 import newton_euler
+import urdf
+from crosscheck.scenes import load
+from newton_euler.analysis.measurements import Measurements
+from newton_euler.errors import UnknownNameError
 from newton_euler.model.joint_kinds import JOINT_KINDS
+from newton_euler.simulate import CompiledScene
 
 PACKAGES = {name: importlib.import_module(name) for name in ("newton_euler", "mjcf", "urdf", "crosscheck")}
 
@@ -86,6 +94,29 @@ def test_packages_are_typed_and_have_what_they_list(module: ModuleType):
 
 def test_all_joint_kinds_are_public():
     assert {kind.__name__ for kind in JOINT_KINDS.values()} <= set(newton_euler.__all__)
+
+
+PENDULUM = load("pendulum")
+SWING = Measurements([0.0, 1.0], {"coordinate.pivot": [0.0, 0.1]}, {"coordinate.pivot": 0.1})
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        partial(newton_euler.simulate, PENDULUM),
+        CompiledScene(PENDULUM).simulate,
+        partial(newton_euler.simulate_batch, PENDULUM, parameters={"dumbbell.mass": [1.0]}),
+        partial(newton_euler.sensitivities, PENDULUM, ["dumbbell.mass"]),
+        partial(newton_euler.identify, PENDULUM, ["dumbbell.mass"], SWING),
+        partial(urdf.simulate, PENDULUM),
+        partial(mjcf.read, "arm.xml"),
+        partial(urdf.read, "arm.urdf"),
+        partial(crosscheck.sweep, "pendulum", {"dumbbell.mass": "normal(1, 0.1)"}, 8),
+    ],
+)
+def test_unknown_options_are_named(call):
+    with pytest.raises(UnknownNameError, match=r"unknown option 'nix'; choose from: [a-z]"):
+        call(nix=1)
 
 
 @pytest.mark.parametrize(("package", "name"), NAMES)

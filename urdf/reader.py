@@ -142,7 +142,7 @@ def read(
         6
     """
     check_choice("base", base, BASES)
-    request = Request(**options)
+    request = Request.of(options)
     if isinstance(model, str | os.PathLike):
         if q is not None:
             raise OptionError("q", q, "none, as a URDF starts from coordinates 0")

@@ -29,7 +29,7 @@ from crosscheck.sweeps.report import Findings, findings, report, to_record, writ
 from crosscheck.sweeps.results import Results, results_of
 from crosscheck.sweeps.sampling import SamplingName, samples_of
 from crosscheck.sweeps.store import libraries
-from newton_euler.errors import OptionError, check_choice, is_count
+from newton_euler.errors import OptionError, check_choices, is_count
 from newton_euler.integrators.options import IntegratorName, Options, StepControl
 from newton_euler.model.scene import OUTPUTS, Scene
 
@@ -218,8 +218,7 @@ def sweep(
         ('run', 'joint')
     """
     libraries()
-    for name in options:
-        check_choice("option", name, tuple(Execution.__annotations__))
+    check_choices("option", options, Execution.__annotations__)
     loaded = own_scene(scene, load_scene(scene, exercised(scene, {}))[0])
     loaded = replace(loaded, outputs=frozenset(OUTPUTS))
     threads, executor = options.pop("threads", None), options.pop("executor", None)

@@ -3,7 +3,8 @@
 The sum of squared residuals, each in units of its noise (`newton_euler.analysis.noise`), is made least
 (`newton_euler.analysis.fit`) with the derivatives of `newton_euler.analysis.sensitivity`. With J their
 Jacobian at the end, the covariance of the parameters is (J^T J)^-1. Combinations of parameters that the data
-say nothing about are in the null space of J; they stay as they were, and are named.
+say nothing about are in the null space of J; they stay as they were, unless the scene cannot be like that
+beside what has changed, and are named.
 """
 
 from __future__ import annotations
@@ -22,12 +23,19 @@ from newton_euler.analysis.noise import CHANCE
 from newton_euler.analysis.residuals import Residuals
 from newton_euler.analysis.sensitivity import checked_names
 from newton_euler.analysis.tangent_run import components, tangent_options
-from newton_euler.errors import IdentificationWarning, MechanismError, OptionError, check_type
+from newton_euler.errors import (
+    IdentificationWarning,
+    MechanismError,
+    NewtonEulerError,
+    OptionError,
+    check_type,
+)
 from newton_euler.integrators.formulations import check_formulation
 from newton_euler.integrators.options import FormulationName, StepControl
 from newton_euler.model.scene import Scene
-from newton_euler.model.source_file import path_text
+from newton_euler.model.source_file import SourceError, path_text
 from newton_euler.scalars import Array, Floats
+from newton_euler.starts import initial_numbers
 from newton_euler.variation import with_parameters
 
 Given = Measurements | str | os.PathLike[str]
@@ -269,8 +277,14 @@ def _runs(scene: Scene, names: Sequence[str], given: Given | Sequence[Given]) ->
     for k, one in enumerate(each):
         if isinstance(one, Measurements):
             where, run = f"measurements of run {k}" if len(each) > 1 else "measurements", one
+        elif isinstance(one, str | os.PathLike):
+            where, run = path_text(one), measurements_from_csv(one)
         else:
-            where, run = path_text(one), measurements_from_csv(one)  # type: ignore[arg-type]
+            raise OptionError("measurements", f"{one!r:.100}", "Measurements, or the path of a CSV file")
+        try:
+            initial_numbers(scene, run.start)
+        except NewtonEulerError as error:
+            raise SourceError(where, str(error)) from error
         if twice := [name for name in run.start if name in names]:
             raise MechanismError(where, f"give {twice[0]!r}, which is fitted", "one of the two")
         if run.time[-1] > scene.duration * (1.0 + 1e-12):

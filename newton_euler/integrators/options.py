@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal, TypedDict, get_args
 
-from newton_euler.errors import OptionError, check_choice, is_count, is_finite_number
+from newton_euler.errors import OptionError, check_choice, check_choices, is_count, is_finite_number
 
 IntegratorName = Literal["DOP853", "Radau", "RK4", "Euler"]
 
@@ -110,8 +110,14 @@ class Options:
 
     @classmethod
     def of(cls, integrator: str, control: StepControl) -> Options:
-        """Make the options of a method; raises `OptionError` for tolerances of a method with fixed steps."""
+        """Make the options of a method.
+
+        Raises:
+            UnknownNameError: for an option that there is not.
+            OptionError: for an impossible value, and tolerances of a method with fixed steps.
+        """
         check_choice("integrator", integrator, INTEGRATORS)
+        check_choices("option", control, StepControl.__annotations__)
         for name in ("rtol", "atol") if integrator in FIXED else ():
             if name in control:
                 raise OptionError(name, control[name], f"none: {integrator} takes fixed steps")

@@ -10,7 +10,7 @@ from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_choice, elements_of, is_finite_number, set_arrays
+from newton_euler.errors import MechanismError, check_choices, elements_of, is_finite_number, set_arrays
 from newton_euler.model.control import sensed
 from newton_euler.model.description import ArrayField, TupleField, description
 from newton_euler.model.digital_control import Digital, HeldLaw, Law, Sampled
@@ -136,8 +136,7 @@ class Scene(Variable):
         set_arrays(self, where, gravity=(3,))
         if not isinstance(self.outputs, Iterable) or isinstance(self.outputs, str):
             raise MechanismError(where, f"outputs is {self.outputs!r}", "a set of names")
-        for output in self.outputs:
-            check_choice("output", output, OUTPUTS)
+        check_choices("output", self.outputs, OUTPUTS)
         object.__setattr__(self, "outputs", frozenset(self.outputs))
         for field, kinds in PARTS.items():
             elements = elements_of(where, field, getattr(self, field), *kinds)

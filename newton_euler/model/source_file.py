@@ -18,7 +18,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from newton_euler.errors import NewtonEulerError, plain_number
+from newton_euler.errors import NewtonEulerError, check_choices, plain_number
 from newton_euler.limits import MB, exceeded, limit, size_in_bytes
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE
 from newton_euler.scalars import Array, Floats
@@ -52,6 +52,12 @@ class Request:
     redundancy_tolerance: float = REDUNDANCY_TOLERANCE
     verified: bool = True
     exercise: bool = False
+
+    @classmethod
+    def of(cls, options: ReadOptions) -> Request:
+        """Return these options, and defaults; raises `UnknownNameError` for one that there is not."""
+        check_choices("option", options, ReadOptions.__annotations__)
+        return cls(**options)
 
 
 class SourceError(NewtonEulerError):

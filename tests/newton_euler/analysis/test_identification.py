@@ -24,6 +24,7 @@ from newton_euler import (
     with_parameters,
 )
 from newton_euler.analysis.fit import split
+from newton_euler.errors import OptionError
 
 
 def sprung():
@@ -144,10 +145,13 @@ def test_noise_that_residuals_do_not_tell_is_named():
 
 
 def test_noise_of_a_column_is_that_of_each_run():
+    """A run of a hundred times the noise tells a ten-thousandth as much."""
     scene = sprung()
-    runs = [measured(scene, "rail", noise=noise) for noise in (1e-3, 1e-1)]
-    found = identify(scene, ["line.stiffness"], runs)
-    assert [noise["rate.rail"] for noise in found.noise] == [1e-3, 1e-1]
+    better, worse = (measured(scene, "rail", noise=noise) for noise in (1e-3, 1e-1))
+    alone, both = (identify(scene, ["line.stiffness"], runs) for runs in (better, [better, worse]))
+    assert both.standard_deviations == pytest.approx(alone.standard_deviations, rel=1e-3)
+    # the same noise, a hundred times as large, moves the value by a hundredth as much
+    assert np.all(np.abs(both.values - alone.values) < 0.05 * alone.standard_deviations)
 
 
 @pytest.mark.parametrize("is_known", [True, False])
@@ -477,12 +481,25 @@ def test_times_beyond_the_scene_are_refused():
         identify(pendulum(), ["rod.mass"], late)
 
 
-def test_a_start_that_is_fitted_is_not_given():
-    begun = Measurements([0.0, 1.0], {"coordinate.pivot": [0.0, 0.0]}, start={"start.pivot": 0.1})
-    with pytest.raises(
-        NewtonEulerError, match=r"give 'start.pivot', which is fitted; needed: one of the two"
-    ):
-        identify(pendulum(), ["start.pivot"], begun)
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        (
+            "start.pivot",
+            r"measurements of run 1: give 'start.pivot', which is fitted; needed: one of the two",
+        ),
+        ("start.pivto", "measurements of run 1: unknown joint 'pivto'; did you mean 'pivot'"),
+    ],
+)
+def test_starts_that_are_fitted_or_unknown_are_refused(name, message):
+    given = [Measurements(TIMES, {"coordinate.pivot": TIMES}, start=start) for start in ({}, {name: 0.1})]
+    with pytest.raises(NewtonEulerError, match=message):
+        identify(pendulum(), ["start.pivot"], given)
+
+
+def test_measurements_are_those_of_runs():
+    with pytest.raises(OptionError, match="measurements is '5'; needed: Measurements, or the path of a CSV"):
+        identify(pendulum(), ["rod.mass"], 5)
 
 
 @pytest.mark.parametrize("what", ["noise", "start", "units"])
