@@ -297,32 +297,40 @@ def differentiated(scalars: Sequence[Scalar], x: Array, along: Array) -> list[Sc
 
 
 class _Path:
-    """Motion through the steps of a run, by cubics through the states and rates at their ends."""
+    """Motion through the steps of a run, by cubics through the states and rates at their ends.
+
+    Its pivot ratios are those of the constraints alone, Phi_q Phi_q^T without dimension: where a light body
+    is at a dead center those with masses vanish, too.
+    """
 
     def __init__(self, code: TangentCode, steps: Array, begun: Array, end: Array) -> None:
         """Of steps (m, n + 2), see `Dop853`, from x (inputs,) to another."""
         n, system = code.size, code.system
-        self._rates, self._sizes = code.function("derivative"), steps[:, n + 1 :]
+        self._velocity, self._sizes = code.function("velocity"), steps[:, n + 1 :]
         self._ends = np.tile(begun, (len(steps) + 1, 1))
         self._ends[:-1, : n + 1] = steps[:, : n + 1]
         self._ends[-1, : n + 1] = end[: n + 1]
-        self._slopes = at_rows(self._rates, self._ends)[:, :n]
+        self._slopes = at_rows(code.function("derivative"), self._ends)[:, :n]
         speeds = np.abs(self._ends[:, system.nq : n] / system.velocity_units).max(axis=1, initial=0.0)
         moved = self._sizes[:, 0] * np.maximum(speeds[:-1], speeds[1:])
         self._counts = 1 + (moved / SPACING).astype(int)
 
     def least_pivot_ratio(self) -> float:
-        """Find the least pivot ratio, independent of where steps end; not a number counts as 0."""
+        """Find the least pivot ratio in units of the largest one, independent of where steps end.
+
+        Not a number counts as 0.
+        """
         places = np.concatenate([k + np.arange(count) / count for k, count in enumerate(self._counts)])
         places = np.append(places, len(self._counts))
         ratios = self._pivot_ratios(places)
+        most = ratios.max()
         for _ in range(2):
             padded = np.pad(ratios, 1, constant_values=np.inf)
             lowest = np.flatnonzero((ratios <= padded[:-2]) & (ratios <= padded[2:]))
             first, last = places[np.maximum(lowest - 1, 0)], places[np.minimum(lowest + 1, len(places) - 1)]
             places = np.unique(np.linspace(first, last, 2 * FINER + 1))
             ratios = self._pivot_ratios(places)
-        return float(ratios.min())
+        return float(ratios.min() / most) if most > 0.0 else 0.0
 
     def _pivot_ratios(self, places: Array) -> Array:
         """Return pivot ratios (k,) at places (k,): numbers of steps and shares of them."""
@@ -335,7 +343,7 @@ class _Path:
         bend = (1.0 - share) * (begin - change) + share * (change - end)
         x[:, :n] += share * (change + (1.0 - share) * bend)
         x[:, n] += share[:, 0] * size[:, 0]
-        ratios = at_rows(self._rates, x)[:, n]
+        ratios = at_rows(self._velocity, x[:, : self._velocity.inputs])[:, n + 1]
         return np.where(ratios > 0.0, ratios, 0.0)
 
 

@@ -14,7 +14,7 @@ from mechanisms import CART, ball_loop, carts, line_spring, mass_on_rail, pendul
 from scipy.integrate import solve_ivp
 
 from crosscheck.scenes import load
-from newton_euler import compile_scene, equilibrium, sensitivities, simulate_batch, with_parameters
+from newton_euler import compile_scene, equilibrium, sensitivities, simulate_batch, start, with_parameters
 from newton_euler.analysis.tangent_run import OF_TANGENTS, FollowedRun, Starts, own_numbers, tangent_code
 from newton_euler.equations.parameters import is_kinematic, parameter_values, places
 from newton_euler.errors import NewtonEulerError
@@ -80,6 +80,12 @@ def hung(law, *forces):
     return mass_on_rail(*forces, gravity=(0.0, 0.0, -9.81), control=(law,))
 
 
+def light_crank():
+    """A crank of a gram that passes a dead center, at 2.447 rad."""
+    scene = short(start(load("slider_crank"), pivot=(2.15, 6.0)), 0.1)
+    return with_parameters(scene, {"crank.mass": 1e-3, "crank.inertia": np.diag([1e-6, 1e-6, 1e-7])})
+
+
 TRACKER = (
     "ball_57.point",
     "hinge_14.axis",
@@ -97,6 +103,8 @@ SCENES = {
     "slider crank": (short(load("slider_crank")), LOOP),
     # so light that the Cartesian form, solved without its second step, is off by 1e-5
     "light body": (short(with_parameters(load("slider_crank"), {"crank.mass": 3e-10})), LOOP),
+    # pivots with masses nearly vanish
+    "light crank": (light_crank(), ("ball.point.x", "pivot.axis", "rod.mass")),
     "rate of the start": (short(load("slider_crank")), ("start.pivot.rate", "pivot.point.z")),
     "gear": (short(geared_loop()), ("chain.ratio", "gravity")),
     "coupling": (coupled_carts(), ("sum.terms", "rail_0.target", "rail_1.target", "start.rail_0.rate")),
