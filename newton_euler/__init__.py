@@ -18,7 +18,7 @@ from newton_euler.analysis.poses import Poses, solve_poses
 from newton_euler.analysis.regulator import lqr
 from newton_euler.analysis.sensitivity import Sensitivities, sensitivities
 from newton_euler.analysis.workspace import Workspace, singular_poses, workspace
-from newton_euler.assemble import assemble, initial_state, start
+from newton_euler.assemble import assemble, initial_state
 from newton_euler.batch import simulate_batch
 from newton_euler.errors import IdentificationWarning, NearlyRedundantWarning, NewtonEulerError
 from newton_euler.model.compound_joint import Compound
@@ -51,7 +51,7 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.model.wind import WindLoad, wind_gust, wind_turbulence
 from newton_euler.moving_base import base_motion_from_csv, on_moving_base
 from newton_euler.simulate import compile_scene, simulate
-from newton_euler.variation import with_parameters
+from newton_euler.variation import start, with_parameters
 
 __all__ = [
     "PD",

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -15,22 +14,16 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.couplings import couplings, residuals
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.redundancy import mobility
-from newton_euler.equations.relative import Relative
-from newton_euler.equations.system import at_time
-from newton_euler.errors import AssemblyError, MechanismError, check_type, finite_array
+from newton_euler.errors import AssemblyError, MechanismError, check_type
 from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.geometry import UNIT_TOLERANCE
 from newton_euler.model.joint import JointEquations, Key
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
-from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
-from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State, stacked
-from newton_euler.scalars import Array, Floats, unstacked
+from newton_euler.scalars import Array, unstacked
 
 VELOCITY_TOLERANCE = 1e-9  # of the largest speed, in sizes of the mechanism, at which a joint may open
-STEP = 0.1  # rad, or sizes of the mechanism, that joints move at a time on the way to a start
-MOST_STEPS = 1000  # on that way; longer ones are made in longer steps
 CHECKED: WeakKeyDictionary[Scene, State] = WeakKeyDictionary()  # consistent states that scenes start from
 
 
@@ -85,104 +78,10 @@ def initial_state(scene: Scene) -> State:
     return CHECKED[scene]
 
 
-@np.errstate(all="ignore")  # what overflows is refused
-def start(scene: Scene, /, **joints: Sequence[float] | Sequence[Sequence[float] | None] | Floats) -> Scene:
-    """Return a scene that starts with these coordinates of joints and their rates.
-
-    All other coordinates start as near to those of the scene's own start as the loops let them.
-
-    Args:
-        scene: the scene to start.
-        joints: by name (coordinate, rate), in rad and rad/s or m and m/s from the initial pose. Joints of
-            several coordinates have a list of such pairs, None for a coordinate that is not given. States
-            hold no whole revolutions.
-
-    Raises:
-        UnknownNameError: for an unknown joint.
-        MechanismError: naming the joint that has no coordinate, follows a prescribed motion, or is not let
-            there by loops and couplings.
-
-    Examples:
-        >>> scene = start(load("pendulum"), pivot=(0.5, -2.0))
-        >>> motion = simulate(scene).joint("pivot")
-        >>> print(motion.coordinates[:2].round(3).tolist())
-        [[0.5], [0.48]]
-    """
-    check_type("scene", scene, Scene)
-    wanted = _wanted(scene, joints)
-    state = initial_state(scene)
-    begin, begun = {key: measured_coordinate(scene, state, key)[0] for key in wanted}, _speed(scene, state)
-    way = {key: (begin[key], x - begin[key]) for key, (x, _) in wanted.items()}
-    size = scene.mechanism.size
-    longest = max(abs(d) / (size if scene.mechanism.is_slide(*key) else 1.0) for key, (_, d) in way.items())
-    steps = min(MOST_STEPS, max(1, math.ceil(longest / STEP)))
-    try:
-        held = [motion.held() for motion in scene.motions]
-        moving = Relative(replace(scene, motions=(*held, *_motions(way)), initial_state=state))
-        q, v = moving.coordinates(state)
-        for k in range(1, steps + 1):
-            q = project_position(at_time(moving, k / steps), q)
-        state = moving.state(q, v)
-        motions = (*scene.motions, *_motions(wanted))
-        system = Relative(replace(scene, motions=motions, initial_state=state))
-        q = project_position(system, system.coordinates(state)[0])
-        state = system.state(q, project_velocity(system, q, v))
-        if _speed(scene, state) < VELOCITY_TOLERANCE * begun:  # round-off of what is to rest
-            state = system.state(q, np.zeros_like(v))
-    except AssemblyError as error:
-        reason = f"joint {error.joint!r} stays open by {error.violation:.3g} m or rad"
-        raise _unreachable(wanted, reason) from error
-    for key, (x, rate) in wanted.items():
-        found = measured_coordinate(scene, state, key)
-        off = found[0] - x if scene.mechanism.is_slide(*key) else math.remainder(found[0] - x, 2.0 * math.pi)
-        allowed = VELOCITY_TOLERANCE * max(abs(rate), _speed(scene, state))
-        if not (abs(off) <= CLOSURE_TOLERANCE and abs(found[1] - rate) <= allowed):
-            reached = f"they allow coordinate {found[0]:.6g} at rate {found[1]:.6g} nearby"
-            raise _unreachable({key: (x, rate)}, reached)
-    return replace(scene, initial_state=state)
-
-
-def _wanted(scene: Scene, joints: Mapping[str, Any]) -> dict[Key, tuple[float, float]]:
-    """Check coordinates and rates by joint and return them by coordinate, angles within half a revolution."""
-    found: dict[Key, tuple[float, float]] = {}
-    moved = {motion.key for motion in scene.motions}
-    for name, given in joints.items():
-        kinds, where = scene.mechanism.joint(name).coordinate_kinds, f"joint {name!r}"
-        if not kinds:
-            raise MechanismError(where, "has no coordinate to start at", "a joint with a hinge or a slide")
-        pairs = [given] if len(kinds) == 1 else given
-        if not isinstance(pairs, list | tuple | np.ndarray) or len(pairs) != len(kinds):
-            needed = f"a list of {len(kinds)} pairs or None, {', '.join(kinds)}"
-            raise MechanismError(where, f"start is {given!r:.100}", needed)
-        for k, pair in enumerate(pairs):
-            if pair is None:
-                continue
-            if (name, k) in moved:
-                raise MechanismError(where, "follows a prescribed motion", "a joint that none prescribes")
-            x, rate = finite_array(where, "start", pair, (2,)).tolist()
-            found[name, k] = (x if kinds[k] == "slide" else math.remainder(x, 2.0 * math.pi)), rate
-    if not found:
-        raise MechanismError(f"scene {scene.name!r}", "has no joint to start", "one joint or more by name")
-    return found
-
-
-def _motions(coefficients: Mapping[Key, tuple[float, float]]) -> list[PrescribedMotion]:
-    """Prescribe coordinates by their values and rates at time 0."""
-    return [PrescribedMotion(joint, Polynomial(c), k) for (joint, k), c in coefficients.items()]
-
-
 def measured_coordinate(scene: Scene, state: State, key: Key) -> tuple[float, float]:
     """Measure a joint coordinate and its rate, m or rad."""
     x, rate = scene.mechanism.measure(key, state.frames())
     return float(x), float(rate)
-
-
-def _unreachable(wanted: Mapping[Key, tuple[float, float]], reason: str) -> MechanismError:
-    joints = list(dict.fromkeys(joint for joint, _ in wanted))
-    values = ", ".join(f"{x:g} at rate {rate:g}" for x, rate in wanted.values())
-    where = f"joint{'s' if joints[1:] else ''} {', '.join(map(repr, joints))}"
-    problem = f"cannot start at {values}: {reason}"
-    return MechanismError(where, problem, "coordinates and rates that loops and couplings allow")
 
 
 def inherit_initial_state(scene: Scene, of: Scene) -> None:
@@ -191,7 +90,10 @@ def inherit_initial_state(scene: Scene, of: Scene) -> None:
 
 
 def coordinates_of(system: Formulation, states: Sequence[State]) -> Array:
-    """Return (q, v), (n, nq + nv), of n states; rounded in another order than `system.coordinates` does."""
+    """Return (q, v), (n, nq + nv), that runs from n states start at; for each what it is of that one alone.
+
+    They are rounded in another order than those of `system.coordinates`.
+    """
     if system.couplings:
         return np.array([np.concatenate(system.coordinates(state)) for state in states])
     return unstacked(np.concatenate(system.coordinates(stacked(states))), len(states))

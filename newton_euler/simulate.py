@@ -12,7 +12,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from newton_euler.assemble import inherit_initial_state, initial_state
+from newton_euler.assemble import coordinates_of, inherit_initial_state, initial_state
 from newton_euler.equations.couplings import couplings
 from newton_euler.equations.parameters import pieces
 from newton_euler.equations.redundancy import inherit_mobility, mobility, other_rows
@@ -121,7 +121,12 @@ class CompiledScene(Code):
     @cached_property
     def start(self) -> Array:
         """x (inputs,) at the scene's initial state."""
-        return self.packed(*self.system.coordinates(initial_state(self.scene)))
+        (state,) = coordinates_of(self.system, [initial_state(self.scene)])
+        return self._at(state)
+
+    def _at(self, state: Array) -> Array:
+        """Return x (inputs,) at a state (size,)."""
+        return self.packed(state[: self.system.nq], state[self.system.nq :])
 
     @cached_property
     def _others(self) -> dict[tuple[int, ...], CompiledScene]:
@@ -136,10 +141,10 @@ class CompiledScene(Code):
         if scene.initial_state is self.scene.initial_state:
             inherit_mobility(scene, self.scene)
             inherit_initial_state(scene, self.scene)
-            q, v = self.start[: self.system.nq], self.start[self.system.nq : self.size]
+            state = self.start[: self.size]
         else:
-            q, v = self.system.coordinates(initial_state(scene))
-        other.__dict__.update(start=other.packed(q, v), _others={})
+            (state,) = coordinates_of(self.system, [initial_state(scene)])
+        other.__dict__.update(start=other._at(state), _others={})
         return other
 
     def simulate(self, integrator: IntegratorName = "DOP853", **control: Unpack[StepControl]) -> Trajectory:

@@ -8,25 +8,27 @@ grouped.
 
 Names of initial coordinates are `start.JOINT`, m or rad from the initial pose, and `start.JOINT.rate`, m/s or
 rad/s; `start.JOINT.1` and `start.JOINT.1.rate` are those of a joint's second coordinate. A joint with one of
-the two given has both, the other one as the scene's own start has it. Angles are within half a revolution.
+the two given has both, the other one as the scene's own start has it; own rates give way where loops do not
+allow all of them beside the given ones. Angles are within half a revolution.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from newton_euler.assemble import MOST_STEPS, STEP, coordinates_of, initial_state, measured_coordinate
+from newton_euler.assemble import VELOCITY_TOLERANCE, coordinates_of, initial_state, measured_coordinate
 from newton_euler.codegen.compile import NativeFunction, Traced
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.codegen.native import Record, Vector, native
-from newton_euler.equations.dense import largest
+from newton_euler.equations.formulation import Formulation
+from newton_euler.equations.independence import independent
 from newton_euler.equations.kinematics import TreeKinematics
 from newton_euler.equations.parameters import (
     PIECE,
@@ -45,17 +47,19 @@ from newton_euler.integrators.formulations import formulate
 from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.projection import project, worst_joint
 from newton_euler.integrators.run import Fallback, equations, native_method
-from newton_euler.integrators.stepper import DONE, Equations
+from newton_euler.integrators.stepper import DONE, OPEN, Equations
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
 from newton_euler.model.variable import UNITS
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, Scalar
 from newton_euler.simulate import KEPT
 
 PREFIX, RATE = "start.", ".rate"  # parts of names of initial coordinates and their rates
+STEP = 0.1  # rad, or sizes of the mechanism, that joints move at a time on the way to a start
+MOST_STEPS = 1000  # on that way; longer ones are made in longer steps
 FINER = 16  # more steps for runs that few ones have lost
 NAMED = 3  # values of a run that messages show
 
@@ -125,6 +129,7 @@ class Course(Record):
 
     Attributes:
         count: n.
+        passing: 1 if some coordinates follow from others and need not fit them on the way, else 0.
         steps: (n,) numbers of steps.
         own, states: (n, inputs) states with their parameters, at the beginning and at the end of the way;
             states are replaced by those that the parameters at the end let.
@@ -133,6 +138,7 @@ class Course(Record):
     """
 
     count: int
+    passing: int
     steps: Vector
     own: Vector
     states: Vector
@@ -161,7 +167,7 @@ def assemble_all(system: Equations, course: Course) -> None:
                     x[i] = own[i] + (target[i] - own[i]) * (float(step + 1) / float(steps))
             if system.projecting == 1:
                 status = project(system, last, x)
-            if status != DONE:
+            if status != DONE and (status != OPEN or course.passing == 0):
                 break
         for i in range(n):
             target[i] = x[i]
@@ -190,19 +196,45 @@ class Assembly:
         others = [name for name in names if name not in self.initial]
         self.kinematic = [name for name, place in places(scene, others).items() if is_kinematic(place)]
         self._names = {name: unambiguous(scene, name) for name in self.kinematic}
+        self._rates = {number.key for number in self.initial.values() if number.order == 1}
         keys = dict.fromkeys(number.key for number in self.initial.values())
+        ordered = sorted(keys, key=lambda key: key not in self._rates)
         self._motions = {
-            key: numbered("motions", k, "function") for k, key in enumerate(keys, start=len(scene.motions))
+            key: numbered("motions", k, "function") for k, key in enumerate(ordered, start=len(scene.motions))
         }
 
     @cached_property
     def code(self) -> Code:
         """Equations of the constraints, with prescribed motions for the initial coordinates."""
-        start = initial_state(self.scene)
+        start, bare = initial_state(self.scene), self.scene.without_forces()
         motions = [PrescribedMotion(key[0], self._held(start, key), key[1]) for key in self._motions]
-        bare = self.scene.without_forces()
         held = replace(bare, motions=(*bare.motions, *motions), initial_state=start)
-        return Code(held, "relative", parameters=(*self._names.values(), *self._motions.values()))
+        parameters = (*self._names.values(), *self._motions.values())
+        code = Code(held, "relative", parameters=parameters)
+        free = self._free_rows(code)
+        if not free or not self._is_overdetermined(code):
+            return code
+        at = max(mobility(held).configurations, key=lambda at: at.rank)
+
+        def selected(numbers: Collection[int]) -> list[int]:
+            rows = [row if k in numbers else {} for k, row in enumerate(at.rows)]
+            return independent(rows, held.redundancy_tolerance).rows
+
+        used = selected(set(range(len(at.rows))) - set(free))
+        for row in free:
+            used = max(used, selected({*used, row}), key=len)
+        return Code(held, "relative", parameters=parameters, independent=used)
+
+    def _free_rows(self, code: Code) -> range:
+        """Return the constraint rows of motions whose rates are not given, which yield to all others."""
+        system = code.system
+        end = system.rows - len(system.couplings) + len(code.scene.motions)
+        return range(end - len(self._motions) + len(self._rates), end)
+
+    def _is_overdetermined(self, code: Code) -> bool:
+        """True if some initial coordinates follow from the others: then rates may contradict each other."""
+        left = code.system.nv - len(code.rows.numbers)
+        return bool(self._motions) and left > mobility(self.scene).degrees_of_freedom - len(self._motions)
 
     @property
     def is_needed(self) -> bool:
@@ -234,19 +266,22 @@ class Assembly:
             found[lost], statuses[lost] = again
         lost = np.flatnonzero(statuses != DONE)
         errors = {run: self._error(run, found[run], values) for run in lost.tolist()}
-        for run in range(len(found)) if self._is_overdetermined else ():
-            if run not in errors and self._contradicts(found[run]):
-                problem = f"loops do not let joints move with {self._shown(run, values)}"
-                errors[run] = MechanismError(f"run {run}", problem, "rates that loops and couplings allow")
+        given = {name: values[name] for name, number in self.initial.items() if number.order == 1}
+        for run in self._contradictory(found):
+            problem = f"loops do not let joints move with {self._shown(run, given)}"
+            error = MechanismError(f"run {run}", problem, "rates that loops and couplings allow")
+            errors.setdefault(run, error)
+        on_v, units = slice(self.code.system.nq, self.code.size), self.code.system.velocity_units
+        begun, speeds = (np.abs(x[:, on_v] / units).max(axis=1, initial=0.0) for x in (own, found))
+        found[speeds < VELOCITY_TOLERANCE * begun, on_v] = 0.0  # round-off of what is to rest
         return found, errors
 
     def _own(self, values: Mapping[str, Array], states: Sequence[State] | None) -> Array:
         """Return the states (n, inputs) that runs begin at, with the scene's own parameters."""
         code = self.code
         count = len(next(iter(values.values())))
-        own = np.tile(code.packed(*code.system.coordinates(initial_state(self.scene))), (count, 1))
-        if states is not None:
-            own[:, : code.size] = coordinates_of(code.system, states)
+        own = np.tile(code.packed(np.zeros(code.size), np.zeros(0)), (count, 1))
+        own[:, : code.size] = coordinates_of(code.system, states or [initial_state(self.scene)])
         for row, state in zip(own, states or (), strict=states is not None):
             for key, name in self._motions.items():
                 row[code.place(name) :][:2] = self._held(state, key).coefficients
@@ -297,7 +332,9 @@ class Assembly:
         # nothing here calls derivatives, and compiling them takes time
         system = equations(code, python, python.derivative, np.zeros(code.size), np.zeros(m.COUNTS))
         found, statuses, x = targets.copy(), np.zeros(len(own)), np.zeros(code.inputs)
-        course = Course(len(own), np.ascontiguousarray(steps), np.ascontiguousarray(own), found, x, statuses)
+        passing = int(self._is_overdetermined(code))
+        ways = np.ascontiguousarray(steps), np.ascontiguousarray(own), found
+        course = Course(len(own), passing, *ways, x, statuses)
         native_method(assemble_all).bind(assemble_all, system, course)()
         return found, statuses
 
@@ -320,20 +357,20 @@ class Assembly:
         shown = ", ".join(f"{name} = {values[name][run].tolist()!r:.60}" for name in moving[:NAMED])
         return shown + (", ..." if len(moving) > NAMED else "")
 
-    @cached_property
-    def _is_overdetermined(self) -> bool:
-        """True if some initial coordinates follow from the others: then rates may contradict each other."""
-        if not self._motions:
-            return False
-        left = self.code.system.nv - len(self.code.rows.numbers)
-        return left > mobility(self.scene).degrees_of_freedom - len(self._motions)
+    def _contradictory(self, x: Array) -> list[int]:
+        """Return the runs in which constraints do not let joints move at the given rates in x (n, inputs)."""
+        code, free = self.code, self._free_rows(self.code)
+        if not self._rates or not self._is_overdetermined(code):
+            return []
 
-    def _contradicts(self, x: Array) -> bool:
-        """True if constraints do not let joints move at all of the rates in x (inputs,)."""
-        system = self.code.float_system(x)
-        q, v = x[: system.nq], x[system.nq : self.code.size]
-        speed = largest(np.concatenate([v / system.velocity_units, system.phi_t() / system.phi_units]))
-        return largest(system.phi_rate(q, v) / system.phi_units) > loosely_closed(self.code.noise) * speed
+        def computed(system: Formulation, values: Mapping[str, Any], q: Array, v: Array) -> list[Scalar]:
+            rates = np.delete(system.phi_rate(q, v) / code.system.phi_units, free)
+            return [*rates, *(v / code.system.velocity_units), *(system.phi_t() / code.system.phi_units)]
+
+        found = np.abs(at_rows(self._function("rates", computed, len(free)), x))
+        rates, speeds = np.split(found, [len(code.system.phi_units) - len(free)], axis=1)
+        allowed = loosely_closed(code.noise) * speeds.max(axis=1, initial=0.0)
+        return np.flatnonzero(rates.max(axis=1, initial=0.0) > allowed).tolist()
 
     def state(self, x: Array) -> State:
         """Return the state of the bodies at x (inputs,)."""
@@ -355,18 +392,8 @@ class Assembly:
 
     def _native(self, compiled: Code) -> NativeFunction:
         """Return the function that gives (q, v) of a formulation at x (inputs,) of the assembly's."""
-        code = self.code
-        # work, an element of the state, depends on the outputs
-        chosen = compiled.formulation, compiled.size, tuple(self._names)
-        moving = code.scene.motions, tuple(code.parameters)
-        known = fingerprint(self.scene, *chosen, *moving, neutral=NEUTRAL | {"outputs"})
 
-        def traced() -> Traced:
-            graph = Graph()
-            x = graph.variables(code.inputs)
-            values = code.values(x)
-            system = formulate(with_values(code.scene, values), code.formulation)
-            q, v = x[: system.nq], x[system.nq : code.size]
+        def computed(system: Formulation, values: Mapping[str, Any], q: Array, v: Array) -> list[Scalar]:
             inputs = {name: values[place] for name, place in self._names.items()}
             other = formulate(with_values(self.scene, inputs), compiled.formulation)
             if isinstance(other, TreeKinematics):
@@ -382,6 +409,32 @@ class Assembly:
                     turned = coordinate.constraint.phi(first, second)[0]
                     angles.append(seen[key].x if key in coupled else turned)
             work = [0.0] * (other.nq - len(own) - len(angles))
-            return Traced(graph.prune([*own, *angles, *work, *rates]))
+            return [*own, *angles, *work, *rates]
 
-        return NativeFunction(traced, known and f"{known} starts")
+        # work, an element of the state, depends on the outputs
+        return self._function("starts", computed, compiled.formulation, compiled.size, tuple(self._names))
+
+    def _function(
+        self,
+        name: str,
+        compute: Callable[[Formulation, Mapping[str, Any], Array, Array], list[Scalar]],
+        *chosen: object,
+    ) -> NativeFunction:
+        """Return a native function of x (inputs,).
+
+        Args:
+            compute: from the equations, the values of their parameters, q and v.
+            chosen: all that it depends on beside the scene and its parameters.
+        """
+        code = self.code
+        moving = code.scene.motions, tuple(code.parameters)
+        known = fingerprint(self.scene, *chosen, *moving, neutral=NEUTRAL | {"outputs"})
+
+        def traced() -> Traced:
+            graph = Graph()
+            x = graph.variables(code.inputs)
+            values = code.values(x)
+            system = formulate(with_values(code.scene, values), code.formulation)
+            return Traced(graph.prune(compute(system, values, x[: system.nq], x[system.nq : code.size])))
+
+        return NativeFunction(traced, known and f"{known} {name}")

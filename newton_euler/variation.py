@@ -26,7 +26,7 @@ from newton_euler.equations.parameters import (
     refusal,
     with_values,
 )
-from newton_euler.errors import MechanismError, OptionError, check_type
+from newton_euler.errors import MechanismError, OptionError, check_type, finite_array
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import ComputedTorque
 from newton_euler.model.initial_pose import described_at
@@ -34,8 +34,8 @@ from newton_euler.model.mechanism import LEAST, REALISABLE_TOLERANCE
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.variable import UNITS, UNITS_ALONG, functions_of
-from newton_euler.scalars import Array
-from newton_euler.starts import Assembly, assembly_of, initial_numbers, own_initial
+from newton_euler.scalars import Array, Floats
+from newton_euler.starts import PREFIX, RATE, Assembly, assembly_of, initial_numbers, own_initial
 
 RESTRICTED = frozenset({"axis_on_first", "axis_on_second", "first_side", "second_side", "stroke"})
 """Attributes whose numbers restrict each other, or those of another attribute."""
@@ -88,10 +88,51 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
         raise MechanismError(element, error.problem, error.needed)
     numbers = {name: array[0] for name, array in found.arrays.items() if name not in assembly.initial}
     if not any(is_opening(place) for place in places(scene, numbers).values()):
-        changed = rebuilt(scene, numbers)
+        changed = rebuilt(scene, numbers) if numbers else scene
     else:
         changed = described_at(with_values(scene, numbers), _pose(scene, numbers) or assembly.state(x))
     return replace(changed, initial_state=assembly.state(x)) if assembly.is_needed else changed
+
+
+def start(scene: Scene, /, **joints: Sequence[float] | Sequence[Sequence[float] | None] | Floats) -> Scene:
+    """Return a scene that starts with these coordinates of joints and their rates.
+
+    All other coordinates start as near to those of the scene's own start as the loops let them.
+
+    Args:
+        scene: the scene to start.
+        joints: by name (coordinate, rate), in rad and rad/s or m and m/s from the initial pose. Joints of
+            several coordinates have a list of such pairs, None for a coordinate that is not given. States
+            hold no whole revolutions.
+
+    Raises:
+        UnknownNameError: for an unknown joint.
+        MechanismError: naming the joint that has no coordinate, follows a prescribed motion, or is not let
+            there by loops and couplings.
+
+    Examples:
+        >>> scene = start(load("pendulum"), pivot=(0.5, -2.0))
+        >>> motion = simulate(scene).joint("pivot")
+        >>> print(motion.coordinates[:2].round(3).tolist())
+        [[0.5], [0.48]]
+    """
+    check_type("scene", scene, Scene)
+    labels, values = scene.mechanism.coordinate_labels, dict[str, float]()
+    for name, given in joints.items():
+        kinds, where = scene.mechanism.joint(name).coordinate_kinds, f"joint {name!r}"
+        if not kinds:
+            raise MechanismError(where, "has no coordinate to start at", "a joint with a hinge or a slide")
+        pairs: Any = [given] if len(kinds) == 1 else given
+        if not isinstance(pairs, list | tuple | np.ndarray) or len(pairs) != len(kinds):
+            needed = f"a list of {len(kinds)} pairs or None, {', '.join(kinds)}"
+            raise MechanismError(where, f"start is {given!r:.100}", needed)
+        for k, pair in enumerate(pairs):
+            if pair is not None:
+                x, rate = finite_array(where, "start", pair, (2,)).tolist()
+                values |= {f"{PREFIX}{labels[name, k]}": x, f"{PREFIX}{labels[name, k]}{RATE}": rate}
+    if not values:
+        raise MechanismError(f"scene {scene.name!r}", "has no joint to start", "one joint or more by name")
+    return with_parameters(scene, values)
 
 
 def _pose(scene: Scene, numbers: Mapping[str, Array]) -> State | None:

@@ -10,13 +10,13 @@ import numpy as np
 from crosscheck.scenes.options import Beside, Between
 from crosscheck.scenes.tracker import tracker_gravity
 from newton_euler.analysis.regulator import lqr
-from newton_euler.assemble import start
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.digital_control import Digital, Law
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine
+from newton_euler.variation import start
 
 STIFFNESS, DAMPING = 400.0, 40.0
 """1/s^2 and 1/s of computed torque: critical, errors vanish with exp(-20 t)."""

@@ -11,9 +11,10 @@ from mechanisms import bar
 
 from crosscheck.scenes import load
 from mjcf.rigid import RigidMuJoCo
+from newton_euler import start
 from newton_euler.analysis.inverse_dynamics import inverse_dynamics, statics
 from newton_euler.analysis.poses import solve_poses
-from newton_euler.assemble import initial_state, start
+from newton_euler.assemble import initial_state
 from newton_euler.codegen.expression import Graph
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.parameters import measuring

@@ -12,11 +12,12 @@ from finite_difference import derivative
 from mechanisms import bar
 
 from crosscheck.scenes import load
+from newton_euler import start
 from newton_euler.analysis.equilibrium import at_rest, equilibrium
 from newton_euler.analysis.inverse_dynamics import statics
 from newton_euler.analysis.linear_model import Modes
 from newton_euler.analysis.linearization import linearize
-from newton_euler.assemble import initial_state, start
+from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
