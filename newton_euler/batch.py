@@ -125,8 +125,9 @@ def simulate_batch(
 ) -> Batch:
     """Run a scene many times, from other states or with other parameters; compiled once.
 
-    Results do not depend on the number of threads. All outputs of all runs are kept in memory, 8 bytes per
-    number: 0.7 MB per run of the tracker. `crosscheck.sweep` keeps a few numbers of each run instead.
+    Results do not depend on the number of threads; from a state they are those of `simulate` from there. All
+    outputs of all runs are kept in memory, 8 bytes per number: 0.7 MB per run of the tracker.
+    `crosscheck.sweep` keeps a few numbers of each run instead.
 
     Args:
         scene: the scene of all runs.

@@ -426,12 +426,6 @@ def test_impossible_requests_are_refused(arguments, message):
     assert message in str(caught.value)
 
 
-def test_a_run_through_a_singular_configuration_has_no_derivatives_by_geometry():
-    """The bars of the parallelogram lie flat on the way."""
-    with pytest.raises(NewtonEulerError, match="the run comes too near to a singular configuration"):
-        sensitivities(short(load("four_bar"), 3.0), ["ball_1.point.x"])
-
-
 def test_sampled_controllers_have_no_derivatives():
     scene = carts(Sampled("rail_0", lambda t, x, v: -x[0], 0.1))
     with pytest.raises(NewtonEulerError, match="sampled controller of joint 'rail_0' has none"):

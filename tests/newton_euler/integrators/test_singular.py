@@ -332,7 +332,10 @@ def test_a_start_in_a_singular_configuration_has_no_derivatives():
 @pytest.mark.parametrize("rtol", [1e-4, 1e-6, 1e-9, 1e-12])
 @pytest.mark.parametrize(("angle", "speed"), STARTS)
 def test_geometry_has_no_derivatives_past_singular_configurations(angle, speed, rtol):
-    """Wherever steps end: a joint point that is off has the loop open there."""
+    """Wherever steps end: a joint point that is off has the loop open there.
+
+    Where rtol is that of round-off the run itself may stop there, one of six by the last bits of its start.
+    """
     scene = replace(parallelogram(angle, speed), duration=1.0)
-    with pytest.raises(NewtonEulerError, match="too near to a singular configuration"):
+    with pytest.raises(NewtonEulerError, match=r"near (to )?a singular configuration"):
         newton_euler.sensitivities(scene, ["B.point.x"], rtol=rtol, atol=1e-2 * rtol)
