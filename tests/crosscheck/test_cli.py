@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 import pytest
-from command_line import check_refused, command, run, scene_file, verdict_of
+from command_line import check_refused, command, run, scene_file, short_example, verdict_of
 from urdf_files import CHAIN
 
 from crosscheck.cli.shared import tell
@@ -89,6 +89,12 @@ def test_list_of_a_scene_fits_80_columns(capsys):
     place = next(k for k, line in enumerate(lines) if line.startswith("leg_5.inertia"))
     rows = [line.split()[-3:] for line in lines[place : place + 3]]
     assert rows == [["5.827e-05", "0", "-8.24e-06"], ["0", "5.94e-05", "0"], ["-8.24e-06", "0", "1.72e-06"]]
+
+
+def test_list_of_a_scene_has_no_round_off(capsys, tmp_path):
+    path = scene_file(tmp_path, short_example() | {"gravity": [-1.2e-20, 0.0, -9.81]})
+    _, out, _ = run(capsys, "list", path)
+    assert out.splitlines()[0].split() == ["gravity", "m/s^2", "0", "0", "-9.81"]
 
 
 def test_help_is_not_cut_off(capsys, monkeypatch):
