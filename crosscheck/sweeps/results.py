@@ -148,7 +148,7 @@ def _check_starts(plan: Plan) -> None:
         reason = str(errors[0]).removeprefix("run 0: ")
         guilty = (group for group in samples.groups if any(repr(name) in reason for name in group[0]))
         where = next((f"--vary {', '.join(names)}={given}: " for names, given in guilty), "")
-        raise CrosscheckError(f"{where}no run can start, of {TRIED} that were tried: {reason}")
+        raise CrosscheckError(f"{where}none of {TRIED} runs that were tried can start: {reason}")
 
 
 def _task(plan: Plan, at: Workers, progress: Callable[[str], None]) -> int:

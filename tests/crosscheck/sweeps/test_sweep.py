@@ -174,7 +174,7 @@ def test_runs_that_cannot_go_on_keep_their_error():
         ({"vary": {"gravity": "uniform(1, 2)"}}, "--vary gravity: it has 3 numbers; name one, gravity.x"),
         (
             {"vary": {"dumbbell.mass": "normal(-14, 0.1)"}},
-            "--vary dumbbell.mass=normal(-14, 0.1): no run can start, of 300 that were tried: parameter "
+            "--vary dumbbell.mass=normal(-14, 0.1): none of 300 runs that were tried can start: parameter "
             "'dumbbell.mass': is -1",
         ),
         (
@@ -183,7 +183,7 @@ def test_runs_that_cannot_go_on_keep_their_error():
                 "vary": {"ball_0.point_on_first.x": "uniform(5, 6)"},
                 "keep": "final:position",
             },
-            "no run can start, of 300 that were tried: ",
+            "none of 300 runs that were tried can start: ",
         ),
         ({"keep": "final:nothing"}, "unknown output 'nothing'"),
         ({"foo": 1}, "unknown option 'foo'"),
