@@ -46,7 +46,7 @@ PROBE, LONG = 0.05, 1.0
 PATIENCE = 10.0
 """s for a cluster to answer."""
 
-NO_WORKERS = f"there are no workers: waits until there are; Ctrl-C ends, {KEPT_GOES_ON}"
+NO_WORKERS = f"the cluster has no workers: waiting for some; Ctrl-C ends, {KEPT_GOES_ON}"
 
 LOGS, SILENT = ("distributed.client", "distributed.protocol.core", "distributed.comm"), logging.CRITICAL + 1
 """Logs of Dask that repeat what is raised, and a level above all of theirs."""
