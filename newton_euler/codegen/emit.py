@@ -117,11 +117,47 @@ outputs at x, the values of all lanes side by side, in the lanes that are bits o
 ARGUMENTS = "ptr noalias nocapture readonly %x, ptr noalias nocapture %y, i64 %on"
 
 
+_IN_LANES = """
+entry:
+  %bits = trunc i64 %on to i{lanes}
+  %all = icmp eq i{lanes} %bits, -1
+  %work = alloca [{outputs} x {t}]
+  %to = select i1 %all, ptr %y, ptr %work
+{lines}
+  br i1 %all, label %done, label %some
+some:
+  %mask = bitcast i{lanes} %bits to <{lanes} x i1>
+  br label %keep
+keep:
+  %k = phi i64 [ 0, %some ], [ %k.next, %keeping ]
+  %k.more = icmp slt i64 %k, {outputs}
+  br i1 %k.more, label %keeping, label %done
+keeping:
+  %k.from = getelementptr {t}, ptr %work, i64 %k
+  %k.value = load {t}, ptr %k.from, align 8
+  %k.to = getelementptr {t}, ptr %y, i64 %k
+  %k.before = load volatile {t}, ptr %k.to, align 8
+  %k.kept = select <{lanes} x i1> %mask, {t} %k.value, {t} %k.before
+  store {t} %k.kept, ptr %k.to, align 8
+  %k.next = add i64 %k, 1
+  br label %keep
+done:
+  ret void
+"""
+"""Body of straight-line code in lanes. Results go to y if all lanes are on, and else to memory of their own,
+from where those of the lanes that are on are copied: a mask at each result would take LLVM as long as all the
+rest."""
+
+
 def emit_straight(program: Program, name: str, lanes: int = 1, fuses: bool = True) -> str:
     """Emit the program as straight-line code, which rounds a product with its sum if it `fuses`; an
     `Emitter`."""
     out, fused = Instructions(lanes), _fused(program) if fuses else {}
     absorbed = set(fused.values())
+    places: dict[int, list[int]] = {}
+    for place, output in enumerate(program.outputs):
+        places.setdefault(output, []).append(place)
+    target = "%y" if lanes == 1 else "%to"
     values: list[str] = []
     for k, (op, a, b) in enumerate(program.nodes):
         if op == "const":
@@ -138,11 +174,14 @@ def emit_straight(program: Program, name: str, lanes: int = 1, fuses: bool = Tru
             )
         else:
             values.append(out.operation(f"%n{k}", op, values[a], values[b] if b >= 0 else None))
-    mask = out.mask("%mask", "%on")
-    for k, output in enumerate(program.outputs):
-        out.store(f"%y{k}", values[output], "%y", k, mask)
-    aligned = ' "stackrealign"' if lanes > 1 else ""  # registers are saved within lines of the cache
-    return "\n".join([f"define void @{name}({ARGUMENTS}){aligned} {{", *out.lines, "  ret void\n}"])
+        for place in places.get(k, ()):
+            out.store(f"%y{place}", values[k], target, place)
+    head = f"define void @{name}({ARGUMENTS})"
+    if lanes == 1:
+        return "\n".join([f"{head} {{", *out.lines, "  ret void\n}"])
+    t, lines = vector_type("double", lanes), "\n".join(out.lines)
+    body = _IN_LANES.format(t=t, lines=lines, lanes=lanes, outputs=len(program.outputs))
+    return f'{head} "stackrealign" {{{body}}}'  # registers are saved within lines of the cache
 
 
 def _fused(program: Program) -> dict[int, int]:
