@@ -45,12 +45,9 @@ from newton_euler.scalars import Array, Scalar, cross, sqrt, zeros
 class Rotors(NamedTuple):
     """Armatures a of coordinates x: d2x/dt2 = Phi_q qddot - gamma, and a force on x acts through B^T."""
 
-    inertias: list[Scalar]
-    """kg m^2 or kg"""
-    on_q: Rows
-    """Rows of Phi_q."""
-    on_b: Rows
-    """Rows of B."""
+    inertias: list[Scalar]  # kg m^2 or kg
+    on_q: Rows  # of Phi_q
+    on_b: Rows  # of B
     gammas: list[Scalar]
 
 
@@ -314,9 +311,8 @@ class Cartesian(Formulation):
         force = self.g(q, v)
         mass: Rows = [{} for _ in force]
         scales = []
-        for k, (body, (_, p), (_, pdot)) in enumerate(
-            zip(self.bodies, self.split(q), self.split(v), strict=True)
-        ):
+        parts = zip(self.bodies, self.split(q), self.split(v), strict=True)
+        for k, (body, (_, p), (_, pdot)) in enumerate(parts):
             linear, angular = slice(6 * k, 6 * k + 3), slice(6 * k + 3, 6 * k + 6)
             term = self.l_h_pdot(body, p, pdot)
             scales.append(p @ p)
@@ -333,12 +329,8 @@ class Cartesian(Formulation):
         inertias, _, of_rotors, gammas = self.rotors(q, v)
         soft = dict(enumerate([1.0 / inertia for inertia in inertias], start=self.rows))
         used = RowsInUse([*rows.numbers[:count], *soft], rows.scales and rows.scales[: count + len(soft)])
-        push, rows_of_all, right = (
-            sparse.sparse_vector(force),
-            [*B, *of_rotors],
-            np.concatenate([right, gammas]),
-        )
-        return Equations(factor, push, rows_of_all, right, used, refine=True, softness=soft)
+        push, right = sparse.sparse_vector(force), np.concatenate([right, gammas])
+        return Equations(factor, push, [*B, *of_rotors], right, used, refine=True, softness=soft)
 
     def sparse_residuals(
         self, q: Array, v: Array, rows: RowsInUse, accelerations: Array, multipliers: Array
