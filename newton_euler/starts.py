@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from newton_euler.assemble import VELOCITY_TOLERANCE, coordinates_of, initial_state, measured_coordinate
+from newton_euler.assemble import coordinates_of, initial_state, measured_coordinate
 from newton_euler.codegen.compile import NativeFunction, Traced
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
@@ -86,13 +86,16 @@ def initial_numbers(scene: Scene, names: Iterable[str]) -> dict[str, Initial]:
     """
     found: dict[str, Initial] = {}
     for name in names:
-        if not isinstance(name, str) or not name.startswith(PREFIX) or _is_element(scene, name):
+        if not isinstance(name, str) or not name.startswith(PREFIX):
             continue
         place = name.removeprefix(PREFIX).removesuffix(RATE)
         joint, _, index = place.rpartition(".")
-        key = (joint, int(index)) if joint and index.isdecimal() else (place, 0)
-        mechanism = scene.mechanism
-        key = mechanism.coordinate(key if place not in mechanism.joint_names else (place, 0))
+        mechanism, key = scene.mechanism, (place, 0)
+        if place not in mechanism.joint_names and joint and index.isdecimal():
+            key = joint, int(index)
+        if key[0] not in mechanism.joint_names and _is_element(scene, name):
+            continue
+        key = mechanism.coordinate(key)
         if key in {motion.key for motion in scene.motions}:
             where = f"joint {key[0]!r}"
             raise MechanismError(where, "follows a prescribed motion", "a joint that none prescribes")
@@ -169,6 +172,8 @@ def assemble_all(system: Equations, course: Course) -> None:
                 status = project(system, last, x)
             if status != DONE and (status != OPEN or course.passing == 0):
                 break
+        if status == DONE and system.projecting == 1:
+            status = project(system, 1, x)  # once more, for digits of velocities far below the own ones
         for i in range(n):
             target[i] = x[i]
         course.statuses[run] = float(status)
@@ -273,7 +278,7 @@ class Assembly:
             errors.setdefault(run, error)
         on_v, units = slice(self.code.system.nq, self.code.size), self.code.system.velocity_units
         begun, speeds = (np.abs(x[:, on_v] / units).max(axis=1, initial=0.0) for x in (own, found))
-        found[speeds < VELOCITY_TOLERANCE * begun, on_v] = 0.0  # round-off of what is to rest
+        found[speeds < np.finfo(float).eps * begun, on_v] = 0.0  # round-off of what is to rest
         return found, errors
 
     def _own(self, values: Mapping[str, Array], states: Sequence[State] | None) -> Array:
@@ -372,6 +377,7 @@ class Assembly:
         allowed = loosely_closed(code.noise) * speeds.max(axis=1, initial=0.0)
         return np.flatnonzero(rates.max(axis=1, initial=0.0) > allowed).tolist()
 
+    @np.errstate(all="ignore")  # what overflows is refused by a run
     def state(self, x: Array) -> State:
         """Return the state of the bodies at x (inputs,)."""
         system = self.code.float_system(x)

@@ -377,6 +377,7 @@ class Projection:
         return True
 
 
+@np.errstate(all="ignore")  # of what is not finite the message tells
 def failure(
     code: Code, integrator: str, most: int, status: int, x: Array, counts: Array, error: Exception | None
 ) -> IntegrationError:

@@ -33,6 +33,11 @@ def test_a_loop_starts_at_the_angle_and_the_rate_of_its_crank(angle):
     assert motion.rates[0, 0] == pytest.approx(2.0, rel=VELOCITY_TOLERANCE)
 
 
+def test_a_moving_loop_starts_slowly():
+    """As states of other speeds do, it meets its joints to a share of its own."""
+    assert initial_state(start(load("slider_crank"), guide=(0.01, 1e-9))).linear_velocity.any()
+
+
 def test_a_moving_loop_starts_at_rest():
     scene = start(load("slider_crank"), pivot=(0.3, 0.0))
     run = simulate(replace(scene, duration=0.1))
