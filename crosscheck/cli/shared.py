@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from shlex import join
 from threading import Timer
@@ -28,7 +28,10 @@ COLORS = {"": None, "holds": "green", "doubtful": "yellow", "fails": "red"}
 """Of verdicts."""
 
 LONG = 10.0
-"""s, after which a stage of work is named where standard error is no terminal."""
+"""s, after which it is told what goes on where standard error is no terminal, and then again."""
+
+SELDOM = 0.1
+"""Of the time so far, before it is told again: what takes hours leaves a log of some lines."""
 
 SENTENCE = 200
 """Characters of what a command does."""
@@ -198,7 +201,7 @@ def next_step(*words: object) -> str:
 
 @contextmanager
 def progress_shown() -> Iterator[Callable[[str], None]]:
-    """A function that shows what is going on, on standard error; only what takes long if that is a pipe."""
+    """A function that shows what is going on, on standard error; now and then if that is a pipe."""
     if sys.stderr is None or not sys.stderr.isatty():  # whatever FORCE_COLOR says, a pipe has no cursor
         with _LongStages() as stages:
             yield stages.begin
@@ -211,10 +214,11 @@ def progress_shown() -> Iterator[Callable[[str], None]]:
 
 
 class _LongStages:
-    """Names each stage on standard error that takes longer than `LONG`."""
+    """Says on standard error what goes on, after `LONG` and now and then."""
 
     def __init__(self) -> None:
         self._timer: Timer | None = None
+        self._stage, self._start = "", time.perf_counter()
 
     def __enter__(self) -> Self:
         return self
@@ -225,7 +229,13 @@ class _LongStages:
 
     def begin(self, stage: str) -> None:
         """Begin a stage, which ends the one before."""
-        self.__exit__()
-        self._timer = Timer(LONG, partial(click.echo, f"{stage} ...", err=True))
-        self._timer.daemon = True
-        self._timer.start()
+        self._stage = stage
+        if not self._timer:
+            wait = max(LONG, SELDOM * (time.perf_counter() - self._start))
+            self._timer = Timer(wait, self._tell)
+            self._timer.daemon = True
+            self._timer.start()
+
+    def _tell(self) -> None:
+        self._timer = None
+        click.echo(f"{self._stage} ...", err=True)

@@ -9,6 +9,7 @@ import shlex
 import socket
 import subprocess
 import sys
+import time
 from contextlib import suppress
 from dataclasses import replace
 
@@ -16,7 +17,8 @@ import pytest
 from command_line import check_refused, command, run, scene_file, short_example, verdict_of
 from urdf_files import CHAIN
 
-from crosscheck.cli.shared import tell
+from crosscheck.cli import shared
+from crosscheck.cli.shared import progress_shown, tell
 from crosscheck.comparison.figure import LEVELS, READING, Figure
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
@@ -414,6 +416,19 @@ def test_what_a_model_file_loses_is_told(capsys, tmp_path, monkeypatch, argument
     told, stopped = err.splitlines()
     assert (status, stopped) == (2, "crosscheck: error: reached")
     assert told == "m.urdf: joint 'pivot': left out: its dry friction 0.2"
+
+
+def test_a_log_is_told_now_and_then_of_many_short_stages(capsys, monkeypatch):
+    monkeypatch.setattr(shared, "LONG", 0.05)
+    told, stages = "", 0
+    with progress_shown() as progress:
+        while told.count("\n") < 2 and stages < 5000:
+            progress(f"stage {stages}")
+            stages += 1
+            time.sleep(0.002)
+            told += capsys.readouterr().err
+    assert re.fullmatch(r"(stage \d+ \.\.\.\n){2}", told)
+    assert stages > 10
 
 
 def test_of_many_elements_the_first_are_told(capsys):
