@@ -47,6 +47,13 @@ DIFFERENCE = 1e-4  # of parameters of starts, of the mechanism's size, m, or of 
 WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
 """Of the central difference of order 6."""
 
+COARSE = np.array([0.0, 1.0, -8.0, 8.0, -1.0, 0.0]) / 12.0
+"""Of that of order 4, by the same places."""
+
+APART = 1e-6
+"""By which the two may differ, of the largest of what they are of: near singular configurations they do."""
+
+LEAST = 1e-3  # SI, of numbers that are compared
 SPACING = 0.05  # rad, or share of the size, between states whose pivot ratios are looked at
 FINER = 20  # pivot ratios between two that are beside a least one, twice
 OF_TANGENTS = 100.0  # their tolerance in units of `rtol`: hardly a step of a scene that moves is divided
@@ -96,7 +103,8 @@ class Starts:
     """Starts of a scene's runs with p of its numbers, and their derivatives by these.
 
     Derivatives of the assembly are differences of order 6 of what Newton's steps assemble to round-off, good
-    to 1e-11; they are put on the linearized constraints with all others.
+    to 1e-11, or refused where those of order 4 differ from them; they are put on the linearized constraints
+    with all others.
     """
 
     def __init__(
@@ -145,7 +153,13 @@ class Starts:
             for k, moved in zip(self._moving, states[1:].reshape(-1, len(weights), code.size), strict=True):
                 apart = moved - states[0]
                 apart[:, angles] -= 2.0 * np.pi * np.round(apart[:, angles] / (2.0 * np.pi))
-                directions[: code.size, k] = weights @ apart / steps[k]
+                fine, coarse = weights @ apart / steps[k], COARSE @ apart / steps[k]
+                for part in (slice(system.nq), slice(system.nq, code.size)):
+                    largest = np.abs([fine[part], states[0, part]]).max(initial=LEAST)
+                    if not np.abs(fine - coarse)[part].max(initial=0.0) <= APART * largest:
+                        unknown = f"the derivative of the start by {self._names[k]} is not known"
+                        raise SensitivityError(f"{unknown}: {TOO_NEAR}")
+                directions[: code.size, k] = fine
         return x, directions
 
 
