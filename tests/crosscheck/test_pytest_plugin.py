@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy.fft  # noqa: F401
 import pytest
 
-import urdf.dynamics  # noqa: F401
+import crosscheck.regress.run  # noqa: F401
+import urdf.dynamics  # noqa: F401  # these: native modules cannot be imported anew
 
 pytest_plugins = ["pytester"]
 
@@ -56,6 +58,11 @@ def suite(pytester):
     return pytester
 
 
+def run(suite, *arguments):
+    """Run it in this process, without other plugins, which would be imported anew each time."""
+    return suite.runpytest_inprocess("--disable-plugin-autoload", "-p", "crosscheck", *arguments)
+
+
 def test_models_that_agree_pass_and_others_name_the_engine_and_keep_the_recording(suite):
     done = suite.runpytest_subprocess("-k", "arm or odd")
     done.assert_outcomes(passed=1, failed=1)
@@ -68,7 +75,7 @@ def test_models_that_agree_pass_and_others_name_the_engine_and_keep_the_recordin
 
 
 def test_what_cannot_be_checked_fails_in_one_line(suite):
-    done = suite.runpytest_inprocess("-k", "missing or misspelt")
+    done = run(suite, "-k", "missing or misspelt")
     done.assert_outcomes(failed=2)
     text = done.stdout.str()
     assert "\nleg.xml: cannot be read: No such file or directory\n" in text
@@ -77,15 +84,15 @@ def test_what_cannot_be_checked_fails_in_one_line(suite):
 
 
 def test_a_baseline_is_stored_on_demand_and_compared_with(suite):
-    done = suite.runpytest_inprocess("-k", "guarded")
+    done = run(suite, "-k", "guarded")
     done.assert_outcomes(failed=1)
     assert "arm.baseline.json; pytest --crosscheck-update REASON stores it" in done.stdout.str()
-    stored = suite.runpytest_inprocess("-k", "guarded", "--crosscheck-update", "as delivered")
+    stored = run(suite, "-k", "guarded", "--crosscheck-update", "as delivered")
     stored.assert_outcomes(passed=1)
-    suite.runpytest_inprocess("-k", "guarded").assert_outcomes(passed=1)
+    run(suite, "-k", "guarded").assert_outcomes(passed=1)
     model = suite.path / "arm.xml"
     model.write_text(model.read_text().replace("0.3 0 0.15", "0.3003 0 0.15"))
-    done = suite.runpytest_inprocess("-k", "guarded")
+    done = run(suite, "-k", "guarded")
     done.assert_outcomes(failed=1)
     text = done.stdout.str()
     assert re.search(r"model: mass, kg +coupler +0\.2958", text)
@@ -93,6 +100,6 @@ def test_a_baseline_is_stored_on_demand_and_compared_with(suite):
 
 
 def test_a_baseline_of_a_model_in_memory_is_beside_the_test(suite):
-    suite.runpytest_inprocess("-k", "spec", "--crosscheck-update", "as made").assert_outcomes(passed=1)
+    run(suite, "-k", "spec", "--crosscheck-update", "as made").assert_outcomes(passed=1)
     assert (suite.path / "linkage.baseline.json").is_file()
-    suite.runpytest_inprocess("-k", "spec").assert_outcomes(passed=1)
+    run(suite, "-k", "spec").assert_outcomes(passed=1)

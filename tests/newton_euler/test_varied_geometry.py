@@ -114,7 +114,10 @@ def moving_state(system):
     q, _ = system.coordinates(State.initial(system.mechanism))
     q = system.retract(q, 0.1 * rng.uniform(-1.0, 1.0, system.nv))
     for _ in range(20):
-        q = system.retract(q, -np.linalg.lstsq(system.phi_jacobian(q), system.phi(q), rcond=1e-9)[0])
+        step = np.linalg.lstsq(system.phi_jacobian(q), system.phi(q), rcond=1e-9)[0]
+        q = system.retract(q, -step)
+        if np.abs(step).max() < 1e-12:  # what is left is round-off
+            break
     jacobian, v = system.phi_jacobian(q), rng.uniform(-1.0, 1.0, system.nv)
     return q, v - np.linalg.lstsq(jacobian, jacobian @ v + system.phi_t(), rcond=1e-9)[0]
 

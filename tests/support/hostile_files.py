@@ -100,7 +100,7 @@ class Case:
     Attributes:
         name: of the case.
         file: name of the file that is at fault.
-        content: of that file.
+        content: of that file, or what makes it, if that takes long.
         message: what has to be in the line that refuses it; None if it may have stayed a model.
         arguments: beside the file.
         prepare: makes other files in the folder.
@@ -109,7 +109,7 @@ class Case:
 
     name: str
     file: str
-    content: bytes
+    content: bytes | Callable[[], bytes]
     message: str | None = None
     arguments: tuple[str, ...] = ()
     prepare: Prepare | None = None
@@ -129,7 +129,8 @@ class Case:
         (folder / "parts" / "wedge.obj").write_text(WEDGE)
         for name in ("robot.urdf", "loops.yaml"):
             (folder / name).write_text(TEXTS[name])
-        (folder / self.file).write_bytes(self.content)
+        content = self.content() if callable(self.content) else self.content
+        (folder / self.file).write_bytes(content)
         if self.prepare:
             self.prepare(folder)
         source = "robot.urdf" if self.file == "loops.yaml" else self.file

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from functools import partial
 
 import yaml
 from command_line import NoAliases, short_example
@@ -39,6 +40,11 @@ SCENE_EDITS: dict[str, tuple[Keys, object, str]] = {
 }
 
 
+def written(file: str, content: object) -> bytes:
+    text = json.dumps(content) if file == "scene.json" else yaml.dump(content, Dumper=NoAliases)
+    return text.encode()
+
+
 def scene_cases() -> Iterator[Case]:
     for name, (keys, value, message) in SCENE_EDITS.items():
         content = short_example()
@@ -47,9 +53,8 @@ def scene_cases() -> Iterator[Case]:
             at = at[key]
         at[keys[-1]] = value
         for file in ("scene.yaml", "scene.json"):
-            text = json.dumps(content) if file == "scene.json" else yaml.dump(content, Dumper=NoAliases)
             slow = isinstance(value, list | str) and len(value) > 50_000
-            yield Case(f"{file}: {name}", file, text.encode(), message, slow=slow)
+            yield Case(f"{file}: {name}", file, partial(written, file, content), message, slow=slow)
     for name, text, message in (
         ("aliases that unfold", ALIASES, "line 2: aliases are not allowed here"),
         ("deep nesting", "[" * 100_000, "line 1: nested too deeply"),
