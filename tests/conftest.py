@@ -17,6 +17,7 @@ from hostile_process import Server
 
 import mjcf.reading.source
 import newton_euler
+from crosscheck.cli import shared
 from crosscheck.scenes import load
 from newton_euler.exercise import random_states
 from newton_euler.model.motions import PrescribedMotion
@@ -43,6 +44,14 @@ def compiler() -> Iterator[None]:
         patch.setattr(mjcf.reading.source, "subprocess", forks)
         yield
     forks.close()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def stages() -> Iterator[None]:
+    """Standard error without the stages that take long on a busy machine."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shared, "LONG", 600.0)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -138,8 +138,7 @@ def report(folder: Path) -> Page:
 
 def test_a_page_holds_what_a_run_found(folder, capsys):
     status, out, err = run(capsys, "report", folder)
-    assert (status, out) == (0, f"wrote {folder / PAGE}\n")
-    assert all(line.endswith(" ...") for line in err.splitlines())  # stages, named if the machine is busy
+    assert (status, out, err) == (0, f"wrote {folder / PAGE}\n", "")
     found, summary = Page(folder / PAGE), json.loads((folder / "summary.json").read_text())
     word, _, rest = summary["verdict"].partition(": ")
     assert {word, *found.text} == {*found.text}
