@@ -216,8 +216,7 @@ class Assembly:
         held = replace(bare, motions=(*bare.motions, *motions), initial_state=start)
         parameters = (*self._names.values(), *self._motions.values())
         code = Code(held, "relative", parameters=parameters)
-        free = self._free_rows(code)
-        if not free or not self._is_overdetermined(code):
+        if not self._is_overdetermined(code):
             return code
         at = max(mobility(held).configurations, key=lambda at: at.rank)
 
@@ -225,8 +224,9 @@ class Assembly:
             rows = [row if k in numbers else {} for k, row in enumerate(at.rows)]
             return independent(rows, held.redundancy_tolerance).rows
 
-        used = selected(set(range(len(at.rows))) - set(free))
-        for row in free:
+        moved = range(self._free_rows(code).stop - len(self._motions), self._free_rows(code).stop)
+        used = selected(set(range(len(at.rows))) - set(moved))
+        for row in moved:  # those of given rates are the first
             used = max(used, selected({*used, row}), key=len)
         return Code(held, "relative", parameters=parameters, independent=used)
 

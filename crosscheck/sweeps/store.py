@@ -212,15 +212,15 @@ class Store:
 
 def _difference(own: Mapping[str, Any], record: Mapping[str, Any]) -> str:
     """Word the first difference of a store's attributes from the record of a plan; empty without one."""
-    for name in _changed(own, record):
-        if name == "fingerprint":
-            if own.get("solver") == record["solver"]:  # which is in the fingerprint, too
-                old, new = (json.loads(each.get("numbers", "{}")) for each in (own, record))
-                changes = [_change(number, old, new) for number in _changed(old, new)]
-                return f"another scene: {next(iter(changes), 'its start or structure differs')}"
-        elif name in CONDITIONS:
+    follows = {*record} - {*CONDITIONS} | {"samples"}  # other versions have other fingerprints and plans
+    for name in sorted(_changed(own, record), key=follows.__contains__):
+        if name in CONDITIONS:
             return CONDITIONS[name].rstrip(",")
-        elif name not in FREE:
+        if name == "fingerprint":
+            old, new = (json.loads(each.get("numbers", "{}")) for each in (own, record))
+            changes = [_change(number, old, new) for number in _changed(old, new)]
+            return f"another scene: {next(iter(changes), 'its start or structure differs')}"
+        if name not in FREE:
             why = UNEXTENDED.get((record["sampling"], name.partition(" ")[0]), "")
             return f"another plan: {_change(name, own, record)}{why}"
     return ""

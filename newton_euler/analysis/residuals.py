@@ -16,7 +16,8 @@ from newton_euler.analysis.measurements import (
     column_places,
     compared,
 )
-from newton_euler.analysis.tangent_run import ALONG, Followed, FollowedRun, Starts, tangent_code
+from newton_euler.analysis.tangent_code import ALONG, tangent_code
+from newton_euler.analysis.tangent_run import Followed, FollowedRun, Starts
 from newton_euler.errors import MechanismError, NewtonEulerError, UnknownNameError
 from newton_euler.integrators.options import FormulationName, Options
 from newton_euler.model.scene import OUTPUTS, Scene

@@ -20,15 +20,8 @@ from typing import Unpack
 
 import numpy as np
 
-from newton_euler.analysis.tangent_run import (
-    ALONG,
-    FollowedRun,
-    Starts,
-    components,
-    own_numbers,
-    tangent_code,
-    tangent_options,
-)
+from newton_euler.analysis.tangent_code import ALONG, tangent_code
+from newton_euler.analysis.tangent_run import FollowedRun, Starts, components, own_numbers, tangent_options
 from newton_euler.errors import OptionError, SensitivityError, check_type
 from newton_euler.integrators.formulations import check_formulation
 from newton_euler.integrators.options import FormulationName, StepControl

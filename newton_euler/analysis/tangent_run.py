@@ -7,20 +7,15 @@ Traced derivatives of the equations of motion are carried along the steps of a r
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import cached_property
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from newton_euler.codegen.compile import VERY_LARGE, Traced
-from newton_euler.codegen.expression import Graph, Program, differentiate_along, substitute
-from newton_euler.equations.formulation import Formulation
-from newton_euler.equations.parameters import is_kinematic, pieces, places
-from newton_euler.equations.sparse import least_squares, solve_constrained, sparse_vector
+from newton_euler.analysis.tangent_code import ALONG, RATES, SETTLED, TangentCode
+from newton_euler.equations.parameters import pieces
 from newton_euler.errors import OptionError, SensitivityError
 from newton_euler.integrators import stepper as m
-from newton_euler.integrators.options import FormulationName, Options, StepControl
+from newton_euler.integrators.options import Options, StepControl
 from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.run import Fallback, Integrator, most_steps
 from newton_euler.integrators.singular import NEAR, UNSAFE
@@ -34,14 +29,12 @@ from newton_euler.integrators.tangents import (
 )
 from newton_euler.model.scene import Scene
 from newton_euler.sampling import Interval, integrate_intervals
-from newton_euler.scalars import Array, Scalar, minimum, objects, zeros
+from newton_euler.scalars import Array
 from newton_euler.simulate import CompiledScene
-from newton_euler.starts import Assembly, initial_numbers
+from newton_euler.starts import Assembly
 from newton_euler.variation import own_values, run_values
 
 TOO_NEAR = "the run comes too near to a singular configuration"
-ALONG = " along"
-RATES, SETTLED = "derivative" + ALONG, "settled" + ALONG  # names of programs that have a direction behind x
 DIFFERENCE = 1e-4  # of parameters of starts, of the mechanism's size, m, or of their own value beyond 1
 
 WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
@@ -58,14 +51,6 @@ SPACING = 0.05  # rad, or share of the size, between states whose pivot ratios a
 FINER = 20  # pivot ratios between two that are beside a least one, twice
 OF_TANGENTS = 100.0  # their tolerance in units of `rtol`: hardly a step of a scene that moves is divided
 ROOM = 2048  # steps of a run that there is room for; those of a longer one are taken twice
-
-
-def tangent_code(scene: Scene, names: Sequence[str], formulation: FormulationName | None) -> TangentCode:
-    """Return the code of a scene with derivatives by numbers that are parameters, see `components`."""
-    initial = initial_numbers(scene, names)
-    code = TangentCode(scene, formulation, parameters=[name for name in names if name not in initial])
-    code.alone = len(names) == 1
-    return code
 
 
 def tangent_options(control: Mapping[str, Any]) -> Options:
@@ -173,141 +158,6 @@ class Followed(NamedTuple):
     counts: dict[str, int]
     wall_time: float
     """s, of the run and its derivatives."""
-
-
-class TangentCode(CompiledScene):
-    """A compiled scene with derivatives along a direction of (q, v, parameters).
-
-    Programs whose names end with `ALONG` take x with a direction behind it, another x; several directions
-    are taken side by side.
-    """
-
-    alone = False
-    """True if there is a single direction."""
-
-    @cached_property
-    def kept(self) -> int:
-        """All elements of a state: derivatives need them, whatever the outputs."""
-        return self.size
-
-    @cached_property
-    def moves_loops(self) -> bool:
-        """True if parameters move the closed configurations: near singular ones without bound."""
-        found = places(self.scene, self._named).values()
-        return any(is_kinematic(place) and place.owner[0] != "bodies" for place in found)
-
-    def _traced(self, name: str, in_lanes: bool) -> Traced:
-        if not name.endswith(ALONG):
-            return super()._traced(name, in_lanes)
-        program = self.program(name)
-        straight = program.operations < VERY_LARGE
-        many = name != RATES or not self.alone  # a single direction is beside itself at other output times
-        return Traced(program, many, self._layouts.get(name), straight=straight)
-
-    def _identity_of(self, name: str) -> str | None:
-        known = super()._identity_of(name.removesuffix(ALONG))
-        return known and f"{known}{' alone' * (self.alone and name == RATES)}"
-
-    def _trace(self, name: str) -> Program:
-        if not name.endswith(ALONG):
-            return super()._trace(name)
-        graph, base = Graph(), name.removesuffix(ALONG)
-        x, along = graph.variables(self.inputs), graph.variables(self.inputs)
-        along[self.size] = 0.0  # at the same time
-        system = self._system_of(x, tuple(self.parameters))
-        if name == SETTLED:
-            return graph.prune(self._settled(system, x, along))
-        if name == RATES:
-            return graph.prune(self._rates_along(system, x, along))._replace(inputs=2 * self.inputs)
-        scalars = self._scalars(base, system, x)
-        kept = self._smooth(scalars) if base == "output" else scalars
-        found = differentiated(kept, x, along)
-        return graph.prune([*kept, *found] if base == "coordinates" else found)
-
-    def _rates_along(self, system: Formulation, x: Array, along: Array) -> list[Scalar]:
-        """Return (qdot, vdot), their derivatives, and the pivot ratio.
-
-        Accelerations are differentiated implicitly: the residuals of the equations that they solve, for
-        accelerations and multipliers held, are what the equations are solved for once more, with the same
-        factors.
-        """
-        q, v, graph = x[: system.nq], x[system.nq : self.size], x[-1].graph
-        equations = system.sparse_equations(q, v, self.rows)
-        solution = solve_constrained(equations)
-        count, used = len(equations.factor.columns), equations.rows.numbers
-        accelerations, of_rows = graph.variables(count), graph.variables(len(used))
-        multipliers = zeros(len(equations.jacobian), x)
-        multipliers[used] = of_rows
-        held = [*accelerations, *of_rows]
-        values = [solution.acceleration.get(k, 0.0) for k in range(count)]
-        values += [solution.multipliers.get(i, 0.0) for i in used]
-        residuals = system.sparse_residuals(q, v, self.rows, accelerations, multipliers)
-        right = substitute(graph, differentiated(np.concatenate(residuals).tolist(), x, along), held, values)
-        force, gamma = sparse_vector([-change for change in right[:count]]), -objects(right[count:])
-        found = solve_constrained(equations._replace(force=force, gamma=gamma)).acceleration
-        moved = [found.get(k, 0.0) for k in range(count)]
-        of_held = replace(solution, acceleration=dict(enumerate(accelerations)))
-        vdot = system.sparse_vdot(q, v, of_held).tolist()
-        changes = differentiate_along(graph, vdot, [*x, *accelerations], [*along, *moved])
-        rates = [*system.rate(q, v), *system.sparse_vdot(q, v, solution)]
-        changes = differentiated(rates[: system.nq], x, along) + substitute(graph, changes, held, values)
-        return [*rates, *changes, minimum(solution.pivot_ratio, 1.0)]
-
-    def _settled(self, system: Formulation, x: Array, along: Array) -> list[Scalar]:
-        """Put a direction at a state on the constraints on the linearized ones, (q, v) of it.
-
-        By steps of least length, as states are: of coordinates, then of velocities.
-        """
-        on_q, on_v = slice(system.nq), slice(system.nq, self.size)
-        q, v, moved = x[on_q], x[on_v], along.copy()
-        for place in system.quaternions:
-            moved[place] -= q[place] * (q[place] @ moved[place])
-        phi, jacobian = system.phi_and_jacobian(q)
-        rows, units = self._dimensionless(system, jacobian), system.velocity_units
-
-        def step(residuals: Sequence[Scalar]) -> Array:
-            """The least step (nv,) for residuals (k,) along the direction."""
-            right = np.array(differentiated(residuals, x, moved)) / system.phi_units[self.rows.numbers]
-            least, _ = least_squares(rows, right)
-            return np.array([units[k] * least.get(k, 0.0) for k in range(system.nv)])
-
-        used = self.rows.numbers
-        change = system.rate(q, step(phi[used].tolist()))
-        change[system.work] = 0.0
-        moved[on_q] -= change
-        rate = system.phi_rate(q, v)
-        norms = {i: sum(e * v[k] for k, e in jacobian[i].items()) for i in used if i >= system.rows}
-        moved[on_v] -= step([norms[i] if i in norms else rate[i] for i in used])
-        return moved[: self.size].tolist()
-
-    def _smooth(self, scalars: list[Scalar]) -> list[Scalar]:
-        """Select the outputs that have derivatives, with a layout of their own."""
-        without = {"phi", "pivot_ratio"}
-        if self.redundant:  # and not unique
-            without |= {"reaction_force", "reaction_torque"}
-        kept: list[Scalar] = []
-        places: dict[str, tuple[int, int, tuple[int, ...]]] = {}
-        for name, (start, stop, shape) in self._layouts["output"].items():
-            if name not in without:
-                places[name] = len(kept), len(kept) + stop - start, shape
-                kept += scalars[start:stop]
-        self._layouts["output" + ALONG] = places
-        return kept
-
-    def _trace_coordinates(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Trace the coordinates of all joints, m or rad, then their rates."""
-        frames, coordinates, rates = system.frames(q, v), list[Scalar](), list[Scalar]()
-        for equations in system.equations:
-            for k in range(len(equations.coordinates)):
-                x, rate = equations.measure(k, frames)
-                coordinates.append(x)
-                rates.append(rate)
-        return [*coordinates, *rates]
-
-
-def differentiated(scalars: Sequence[Scalar], x: Array, along: Array) -> list[Scalar]:
-    """Differentiate scalars along a direction (inputs,) of x (inputs,)."""
-    return differentiate_along(x[-1].graph, scalars, x.tolist(), along.tolist())
 
 
 class _Path:

@@ -9,12 +9,16 @@ import pytest
 from mechanisms import planar_four_bar, slider_tree
 
 from crosscheck.scenes import load
-from newton_euler import simulate, simulate_batch, start
-from newton_euler.assemble import VELOCITY_TOLERANCE, initial_state
+from newton_euler import simulate, simulate_batch, start, with_parameters
+from newton_euler.assemble import VELOCITY_TOLERANCE, initial_state, measured_coordinate
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.smooth_functions import Sine
+from newton_euler.model.state import State
+from newton_euler.starts import initial_names, initial_numbers
+
+VELOCITIES = ("linear_velocity", "angular_velocity")
 
 
 @pytest.fixture(scope="module")
@@ -164,6 +168,21 @@ def test_initial_coordinates_are_checked(crank, name, error, message):
     with pytest.raises(error) as caught:
         simulate_batch(crank, parameters={name: [0.0]})
     assert message in str(caught.value)
+
+
+def test_all_coordinates_and_rates_of_a_motion_are_a_start():
+    """Of a mechanism with two freedoms, far from its own start."""
+    scene = replace(load("tracker"), duration=1.0, output_period=0.5)
+    run = simulate(scene)
+    state = State(*(getattr(run, name)[-1] for name in ("position", "quaternion", *VELOCITIES)))
+    given = {}
+    for name in initial_names(scene):
+        (number,) = initial_numbers(scene, [name]).values()
+        given[name] = measured_coordinate(scene, state, number.key)[number.order]
+    begun = initial_state(with_parameters(scene, given))
+    # to what positions and rates of the motion are known to
+    np.testing.assert_allclose(begun.position, state.position, atol=1e-9)
+    np.testing.assert_allclose(begun.linear_velocity, state.linear_velocity, atol=1e-9)
 
 
 def test_rates_that_nobody_gave_yield_to_loops(crank):

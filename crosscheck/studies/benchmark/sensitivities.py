@@ -16,14 +16,8 @@ from crosscheck.report.table import Lines, Part, Rows, Table, figures
 from crosscheck.studies.benchmark.ladders import poses_only
 from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns, shown
 from newton_euler import compile_scene
-from newton_euler.analysis.tangent_run import (
-    RATES,
-    FollowedRun,
-    Starts,
-    own_numbers,
-    tangent_code,
-    tangent_options,
-)
+from newton_euler.analysis.tangent_code import RATES, tangent_code
+from newton_euler.analysis.tangent_run import FollowedRun, Starts, own_numbers, tangent_options
 from newton_euler.model.scene import Scene
 from newton_euler.sampling import integrate_intervals
 from newton_euler.scalars import Array

@@ -16,7 +16,8 @@ from scipy.integrate import solve_ivp
 
 from crosscheck.scenes import load
 from newton_euler import compile_scene, equilibrium, sensitivities, simulate_batch, start, with_parameters
-from newton_euler.analysis.tangent_run import OF_TANGENTS, FollowedRun, Starts, own_numbers, tangent_code
+from newton_euler.analysis.tangent_code import tangent_code
+from newton_euler.analysis.tangent_run import OF_TANGENTS, FollowedRun, Starts, own_numbers
 from newton_euler.equations.parameters import is_kinematic, parameter_values, places
 from newton_euler.errors import NewtonEulerError, SensitivityError
 from newton_euler.integrators.options import Options
@@ -249,7 +250,7 @@ def test_rolled_code_and_single_directions_give_the_same(monkeypatch):
     found = sensitivities(scene, names).linear_velocity
     one_by_one = np.concatenate([sensitivities(scene, [name]).linear_velocity for name in names], axis=-1)
     monkeypatch.setattr("newton_euler.codegen.compile.LARGE", 200)
-    monkeypatch.setattr("newton_euler.analysis.tangent_run.VERY_LARGE", 0)
+    monkeypatch.setattr("newton_euler.analysis.tangent_code.VERY_LARGE", 0)
     rolled = sensitivities(scene, names).linear_velocity
     largest = np.abs(found).max()
     # round-off of steps that the same accelerations with other round-off make
