@@ -150,7 +150,9 @@ def _scatter(axes: Array, effects: Effects, points: Array, inputs: Mapping[str, 
         for ax, name in zip(row, names, strict=False):
             x, less_x = _origin(inputs[name])
             ax.plot(inputs[name] - x, scalar.values[points] - y, ".", color=PLAIN, markersize=2.0, alpha=0.5)
-            ax.set_xlabel(name + less_x, fontsize="small")
+            ax.set_xlabel(
+                name.replace(".", ".\n", 1) + less_x, fontsize="small"
+            )  # powers of ten stand beside it
             ax.tick_params(labelsize="small")
             ax.xaxis.get_major_locator().set_params(nbins=4)  # three plots are side by side
             _label_numbers(ax, "x")

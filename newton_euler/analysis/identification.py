@@ -289,7 +289,7 @@ def _runs(scene: Scene, names: Sequence[str], given: Given | Sequence[Given]) ->
             raise MechanismError(where, f"give {twice[0]!r}, which is fitted", "one of the two")
         if run.time[-1] > scene.duration * (1.0 + 1e-12):
             problem = f"times go on to {run.time[-1]:.9g} s"
-            raise MechanismError(where, problem, f"at most the scene's {scene.duration:g} s")
+            raise MechanismError(where, problem, f"at most the scene's duration, {scene.duration:g} s")
         if where in runs:
             raise OptionError("measurements", where, "each file once")
         runs[where] = run
@@ -308,6 +308,7 @@ def _misfits(residuals: Sequence[Mapping[str, Floats]]) -> dict[str, float]:
 def _lines(names: Sequence[str], values: Array, fit: Fit, weak: Array) -> list[str]:
     """Say what the data do not determine."""
     lines = []
+    beyond = "that was measured" if fit.noise.probability >= CHANCE else "beyond these residuals"
     found = [([k for k, x in enumerate(row) if abs(x) > SIMPLE], row) for row in weak]
     for parts, row in sorted(found, key=lambda pair: (len(pair[0]), pair[0])):
         if len(parts) == 1:
@@ -322,5 +323,5 @@ def _lines(names: Sequence[str], values: Array, fit: Fit, weak: Array) -> list[s
                 )
                 continue
         changes = [f"{names[k]} {0.01 * change[k]:+.2g} {fit.units[k]}".rstrip() for k in parts]
-        lines.append(f"not determined: {', '.join(changes)} together change nothing that was measured")
+        lines.append(f"not determined: {', '.join(changes)} together change nothing {beyond}")
     return lines

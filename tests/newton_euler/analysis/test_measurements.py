@@ -122,7 +122,9 @@ def test_impossible_fits_are_refused(parameters, columns, message):
 
 def test_times_beyond_the_scene_are_refused():
     late = Measurements([0.0, 3.0], {"coordinate.pivot": [0.0, 0.0]})
-    with pytest.raises(NewtonEulerError, match=r"times go on to 3 s; needed: at most the scene's 2 s"):
+    with pytest.raises(
+        NewtonEulerError, match=r"times go on to 3 s; needed: at most the scene's duration, 2 s"
+    ):
         identify(pendulum(), ["rod.mass"], late)
 
 
