@@ -122,9 +122,10 @@ def test_runs_are_the_float_forms(tracker, formulation):
     for name, tolerance in (
         ("position", 1e-11),  # round-off shifts a step size, and errors are 1e-12 a step
         ("quaternion", 2e-10),
+        ("linear_velocity", 2e-10),  # of motions that end within 0.05 s
         ("reaction_force", 1e-8),
         ("reaction_torque", 1e-9),
-        ("actuator_force", 1e-9),
+        ("actuator_force", 5e-9),  # 25 N s/m of such velocities
     ):
         assert np.abs(getattr(compiled, name) - getattr(floats, name)).max() < tolerance, name
     assert compiled.kinetic_energy == pytest.approx(floats.kinetic_energy, abs=1e-10)
