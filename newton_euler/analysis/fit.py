@@ -19,7 +19,7 @@ import numpy as np
 
 from newton_euler.analysis.noise import SAME, STAYS, Noise
 from newton_euler.analysis.residuals import Residuals
-from newton_euler.analysis.tangent_run import own_numbers
+from newton_euler.analysis.tangent_starts import own_numbers
 from newton_euler.equations.parameters import own_value, places
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene

@@ -22,7 +22,8 @@ from newton_euler.analysis.measurements import Measurements, measurements_from_c
 from newton_euler.analysis.noise import CHANCE
 from newton_euler.analysis.residuals import Residuals
 from newton_euler.analysis.sensitivity import checked_names
-from newton_euler.analysis.tangent_run import components, tangent_options
+from newton_euler.analysis.tangent_run import tangent_options
+from newton_euler.analysis.tangent_starts import components
 from newton_euler.errors import (
     IdentificationWarning,
     MechanismError,

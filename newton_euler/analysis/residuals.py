@@ -17,7 +17,8 @@ from newton_euler.analysis.measurements import (
     compared,
 )
 from newton_euler.analysis.tangent_code import ALONG, tangent_code
-from newton_euler.analysis.tangent_run import Followed, FollowedRun, Starts
+from newton_euler.analysis.tangent_run import Followed, FollowedRun
+from newton_euler.analysis.tangent_starts import Starts
 from newton_euler.errors import MechanismError, NewtonEulerError, UnknownNameError
 from newton_euler.integrators.options import FormulationName, Options
 from newton_euler.model.scene import OUTPUTS, Scene
@@ -79,6 +80,7 @@ class Residuals:
         self.runs, self.evaluations = list(runs.values()), 0
         kinds = {name.split(".")[0] for run in self.runs for name in run.columns}
         wanted = {QUANTITIES[kind].output for kind in kinds if kind in QUANTITIES}
+        wanted |= {"velocities"} if "rate" in kinds else set()
         asked = replace(scene, outputs=frozenset(output for output in OUTPUTS if output in wanted))
         code = tangent_code(asked, names, formulation)
         layouts = (code.function(name).layout for name in ("output", "output" + ALONG))

@@ -21,7 +21,8 @@ from typing import Unpack
 import numpy as np
 
 from newton_euler.analysis.tangent_code import ALONG, tangent_code
-from newton_euler.analysis.tangent_run import FollowedRun, Starts, components, own_numbers, tangent_options
+from newton_euler.analysis.tangent_run import FollowedRun, tangent_options
+from newton_euler.analysis.tangent_starts import Starts, components, own_numbers
 from newton_euler.errors import OptionError, SensitivityError, check_type
 from newton_euler.integrators.formulations import check_formulation
 from newton_euler.integrators.options import FormulationName, StepControl

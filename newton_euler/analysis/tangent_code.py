@@ -12,7 +12,7 @@ from newton_euler.codegen.compile import VERY_LARGE, Traced
 from newton_euler.codegen.expression import Graph, Program, differentiate_along, substitute
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.parameters import is_kinematic, places
-from newton_euler.equations.sparse import least_squares, solve_constrained, sparse_vector
+from newton_euler.equations.sparse import RowsInUse, least_squares, solve_constrained, sparse_vector
 from newton_euler.integrators.options import FormulationName
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, Scalar, minimum, objects, zeros
@@ -20,7 +20,8 @@ from newton_euler.simulate import CompiledScene
 from newton_euler.starts import initial_numbers
 
 ALONG = " along"
-RATES, SETTLED = "derivative" + ALONG, "settled" + ALONG  # names of programs that have a direction behind x
+UNREFINED, RATES, SETTLED = (name + ALONG for name in ("unrefined", "derivative", "settled"))
+"""Names of programs that have a direction behind x."""
 
 
 def tangent_code(scene: Scene, names: Sequence[str], formulation: FormulationName | None) -> TangentCode:
@@ -41,10 +42,10 @@ class TangentCode(CompiledScene):
     alone = False
     """True if there is a single direction."""
 
-    @cached_property
-    def kept(self) -> int:
-        """All elements of a state: derivatives need them, whatever the outputs."""
-        return self.size
+    @property
+    def rates(self) -> tuple[str, ...]:
+        """Names of programs of rates, the quicker one before that for where its pivot ratio is small."""
+        return (RATES,) if self.formulation == "relative" else (UNREFINED, RATES)
 
     @cached_property
     def moves_loops(self) -> bool:
@@ -57,12 +58,13 @@ class TangentCode(CompiledScene):
             return super()._traced(name, in_lanes)
         program = self.program(name)
         straight = program.operations < VERY_LARGE
-        many = name != RATES or not self.alone  # a single direction is beside itself at other output times
+        # a single direction is beside itself at other output times
+        many = name not in self.rates or not self.alone
         return Traced(program, many, self._layouts.get(name), straight=straight)
 
     def _identity_of(self, name: str) -> str | None:
         known = super()._identity_of(name.removesuffix(ALONG))
-        return known and f"{known}{' alone' * (self.alone and name == RATES)}"
+        return known and f"{known}{' alone' * (self.alone and name in self.rates)}"
 
     def _trace(self, name: str) -> Program:
         if not name.endswith(ALONG):
@@ -73,22 +75,26 @@ class TangentCode(CompiledScene):
         system = self._system_of(x, tuple(self.parameters))
         if name == SETTLED:
             return graph.prune(self._settled(system, x, along))
-        if name == RATES:
-            return graph.prune(self._rates_along(system, x, along))._replace(inputs=2 * self.inputs)
+        if name in self.rates:
+            rates = self._rates_along(system, x, along, refined=name == RATES)
+            return graph.prune(rates)._replace(inputs=2 * self.inputs)
         scalars = self._scalars(base, system, x)
         kept = self._smooth(scalars) if base == "output" else scalars
         found = differentiated(kept, x, along)
         return graph.prune([*kept, *found] if base == "coordinates" else found)
 
-    def _rates_along(self, system: Formulation, x: Array, along: Array) -> list[Scalar]:
+    def _rates_along(self, system: Formulation, x: Array, along: Array, refined: bool) -> list[Scalar]:
         """Return (qdot, vdot), their derivatives, and the pivot ratio.
 
         Accelerations are differentiated implicitly: the residuals of the equations that they solve, for
         accelerations and multipliers held, are what the equations are solved for once more, with the same
-        factors.
+        factors. If they are not refined, in either, their relative error is round-off over the ratio of a
+        pivot to what it was before the elimination: that is their pivot ratio.
         """
         q, v, graph = x[: system.nq], x[system.nq : self.size], x[-1].graph
-        equations = system.sparse_equations(q, v, self.rows)
+        rows = self.rows if refined else RowsInUse(self.rows.numbers)
+        equations = system.sparse_equations(q, v, rows)
+        equations = equations._replace(refine=equations.refine and refined)
         solution = solve_constrained(equations)
         count, used = len(equations.factor.columns), equations.rows.numbers
         accelerations, of_rows = graph.variables(count), graph.variables(len(used))
@@ -97,7 +103,7 @@ class TangentCode(CompiledScene):
         held = [*accelerations, *of_rows]
         values = [solution.acceleration.get(k, 0.0) for k in range(count)]
         values += [solution.multipliers.get(i, 0.0) for i in used]
-        residuals = system.sparse_residuals(q, v, self.rows, accelerations, multipliers)
+        residuals = system.sparse_residuals(q, v, rows, accelerations, multipliers)
         right = substitute(graph, differentiated(np.concatenate(residuals).tolist(), x, along), held, values)
         force, gamma = sparse_vector([-change for change in right[:count]]), -objects(right[count:])
         found = solve_constrained(equations._replace(force=force, gamma=gamma)).acceleration

@@ -13,43 +13,17 @@ import numpy as np
 
 from newton_euler.analysis.tangent_code import ALONG, RATES, SETTLED, TangentCode
 from newton_euler.equations.parameters import pieces
-from newton_euler.errors import MechanismError, OptionError, SensitivityError
+from newton_euler.errors import OptionError, SensitivityError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.options import Options, StepControl
 from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.run import Fallback, Integrator, most_steps
 from newton_euler.integrators.singular import NEAR, UNSAFE
-from newton_euler.integrators.tangents import (
-    REACHED,
-    Tangents,
-    evaluate_along,
-    follow,
-    methods,
-    settle_outputs,
-)
-from newton_euler.model.scene import Scene
+from newton_euler.integrators.tangents import REACHED, Tangents, evaluate_along, follow, methods
 from newton_euler.sampling import Interval, integrate_intervals
 from newton_euler.scalars import Array
-from newton_euler.simulate import CompiledScene
-from newton_euler.starts import Assembly
-from newton_euler.variation import own_values, run_values
 
 TOO_NEAR = "the run comes too near to a singular configuration"
-DIFFERENCE = 1e-4  # of parameters of starts, of the mechanism's size, m, or of their own value beyond 1
-
-WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
-"""Of the central difference of order 6."""
-
-COARSE = np.array([0.0, 1.0, -8.0, 8.0, -1.0, 0.0]) / 12.0
-"""Of that of order 4, by the same places."""
-
-APART = 5e-6
-"""By which the two may differ, of the largest of what they are of, for that of order 6 to be good to 1e-8.
-
-Near a singular configuration errors go with the step by its distance, to the fourth and the sixth power.
-"""
-
-LEAST = 1e-3  # SI, of numbers that are compared
 SPACING = 0.05  # rad, or share of the size, between states whose pivot ratios are looked at
 FINER = 20  # pivot ratios between two that are beside a least one, twice
 OF_TANGENTS = 100.0  # their tolerance in units of `rtol`: hardly a step of a scene that moves is divided
@@ -67,91 +41,6 @@ def tangent_options(control: Mapping[str, Any]) -> Options:
         if (value := chosen.pop(name, only)) != only:
             raise OptionError(name, value, f"{only}, which derivatives are of")
     return Options.of("DOP853", cast(StepControl, chosen))
-
-
-def components(scene: Scene, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names (p,) of the numbers of parameters, those of symmetric matrices once."""
-    found = list[str]()
-    for name, value in own_values(scene, names).items():
-        for index in np.ndindex(*value.shape):
-            if value.shape == (3, 3) and index[0] > index[1]:
-                continue
-            spatial = set(value.shape) == {3}
-            component = "".join("xyz"[k] for k in index) if spatial else ".".join(map(str, index))
-            found.append(f"{name}.{component}" if component else name)
-    return tuple(found)
-
-
-def own_numbers(scene: Scene, names: Sequence[str]) -> Array:
-    """Return the scene's own values (p,) of numbers that are parameters, initial coordinates among them."""
-    return np.array([float(value) for value in own_values(scene, names).values()])
-
-
-class Starts:
-    """Starts of a scene's runs with p of its numbers, and their derivatives by these.
-
-    Derivatives of the assembly are differences of order 6 of what Newton's steps assemble to round-off, good
-    to 1e-11, or refused where those of order 4 differ from them; they are put on the linearized constraints
-    with all others.
-    """
-
-    def __init__(
-        self, code: CompiledScene, names: Sequence[str], held: Mapping[str, float] | None = None
-    ) -> None:
-        """`held` are initial coordinates and rates that are not among the p numbers."""
-        self._code, self._held = code, np.array(list((held or {}).values()))
-        self._names = (*names, *(held or {}))
-        self._assembly = Assembly(code.scene, self._names)
-        moving = {*self._assembly.kinematic, *self._assembly.initial}
-        self._moving = [k for k, name in enumerate(names) if name in moving]
-
-    def __call__(self, numbers: Array) -> tuple[Array, Array]:
-        """Compute x (inputs,) of the start with these numbers (p,), and its derivatives (inputs, p).
-
-        Raises:
-            MechanismError: for numbers that make no sense, and those with which a loop stays open.
-        """
-        code, step = self._code, DIFFERENCE * min(1.0, self._code.scene.mechanism.size)
-        steps = step * np.maximum(1.0, np.abs(numbers))
-        count, numbers = len(numbers), np.concatenate([numbers, self._held])
-        x, directions = code.start.copy(), np.zeros((code.inputs, count))
-        for k, name in enumerate(self._names[:count]):
-            if name in code.parameters:
-                x[code.place(name)] = numbers[k]
-                directions[code.place(name), k] = 1.0
-        rows = [numbers]
-        for k in self._moving:
-            for number in WEIGHTS:
-                rows.append(numbers.copy())
-                rows[-1][k] += number * steps[k]
-        values = run_values(code.scene, dict(zip(self._names, np.array(rows).T, strict=True)))
-        self._refuse(values.errors)
-        if self._assembly.is_needed:
-            found, errors = self._assembly(values.arrays)
-            self._refuse(errors)
-            states = self._assembly.starts(code, found)
-            x[: code.size] = states[0]
-            weights, system = np.array(list(WEIGHTS.values())), code.system
-            angles = [*system.angles.values(), *system.uncounted_angles]  # within a revolution
-            for k, moved in zip(self._moving, states[1:].reshape(-1, len(weights), code.size), strict=True):
-                apart = moved - states[0]
-                apart[:, angles] -= 2.0 * np.pi * np.round(apart[:, angles] / (2.0 * np.pi))
-                fine, coarse = weights @ apart / steps[k], COARSE @ apart / steps[k]
-                for part in (slice(system.nq), slice(system.nq, code.size)):
-                    largest = np.abs([fine[part], states[0, part]]).max(initial=LEAST)
-                    if not np.abs(fine - coarse)[part].max(initial=0.0) <= APART * largest:
-                        unknown = f"the derivative of the start by {self._names[k]} is not known"
-                        raise SensitivityError(f"{unknown}: {TOO_NEAR}")
-                directions[: code.size, k] = fine
-        return x, directions
-
-    def _refuse(self, errors: Mapping[int, MechanismError]) -> None:
-        """Raise the first error of the numbers themselves, or of those that differ by one of them."""
-        for row, error in sorted(errors.items()):
-            if row == 0:
-                raise error
-            name = self._names[self._moving[(row - 1) // len(WEIGHTS)]]
-            raise SensitivityError(f"{name} cannot vary alone: {error.problem}")
 
 
 class Followed(NamedTuple):
@@ -264,27 +153,44 @@ class FollowedRun:
             if path.least_pivot_ratio() < NEAR:
                 raise SensitivityError(TOO_NEAR)
         self._turn_pieces(begun, interval, directions)
+        for rates in code.rates:
+            found = self._carried(rates, integrator, begun, directions)
+            if found is not None:
+                return found
+        raise SensitivityError(TOO_NEAR)
+
+    def _carried(
+        self, program: str, integrator: Integrator, begun: Array, directions: Array
+    ) -> dict[str, Array] | None:
+        """Carry directions (inputs, p) by a program of rates along an integrator's steps from x (inputs,).
+
+        They are changed to what they are at the end. Returns the derivatives at the output times by program;
+        None, and changes nothing, if pivot ratios are too small for these rates.
+        """
+        code, most, rates = self._code, most_steps(self._options), self._code.function(program)
+        floor = UNSAFE if program == RATES else NEAR
+        settled = code.function(SETTLED) if code.projects else None
         functions = {name: code.function(name + ALONG) for name in self._programs}
-        rates, settled = code.function(RATES), code.function(SETTLED) if code.projects else None
-        n, inputs, lanes, rows = code.size, code.inputs, rates.lanes, len(interval.times)
+        n, inputs, lanes, rows = code.size, code.inputs, rates.lanes, len(integrator.times)
         found = {
             name: np.empty((rows, function.outputs, directions.shape[1]))
             for name, function in functions.items()
         }
         x, wide = np.zeros((2 * inputs, lanes)), next(iter(functions.values())).lanes
-        python, most = Fallback(code), most_steps(self._options)
+        python, ends = Fallback(code), directions[:n].copy()
         tangents = Tangents(
             n=n,
             inputs=inputs,
             lanes=lanes,
             wide=wide,
-            count=steps,
+            count=int(integrator.counts[m.STEPS]),
             rows=rows,
             most=most,
             projecting=int(code.projects),
             places=code.system.work.start,
             speeds=code.system.nq,
             tolerance=OF_TANGENTS * self._options.rtol,
+            floor=floor if code.projects else -m.HUGE,
             rates=rates,
             settled=settled,
             pause=python.pause,
@@ -313,16 +219,18 @@ class FollowedRun:
             tangents.noise[:] = 0.0
             with python.interruptible():
                 status = methods()(follow, tangents, integrator.x)
+            if status == m.SINGULAR:
+                return None
             if status == m.TOO_MANY_STEPS:
                 reached = f"more than {most} parts of steps at t = {tangents.counts[REACHED]:.6g} s"
                 raise SensitivityError(f"{reached}; derivatives vibrate much faster than the run moves")
-            if code.projects and tangents.least[0] < UNSAFE:
-                raise SensitivityError(TOO_NEAR)
-            beside[:n] = x[inputs : inputs + n, :together]
-            methods()(settle_outputs, tangents, together)
+            ends[:, first : first + together] = x[inputs : inputs + n, :together]
+            if settled:  # the first are
+                methods()(evaluate_along, tangents, 1, together, settled, n, 0, lanes, tangents.table)
             for name, function in functions.items():
                 into = function.outputs, first, directions.shape[1], found[name]
-                methods()(evaluate_along, tangents, together, function, *into)
+                methods()(evaluate_along, tangents, 0, together, function, *into)
+        directions[:n] = ends
         return found
 
     def _turn_pieces(self, x: Array, interval: Interval, directions: Array) -> None:

@@ -40,7 +40,7 @@ from newton_euler.integrators.dop853_tableau import (
     STAGES,
 )
 from newton_euler.integrators.singular import NEAR
-from newton_euler.integrators.stepper import DONE, HUGE, INTERRUPTED, PATIENCE, TOO_MANY_STEPS
+from newton_euler.integrators.stepper import DONE, HUGE, INTERRUPTED, PATIENCE, SINGULAR, TOO_MANY_STEPS
 
 TENTH = 0.1
 """Ratio of the sizes of two parts that show of what order an error is."""
@@ -72,6 +72,7 @@ class Tangents(Record):
         places, speeds: (q, v) are the elements up to `places` and from `speeds` on; between is work done,
             which nothing depends on, and whose error is not looked at.
         tolerance: of errors of a part of a step, in units of the largest of q and of v in each lane.
+        floor: pivot ratio below which rates are not known well enough.
         rates: of a state and of a direction, with the pivot ratio behind them.
         settled: directions on the linearized constraints.
         pause: lets Python stop the run: asked for every `PATIENCE` parts.
@@ -101,6 +102,7 @@ class Tangents(Record):
     places: int
     speeds: int
     tolerance: float
+    floor: float
     rates: Callback
     settled: Callback
     pause: Callback
@@ -371,6 +373,8 @@ def follow(tangents: Tangents, last: Vector) -> int:
                 if counts[WISH] > 0.0:
                     return INTERRUPTED
             taken = take_part(tangents, t, h)
+            if tangents.least[0] < tangents.floor:
+                return SINGULAR
             for i in range(size):
                 end[i] = at[along + i]
                 end[size + i] = at[i]
@@ -420,30 +424,9 @@ def gather(tangents: Tangents, row: int, lane: int, used: int) -> None:
 
 
 @native
-def settle_outputs(tangents: Tangents, used: int) -> None:
-    """Put the first `used` tangents at all output times but the first, which are, on the linearized
-    constraints."""
-    lanes = tangents.lanes
-    wide = tangents.wide
-    row = 1 if tangents.projecting == 1 else tangents.rows
-    lane = 0
-    while row < tangents.rows:
-        gather(tangents, row, lane, used)
-        tangents.settled(tangents.beside, tangents.found)
-        for place in range(wide):
-            if row < tangents.rows:
-                tangent = tangents.table[tangents.n * lanes * row :]
-                for i in range(tangents.n):
-                    tangent[lanes * i + lane] = tangents.found[wide * i + place]
-                lane += 1
-                if lane == used:
-                    row += 1
-                    lane = 0
-
-
-@native
 def evaluate_along(
     tangents: Tangents,
+    row: int,
     used: int,
     function: Callback,
     outputs: int,
@@ -451,12 +434,12 @@ def evaluate_along(
     columns: int,
     results: Vector,
 ) -> None:
-    """Evaluate a function of states and of the first `used` tangents at all output times.
+    """Evaluate a function of states and of the first `used` tangents at the output times from `row` on.
 
-    Results (rows, outputs, columns) get those of the tangents in the columns from `column` on.
+    Results (rows, outputs, columns) get those of the tangents in the columns from `column` on; they may be
+    the table of tangents itself.
     """
     wide = tangents.wide
-    row = 0
     lane = 0
     while row < tangents.rows:
         gather(tangents, row, lane, used)
@@ -475,4 +458,4 @@ def evaluate_along(
 @lru_cache
 def methods() -> NativeFunctions:
     """Compile the loops over steps and outputs, once."""
-    return NativeFunctions([follow, settle_outputs, evaluate_along])
+    return NativeFunctions([follow, evaluate_along])

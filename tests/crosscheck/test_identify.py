@@ -15,7 +15,7 @@ from scipy.stats import binom, chi2, norm
 import urdf
 from crosscheck.scenes import load
 from newton_euler import JointSpring, Measurements, identify, with_parameters
-from newton_euler.analysis.tangent_run import own_numbers
+from newton_euler.analysis.tangent_starts import own_numbers
 
 RARE = 1e-6
 """Probability with which chance fails a test that is right."""

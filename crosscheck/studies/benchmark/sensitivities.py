@@ -16,8 +16,9 @@ from crosscheck.report.table import Lines, Part, Rows, Table, figures
 from crosscheck.studies.benchmark.ladders import poses_only
 from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns, shown
 from newton_euler import compile_scene
-from newton_euler.analysis.tangent_code import RATES, tangent_code
-from newton_euler.analysis.tangent_run import FollowedRun, Starts, own_numbers, tangent_options
+from newton_euler.analysis.tangent_code import tangent_code
+from newton_euler.analysis.tangent_run import FollowedRun, tangent_options
+from newton_euler.analysis.tangent_starts import Starts, own_numbers
 from newton_euler.model.scene import Scene
 from newton_euler.sampling import integrate_intervals
 from newton_euler.scalars import Array
@@ -58,7 +59,7 @@ def time_sensitivities(scene: Scene, progress: Progress) -> list[Cost]:
         run = FollowedRun(code, options, ["output"])
         start = Starts(code, masses[:count])(own_numbers(scene, masses[:count]))
         calls.append(_timed(partial(_followed, run, *start)))
-        sizes.append((count, code.function(RATES).operations))
+        sizes.append((count, code.function(code.rates[0]).operations))
     for call in calls:
         call()
     times = in_turns(calls, [REPEATS] * len(calls), progress)

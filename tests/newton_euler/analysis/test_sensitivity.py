@@ -17,7 +17,8 @@ from scipy.integrate import solve_ivp
 from crosscheck.scenes import load
 from newton_euler import compile_scene, equilibrium, sensitivities, simulate_batch, start, with_parameters
 from newton_euler.analysis.tangent_code import tangent_code
-from newton_euler.analysis.tangent_run import OF_TANGENTS, FollowedRun, Starts, own_numbers
+from newton_euler.analysis.tangent_run import OF_TANGENTS, FollowedRun
+from newton_euler.analysis.tangent_starts import Starts, own_numbers
 from newton_euler.equations.parameters import is_kinematic, parameter_values, places
 from newton_euler.errors import NewtonEulerError, SensitivityError
 from newton_euler.integrators.options import Options
