@@ -19,7 +19,7 @@ T = TypeVar("T")
 NEAR = 0.8
 """Similarity of two names, of which one may be meant by the other: a letter exchanged or left out of six."""
 
-PROPOSED = 8  # names that are proposed instead of an unknown one
+PROPOSED = 3  # names that are proposed instead of an unknown one, as difflib has it
 DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")  # a number as people write it
 
 
@@ -61,9 +61,10 @@ def plain_number(text: str) -> float:
 
     Such as 1_0, digits of other alphabets and nan.
     """
-    number = float(text) if DECIMAL.fullmatch(text) else np.nan
-    if not np.isfinite(number):
+    if not DECIMAL.fullmatch(text):
         raise ValueError(f"{text!r:.100} is no number")
+    if not np.isfinite(number := float(text)):
+        raise ValueError(f"{text!r:.100} is too large")
     return number
 
 

@@ -8,7 +8,6 @@ from functools import cached_property
 from itertools import zip_longest
 
 import numpy as np
-from scipy.stats import rankdata
 
 from crosscheck.sweeps.plan import Parameters
 from crosscheck.sweeps.results import Results
@@ -231,6 +230,8 @@ class Analysis:
 
     def effects(self, scalar: Scalar) -> list[Effect]:
         """Return the effects on a number, the largest first; empty if it does not vary, or in three runs."""
+        from scipy.stats import rankdata
+
         values = scalar.values[self._places]
         known = np.isfinite(values)
         y = values[known]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from importlib.metadata import version
@@ -22,7 +23,7 @@ from crosscheck.sweeps.analysis import Scalar
 from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.results import Results
-from crosscheck.sweeps.store import STATUS, told
+from crosscheck.sweeps.store import STATUS, AtWorkError, locked, told
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
@@ -109,8 +110,7 @@ def check_runs(
     Checks are kept with the sweep; those by the same engines in the same versions are not made again.
     """
     by = {each.name: version(each.package) for each in engines} | {"crosscheck": version("crosscheck")}
-    attributes = swept.store.group[STATUS].attrs
-    stored = json.loads(attributes.get(STORED, "{}"))
+    stored = json.loads(swept.store.group[STATUS].attrs.get(STORED, "{}"))
     known = stored["runs"] if stored.get("by") == by else {}
     said = [""]
 
@@ -121,8 +121,9 @@ def check_runs(
     for run in paced([run for run in runs if str(run) not in known], tell, "cross-check"):
         checked = _check(swept, found, run, engines, lambda stage: progress(f"{said[0]}: {stage}"))
         known[str(run)] = asdict(checked)
-        with told(swept.path):
-            attributes[STORED] = json.dumps({"by": by, "runs": known})
+        # the attributes as they are now: they are written with the number of runs
+        with suppress(AtWorkError), locked(swept.path), told(swept.path):
+            swept.store.group[STATUS].attrs[STORED] = json.dumps({"by": by, "runs": known})
     return [_restored(known[str(run)] | {"why": why}) for run, why in runs.items()]
 
 

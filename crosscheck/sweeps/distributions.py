@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy import stats
 from scipy.special import ndtr, ndtri
 
 from crosscheck.errors import CrosscheckError
@@ -33,15 +32,6 @@ KINDS = {
 """Names of the numbers of distributions: values, equally likely, of which a full grid takes each; a grid of
 as many, evenly spaced; between two bounds, equally likely; Gauss's; Gauss's without what lies outside two
 bounds, by the numbers before."""
-
-CONTINUOUS: dict[str, Callable[..., Any]] = {
-    "uniform": lambda low, high: stats.uniform(low, high - low),
-    "normal": stats.norm,
-    "truncated_normal": lambda mean, deviation, low, high: stats.truncnorm(
-        (low - mean) / deviation, (high - mean) / deviation, mean, deviation
-    ),
-}
-"""Distributions of SciPy by the numbers of their kind."""
 
 FORMS = "; ".join(f"{name}({', '.join(numbers)})" for name, numbers in KINDS.items())
 FORMS += (
@@ -85,7 +75,10 @@ class Distribution:
         if not self.numbers or not low < high:
             needed = "LOW < HIGH" if self.numbers else "one number or more"
             raise CrosscheckError(f"{self} is an empty distribution; needed: {needed}")
-        if not np.isfinite(self.quantile(np.array([0.5]))[0]):
+        if not high - low < np.inf:
+            raise CrosscheckError(f"{self} is no distribution: HIGH - LOW is too large")
+        # of the others it is known, and SciPy's statistics, which say it, take a second to import
+        if self.kind == "truncated_normal" and not np.isfinite(self.quantile(np.array([0.5]))[0]):
             raise CrosscheckError(f"{self} is an empty distribution: next to nothing lies between its bounds")
 
     @property
@@ -123,7 +116,16 @@ class Distribution:
 @lru_cache(maxsize=1000)
 def _continuous(of: Distribution) -> Any:
     """Return SciPy's object of a distribution, 10 kB that are not to be sent to workers with it."""
-    return CONTINUOUS[of.kind](*of.numbers)
+    from scipy import stats
+
+    if of.kind == "uniform":
+        low, high = of.numbers
+        return stats.uniform(low, high - low)
+    mean, deviation, *bounds = of.numbers
+    if of.kind == "normal":
+        return stats.norm(mean, deviation)
+    low, high = ((bound - mean) / deviation for bound in bounds)
+    return stats.truncnorm(low, high, mean, deviation)
 
 
 def _texts(numbers: Iterable[float]) -> str:

@@ -20,7 +20,7 @@ from crosscheck.limit import tidied_up
 from crosscheck.sweeps.execute import Pace, Workers, in_any_order, probed
 from crosscheck.sweeps.expressions import labels
 from crosscheck.sweeps.plan import STOPPED, Chunk, Parameters, Plan, make_runs, run_all
-from crosscheck.sweeps.store import BLOCK, ERROR, NAME, STATUS, Store, store_runs
+from crosscheck.sweeps.store import BLOCK, ERROR, NAME, STATUS, Store, locked, store_runs
 from newton_euler.errors import NewtonEulerError
 from newton_euler.scalars import Array
 from newton_euler.starts import assembly_of
@@ -35,8 +35,8 @@ OVERHEAD = 0.01
 PROBED = 64
 """Runs by which speed is told at most where a sweep has fewer: some are made again."""
 
-TRIED = 300
-"""Samples of which one has to start where the first run does not."""
+TRIED = 1024
+"""Runs that are tried together where the first cannot start."""
 
 LARGEST_TASK, MOST_NUMBERS = 2**16, 2**22
 """Runs of a task, and numbers that are kept of them, 34 MB."""
@@ -92,22 +92,22 @@ def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[
     """Make the runs of a plan that are not in a folder yet; in memory if that is None.
 
     Raises:
-        CrosscheckError: for a folder with another plan, a disk that is full, and workers that fail.
-        NewtonEulerError: for a scene that cannot be run, and an unknown parameter.
+        CrosscheckError: for a folder with another plan, or that another process works at, a disk that is
+            full, and workers that fail.
+        NewtonEulerError: for a scene that cannot be run.
     """
-    _check_names(plan)
     path = None if folder is None else folder / NAME
     start = time.perf_counter()
-    with tidied_up():
-        progress("compiling")
-        if run_all(plan, plan.parameters(0, 1)).errors[0]:
-            _check_starts(plan)
+    with tidied_up(), locked(path):
         if path is not None and path.exists():
             store = Store.at(path)
             plan = store.resumed(plan)
         else:
             if path is not None:
                 check_writable(path)
+            progress("compiling")
+            if run_all(plan, plan.parameters(0, 1)).errors[0]:
+                _check_starts(plan, progress)
             plan = replace(plan, chunk=_task(plan, at, progress))
             store = Store.make(plan, path) if path else Store.in_memory(plan)
         made = _make(plan, store, store.missing(plan), at, progress)
@@ -119,7 +119,7 @@ def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[
     return Results(plan, dataset.load() if path is None else dataset, store, made, wall_time)
 
 
-def _check_names(plan: Plan) -> None:
+def check_names(plan: Plan) -> None:
     """Raise `CrosscheckError` for names that are taken, and for parameters that are no number."""
     taken = {*plan.samples.names, STATUS, ERROR, "run", *labels(plan.scene)}
     for each in plan.kept:
@@ -137,18 +137,22 @@ def _check_names(plan: Plan) -> None:
             raise CrosscheckError(f"--vary {name}: it has {np.prod(shape)} numbers; name one, {example}")
 
 
-def _check_starts(plan: Plan) -> None:
+def _check_starts(plan: Plan, progress: Callable[[str], None]) -> None:
     """Raise `CrosscheckError` where no run can start: for values without sense, or loops that stay open."""
-    samples = replace(plan.samples, sampling="random", runs=TRIED)
-    values = run_values(plan.scene, replace(plan, samples=samples).parameters(0, TRIED))
-    errors, assembly = dict(values.errors), assembly_of(plan.scene, samples.names)
-    if assembly.is_needed:
-        errors = assembly(values.arrays)[1] | errors
-    if len(errors) == TRIED:
-        reason = str(errors[0]).removeprefix("run 0: ")
-        guilty = (group for group in samples.groups if any(repr(name) in reason for name in group[0]))
-        where = next((f"--vary {', '.join(names)}={given}: " for names, given in guilty), "")
-        raise CrosscheckError(f"{where}none of {TRIED} runs that were tried can start: {reason}")
+    runs, reason = plan.samples.runs, ""
+    for first in range(0, runs, TRIED):
+        last = min(first + TRIED, runs)
+        values = run_values(plan.scene, plan.parameters(first, last))
+        errors, assembly = dict(values.errors), assembly_of(plan.scene, plan.samples.names)
+        if assembly.is_needed:
+            errors = assembly(values.arrays)[1] | errors
+        if len(errors) < last - first:
+            return
+        reason = reason or str(errors[0]).removeprefix("run 0: ")
+        progress(f"none of the first {last:,} of {runs:,} runs can start: {reason}")
+    guilty = (group for group in plan.samples.groups if any(repr(name) in reason for name in group[0]))
+    where = next((f"--vary {', '.join(names)}={given}: " for names, given in guilty), "")
+    raise CrosscheckError(f"{where}no run of {runs:,} can start: {reason}")
 
 
 def _task(plan: Plan, at: Workers, progress: Callable[[str], None]) -> int:

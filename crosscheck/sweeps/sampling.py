@@ -11,7 +11,6 @@ from math import prod
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.stats import qmc
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.sweeps.distributions import Correlated, Distribution, Vary, parse
@@ -162,6 +161,8 @@ def _sobol(size: int, seed: int, bits: int, first: int, last: int) -> Array:
 
     SciPy passes all points before: each thread goes on where it was, as tasks come in their order.
     """
+    from scipy.stats import qmc
+
     key = size, seed, bits
     if getattr(HERE, "key", None) != key or HERE.sequence.num_generated > first:
         HERE.key, HERE.sequence = key, qmc.Sobol(size, scramble=True, bits=bits, seed=seed)
@@ -176,6 +177,8 @@ def _sobol(size: int, seed: int, bits: int, first: int, last: int) -> Array:
 @lru_cache(maxsize=1)
 def _latin_hypercube(size: int, runs: int, seed: int) -> Array:
     """Make all shares (runs, size), kept for the chunks that follow."""
+    from scipy.stats import qmc
+
     return np.asarray(qmc.LatinHypercube(size, seed=seed).random(runs))
 
 

@@ -10,7 +10,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,10 @@ FREE = ("chunk", "versions", "numbers")
 """Parts of a plan's record that are not compared: of packages samples are, and of scenes fingerprints."""
 
 KEPT_GOES_ON = "what is stored is kept, the same command goes on from there"
+
+
+class AtWorkError(CrosscheckError):
+    """A sweep that another process works at."""
 
 
 def libraries() -> tuple[Any, Any]:
@@ -247,6 +251,35 @@ def told(path: Path | None) -> Iterator[None]:
     except OSError as error:
         reason = error.strerror or str(error)
         raise CrosscheckError(f"cannot write {path}: {reason}; {KEPT_GOES_ON}") from error
+
+
+@contextmanager
+def locked(path: Path | None) -> Iterator[None]:
+    """A block in which no other process works at a store; the lock ends with the process, if it is killed.
+
+    Two with other numbers of runs would write the chunk at the end of one of them over each other.
+
+    Raises:
+        AtWorkError: if one does.
+        CrosscheckError: naming the path that cannot be written.
+    """
+    if path is None:
+        yield
+        return
+    try:
+        import locket
+    except ImportError as error:
+        raise not_installed(error) from error
+    with ExitStack() as stack:
+        try:
+            with told(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                lock = path.parent.absolute() / f".{path.stem}.lock"
+                stack.enter_context(locket.lock_file(str(lock), timeout=0.0))
+        except locket.LockError as error:
+            what_to_do = "wait for its end, or name another folder (--output)"
+            raise AtWorkError(f"another process works at {path}; {what_to_do}") from error
+        yield
 
 
 def store_runs(plan: Plan, path: Path, runs: tuple[int, int]) -> None:

@@ -26,7 +26,7 @@ from crosscheck.sweeps.execute import workers
 from crosscheck.sweeps.plan import Plan
 from crosscheck.sweeps.reductions import Keep, reductions
 from crosscheck.sweeps.report import Findings, findings, report, to_record, write
-from crosscheck.sweeps.results import Results, results_of
+from crosscheck.sweeps.results import Results, check_names, results_of
 from crosscheck.sweeps.sampling import SamplingName, samples_of
 from crosscheck.sweeps.store import libraries
 from newton_euler.errors import OptionError, check_choices, is_count
@@ -217,7 +217,6 @@ def sweep(
         >>> swept.dataset["peak:reaction_force"].dims
         ('run', 'joint')
     """
-    libraries()
     check_choices("option", options, Execution.__annotations__)
     loaded = own_scene(scene, load_scene(scene, exercised(scene, {}))[0])
     loaded = replace(loaded, outputs=frozenset(OUTPUTS))
@@ -226,5 +225,7 @@ def sweep(
     kept = reductions(keep, loaded)
     texts = tuple(each.text if each.name == each.text else f"{each.name}={each.text}" for each in kept)
     plan = Plan(loaded, samples_of(vary, sampling, runs, seed), texts, _control(options), 1)
+    check_names(plan)
+    libraries()
     with workers(threads, executor, cluster) as at:
         return Sweep(results_of(plan, None if output is None else Path(output), at, progress))

@@ -42,7 +42,7 @@ def test_a_sweep_prints_what_matters_and_writes_files(capsys, tmp_path, monkeypa
     assert "peak:reaction_force pivot, N" in out
     assert "; there tornado.png, histograms.png, scatter.png and numbers, sweep.zarr" in " ".join(out.split())
     names = {"sweep.zarr", "sweep.json", "sweep.rrd", "tornado.png", "histograms.png", "scatter.png"}
-    assert {path.name for path in tmp_path.iterdir()} == names
+    assert {path.name for path in tmp_path.iterdir()} == names | {".sweep.lock"}
     content = json.loads((tmp_path / "sweep.json").read_text())
     first, second = content["effects"]["peak:reaction_force pivot"]
     assert (first["name"], first["share"]) == ("dumbbell.mass", None)

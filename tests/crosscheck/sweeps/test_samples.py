@@ -130,7 +130,7 @@ def test_texts_of_distributions_are_read_back(text):
         ("a=norml(1,2)", "did you mean 'normal'?"),
         ("a=normal(1,2)+1", "is no number"),
         ("a=normal(1,1_0)", "'1_0' is no number"),
-        ("a=normal(1,1e999)", "is no number"),
+        ("a=normal(1,1e999)", "'1e999' is too large"),
         ("a=normal(1,nan)", "is no number"),
         ("a=normal(1,0)", "DEVIATION is 0.0; needed: a positive number"),
         ("a=uniform(2,2)", "uniform(2, 2) is an empty distribution"),

@@ -157,7 +157,7 @@ def test_folders_of_starts_that_were_killed_are_removed(tmp_path):
         (folder / "status").mkdir(parents=True)
     os.utime(old, (0.0, 0.0))
     sweep(*ARGUMENTS, output=tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {NAME, new.name}
+    assert {path.name for path in tmp_path.iterdir()} == {NAME, new.name, ".sweep.lock"}
 
 
 @pytest.mark.parametrize(
@@ -195,18 +195,18 @@ def test_another_plan_or_scene_is_refused(tmp_path, changed, words):
     arguments = dict(zip(("scene", "vary", "runs", "keep"), ARGUMENTS, strict=True))
     arguments["vary"] = {**arguments["vary"], "gravity.y": "uniform(-10, -9)"}
     sweep(**arguments, output=tmp_path)
-    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / NAME).rglob("*")}
     with pytest.raises(CrosscheckError) as caught:
         sweep(**arguments | changed, output=tmp_path)
     assert words in str(caught.value)
     assert "name another folder" in str(caught.value)
-    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / NAME).rglob("*")} == before
 
 
 @pytest.mark.parametrize(
     ("place", "words"),
     [
-        ("crosscheck.sweeps.sampling.qmc.LatinHypercube", "other samples"),
+        ("scipy.stats.qmc.LatinHypercube", "other samples"),
         ("crosscheck.sweeps.plan.llvm_binding", "another kind of processor"),
     ],
 )
@@ -223,6 +223,36 @@ def test_another_package_or_processor_is_refused(tmp_path, monkeypatch, place, w
     with pytest.raises(CrosscheckError, match=f"holds a sweep of {words}"):
         sweep(*ARGUMENTS, sampling="latin_hypercube", output=tmp_path)
     _latin_hypercube.cache_clear()
+
+
+AT_WORK = """
+import sys
+from pathlib import Path
+from crosscheck.sweeps.store import locked
+with locked(Path(sys.argv[1])):
+    print("at work", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_folder_that_another_process_works_at_is_refused_until_that_ends(tmp_path):
+    scene, vary, runs, keep = ARGUMENTS
+    found = sweep(*ARGUMENTS, output=tmp_path)
+    command = [sys.executable, "-c", AT_WORK, tmp_path / NAME]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout.readline() == "at work\n"
+        with pytest.raises(
+            CrosscheckError, match=r"another process works at .*sweep\.zarr; wait for its end"
+        ):
+            sweep(scene, vary, 2 * runs, keep, output=tmp_path)
+        assert len(found.check(1, ["newton_euler"]).checks) == 1  # which are not kept
+        other.kill()
+    assert "checks" not in found.results.store.group["status"].attrs
+    assert sweep(scene, vary, 2 * runs, keep, output=tmp_path).results.made == runs
+    # of the sweep that was there, and changes none of the numbers of the one that went on
+    found.check(1, ["newton_euler"])
+    assert found.results.store.group["status"].shape == (2 * runs,)
+    assert sweep(scene, vary, 2 * runs, keep, output=tmp_path).results.made == 0
 
 
 def test_a_folder_with_something_else_is_refused(tmp_path):
