@@ -153,6 +153,10 @@ def simulate_batch(
     if not isinstance(parameters, Mapping | None):
         raise OptionError("parameters", _short(parameters), "values, one per run, by name")
     parameters = dict(parameters or {})
+    of_kind = isinstance(states, Sequence) and (not states or any(isinstance(each, State) for each in states))
+    if states is not None and not of_kind:
+        needed = "State objects, one per run; coordinates are parameters: {'start.JOINT': [0.1, 0.2]}"
+        raise OptionError("states", _short(states), needed)
     if scene.sampled:
         raise OptionError("control", scene.sampled[0], "no sampled controller: Python would run in every run")
     workers = thread_count(threads)

@@ -270,7 +270,8 @@ class Assembly:
             again = self._assembled(own[lost], targets[lost], np.minimum(FINER * steps[lost], MOST_STEPS))
             found[lost], statuses[lost] = again
         lost = np.flatnonzero(statuses != DONE)
-        errors = {run: self._error(run, found[run], values) for run in lost.tolist()}
+        begun = "the scene's own start" if states is None else "the state given"
+        errors = {run: self._error(run, found[run], values, begun) for run in lost.tolist()}
         given = {name: values[name] for name, number in self.initial.items() if number.order == 1}
         for run in self._contradictory(found):
             problem = f"loops do not let joints move with {self._shown(run, given)}"
@@ -343,18 +344,19 @@ class Assembly:
         native_method(assemble_all).bind(assemble_all, system, course)()
         return found, statuses
 
-    def _error(self, run: int, x: Array, values: Mapping[str, Array]) -> MechanismError:
-        """Say which joint stays open in a run."""
+    def _error(self, run: int, x: Array, values: Mapping[str, Array], begun: str) -> MechanismError:
+        """Say which joint stays open in a run, on the way from where it begins in words."""
         system = self.code.float_system(x)
         q, v = x[: system.nq], x[system.nq : self.code.size]
         with np.errstate(all="ignore"):
             joint, residual = worst_joint(system, system.state(q, v))
-        problem = f"joint {joint!r} stays open by {residual:.3g} (m or rad) with {self._shown(run, values)}"
+        way = f"on the way from {begun} to {self._shown(run, values)}"
+        problem = f"joint {joint!r} stays open by {residual:.3g} (m or rad) {way}"
         given = {number.key for number in self.initial.values() if number.order == 0}
         labels = self.scene.mechanism.coordinate_labels
         held = ", ".join(PREFIX + labels[key] for key in self._motions if key not in given)
         problem += f", where {held} is the own one of the scene" if held else ""
-        return MechanismError(f"run {run}", problem, "values with which all loops close")
+        return MechanismError(f"run {run}", problem, "values that loops let joints move to")
 
     def _shown(self, run: int, values: Mapping[str, Array]) -> str:
         """Word the values of a run that move its start."""

@@ -124,7 +124,9 @@ def sensitivities(
     Args:
         scene: what is run, by DOP853 with projection.
         parameters: names, see `newton_euler.equations.parameters`, and `newton_euler.starts` for initial
-            coordinates; by each number of those that are arrays.
+            coordinates; by each number of those that are arrays. Beside the rate `start.JOINT.rate` the
+            coordinate `start.JOINT` is held, also for derivatives by geometry; without either of them it
+            follows the loops.
         formulation: as of `simulate`.
         control: of steps of DOP853, as of `simulate`, with projection; other methods have no derivatives.
 

@@ -116,6 +116,8 @@ def test_every_parameter_has_the_scenes_own_value(short):
     ("options", "error", "message"),
     [
         ({}, OptionError, "one state or value per run"),
+        ({"states": [{"slide_12": 0.1}]}, OptionError, "coordinates are parameters: {'start.JOINT': "),
+        ({"states": np.zeros((2, 3))}, OptionError, "needed: State objects, one per run; "),
         ({"states": []}, OptionError, "states is []; needed: one value per run, of one run or more"),
         ({"parameters": {"gravity": [[0, 0, 1]], "panel_7.mass": [1.0, 2.0]}}, OptionError, "of one length"),
         ({"parameters": {"panel_7.color": [1.0]}}, UnknownNameError, "unknown parameter 'panel_7.color'"),

@@ -74,9 +74,9 @@ def test_coordinates_that_are_not_given_follow_from_the_loops():
     [
         (
             {"at_d": (2.5, 0.0)},
-            "joint '.*' stays open by .* with start.at_d = 2.5, start.at_d.rate = 0.0",
+            "joint '.*' stays open by .* to start.at_d = 2.5, start.at_d.rate = 0.0",
         ),
-        ({"at_a": (0.3, 1.0), "at_d": (0.3, 0.0)}, "joint '.*' stays open by .* with start.at_a = 0.3, "),
+        ({"at_a": (0.3, 1.0), "at_d": (0.3, 0.0)}, "joint '.*' stays open by .* to start.at_a = 0.3, "),
         ({"at_a": 0.3}, "joint 'at_a': start is 0.3; needed: 2 finite numbers"),
         ({"at_a": (0.3, float("nan"))}, "joint 'at_a': start is "),
         ({}, "has no joint to start"),
@@ -130,7 +130,7 @@ def test_a_given_state_begins_at_its_own_coordinates(tracker, tracker_states):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"ball.point_on_first.y": [0.0, 5.0]}, "stays open by .* with ball.point_on_first.y = 5.0"),
+        ({"ball.point_on_first.y": [0.0, 5.0]}, "stays open by .* from the scene's own start to ball.point_on_first.y = 5.0"),
         ({"start.pivot": [0.4, np.inf]}, "run 1: parameter 'start.pivot': is inf"),
         ({"start.pivot": [0.4, 0.4], "start.guide": [0.0, 3.0]}, "joint '.*' stays open by"),
         (
@@ -139,7 +139,7 @@ def test_a_given_state_begins_at_its_own_coordinates(tracker, tracker_states):
         ),
         (
             {"start.pivot": [0.4, 0.5], "start.guide.rate": [0.0, 0.0]},
-            "stays open by .* with start.pivot = 0.5, .*, where start.guide is the own one of the scene",
+            "stays open by .* to start.pivot = 0.5, .*, where start.guide is the own one of the scene",
         ),
     ],
 )
