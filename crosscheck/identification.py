@@ -94,4 +94,5 @@ def data(found: Identification) -> dict[str, Any]:
         "undetermined": found.undetermined,
         "stopped": found.stopped,
         "curvature": found.curvature,
+        "contradiction": found.contradiction,
     }

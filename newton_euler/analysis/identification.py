@@ -79,6 +79,8 @@ class Identification:
         curvature: by how much derivatives two standard deviations away are others, in units of those at the
             values, root mean square. Above `BENT` the covariance holds for parameters one by one, not for
             all together.
+        contradiction: the coordinate or rate that was measured elsewhere at 0 s than where its run starts,
+            farthest by its noise, where no parameter moves that; empty if there is none.
         evaluations: runs of all measurements, with derivatives.
 
     Examples:
@@ -109,6 +111,7 @@ class Identification:
     undetermined: tuple[str, ...]
     stopped: str
     curvature: float
+    contradiction: str
     evaluations: int
 
     def __repr__(self) -> str:
@@ -179,10 +182,11 @@ class Identification:
 
     @property
     def notes(self) -> list[str]:
-        """Lines on what the covariance does not say."""
-        if self.is_wrong or self.curvature <= BENT:
-            return []
-        return ["the region of all parameters together is bent: deviations are of single ones"]
+        """Lines on a start that measurements contradict, and on what the covariance does not say."""
+        lines = [self.contradiction] if self.contradiction else []
+        if not self.is_wrong and self.curvature > BENT:
+            lines.append("the region of all parameters together is bent: deviations are of single ones")
+        return lines
 
 
 def identify(
@@ -261,6 +265,7 @@ def identify(
         in_degrees=fit.in_degrees(change),
         undetermined=(*_lines(names, values, fit, weak), *open_noise),
         stopped=stopped,
+        contradiction=measured.contradiction(values),
         curvature=fit.curvature(change),  # last of all: it is another point
         evaluations=measured.evaluations,
     )
@@ -290,7 +295,9 @@ def _runs(scene: Scene, names: Sequence[str], given: Given | Sequence[Given]) ->
             raise MechanismError(where, f"give {twice[0]!r}, which is fitted", "one of the two")
         if run.time[-1] > scene.duration * (1.0 + 1e-12):
             problem = f"times go on to {run.time[-1]:.9g} s"
-            raise MechanismError(where, problem, f"at most the scene's duration, {scene.duration:g} s")
+            longer = f"--set duration={run.time[-1]:g} of MJCF and URDF, duration in a scene file"
+            needed = f"at most the scene's duration, {scene.duration:g} s; longer by {longer}"
+            raise MechanismError(where, problem, needed)
         if where in runs:
             raise OptionError("measurements", where, "each file once")
         runs[where] = run

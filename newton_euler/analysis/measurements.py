@@ -182,10 +182,12 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
     time = columns.pop("time")
     table.refuse(time < 0.0, "time", time, "times from 0 on")
     try:
-        start = {
-            _initial(where, name): number * _factor(name, units.get(name, "1"))
-            for name, number in special[START].items()
-        }
+        start = {}
+        for name, number in special[START].items():
+            if not (initial := initial_name(name)):
+                problem = f"the start is given by column {name!r:.100}; needed: coordinates and rates"
+                raise SourceError(where, problem)
+            start[initial] = number * _factor(name, units.get(name, "1"))
         return Measurements(time, columns, special[NOISE], start, units)
     except MechanismError as error:
         raise SourceError(where, f"{error.problem}; needed: {error.needed}") from error
@@ -200,12 +202,10 @@ def _headings(cells: list[str]) -> tuple[list[str], dict[str, str]]:
     return [name for name, _ in pairs], {name: unit for name, unit in pairs if unit is not None}
 
 
-def _initial(path: str, name: str) -> str:
-    """Return the name of the initial coordinate or rate that a column measures."""
-    kind, _, joint = name.partition(".")
-    if kind not in ("coordinate", "rate"):
-        raise SourceError(path, f"the start is given by column {name!r:.100}; needed: coordinates and rates")
-    return f"{PREFIX}{joint}{RATE if kind == 'rate' else ''}"
+def initial_name(column: str) -> str:
+    """Return the name of the initial coordinate or rate that a column measures; empty for other columns."""
+    kind, _, joint = column.partition(".")
+    return {"coordinate": f"{PREFIX}{joint}", "rate": f"{PREFIX}{joint}{RATE}"}.get(kind, "")
 
 
 def column_places(

@@ -15,6 +15,7 @@ from newton_euler.analysis.measurements import (
     column_of,
     column_places,
     compared,
+    initial_name,
 )
 from newton_euler.analysis.tangent_code import ALONG, tangent_code
 from newton_euler.analysis.tangent_run import Followed, FollowedRun
@@ -37,6 +38,9 @@ UNLIKE = 1.5
 
 ROUND_OFF = 1e-9
 """Standard deviation, SI and as a share of the largest number, of columns that are constant."""
+
+FAR = 6.0
+"""Standard deviations of noise by which a first row differs from the start by chance once in 10^9 times."""
 
 
 class Evaluated(NamedTuple):
@@ -78,6 +82,7 @@ class Residuals:
     ) -> None:
         """Of runs by the names that errors say; raises `SourceError` for unknown columns and other units."""
         self.runs, self.evaluations = list(runs.values()), 0
+        self._where = [f"{where}: " * (len(runs) > 1) for where in runs]
         kinds = {name.split(".")[0] for run in self.runs for name in run.columns}
         wanted = {QUANTITIES[kind].output for kind in kinds if kind in QUANTITIES}
         wanted |= {"velocities"} if "rate" in kinds else set()
@@ -148,6 +153,26 @@ class Residuals:
         }
         return tuple(found)
 
+    def contradiction(self, values: Array) -> str:
+        """Word which coordinate or rate was measured farthest, by its noise, from a start that is held.
+
+        That is one which none of the values (p,) moves. Empty if none is farther than `FAR`.
+        """
+        found, away = self(values), dict[str, float]()
+        moved = self.by_column(np.abs(found.jacobian).max(axis=1))
+        for k, left in enumerate(self.by_column(found.residuals)):
+            run = self.runs[k]
+            for (name, measured), column in zip(run.columns.items(), self._columns[k], strict=True):
+                begun = initial_name(name)
+                if not begun or run.time[0] > 0.0 or moved[k][name][0] > 0.0:
+                    continue
+                own, first = measured[0] + left[name][0], measured[0]
+                line = f"{name} starts at {own:.6g} {column.unit}, held, but is {first:.6g} in the first row"
+                noise = run.noise.get(name, _scatter(measured))
+                away[f"{self._where[k]}{line}: fit {begun}?"] = abs(left[name][0]) / noise
+        worst = max(away, key=lambda line: away[line], default="")
+        return worst if worst and away[worst] > FAR else ""
+
     def _angles(self, residuals: Array) -> Iterator[tuple[str, Angle]]:
         """Yield the columns of rad or rad/s of each run with their names."""
         for run, columns, left in zip(self.runs, self._columns, self.by_column(residuals), strict=True):
@@ -160,6 +185,14 @@ class Residuals:
                     as_degrees -= 2.0 * np.pi * np.round(as_degrees / (2.0 * np.pi))
                     size = min(size, 1.0)
                 yield name, Angle(_rms(left[name]), _rms(as_degrees), size)
+
+
+def _scatter(measured: Array) -> float:
+    """Estimate the noise of a column (n,) by its fourth differences, to which motion adds what it bends."""
+    if len(measured) < 5:
+        return np.inf
+    # squares of the binomial coefficients 1, 4, 6, 4, 1 add up to 70
+    return max(_rms(np.diff(measured, 4)) / 70.0**0.5, ROUND_OFF * (1.0 + float(np.abs(measured).max())))
 
 
 def _rms(values: Array) -> float:

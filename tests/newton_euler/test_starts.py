@@ -130,7 +130,10 @@ def test_a_given_state_begins_at_its_own_coordinates(tracker, tracker_states):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"ball.point_on_first.y": [0.0, 5.0]}, "stays open by .* from the scene's own start to ball.point_on_first.y = 5.0"),
+        (
+            {"ball.point_on_first.y": [0.0, 5.0]},
+            "stays open by .* from the scene's own start to ball.point_on_first.y = 5.0",
+        ),
         ({"start.pivot": [0.4, np.inf]}, "run 1: parameter 'start.pivot': is inf"),
         ({"start.pivot": [0.4, 0.4], "start.guide": [0.0, 3.0]}, "joint '.*' stays open by"),
         (

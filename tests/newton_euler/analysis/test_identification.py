@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -344,6 +345,26 @@ def test_columns_that_the_scene_does_not_move_like_are_named():
         found = identify(still, ["line.stiffness"], data)
     assert found.unlike == ("coordinate.rail",)
     assert identify(sprung(), ["line.stiffness"], data).unlike == ()
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_a_start_that_the_first_row_contradicts_is_named(given):
+    """Off by 5 mrad, fifty times the noise, whether that is given or seen in the data alone."""
+    truth = start(replace(load("slider_crank"), duration=1.0, output_period=0.01), pivot=(0.2, 3.0))
+    data = measured(truth, "pivot", noise=1e-4)
+    data = data if given else replace(data, noise={})
+    off = start(truth, pivot=(0.205, 3.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", IdentificationWarning)
+        found = identify(off, ["slider.mass"], data)
+        first = data.columns["coordinate.pivot"][0]
+        line = f"coordinate.pivot starts at 0.205 rad, held, but is {first:.6g} in the first row"
+        assert found.notes == [f"{line}: fit start.pivot?"]
+        # with noise it may be off by, where it is fitted, and where it was given right
+        assert identify(truth, ["slider.mass"], data).contradiction == ""
+        assert identify(off, ["slider.mass", "start.pivot"], data).contradiction == ""
+        held = replace(data, start={"start.pivot": 0.2, "start.pivot.rate": 3.0})
+        assert identify(off, ["slider.mass"], held).contradiction == ""
 
 
 @pytest.mark.parametrize("noise", [1e-5, 0.0])
