@@ -51,6 +51,9 @@ TWO_SIDED = 1.96
 EXTREME = 0.1
 """Share of the runs with the smallest and the largest values of a parameter, whose means are compared."""
 
+ALIKE = 1.1
+"""Ratio of ranges below which numbers of a variable vary alike: which one more is a matter of the samples."""
+
 EPSILON = float(np.finfo(float).eps)
 
 CONSTANT = 1e-9
@@ -141,6 +144,11 @@ class Scalar:
         known = self.values[np.isfinite(self.values)]
         largest = float(np.max(np.abs(known), initial=0.0))
         return largest * float((known / largest).std()) if largest else 0.0  # whose squares may be too large
+
+    @property
+    def spread(self) -> float:
+        """The range that 90 % of the runs are in, which a few extreme ones do not change."""
+        return float(self.quantiles[3] - self.quantiles[1])
 
     @property
     def varies(self) -> bool:
@@ -350,13 +358,20 @@ def _tenths(x: Array, y: Array) -> dict[str, float]:
     return {"low": float(low.mean()), "high": float(high.mean())}
 
 
+@np.errstate(all="ignore")  # of ranges that vanish, or are not known
 def most_varying(found: Sequence[Scalar]) -> list[Scalar]:
-    """Sort numbers by their deviations: of each variable the one that varies most, then the next of each."""
+    """Sort numbers by their spreads: of each variable the one that varies most, then the next of each.
+
+    Those that vary alike stay in their order, so that more runs, or others, choose the same.
+    """
     of_variable: dict[str, list[Scalar]] = {}
     for scalar in found:
         of_variable.setdefault(scalar.variable, []).append(scalar)
-    for members in of_variable.values():
-        members.sort(key=lambda scalar: scalar.deviation, reverse=True)
+    for name, members in of_variable.items():
+        spreads = np.array([scalar.spread for scalar in members])
+        largest = np.max(spreads, initial=0.0, where=np.isfinite(spreads))
+        steps = np.floor(np.log(largest / spreads) / np.log(ALIKE))
+        of_variable[name] = [members[k] for k in np.argsort(steps, kind="stable")]
     return [scalar for place in zip_longest(*of_variable.values()) for scalar in place if scalar is not None]
 
 

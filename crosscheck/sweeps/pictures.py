@@ -37,14 +37,18 @@ Effects = Sequence[tuple[Scalar, Sequence[Effect]]]
 
 
 def pictures(
-    effects: Effects, points: Array, inputs: Mapping[str, Array], nominal: Mapping[str, float]
+    effects: Effects,
+    points: Array,
+    inputs: Mapping[str, Array],
+    units: Mapping[str, str],
+    nominal: Mapping[str, float],
 ) -> dict[str, bytes]:
     """Draw what varies, by the names of files.
 
     Args:
         effects: of each number, the largest first.
         points: (n,) places of values that scatter plots have.
-        inputs: (n,) there by the name of a parameter.
+        inputs, units: (n,) there by the name of a parameter, and of it.
         nominal: numbers of the nominal run by their labels.
     """
     shown = effects[:MOST_DRAWN]
@@ -54,7 +58,7 @@ def pictures(
         "tornado.png": _rows(len(shown), 1, lambda axes: _tornado(axes[:, 0], shown), 2.6),
         "histograms.png": _rows(len(shown), 1, lambda axes: _histograms(axes[:, 0], shown, nominal), 2.0),
         "scatter.png": _rows(
-            len(shown), SIDE_BY_SIDE, lambda axes: _scatter(axes, shown, points, inputs), 2.4
+            len(shown), SIDE_BY_SIDE, lambda axes: _scatter(axes, shown, points, inputs, units), 2.4
         ),
     }
 
@@ -98,7 +102,7 @@ def _tornado(axes: Array, effects: Effects) -> None:
             beside += f"; {len(found) - len(bars)} smaller ones are not shown"
         origin, less = _origin(np.array([end for bar in bars for end in (bar.low, bar.high)]))
         middle = float(np.nanmean(scalar.values)) - origin
-        for end, color, label in (("low", LOW, "low"), ("high", HIGH, "high")):
+        for end, color, label in (("low", LOW, "lowest tenth"), ("high", HIGH, "highest tenth")):
             widths = [getattr(effect, end) - origin - middle for effect in bars]
             ax.barh([effect.name for effect in bars], widths, left=middle, color=color, label=label)
         for row, effect in enumerate(bars):
@@ -108,8 +112,8 @@ def _tornado(axes: Array, effects: Effects) -> None:
         ax.margins(x=0.35)
         _label_numbers(ax, "x")
         title = with_unit(scalar.label + less, scalar.unit)
-        ax.set_title(f"{title}: mean where a parameter is low or high; {beside}", fontsize="small")
-        ax.legend(fontsize="small", loc="lower right")
+        ax.set_title(f"{title}: means of runs; {beside}", fontsize="small")
+        ax.legend(fontsize="small", title="parameter in its", title_fontsize="small", loc="lower right")
 
 
 def share_of(effect: Effect) -> str:
@@ -143,20 +147,22 @@ def _histograms(axes: Array, effects: Effects, nominal: Mapping[str, float]) -> 
         ax.legend(fontsize="small")
 
 
-def _scatter(axes: Array, effects: Effects, points: Array, inputs: Mapping[str, Array]) -> None:
+def _scatter(
+    axes: Array, effects: Effects, points: Array, inputs: Mapping[str, Array], units: Mapping[str, str]
+) -> None:
     for row, (scalar, found) in zip(axes, effects, strict=True):
         names = [effect.name.partition(", ")[0] for effect in found[:SIDE_BY_SIDE]]
         y, less = _origin(scalar.values[points])
         for ax, name in zip(row, names, strict=False):
             x, less_x = _origin(inputs[name])
             ax.plot(inputs[name] - x, scalar.values[points] - y, ".", color=PLAIN, markersize=2.0, alpha=0.5)
-            ax.set_xlabel(
-                name.replace(".", ".\n", 1) + less_x, fontsize="small"
-            )  # powers of ten stand beside it
+            label = with_unit(name.replace(".", ".\n", 1) + less_x, units[name])
+            ax.set_xlabel(label, fontsize="small")  # powers of ten stand beside it
             ax.tick_params(labelsize="small")
             ax.xaxis.get_major_locator().set_params(nbins=4)  # three plots are side by side
             _label_numbers(ax, "x")
             _label_numbers(ax, "y")
         for ax in row[len(names) :]:
             ax.set_visible(False)
-        row[0].set_title(with_unit(scalar.label + less, scalar.unit), fontsize="small", loc="left")
+        row[0].set_title(scalar.label + less, fontsize="small", loc="left")
+        row[0].set_ylabel(scalar.unit if scalar.unit != "1" else "", fontsize="small")

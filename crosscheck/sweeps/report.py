@@ -201,7 +201,7 @@ def _not_shown(found: Findings, rows: Sequence[Scalar]) -> list[str]:
     """Word what the terminal leaves out, and where it is."""
     counts = {
         "numbers that do not vary": sum(not each.varies and each not in rows for each in found.scalars),
-        "other numbers": sum(each.varies and each not in rows for each in found.scalars),
+        "numbers that vary less": sum(each.varies and each not in rows for each in found.scalars),
         "charts of what matters": len(found.effects) - MOST_CHARTS,
     }
     said = [f"{what}: {count}" for what, count in counts.items() if count > 0]
@@ -347,7 +347,9 @@ def write(found: Findings, made: Report, folder: Path) -> list[Path]:
     check_writable(*paths)
     runs = analyzed(found.swept)
     points = thinned(len(runs), MOST_POINTS)
-    drawn = pictures(found.effects, points, found.swept.inputs(runs[points]), found.nominal)
+    inputs, plan = found.swept.inputs(runs[points]), found.swept.plan
+    units = units_of(plan.scene, plan.samples.names)
+    drawn = pictures(found.effects, points, inputs, units, found.nominal)
     files = {folder / name: content for name, content in drawn.items()}
     to_show = to_record(found, made)
     if to_show[1]:

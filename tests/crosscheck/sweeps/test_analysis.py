@@ -14,6 +14,8 @@ from crosscheck.sweeps.sampling import samples_of
 
 RUNS = 4096
 
+UNITS = {"a": "kg", "b": "N/m", "c": ""}
+
 ISHIGAMI = dict.fromkeys("abc", f"uniform({-np.pi}, {np.pi})")
 
 
@@ -169,6 +171,16 @@ def test_the_telling_number_of_a_variable_is_the_one_that_varies_most():
     assert [scalar.label for scalar in most_varying(rows)] == ["peak 1", "final", "peak 0", "peak 2"]
 
 
+def test_numbers_that_vary_alike_are_chosen_by_their_order_whatever_the_samples():
+    """Of two that are correlated, and one with a single run that is far away."""
+    for seed in range(5):
+        x, y = np.random.default_rng(seed).normal(size=(2, 300))
+        far = np.where(np.arange(300) == seed, 1e6, 0.1 * x)
+        columns = {"far": far, "one": x + 0.05 * y, "other": x - 0.05 * y}
+        rows = [Scalar("peak", (), (name,), "N", each, np.arange(300)) for name, each in columns.items()]
+        assert [scalar.label for scalar in most_varying(rows)] == ["peak one", "peak other", "peak far"]
+
+
 @pytest.mark.parametrize("size", [1e-4, 1.0, 1e5])
 def test_labels_of_scatter_plots_do_not_overlap_and_have_no_offset(size):
     values = np.linspace(-1.234, 1.234, 9)
@@ -176,14 +188,16 @@ def test_labels_of_scatter_plots_do_not_overlap_and_have_no_offset(size):
     found = [(scalar, [Effect(name, 0.0, 0.0) for name in "abc"])]
     figure = Figure(figsize=(8.0, 2.4), layout="constrained")
     axes = figure.subplots(1, SIDE_BY_SIDE, squeeze=False)
-    _scatter(axes, found, np.arange(9), dict.fromkeys("abc", 1.1 * size + 0.1 * size * values))
+    _scatter(axes, found, np.arange(9), dict.fromkeys("abc", 1.1 * size + 0.1 * size * values), UNITS)
     figure.draw_without_rendering()
     for ax in axes[0]:
         boxes = [label.get_window_extent() for label in ax.get_xticklabels()]
         assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
         offsets = [axis.get_offset_text().get_text() for axis in (ax.xaxis, ax.yaxis)]
         assert not any("+" in text for text in offsets)
-    assert axes[0, 0].get_title(loc="left") == "final - 0.923879, m"
+    assert axes[0, 0].get_title(loc="left") == "final - 0.923879"
+    assert axes[0, 0].get_ylabel() == "m"
+    assert [ax.get_xlabel().rpartition(", ")[2] for ax in axes[0, :2]] == ["kg", "N/m"]
 
 
 @pytest.mark.parametrize("size", [1e-200, 1.0, 1e200])
