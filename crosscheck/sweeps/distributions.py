@@ -258,6 +258,8 @@ def parse(text: str) -> Distribution | Correlated:
         raise CrosscheckError(wrong_syntax(error, text)) from None
     except (ValueError, RecursionError, MemoryError) as error:
         raise CrosscheckError(f"it is no distribution: {error}"[:400]) from None
+    if isinstance(found, float):
+        raise CrosscheckError(f"a number is no distribution; one value for all runs is values({text})")
     if not isinstance(found, Distribution | Correlated):
         raise CrosscheckError(f"it is no distribution; choose from: {FORMS}")
     return found

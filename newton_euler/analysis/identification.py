@@ -295,8 +295,8 @@ def _runs(scene: Scene, names: Sequence[str], given: Given | Sequence[Given]) ->
             raise MechanismError(where, f"give {twice[0]!r}, which is fitted", "one of the two")
         if run.time[-1] > scene.duration * (1.0 + 1e-12):
             problem = f"times go on to {run.time[-1]:.9g} s"
-            longer = f"--set duration={run.time[-1]:g} of MJCF and URDF, duration in a scene file"
-            needed = f"at most the scene's duration, {scene.duration:g} s; longer by {longer}"
+            longer = f"--set duration={run.time[-1]:g} (MJCF, URDF), or duration in a scene file"
+            needed = f"at most the scene's duration, {scene.duration:g} s; longer: {longer}"
             raise MechanismError(where, problem, needed)
         if where in runs:
             raise OptionError("measurements", where, "each file once")

@@ -164,7 +164,9 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
     rows = csv_rows(where, read_text(path, "csv_size"))
     header, units = _headings(rows[0][1] if rows else [])
     if "time" not in header or len(header) < 2:
-        raise SourceError(where, "line 1: needed: a column time, and at least one of measurements")
+        names = ", ".join(header) or "no columns"
+        needed = "a column time, and at least one of measurements"
+        raise SourceError(where, f"line 1 has {names:.200}; needed: {needed}")
     check_names(where, header)
     place, data = header.index("time"), list[Row]()
     special: dict[str, dict[str, float]] = {NOISE: {}, START: {}}

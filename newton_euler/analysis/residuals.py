@@ -167,9 +167,12 @@ class Residuals:
                 if not begun or run.time[0] > 0.0 or moved[k][name][0] > 0.0:
                     continue
                 own, first = measured[0] + left[name][0], measured[0]
+                if column.unit == "rad":
+                    own -= 2.0 * np.pi * np.round(own / (2.0 * np.pi))
                 line = f"{name} starts at {own:.6g} {column.unit}, held, but is {first:.6g} in the first row"
+                mend = "is the line start right?" if begun in run.start else f"fit {begun}?"
                 noise = run.noise.get(name, _scatter(measured))
-                away[f"{self._where[k]}{line}: fit {begun}?"] = abs(left[name][0]) / noise
+                away[f"{self._where[k]}{line}: {mend}"] = abs(left[name][0]) / noise
         worst = max(away, key=lambda line: away[line], default="")
         return worst if worst and away[worst] > FAR else ""
 

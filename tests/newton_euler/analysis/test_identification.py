@@ -365,6 +365,8 @@ def test_a_start_that_the_first_row_contradicts_is_named(given):
         assert identify(off, ["slider.mass", "start.pivot"], data).contradiction == ""
         held = replace(data, start={"start.pivot": 0.2, "start.pivot.rate": 3.0})
         assert identify(off, ["slider.mass"], held).contradiction == ""
+        held = replace(data, start={"start.pivot": 0.205, "start.pivot.rate": 3.0})
+        assert identify(off, ["slider.mass"], held).contradiction == f"{line}: is the line start right?"
 
 
 @pytest.mark.parametrize("noise", [1e-5, 0.0])

@@ -124,7 +124,7 @@ def test_times_beyond_the_scene_are_refused():
     late = Measurements([0.0, 3.0], {"coordinate.pivot": [0.0, 0.0]})
     with pytest.raises(
         NewtonEulerError,
-        match=r"times go on to 3 s; needed: at most the scene's duration, 2 s; longer by --set duration=3",
+        match=r"times go on to 3 s; needed: at most the scene's duration, 2 s; longer: --set duration=3",
     ):
         identify(pendulum(), ["rod.mass"], late)
 
