@@ -320,7 +320,9 @@ def _gaps(found: Findings) -> list[str]:
     for scalar in found.scalars:
         known = np.isfinite(scalar.values)
         ended = ~np.isin(scalar.runs, list(found.swept.errors))
-        if np.any(ended & ~known):
+        if ended.any() and not known.any():
+            lines.append(f"{scalar.label}: a number in no run")
+        elif np.any(ended & ~known):
             lines.append(
                 f"{scalar.label}: a number in {known.sum():,} of {ended.sum():,} runs, which tables are of"
             )

@@ -272,10 +272,11 @@ def locked(path: Path | None) -> Iterator[None]:
         raise not_installed(error) from error
     with ExitStack() as stack:
         try:
-            with told(path):
-                path.parent.mkdir(parents=True, exist_ok=True)
-                lock = path.parent.absolute() / f".{path.stem}.lock"
-                stack.enter_context(locket.lock_file(str(lock), timeout=0.0))
+            path.parent.mkdir(parents=True, exist_ok=True)
+            lock = path.parent.absolute() / f".{path.stem}.lock"
+            stack.enter_context(locket.lock_file(str(lock), timeout=0.0))
+        except OSError as error:
+            raise CrosscheckError(f"cannot write {path}: {error.strerror or error}") from error
         except locket.LockError as error:
             what_to_do = "wait for its end, or name another folder (--output)"
             raise AtWorkError(f"another process works at {path}; {what_to_do}") from error

@@ -154,6 +154,12 @@ def test_shares_that_lost_runs_leave_none_of_are_named():
     assert f"late: a number in {np.isfinite(late).sum()} of 256 runs, which tables are of" in said
 
 
+def test_numbers_that_no_run_has_are_named():
+    short = replace(load("pendulum"), duration=0.1)
+    swept = sweep(short, {"dumbbell.mass": "uniform(1, 2)"}, 3, "up=when:dumbbell.position.y > 0.1")
+    assert "up: a number in no run" in str(swept).splitlines()
+
+
 def test_base_samples_that_shares_are_of_are_counted():
     short = replace(load("pendulum"), duration=0.1)
     keep = "late=when:dumbbell.linear_velocity.y < -0.455"

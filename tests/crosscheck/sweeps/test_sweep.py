@@ -197,7 +197,7 @@ def test_runs_that_cannot_go_on_keep_their_error():
         ({"threads": 0}, "threads is 0"),
         ({"threads": 1, "cluster": "tcp://127.0.0.1:1"}, "choose one"),
         ({"rtol": 2.0}, "rtol is 2.0"),
-        ({"output": "/dev/null/folder"}, "cannot write"),
+        ({"output": "/dev/null/folder"}, "cannot write /dev/null/folder/sweep.zarr: Not a directory"),
         ({"executor": 3}, "executor is 3"),
         ({"scene": "tracker_moon"}, "unknown"),
     ],
