@@ -221,8 +221,8 @@ def integrate_intervals(
         if carry:
             carry(integrator, x, interval)
         x[:] = integrator.x
-    if len(parts) != 1:
-        results = np.concatenate([np.zeros((0, code.function("output").outputs)), *parts])
+    none = np.zeros((0, code.function("output").outputs))
+    results = parts[0] if len(parts) == 1 else np.concatenate([none, *parts])
     return NativeRun(results, total, error, time.perf_counter() - start)
 
 

@@ -23,6 +23,8 @@ from newton_euler import (
     with_parameters,
 )
 from newton_euler.analysis.fit import split
+from newton_euler.model.control import PD
+from newton_euler.model.motions import Steps
 
 
 def sprung():
@@ -94,6 +96,23 @@ def test_poses_may_be_measured_with_either_sign_of_quaternions():
     wrong = with_parameters(truth, {"gravity.z": -9.0})
     found = identify(wrong, ["gravity.z"], Measurements(run.time, columns))
     assert found.values == pytest.approx([-9.81], rel=1e-7)
+
+
+@pytest.mark.parametrize("jumps", [(), (0.3, 0.7)])
+def test_poses_may_be_measured_later_than_the_start(jumps):
+    """Alone, and beside an encoder from 0 s on; of a force that never jumps, and of one that does twice."""
+    push = PD("rail", 0.0, 0.0, 0.0, feedforward=Steps((0.0, *jumps), (5.0, -5.0, 10.0)[: 1 + len(jumps)]))
+    truth = mass_on_rail(line_spring(rest_length=1.8), control=(push,))
+    truth = replace(truth, duration=2.0, output_period=0.05)
+    run = simulate(truth)
+    coordinate = {"coordinate.rail": run.joint("rail").coordinates[:, 0]}
+    camera = Measurements(run.time[1:], {"position.mass.z": run.position[1:, 1, 2]})
+    wrong = with_parameters(truth, {"mass.mass": 2.2})
+    for data in (camera, [camera, Measurements(run.time, coordinate)]):
+        found = identify(wrong, ["mass.mass"], data)
+        assert found.values == pytest.approx([2.0], rel=1e-7)
+        for residuals in found.residuals:
+            assert all(np.abs(column).max() < 1e-7 for column in residuals.values())
 
 
 def test_work_alone_may_be_measured():
