@@ -134,7 +134,7 @@ def check(
         CrosscheckError, NewtonEulerError: for a model, engine or option that does not exist or cannot be run.
 
     Examples:
-        >>> check("four_bar", engines=["newton_euler", "pinocchio"], N=3).agrees
+        >>> check("chain", engines=["newton_euler", "pinocchio"], N=3).agrees
         True
     """
     chosen = choose(list(engines))

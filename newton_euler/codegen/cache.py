@@ -34,7 +34,7 @@ LIMIT = 256 * 2**20
 _FULL = 0.75
 """Share of the limit that is left of a cache that exceeded it."""
 
-_COUNT_EVERY = 16
+_COUNT_EVERY = 64
 _RECENT = 3600.0
 """s within which uses are not distinguished."""
 

@@ -82,7 +82,11 @@ def from_rotation(matrix: Array) -> Array:
 
 def rotations(quaternions: Array) -> Array:
     """Rotation matrices (..., 3, 3) of unit Euler parameters (..., 4)."""
-    return np.apply_along_axis(rotation, -1, quaternions)
+    e0, e1, e2, e3 = np.moveaxis(quaternions, -1, 0)
+    shape = (*quaternions.shape[:-1], 3, 4)
+    g = np.stack([-e1, e0, -e3, e2, -e2, e3, e0, -e1, -e3, -e2, e1, e0], axis=-1).reshape(shape)
+    columns = np.stack([-e1, e0, e3, -e2, -e2, -e3, e0, e1, -e3, e2, -e1, e0], axis=-1).reshape(shape)
+    return g @ np.swapaxes(columns, -1, -2)
 
 
 def angle_between(p: Array, q: Array) -> Array:

@@ -43,13 +43,16 @@ SIX_BAR = """<mujoco model="six_bar">
 </mujoco>"""
 """Two loops."""
 
+DURATION = 0.2
+"""s."""
+
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """A folder with the linkage as MJCF, scene file and URDF, for half a second."""
+    """A folder with the linkage as MJCF, scene file and URDF, for `DURATION`."""
     folder = tmp_path_factory.mktemp("files")
     (folder / "six_bar.xml").write_text(SIX_BAR)
-    found = mjcf.read(folder / "six_bar.xml", duration=0.5, exercise=True).scene
+    found = mjcf.read(folder / "six_bar.xml", duration=DURATION, exercise=True).scene
     write_scene(found, folder / "six_bar.yaml")
     urdf.write(found, folder / "six_bar.urdf")
     return folder
@@ -167,9 +170,10 @@ def test_the_engine_with_a_wrong_model_and_what_is_wrong_in_it_are_named(
     capsys, monkeypatch, files, name, cause
 ):
     engine, said = MODELS[cause]
+    options = ("--set", f"duration={DURATION}") if name.endswith(".xml") else ()
     monkeypatch.setitem(ENGINES, engine.name, engine)
     others = [name for name in ENGINES if name != engine.name]
-    status, out = printed(capsys, monkeypatch, files, name)
+    status, out = printed(capsys, monkeypatch, files, name, *options)
     assert status == 1
     assert f"DISAGREE: {engine.name} differs; {others[0]}" in out
     assert said in out
@@ -194,7 +198,7 @@ def test_an_engine_that_does_not_end_is_named_with_its_time(capsys, monkeypatch,
     monkeypatch.setitem(ENGINES, "pinocchio", with_runs("pinocchio", endless))
     status, out = printed(capsys, monkeypatch, files, "six_bar.yaml", "--set", "time=5")
     assert status == 3
-    assert "UNFINISHED: pinocchio: 0.5 s of six_bar: given up after 5 s of processor time; " in out
+    assert f"UNFINISHED: pinocchio: {DURATION:g} s of six_bar: given up after 5 s of processor time; " in out
     assert "; newton_euler and mujoco ran to the end; " in out
 
 

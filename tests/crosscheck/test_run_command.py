@@ -158,7 +158,7 @@ def test_a_recording_is_named_as_one(tmp_path, capsys, good):
 
 def test_summary_tells_what_was_run(tmp_path, capsys, monkeypatch, good):
     short = replace(load("tracker", panel_inertia="literal"), duration=0.02)
-    monkeypatch.setattr("crosscheck.scenes.load", lambda *_, **__: short)
+    monkeypatch.setattr("crosscheck.load.load", lambda *_, **__: short)
     arguments = ("--set", "panel_inertia=literal", "--engines", "pinocchio", "--output", tmp_path)
     _, out, _ = run(capsys, "run", "tracker", *arguments)
     summary = json.loads((tmp_path / "summary.json").read_text())

@@ -17,6 +17,7 @@ from newton_euler.equations.parameters import (
     with_values,
 )
 from newton_euler.equations.redundancy import inherit_mobility, mobility
+from newton_euler.equations.sparse import to_array
 from newton_euler.integrators.formulations import formulate
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.mechanism import Mechanism
@@ -114,7 +115,8 @@ def moving_state(system):
     q, _ = system.coordinates(State.initial(system.mechanism))
     q = system.retract(q, 0.1 * rng.uniform(-1.0, 1.0, system.nv))
     for _ in range(20):
-        step = np.linalg.lstsq(system.phi_jacobian(q), system.phi(q), rcond=1e-9)[0]
+        phi, rows = system.phi_and_jacobian(q)
+        step = np.linalg.lstsq(to_array(rows, system.nv), phi, rcond=1e-9)[0]
         q = system.retract(q, -step)
         if np.abs(step).max() < 1e-12:  # what is left is round-off
             break

@@ -17,13 +17,16 @@ LINKAGE = Path(__file__).parents[3] / "examples" / "linkage.xml"
 
 FRICTION = "joint 'pivot': left out: its dry friction 0.3"
 
+SHORT = ("--set", "duration=0.1")
+
 
 def test_what_is_left_out_of_one_model_only_is_a_difference(capsys, tmp_path) -> None:
     other, renamed = tmp_path / "other.xml", tmp_path / "renamed.xml"
     other.write_text(LINKAGE.read_text().replace('stiffness="0.5"', 'stiffness="0.5" frictionloss="0.3"'))
     renamed.write_text(other.read_text().replace("pivot", "hinge"))
     for pair, where in (((LINKAGE, other), "there"), ((other, LINKAGE), "here")):
-        status, out, err = run(capsys, "run", pair[0], "--against", pair[1], "--output", tmp_path / "out")
+        models = ("run", pair[0], "--against", pair[1], *SHORT)
+        status, out, err = run(capsys, *models, "--output", tmp_path / "out")
         assert (status, err) == (1, "")
         told = f"only {where}: {FRICTION}"
         assert f"DIFFERENT in what is not compared: {told}" in out

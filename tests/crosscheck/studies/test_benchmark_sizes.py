@@ -168,7 +168,8 @@ def quick_batch(monkeypatch, tracker, error):
     for engine, setting in ((Own, own_setting), (MuJoCo, other_setting)):
         ladder = Ladder("method", lambda n: ("setting", {}), [1], setting)
         monkeypatch.setattr(engine, "ladders", lambda self, ladder=ladder: iter([ladder]))
-    return batch.benchmark_batch(tracker, 4, error, lambda message: None)
+    second = dataclasses.replace(tracker, duration=1.0)
+    return batch.benchmark_batch(second, 4, error, lambda message: None)
 
 
 def test_a_batch_is_measured_for_every_engine(monkeypatch, tracker):

@@ -51,7 +51,7 @@ def on_reference(scene: Scene) -> Scene:
     return newton_euler.start(scene, **starts)
 
 
-def tracker(duration: float = 0.5, **settings) -> Scene:
+def tracker(duration: float = 0.25, **settings) -> Scene:
     """The tracker under gravity, computed torque on both sliders, from the reference."""
     settings = {"stiffness": STIFFNESS, "damping": DAMPING} | settings
     laws = tuple(ComputedTorque(name, target=r, **settings) for name, r in REFERENCES.items())
