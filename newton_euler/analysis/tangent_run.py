@@ -18,13 +18,13 @@ from newton_euler.integrators import stepper as m
 from newton_euler.integrators.options import Options, StepControl
 from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.run import Fallback, Integrator, most_steps
-from newton_euler.integrators.singular import NEAR, UNSAFE
+from newton_euler.integrators.singular import FAR, NEAR, UNSAFE
 from newton_euler.integrators.tangents import REACHED, Tangents, evaluate_along, follow, methods
 from newton_euler.sampling import Interval, integrate_intervals
 from newton_euler.scalars import Array
 
 TOO_NEAR = "the run comes too near to a singular configuration"
-SPACING = 0.05  # rad, or share of the size, between states whose pivot ratios are looked at
+SPACING = 0.1  # rad, or share of the size, between states whose pivot ratios are looked at
 FINER = 20  # pivot ratios between two that are beside a least one, twice
 OF_TANGENTS = 100.0  # their tolerance in units of `rtol`: hardly a step of a scene that moves is divided
 ROOM = 2048  # steps of a run that there is room for; those of a longer one are taken twice
@@ -64,45 +64,55 @@ class _Path:
 
     def __init__(self, code: TangentCode, steps: Array, begun: Array, end: Array) -> None:
         """Of steps (m, n + 2), see `Dop853`, from x (inputs,) to another."""
-        n, system = code.size, code.system
+        n, nq = code.size, code.system.nq
+        self._n = n
         self._velocity, self._sizes = code.function("velocity"), steps[:, n + 1 :]
         self._ends = np.tile(begun, (len(steps) + 1, 1))
         self._ends[:-1, : n + 1] = steps[:, : n + 1]
         self._ends[-1, : n + 1] = end[: n + 1]
-        self._slopes = at_rows(code.function("derivative"), self._ends)[:, :n]
-        speeds = np.abs(self._ends[:, system.nq : n] / system.velocity_units).max(axis=1, initial=0.0)
+        rate = code.function("rate")
+        self._slopes = at_rows(rate, self._ends[:, : rate.inputs])
+        speeds = np.abs(self._ends[:, nq:n] / code.system.velocity_units).max(axis=1, initial=0.0)
         moved = self._sizes[:, 0] * np.maximum(speeds[:-1], speeds[1:])
         self._counts = 1 + (moved / SPACING).astype(int)
 
     def least_pivot_ratio(self) -> float:
         """Find the least pivot ratio in units of the largest one, independent of where steps end.
 
-        Not a number counts as 0.
+        Least ones that are not small are taken as they are seen. Not a number counts as 0.
         """
-        places = np.concatenate([k + np.arange(count) / count for k, count in enumerate(self._counts)])
+        counts = np.repeat(self._counts, self._counts)
+        first = np.repeat(np.cumsum(self._counts) - self._counts, self._counts)
+        places = (
+            np.repeat(np.arange(len(self._counts)), self._counts) + (np.arange(len(first)) - first) / counts
+        )
         places = np.append(places, len(self._counts))
         ratios = self._pivot_ratios(places)
-        most = ratios.max()
+        least, most = ratios.min(), ratios.max()
         for _ in range(2):
             padded = np.pad(ratios, 1, constant_values=np.inf)
-            lowest = np.flatnonzero((ratios <= padded[:-2]) & (ratios <= padded[2:]))
+            lowest = (ratios <= padded[:-2]) & (ratios <= padded[2:]) & (ratios < FAR * most)
+            if least < NEAR * most or not lowest.any():
+                break
+            (lowest,) = np.nonzero(lowest)
             first, last = places[np.maximum(lowest - 1, 0)], places[np.minimum(lowest + 1, len(places) - 1)]
             places = np.unique(np.linspace(first, last, 2 * FINER + 1))
             ratios = self._pivot_ratios(places)
-        return float(ratios.min() / most) if most > 0.0 else 0.0
+            least = min(least, ratios.min())
+        return float(least / most) if most > 0.0 else 0.0
 
     def _pivot_ratios(self, places: Array) -> Array:
         """Return pivot ratios (k,) at places (k,): numbers of steps and shares of them."""
         step = np.minimum(places.astype(int), len(self._counts) - 1)
         share, size = (places - step)[:, None], self._sizes[step]
-        x, n = self._ends[step], self._slopes.shape[1]
+        x, nq = self._ends[step], self._slopes.shape[1]
         begin, end = size * self._slopes[step], size * self._slopes[step + 1]
-        change = self._ends[step + 1, :n] - x[:, :n]
+        change = self._ends[step + 1, :nq] - x[:, :nq]
         change -= 2.0 * np.pi * np.round((change - 0.5 * (begin + end)) / (2.0 * np.pi))  # of angles
         bend = (1.0 - share) * (begin - change) + share * (change - end)
-        x[:, :n] += share * (change + (1.0 - share) * bend)
-        x[:, n] += share[:, 0] * size[:, 0]
-        ratios = at_rows(self._velocity, x[:, : self._velocity.inputs])[:, n + 1]
+        x[:, :nq] += share * (change + (1.0 - share) * bend)
+        x[:, self._n] += share[:, 0] * size[:, 0]
+        ratios = at_rows(self._velocity, x[:, : self._velocity.inputs])[:, -1]
         return np.where(ratios > 0.0, ratios, 0.0)
 
 

@@ -1,7 +1,8 @@
 """Cost of the derivatives of a run by parameters, in runs at the same tolerance.
 
-The parameters are masses of bodies. The run alone and with its derivatives take turns, in processor time, all
-compiled before.
+The parameters are masses of bodies, or a coordinate of a joint point: then the run is searched for singular
+configurations as well. The run alone and with its derivatives take turns, in processor time; code is compiled
+and starts are differentiated before.
 """
 
 from __future__ import annotations
@@ -12,13 +13,15 @@ from dataclasses import dataclass
 from functools import partial
 from timeit import Timer
 
-from crosscheck.report.table import Lines, Part, Rows, Table, figures
+from crosscheck.report.table import Lines, Part, Rows, Table, figures, texts
 from crosscheck.studies.benchmark.ladders import poses_only
 from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns, shown
 from newton_euler import compile_scene
 from newton_euler.analysis.tangent_code import tangent_code
 from newton_euler.analysis.tangent_run import FollowedRun, tangent_options
 from newton_euler.analysis.tangent_starts import Starts, own_numbers
+from newton_euler.equations.parameters import parameter_names
+from newton_euler.errors import SensitivityError
 from newton_euler.model.scene import Scene
 from newton_euler.sampling import integrate_intervals
 from newton_euler.scalars import Array
@@ -35,11 +38,13 @@ class Cost(Timed):
 
     Attributes:
         parameters: by how many; 0 for the run alone.
+        kind: "masses" or "joint points"; empty for the run alone.
         operations: of its right-hand side.
         times: s of processor time, of the repeats.
     """
 
     parameters: int
+    kind: str
     operations: int
     times: tuple[float, ...]
 
@@ -49,21 +54,25 @@ def time_sensitivities(scene: Scene, progress: Progress) -> list[Cost]:
     scene, options = poses_only(scene), tangent_options({})
     masses = [f"{body.name}.mass" for body in scene.mechanism.bodies[1:]]
     plain = compile_scene(scene)
+    points = [name for name in parameter_names(scene) if name.endswith(".point")]
+    wanted = [("masses", masses[:count]) for count in COUNTS if count <= len(masses)]
+    wanted += [("joint points", [f"{name}.x"]) for name in points[-1:]]
     calls = [_timed(lambda: integrate_intervals(plain, plain.start.copy(), options))]
-    sizes = [(0, plain.operations["derivative"])]
-    for count in COUNTS:
-        if count > len(masses):
-            continue
-        progress(f"compiling derivatives, parameters: {count}")
-        code = tangent_code(scene, masses[:count], None)
+    made = [(0, "", plain.operations["derivative"])]
+    for kind, names in wanted:
+        progress(f"compiling derivatives, parameters: {len(names)}")
+        code = tangent_code(scene, names, None)
         run = FollowedRun(code, options, ["output"])
-        start = Starts(code, masses[:count])(own_numbers(scene, masses[:count]))
+        try:
+            start = Starts(code, names)(own_numbers(scene, names))
+            _followed(run, *start)
+        except SensitivityError:  # near a singular configuration
+            continue
         calls.append(_timed(partial(_followed, run, *start)))
-        sizes.append((count, code.function(code.rates[0]).operations))
-    for call in calls:
-        call()
+        made.append((len(names), kind, code.function(code.rates[0]).operations))
+    calls[0]()
     times = in_turns(calls, [REPEATS] * len(calls), progress)
-    return [Cost(*size, each) for size, each in zip(sizes, times, strict=True)]
+    return [Cost(*each, taken) for each, taken in zip(made, times, strict=True)]
 
 
 def _followed(run: FollowedRun, start: Array, directions: Array) -> None:
@@ -81,7 +90,8 @@ def parts(costs: Sequence[Cost]) -> list[Part]:
     rows: Rows = []
     for cost in costs:
         each = f"{(cost.ratio(alone) - 1.0) / cost.parameters:.2f}" if cost.parameters else "-"
-        rows.append([str(cost.parameters), f"{cost.operations:,}", shown(cost.median), cost.spread, each])
-    heads = figures("parameters", "operations", "time", "spread", "runs per parameter")
-    words = "processor time of a run and its derivatives by masses of bodies, at the default tolerance"
+        by = f"{cost.kind}: {cost.parameters}" if cost.parameters else "run alone"
+        rows.append([by, f"{cost.operations:,}", shown(cost.median), cost.spread, each])
+    heads = [*texts("by"), *figures("operations", "time", "spread", "runs per parameter")]
+    words = "processor time of a run and its derivatives at the default tolerance, that of starts apart"
     return [Table("", heads, rows), Lines("", [words])]

@@ -369,8 +369,9 @@ def test_derivatives_are_timed_in_runs(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("crosscheck.studies.benchmark.sensitivities.REPEATS", 2)
     status, out, _ = run(capsys, "bench", "slider_crank", "--sensitivities", "--output", tmp_path)
     assert status == 0
-    assert "parameters  operations" in out
+    assert "joint points: 1" in out
     costs = json.loads((tmp_path / "sensitivities.json").read_text())["sensitivities"]
-    assert [cost["parameters"] for cost in costs] == [0, 1, 2]  # of three bodies
+    kinds = [(cost["parameters"], cost["kind"]) for cost in costs]
+    assert kinds == [(0, ""), (1, "masses"), (2, "masses"), (1, "joint points")]  # of three bodies
     assert all(len(cost["times"]) == 2 and min(cost["times"]) > 0.0 for cost in costs)
     assert "runs per parameter" in write_report(tmp_path, lambda _: None).read_text()
