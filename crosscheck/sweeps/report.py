@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -46,9 +45,7 @@ from crosscheck.sweeps.pictures import MOST_POINTS, pictures, rank_of, share_of
 from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.reductions import AT
 from crosscheck.sweeps.results import Results
-from newton_euler.errors import NewtonEulerError
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.simulate import simulate
 from newton_euler.variation import own_values, units_of
 
 if TYPE_CHECKING:
@@ -294,7 +291,7 @@ def _varied(plan: Plan) -> Table:
     units = units_of(plan.scene, plan.samples.names)
     rows: Rows = []
     for names, distribution in plan.samples.groups:
-        nominal = ", ".join(f"{own[name]:.6g}" for name in names)
+        nominal = ", ".join(f"{own[name] + 0.0:.6g}" for name in names)
         rows.append([", ".join(names), units[names[0]], nominal, str(distribution)])
     return Table("what varies", texts("parameter", "unit", "nominal", "distribution"), rows, folded=True)
 
@@ -309,7 +306,7 @@ def _far(plan: Plan) -> list[str]:
             away = each.deviations_of(float(own[name]))
             if away > FAR:
                 lines.append(
-                    f"nominal {name}, {own[name]:.4g}, is {away:.2g} deviations from the mean of {each}"
+                    f"nominal {name}, {own[name] + 0.0:.4g}, is {away:.2g} deviations from the mean of {each}"
                 )
     return lines
 
@@ -363,9 +360,8 @@ def write(found: Findings, made: Report, folder: Path) -> list[Path]:
 
 def to_record(found: Findings, made: Report) -> tuple[Any, ...]:
     """Return the arguments of `crosscheck.recording.sweep.log_sweep`."""
-    runs = _extremes(found)
     text = markdown(replace(made, parts=made.summary))
-    return found.swept.plan.scene, runs, list(_envelopes(found, runs)), text, made.title
+    return found.swept.plan.scene, *_made_again(found), text, made.title
 
 
 def _data(found: Findings) -> dict[str, object]:
@@ -391,34 +387,30 @@ def _data(found: Findings) -> dict[str, object]:
     }
 
 
-def _extremes(found: Findings) -> dict[str, Trajectory]:
-    """Make the nominal run and the extreme ones again, with all outputs."""
-    plan = found.swept.plan
-    runs = {}
-    with suppress(NewtonEulerError):
-        runs["nominal"] = simulate(plan.scene, **plan.control)
-    for scalar, _ in found.effects:
-        for largest in (True, False):
-            run = scalar.extreme(largest)
-            if len(runs) <= MOST_GHOSTS and f"run {run}" not in runs:
-                runs[f"run {run}"] = simulate(plan.scene_of(run), **plan.control)
-    return runs
+def _made_again(found: Findings) -> tuple[dict[str, Trajectory], list[Envelope]]:
+    """Make the nominal run, extreme ones and a sample again, as the sweep made them, at all output times.
 
-
-def _envelopes(found: Findings, runs: Mapping[str, Trajectory]) -> Iterator[Envelope]:
-    """Yield the course of telling numbers over time, of a sample of runs and of some by name."""
+    Returns:
+        The nominal run and the extreme ones by name, without any that cannot go on; and the course of telling
+        numbers over time of all that were made.
+    """
     from crosscheck.recording.sweep import Envelope
 
     plan = found.swept.plan
+    extremes = list(
+        dict.fromkeys(scalar.extreme(largest) for scalar, _ in found.effects for largest in (True, False))
+    )[:MOST_GHOSTS]
+    named = ["nominal", *(f"run {run}" for run in extremes)]
+    own = own_values(plan.scene, plan.samples.names)
+    inputs = found.swept.inputs(np.array([*extremes, *thinned(plan.samples.runs, SAMPLE)]))
     scene = replace(plan.lean, output_period=plan.scene.output_period)
-    inputs = found.swept.inputs(thinned(plan.samples.runs, SAMPLE))
-    batch = plan.batch(inputs, scene)
-    kept = {each.name: each for each in plan.kept}
+    batch = plan.batch({name: np.append(own[name], values) for name, values in inputs.items()}, scene)
+    runs = {name: batch[k] for k, name in enumerate(named) if k not in batch.errors}
+    kept, envelopes = {each.name: each for each in plan.kept}, []
     for scalar, _ in found.effects:
         reduction = kept[scalar.variable]
         place: tuple[Any, ...] = scalar.place[1:] if reduction.kind == AT else scalar.place
-        sample = reduction.course(Outputs(plan.scene, scene.times, batch.stacked))[:, :, *place]
-        lines = {
-            name: reduction.course(Outputs.of(plan.scene, run))[0, :, *place] for name, run in runs.items()
-        }
-        yield Envelope(scalar.heading, scene.times, sample, lines)
+        courses = reduction.course(Outputs(plan.scene, scene.times, batch.stacked))[:, :, *place]
+        lines = {name: course for name, course in zip(named, courses, strict=False) if name in runs}
+        envelopes.append(Envelope(scalar.heading, scene.times, courses[len(named) :], lines))
+    return runs, envelopes
