@@ -59,7 +59,9 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """Return the scene with other values of some parameters, all of it checked, its loops closed again.
 
     It is what a run of `simulate_batch` with these values is a run of; `simulate` alone goes over to other
-    constraint rows where those in use degenerate on the way.
+    constraint rows where those in use degenerate on the way. With `point_on_first`, `point_on_second` and
+    `length` of joints the scene is described at another initial pose, where its joints are closed: joint
+    coordinates are counted from there, those of the batch from the pose before. Poses are the same.
 
     Args:
         scene: the scene to change.

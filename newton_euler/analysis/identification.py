@@ -54,7 +54,9 @@ class Identification:
     """Parameters fitted to measurements, p numbers.
 
     Attributes:
-        scene: with these parameters.
+        scene: with these parameters. Where joints' `point_on_first`, `point_on_second` or `length` are among
+            them its coordinates are counted from another initial pose than the measured ones, see
+            `newton_euler.with_parameters`; a run of `simulate_batch` with these values has the measured ones.
         parameters: their names.
         units: (p,) of them, SI; empty for pure numbers.
         before, values: (p,) as they were, and as they are fitted.

@@ -38,8 +38,10 @@ on, as in `JOINT.target.angular_frequency` and `NAME.speed.phase`, are the same 
 it has one sine. Times of samples do not vary. Nor do indices, counts, looks of bodies, settings of a run and
 what a controller knows of the mechanism: their names are refused with the reason.
 
-Joint coordinates stay zero where the bodies are oriented as in the initial pose, and a joint's points as
-far apart as they are described. Parameters of bodies' centers and frames, joints, couplings and motions move
+Joint coordinates of runs in batches, sweeps, sensitivities and fits stay zero where the bodies are oriented
+as in the initial pose, and a joint's points as far apart as they are described. Those of the scene that
+`with_parameters` makes of `point_on_first`, `point_on_second` and `length` are counted from its own initial
+pose, which is another one. Parameters of bodies' centers and frames, joints, couplings and motions move
 the closed configurations: `newton_euler.starts` assembles a start for each run, and has initial coordinates
 as further parameters. The mechanism has the constraints that the description has: where its own numbers make
 some of them redundant, values with which they would lock it leave a loop open.
