@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from newton_euler.assemble import check_states, coordinates_of, initial_state
 from newton_euler.errors import (
+    MechanismError,
     NewtonEulerError,
     OptionError,
     UnknownNameError,
@@ -158,7 +159,8 @@ def simulate_batch(
         needed = "State objects, one per run; coordinates are parameters: {'start.JOINT': [0.1, 0.2]}"
         raise OptionError("states", _short(states), needed)
     if scene.sampled:
-        raise OptionError("control", scene.sampled[0], "no sampled controller: Python would run in every run")
+        needed = "its law without sampling, or `simulate` run by run"
+        raise MechanismError(f"joint {scene.sampled[0].joint!r}", "has a sampled controller", needed)
     workers = thread_count(threads)
     initial = initial_numbers(scene, parameters)
     names = tuple(name for name in parameters if name not in initial)

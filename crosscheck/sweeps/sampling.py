@@ -136,7 +136,8 @@ class Samples:
             return _sobol(size, self.seed, 32, first, last)
         if self.sampling == "saltelli":
             return self._saltelli(first, last)
-        return _latin_hypercube(size, self.runs, self.seed)[first:last]
+        with MAKING:
+            return _latin_hypercube(size, self.runs, self.seed)[first:last]
 
     def _saltelli(self, first: int, last: int) -> Array:
         """Return shares of Saltelli's plan: of a base sample A, A with each parameter of B in turn, and B.
@@ -172,6 +173,10 @@ def _sobol(size: int, seed: int, bits: int, first: int, last: int) -> Array:
     # SciPy warns of first points whose number is no power of 2
     drawn = count if first else 1 << (count - 1).bit_length()
     return np.asarray(sequence.random(drawn)[:count])
+
+
+MAKING = threading.Lock()
+"""Held while a design is made, so that threads share one."""
 
 
 @lru_cache(maxsize=1)

@@ -15,6 +15,7 @@ from newton_euler.batch import thread_count
 from newton_euler.equations.parameters import parameter_values
 from newton_euler.errors import MechanismError, OptionError, UnknownNameError
 from newton_euler.model.control import PD
+from newton_euler.model.digital_control import Digital
 from newton_euler.model.forces import Armature
 from newton_euler.model.motions import Sum
 from newton_euler.model.smooth_functions import Polynomial, Sine
@@ -137,6 +138,14 @@ def test_bad_batches_are_refused(short, options, error, message):
     with pytest.raises(error) as caught:
         simulate_batch(short, **options)
     assert message in str(caught.value)
+
+
+def test_sampled_controllers_are_refused_by_the_name_of_their_joint():
+    scene = mass_on_rail(control=(Digital(PD("rail", 40.0, 3.0, 0.2), 0.02),))
+    with pytest.raises(MechanismError) as caught:
+        simulate_batch(scene, parameters={"mass.mass": [1.0]})
+    needed = "its law without sampling, or `simulate` run by run"
+    assert str(caught.value) == f"joint 'rail': has a sampled controller; needed: {needed}"
 
 
 def test_there_are_as_many_threads_as_processors_for_this_process(monkeypatch):
