@@ -15,6 +15,7 @@ from newton_euler.equations.parameters import is_kinematic, places
 from newton_euler.equations.sparse import RowsInUse, least_squares, solve_constrained, sparse_vector
 from newton_euler.integrators.options import FormulationName
 from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array, Scalar, minimum, objects, zeros
 from newton_euler.simulate import CompiledScene
 from newton_euler.starts import initial_numbers
@@ -50,6 +51,8 @@ class TangentCode(CompiledScene):
     @cached_property
     def moves_loops(self) -> bool:
         """True if parameters move the closed configurations: near singular ones without bound."""
+        if not (SpanningTree(self.scene.mechanism).cuts or self.system.couplings):
+            return False
         found = places(self.scene, self._named).values()
         return any(is_kinematic(place) and place.owner[0] != "bodies" for place in found)
 
