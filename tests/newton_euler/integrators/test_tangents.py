@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from newton_euler.integrators.stepper import TOO_MANY_STEPS
+from newton_euler.integrators.stepper import SINGULAR, TOO_MANY_STEPS
 from newton_euler.integrators.tangents import Tangents, follow
 
 
-def followed(rates_along, start, most=2000):
+def followed(rates_along, start, most=2000, floor=0.0):
     """Carry one tangent (q, v) from `start` through a step of 1 s, in `most` parts at most; the tangent, how
     often its rates were evaluated, and a status.
 
-    `rates_along` gives the rates (2,) of the tangent (2,).
+    `rates_along` gives the rates (2,) of the tangent (2,); their pivot ratio is 1.
     """
     calls = []
 
@@ -35,6 +35,7 @@ def followed(rates_along, start, most=2000):
         places=1,
         speeds=1,
         tolerance=1e-8,
+        floor=floor,
         rates=rates,
         settled=None,
         pause=None,
@@ -84,3 +85,9 @@ def test_what_is_not_finite_ends():
     """Such results are refused where they are used."""
     found, _, _ = followed(lambda tangent: [tangent[1], np.nan], [1.0, 0.0])
     assert np.isnan(found).any()
+
+
+def test_rates_whose_pivot_ratio_is_below_the_floor_end():
+    _, evaluations, status = followed(lambda tangent: [tangent[1], 0.0], [1.0, 0.0], floor=2.0)
+    assert status == SINGULAR
+    assert evaluations == 13  # of the stages of one part
