@@ -261,7 +261,8 @@ class Assembly:
         Returns:
             x (n, inputs) of `code`, and what cannot be assembled by number of the run.
         """
-        own = self._own(values, states)
+        count = len(next(iter(values.values())))
+        own = np.tile(self._own_start, (count, 1)) if states is None else self._begun(states)
         targets = self._targets(own, values)
         steps = self._steps(own, targets)
         found, statuses = self._assembled(own, targets, steps)
@@ -282,13 +283,17 @@ class Assembly:
         found[speeds < np.finfo(float).eps * begun, on_v] = 0.0  # round-off of what is to rest
         return found, errors
 
-    def _own(self, values: Mapping[str, Array], states: Sequence[State] | None) -> Array:
-        """Return the states (n, inputs) that runs begin at, with the scene's own parameters."""
+    @cached_property
+    def _own_start(self) -> Array:
+        """The scene's own start, x (inputs,) of `code`."""
+        return self._begun([initial_state(self.scene)])[0]
+
+    def _begun(self, states: Sequence[State]) -> Array:
+        """Return x (n, inputs) of n states, with the scene's own parameters."""
         code = self.code
-        count = len(next(iter(values.values())))
-        own = np.tile(code.packed(np.zeros(code.size), np.zeros(0)), (count, 1))
-        own[:, : code.size] = coordinates_of(code.system, states or [initial_state(self.scene)])
-        for row, state in zip(own, states or (), strict=states is not None):
+        own = np.tile(code.packed(np.zeros(code.size), np.zeros(0)), (len(states), 1))
+        own[:, : code.size] = coordinates_of(code.system, states)
+        for row, state in zip(own, states, strict=True):
             for key, name in self._motions.items():
                 row[code.place(name) :][:2] = self._held(state, key).coefficients
         return own

@@ -80,20 +80,32 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
     check_type("scene", scene, Scene)
     if not isinstance(values, Mapping):
         raise OptionError("values", f"{values!r:.100}", "values by names of parameters")
-    found = run_values(scene, {name: [value] for name, value in values.items()})
-    assembly = assembly_of(scene, tuple(values))
-    errors = dict(found.errors)
-    if assembly.is_needed and not errors:
-        (x,), errors = assembly(found.arrays)
-    for error in errors.values():
-        element = error.element.removeprefix("run 0").removeprefix(": ") or f"scene {scene.name!r}"
-        raise MechanismError(element, error.problem, error.needed)
-    numbers = {name: array[0] for name, array in found.arrays.items() if name not in assembly.initial}
+    given = checked_values(scene, values)
+    assembly = assembly_of(scene, tuple(given))
+    if assembly.is_needed:
+        (x,), errors = assembly({name: value[None] for name, value in given.items()})
+        for error in errors.values():
+            raise of_single_run(scene, error)
+    numbers = {name: value for name, value in given.items() if name not in assembly.initial}
     if not any(is_opening(place) for place in places(scene, numbers).values()):
         changed = rebuilt(scene, numbers) if numbers else scene
     else:
         changed = described_at(with_values(scene, numbers), _pose(scene, numbers) or assembly.state(x))
     return replace(changed, initial_state=assembly.state(x)) if assembly.is_needed else changed
+
+
+def checked_values(scene: Scene, values: Mapping[str, Any]) -> dict[str, Array]:
+    """Return values of parameters as arrays; raises `MechanismError` for what the scene cannot have."""
+    found = run_values(scene, {name: [value] for name, value in values.items()})
+    for error in found.errors.values():
+        raise of_single_run(scene, error)
+    return {name: array[0] for name, array in found.arrays.items()}
+
+
+def of_single_run(scene: Scene, error: MechanismError) -> MechanismError:
+    """Return the error of a run without its number, where it is the only one."""
+    element = error.element.removeprefix("run 0").removeprefix(": ") or f"scene {scene.name!r}"
+    return MechanismError(element, error.problem, error.needed)
 
 
 def start(scene: Scene, /, **joints: Sequence[float] | Sequence[Sequence[float] | None] | Floats) -> Scene:

@@ -133,7 +133,7 @@ class Fit:
             try:
                 return np.concatenate([self._weighted(change), pull * change])
             except NewtonEulerError as error:
-                self._refused = f"beyond is what the scene cannot be: {str(error).removeprefix('run 0: ')}"
+                self._refused = f"beyond is what the scene cannot be: {error}"
                 return np.full(len(first), far)
 
         def jacobian(z: Array) -> Array:

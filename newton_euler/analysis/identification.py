@@ -225,7 +225,7 @@ def identify(
     """
     check_type("scene", scene, Scene)
     check_formulation(formulation)
-    names = components(scene, checked_names(parameters))
+    names = tuple(components(scene, checked_names(parameters)))
     runs = _runs(scene, names, measurements)
     count = sum(run.time.size * len(run.columns) for run in runs.values())
     unknown = {name for run in runs.values() for name in run.columns if name not in run.noise}

@@ -1,8 +1,8 @@
 """Sensitivities: derivatives of trajectories by parameters of a scene.
 
 By traced derivatives of the equations of motion, carried along the steps of a run beside its states
-(`newton_euler.integrators.tangents`), on the linearized constraints. The run itself is a plain one, to the
-last bit. Steps that are too long for the derivatives, as those of a mechanism at rest are, are taken in
+(`newton_euler.integrators.tangent_steps`), on the linearized constraints. The run itself is a plain one, to
+the last bit. Steps that are too long for the derivatives, as those of a mechanism at rest are, are taken in
 parts: in each the error of all coordinates by one parameter is at most 100 `rtol` of the largest, and so is
 that of velocities, unless it is round-off, or a singular configuration is passed.
 
@@ -14,15 +14,16 @@ come near.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Unpack
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from newton_euler.analysis.tangent_code import ALONG, tangent_code
 from newton_euler.analysis.tangent_run import FollowedRun, tangent_options
-from newton_euler.analysis.tangent_starts import Starts, components, own_numbers
+from newton_euler.analysis.tangent_starts import Starts, components
 from newton_euler.errors import OptionError, SensitivityError, check_type
 from newton_euler.integrators.formulations import check_formulation
 from newton_euler.integrators.options import FormulationName, StepControl
@@ -31,6 +32,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import JointMotion, Trajectory, coordinate_names
 from newton_euler.scalars import Floats
 from newton_euler.simulate import native_trajectory
+from newton_euler.variation import checked_values, own_values
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +117,7 @@ class Sensitivities:
 
 def sensitivities(
     scene: Scene,
-    parameters: Sequence[str],
+    parameters: Sequence[str] | Mapping[str, ArrayLike],
     formulation: FormulationName | None = None,
     **control: Unpack[StepControl],
 ) -> Sensitivities:
@@ -124,9 +126,10 @@ def sensitivities(
     Args:
         scene: what is run, by DOP853 with projection.
         parameters: names, see `newton_euler.equations.parameters`, and `newton_euler.starts` for initial
-            coordinates; by each number of those that are arrays. Beside the rate `start.JOINT.rate` the
-            coordinate `start.JOINT` is held, also for derivatives by geometry; without either of them it
-            follows the loops.
+            coordinates; by each number of those that are arrays. Or values by name, of a run as
+            `simulate_batch` makes it; the code, once compiled, is that of all others. Beside the rate
+            `start.JOINT.rate` the coordinate `start.JOINT` is held, also for derivatives by geometry;
+            without either of them it follows the loops.
         formulation: as of `simulate`.
         control: of steps of DOP853, as of `simulate`, with projection; other methods have no derivatives.
 
@@ -138,20 +141,26 @@ def sensitivities(
         >>> by = sensitivities(load("tracker"), ["panel_7.mass", "slide_12.stiffness"])
         >>> by.run.position.shape[1:], by.position.shape[1:]
         ((7, 3), (7, 3, 2))
+        >>> lighter = sensitivities(load("pendulum"), {"dumbbell.mass": 0.5})
+        >>> lighter.parameters
+        ('dumbbell.mass',)
     """
     check_type("scene", scene, Scene)
     check_formulation(formulation)
-    names = checked_names(parameters)
-    options = tangent_options(control)
-    labels = components(scene, names)
+    names = checked_names(list(parameters) if isinstance(parameters, Mapping) else parameters)
+    options, places = tangent_options(control), components(scene, names)
+    labels, values = tuple(places), own_values(scene, names)
+    if isinstance(parameters, Mapping):
+        values = checked_values(scene, parameters)
     code = tangent_code(scene, labels, formulation)
-    start, directions = Starts(code, labels)(own_numbers(scene, labels))
+    numbers = np.array([values[name][index] for name, index in places.values()])
+    start, directions = Starts(code, labels)(numbers)
     found = FollowedRun(code, options, ("output", "coordinates"))(start, directions)
     settings = {"formulation": code.formulation, "stabilization": code.stabilization}
     settings |= options.chosen() | found.counts
-    values = named(code, found.results)
-    signs = values["quaternion"].copy()
-    run = native_trajectory(scene, settings, found.wall_time, values)
+    outputs = named(code, found.results)
+    signs = outputs["quaternion"].copy()
+    run = native_trajectory(scene, settings, found.wall_time, outputs)
     arrays = {
         name: found.derivatives["output"][:, start:stop].reshape(len(run.time), *shape, len(labels))
         for name, (start, stop, shape) in code.function("output" + ALONG).layout.items()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from newton_euler.integrators.options import FormulationName
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array, Scalar, minimum, objects, zeros
-from newton_euler.simulate import CompiledScene
+from newton_euler.simulate import KEPT, CompiledScene
 from newton_euler.starts import initial_numbers
 
 ALONG = " along"
@@ -25,8 +25,12 @@ UNREFINED, RATES, SETTLED = (name + ALONG for name in ("unrefined", "derivative"
 """Names of programs that have a direction behind x."""
 
 
-def tangent_code(scene: Scene, names: Sequence[str], formulation: FormulationName | None) -> TangentCode:
-    """Return the code of a scene with derivatives by numbers that are parameters, see `components`."""
+@lru_cache(maxsize=KEPT)
+def tangent_code(scene: Scene, names: tuple[str, ...], formulation: FormulationName | None) -> TangentCode:
+    """Return the code of a scene with derivatives by numbers that are parameters, see `components`.
+
+    It is the same for one run after another, at any values of these.
+    """
     initial = initial_numbers(scene, names)
     code = TangentCode(scene, formulation, parameters=[name for name in names if name not in initial])
     code.alone = len(names) == 1
@@ -60,7 +64,7 @@ class TangentCode(CompiledScene):
         if not name.endswith(ALONG):
             return super()._traced(name, in_lanes)
         program = self.program(name)
-        straight = program.operations < VERY_LARGE
+        straight = name in self.rates and program.operations < VERY_LARGE
         # a single direction is beside itself at other output times
         many = name not in self.rates or not self.alone
         return Traced(program, many, self._layouts.get(name), straight=straight)

@@ -1,7 +1,7 @@
 """Runs with their derivatives along directions of the start and of the parameters.
 
 Traced derivatives of the equations of motion are carried along the steps of a run beside its states
-(`newton_euler.integrators.tangents`), on the linearized constraints.
+(`newton_euler.integrators.tangent_steps`), on the linearized constraints.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from newton_euler.integrators.options import Options, StepControl
 from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.run import Fallback, Integrator, most_steps
 from newton_euler.integrators.singular import FAR, NEAR, UNSAFE
-from newton_euler.integrators.tangents import REACHED, Tangents, evaluate_along, follow, methods
+from newton_euler.integrators.tangent_steps import follow, methods
+from newton_euler.integrators.tangents import REACHED, Tangents, evaluate_along
 from newton_euler.sampling import Interval, integrate_intervals
 from newton_euler.scalars import Array
 

@@ -11,8 +11,8 @@ from newton_euler.errors import MechanismError, SensitivityError
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 from newton_euler.simulate import CompiledScene
-from newton_euler.starts import Assembly
-from newton_euler.variation import own_values, run_values
+from newton_euler.starts import assembly_of
+from newton_euler.variation import of_single_run, own_values, run_values
 
 DIFFERENCE = 1e-4  # of parameters of starts, of the mechanism's size, m, or of their own value beyond 1
 
@@ -31,17 +31,21 @@ Near a singular configuration errors go with the step by its distance, to the fo
 LEAST = 1e-3  # SI, of numbers that are compared
 
 
-def components(scene: Scene, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names (p,) of the numbers of parameters, those of symmetric matrices once."""
-    found = list[str]()
+def components(scene: Scene, names: Sequence[str]) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Find the p numbers of parameters, those of symmetric matrices once.
+
+    Returns:
+        The parameter and the index there by the name of each number.
+    """
+    found: dict[str, tuple[str, tuple[int, ...]]] = {}
     for name, value in own_values(scene, names).items():
         for index in np.ndindex(*value.shape):
             if value.shape == (3, 3) and index[0] > index[1]:
                 continue
             spatial = set(value.shape) == {3}
             component = "".join("xyz"[k] for k in index) if spatial else ".".join(map(str, index))
-            found.append(f"{name}.{component}" if component else name)
-    return tuple(found)
+            found[f"{name}.{component}" if component else name] = name, index
+    return found
 
 
 def own_numbers(scene: Scene, names: Sequence[str]) -> Array:
@@ -63,7 +67,7 @@ class Starts:
         """`held` are initial coordinates and rates that are not among the p numbers."""
         self._code, self._held = code, np.array(list((held or {}).values()))
         self._names = (*names, *(held or {}))
-        self._assembly = Assembly(code.scene, self._names)
+        self._assembly = assembly_of(code.scene, self._names)
         moving = {*self._assembly.kinematic, *self._assembly.initial}
         self._moving = [k for k, name in enumerate(names) if name in moving]
 
@@ -72,6 +76,7 @@ class Starts:
 
         Raises:
             MechanismError: for numbers that make no sense, and those with which a loop stays open.
+            SensitivityError: for derivatives that do not exist, or are not known.
         """
         code, step = self._code, DIFFERENCE * min(1.0, self._code.scene.mechanism.size)
         steps = step * np.maximum(1.0, np.abs(numbers))
@@ -111,6 +116,6 @@ class Starts:
         """Raise the first error of the numbers themselves, or of those that differ by one of them."""
         for row, error in sorted(errors.items()):
             if row == 0:
-                raise error
+                raise of_single_run(self._code.scene, error)
             name = self._names[self._moving[(row - 1) // len(WEIGHTS)]]
             raise SensitivityError(f"{name} cannot vary alone: {error.problem}")

@@ -64,6 +64,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -111,6 +112,7 @@ def _parts(scene: Scene) -> dict[str, list[Any]]:
     }
 
 
+@lru_cache(maxsize=8)
 def _owners(scene: Scene) -> dict[str, list[Owner]]:
     """Find what names without components stand for."""
     found: dict[str, list[Owner]] = {"gravity": [GRAVITY]}

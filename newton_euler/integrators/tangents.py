@@ -1,16 +1,7 @@
-"""Tangents of runs: derivatives along directions of the start and of the parameters, step by step.
+"""Tangents of runs: derivatives along directions of the start and of the parameters, beside its states.
 
-The steps of a run are taken once more, its states and several directions side by side, by the same stages of
-the same sizes (internal numerical differentiation: H. G. Bock, Randwertproblemmethoden zur
-Parameteridentifizierung in Systemen nichtlinearer Differentialgleichungen, Bonner Mathematische Schriften
-183, 1987). So the run itself knows nothing of it. After each step the tangents are put on the linearized
-constraints, Phi_q S + Phi_p = 0 and its rate, by steps of least length as states are.
-
-What a state at rest, or a slow one, lets be a step may be far too long for its tangents, which vibrate
-beside it. So they have error control of their own, as sensitivities need (R. P. Dickinson, R. J. Gelinas,
-Journal of Computational Physics 21, 1976; R. Serban, A. C. Hindmarsh, CVODES, ASME IDETC 2005): a step in
-which the embedded estimate of their error (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations
-I, 1993, section II.5) is beyond their tolerance is taken in parts.
+Stages of steps, states and several directions side by side, and what is evaluated of both at output times;
+`newton_euler.integrators.tangent_steps` takes the steps.
 
 Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
 """
@@ -18,41 +9,10 @@ Written for native code, see `newton_euler.codegen.native`; it runs as plain Pyt
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from math import sqrt
 
 from newton_euler.codegen.native import Callback, Record, Vector, native
-from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.integrators.dop853 import (
-    EXPONENT,
-    FAILED,
-    LARGEST,
-    SAFETY,
-    SMALLEST,
-    advance,
-    prepare_dense,
-)
-from newton_euler.integrators.dop853_tableau import (
-    ERROR_3,
-    ERROR_5,
-    NODES,
-    SECOND_OF_STEP,
-    STAGES,
-)
-from newton_euler.integrators.singular import NEAR
-from newton_euler.integrators.stepper import DONE, HUGE, INTERRUPTED, PATIENCE, SINGULAR, TOO_MANY_STEPS
-
-TENTH = 0.1
-"""Ratio of the sizes of two parts that show of what order an error is."""
-
-HALF = 0.5
-"""Ratio of pivot ratios in a step that is not just anywhere near a singular configuration, but passes one."""
-
-NOISY = 4.0
-"""Noise that is expected, in units of the one found."""
-
-TINY = 1e-300
-"""Keeps ratios to nothing finite."""
+from newton_euler.integrators.dop853 import advance, prepare_dense
+from newton_euler.integrators.dop853_tableau import NODES
 
 PARTS, WISH, REACHED = 0, 1, 2
 """Places in the vector `counts`."""
@@ -199,205 +159,6 @@ def interpolate_tangents(tangents: Tangents, share: float, y: Vector) -> None:
 
 
 @native
-def estimate_errors(tangents: Tangents, h: float) -> None:
-    """Estimate the errors of the tangents in a part of size h of a step, all its stages known.
-
-    Rows 13 and 14 of k, of stages that only outputs need, get the two of each element.
-    """
-    lanes = tangents.lanes
-    size = tangents.n * lanes
-    row = 2 * size + lanes
-    k = tangents.k[size:]
-    fives = k[13 * row :]
-    threes = k[14 * row :]
-    end = tangents.at[tangents.inputs * lanes :]
-    begun = tangents.x[tangents.inputs * lanes :]
-    for i in range(size):
-        five = ERROR_5[0] * k[i]
-        three = ERROR_3[0] * k[i]
-        for j in range(SECOND_OF_STEP, STAGES):
-            five += ERROR_5[j] * k[row * j + i]
-            three += ERROR_3[j] * k[row * j + i]
-        fives[i] = five
-        threes[i] = three
-    for lane in range(lanes):
-        place = 0.0
-        fifth_place = 0.0
-        third_place = 0.0
-        for i in range(tangents.places):
-            e = lanes * i + lane
-            place = max(place, max(abs(begun[e]), abs(end[e])))
-            fifth_place += fives[e] * fives[e]
-            third_place += threes[e] * threes[e]
-        speed = 0.0
-        fifth_speed = 0.0
-        third_speed = 0.0
-        for i in range(tangents.speeds, tangents.n):
-            e = lanes * i + lane
-            speed = max(speed, max(abs(begun[e]), abs(end[e])))
-            fifth_speed += fives[e] * fives[e]
-            third_speed += threes[e] * threes[e]
-        # of the tangents that pass through zero, or begin there, in one of the two alone
-        of_place = tangents.tolerance * max(place, h * speed) + TINY
-        of_speed = tangents.tolerance * max(speed, place) + TINY
-        fifth = fifth_place / of_place / of_place + fifth_speed / of_speed / of_speed
-        third = third_place / of_place / of_place + third_speed / of_speed / of_speed
-        error = 0.0
-        if fifth > 0.0 or third > 0.0:
-            error = h * fifth / sqrt((fifth + 0.01 * third) * tangents.n)
-        tangents.errors[lane] = error if error < FAILED else FAILED
-        whole = h * sqrt(fifth_place + fifth_speed)
-        tangents.errors[lanes + lane] = whole if whole < HUGE else HUGE
-
-
-@native
-def keep_tried(tangents: Tangents, h: float) -> None:
-    """Keep the errors of a part of size h, to compare those of shorter ones with them."""
-    for lane in range(tangents.lanes):
-        tangents.tried[lane] = tangents.errors[tangents.lanes + lane]
-    tangents.tried[tangents.lanes] = h
-
-
-@native
-def find_noise(tangents: Tangents, h: float) -> None:
-    """Find the lanes whose errors fall with h as round-off does, at most with its first power.
-
-    Errors of the method fall with the fifth power at least, and with h^12 where steps are so long that
-    tangents explode; so the third tells them apart.
-    """
-    lanes = tangents.lanes
-    ratio = h / tangents.tried[lanes]
-    if ratio <= TENTH:
-        for lane in range(lanes):
-            error = tangents.errors[lanes + lane]
-            if tangents.errors[lane] > 1.0 and error > ratio * ratio * ratio * tangents.tried[lane]:
-                tangents.noise[lane] = max(tangents.noise[lane], NOISY * error / h)
-        keep_tried(tangents, h)
-
-
-@native
-def worst_error(tangents: Tangents, h: float) -> float:
-    """Return the largest error of a part of size h in units of the tolerance, except for noise."""
-    worst = 0.0
-    for lane in range(tangents.lanes):
-        if not tangents.errors[tangents.lanes + lane] <= tangents.noise[lane] * h:
-            worst = max(worst, tangents.errors[lane])
-    return worst
-
-
-@native
-def passes_singular(tangents: Tangents) -> int:
-    """Tell if the stages pass by a singular configuration: 1 or 0.
-
-    The run has placed such a step so that no stage is too near; those of its parts would be.
-    """
-    size = tangents.n * tangents.lanes
-    row = 2 * size + tangents.lanes
-    least = tangents.k[2 * size]
-    most = least
-    for s in range(1, STAGES + 1):
-        ratio = tangents.k[row * s + 2 * size]
-        least = min(least, ratio)
-        most = max(most, ratio)
-    return 1 if least < NEAR and least < HALF * most else 0
-
-
-@native
-def take_part(tangents: Tangents, t: float, h: float) -> float:
-    """Take the stages from time t over a time h or, where tangents need it, a shorter one; returns it."""
-    taken = 0
-    shorter = 0
-    while taken == 0:
-        for s in range(STAGES + 1):
-            tangent_stage(tangents, s, t, h)
-        estimate_errors(tangents, h)
-        if shorter == 0:
-            keep_tried(tangents, h)
-        find_noise(tangents, h)
-        error = worst_error(tangents, h)
-        if error > 1.0 and passes_singular(tangents) == 0:
-            h = h * max(SMALLEST, SAFETY * error**EXPONENT)
-            shorter = 1
-        else:
-            taken = 1
-    return h
-
-
-@native
-def write_tangents(tangents: Tangents, t: float, h: float, due: int, stop: float) -> int:
-    """Write rows of the table from `due` on, until time `stop`, by a part of size h from t; returns the row
-    that is due then. They are not on the linearized constraints yet."""
-    size = tangents.n * tangents.lanes
-    if due < tangents.rows and tangents.times[due] <= stop:
-        for s in range(STAGES + 1, 16):
-            tangent_stage(tangents, s, t, h)
-        prepare_terms(tangents, h)
-        while due < tangents.rows and tangents.times[due] <= stop:
-            interpolate_tangents(tangents, (tangents.times[due] - t) / h, tangents.table[size * due :])
-            due += 1
-    return due
-
-
-@native
-def follow(tangents: Tangents, last: Vector) -> int:
-    """Carry the tangents through all steps, into the table, and to the state (n,) at the end of the last;
-    returns a status."""
-    counts = tangents.counts
-    counts[PARTS] = 0.0
-    n = tangents.n
-    lanes = tangents.lanes
-    size = n * lanes
-    along = tangents.inputs * lanes
-    x = tangents.x
-    at = tangents.at
-    end = tangents.k[(2 * size + lanes) * 16 :]
-    due = 0
-    for number in range(tangents.count):
-        step = tangents.steps[(n + 2) * number :]
-        t = step[n]
-        stop = t + step[n + 1]
-        h = step[n + 1]
-        put(n + 1, lanes, step, x)
-        settle(tangents)
-        if due == 0:
-            for i in range(size):
-                tangents.table[i] = x[along + i]
-            due = 1
-        while t < stop:
-            counts[PARTS] += 1.0
-            counts[REACHED] = t
-            if counts[PARTS] > tangents.most:
-                return TOO_MANY_STEPS
-            if int(counts[PARTS]) % PATIENCE == 0:
-                tangents.pause(counts, counts[WISH:])
-                if counts[WISH] > 0.0:
-                    return INTERRUPTED
-            taken = take_part(tangents, t, h)
-            if tangents.least[0] < tangents.floor:
-                return SINGULAR
-            for i in range(size):
-                end[i] = at[along + i]
-                end[size + i] = at[i]
-            reached = stop if taken >= stop - t else t + taken
-            due = write_tangents(tangents, t, taken, due, reached)
-            for i in range(size):
-                x[along + i] = end[i]
-            t = reached
-            if t < stop:  # of the state, which is as exact as its step
-                for i in range(size):
-                    x[i] = end[size + i]
-                for lane in range(lanes):
-                    x[size + lane] = t
-                settle(tangents)
-                error = worst_error(tangents, taken)
-                growth = SAFETY * error**EXPONENT if error > 0.0 else LARGEST
-                h = min(taken * min(LARGEST, max(SMALLEST, growth)), stop - t)
-    put(n + 1, lanes, last, x)
-    settle(tangents)
-    return DONE
-
-
-@native
 def gather(tangents: Tangents, row: int, lane: int, used: int) -> None:
     """Set `beside` to tangents at output times from one on, `used` of each; after the last to that again."""
     n = tangents.n
@@ -453,9 +214,3 @@ def evaluate_along(
                 if lane == used:
                     row += 1
                     lane = 0
-
-
-@lru_cache
-def methods() -> NativeFunctions:
-    """Compile the loops over steps and outputs, once."""
-    return NativeFunctions([follow, evaluate_along])

@@ -52,11 +52,11 @@ class Cost(Timed):
 def time_sensitivities(scene: Scene, progress: Progress) -> list[Cost]:
     """Time runs of a scene at the default tolerance alone, the first one, and with derivatives."""
     scene, options = poses_only(scene), tangent_options({})
-    masses = [f"{body.name}.mass" for body in scene.mechanism.bodies[1:]]
+    masses = tuple(f"{body.name}.mass" for body in scene.mechanism.bodies[1:])
     plain = compile_scene(scene)
     points = [name for name in parameter_names(scene) if name.endswith(".point")]
     wanted = [("masses", masses[:count]) for count in COUNTS if count <= len(masses)]
-    wanted += [("joint points", [f"{name}.x"]) for name in points[-1:]]
+    wanted += [("joint points", (f"{name}.x",)) for name in points[-1:]]
     calls = [_timed(lambda: integrate_intervals(plain, plain.start.copy(), options))]
     made = [(0, "", plain.operations["derivative"])]
     for kind, names in wanted:

@@ -21,6 +21,8 @@ from newton_euler.model.digital_control import Sampled
         ({"parameters": []}, "parameters is []"),
         ({"parameters": ["rod.mass", "rod.mass"]}, "each once"),
         ({"parameters": "rod.mass"}, "parameters is 'rod.mass'"),
+        ({"parameters": {"rod.mass": -1.0}}, "parameter 'rod.mass': is -1.0; needed: a positive mass"),
+        ({"parameters": {"rod.mass": [1.0, 2.0]}}, "parameter 'rod.mass': has values of shape (2,)"),
         ({"parameters": ["rod.color"]}, "unknown parameter 'rod.color'"),
         ({"parameters": ["rod.mass"], "rest": 1e-6}, "rest is 1e-06; needed: 0"),
         (

@@ -207,9 +207,27 @@ def test_derivatives_are_those_of_finite_differences(name, formulation):
     assert wrong == []
 
 
+def test_values_beside_those_of_the_scene():
+    """The run is that of a batch, and derivatives are those of one: starts go on from the scene's own."""
+    scene = short(load("slider_crank"), 1.0)
+    found = sensitivities(scene, {"rod.mass": 0.5, "ball.point": [0.0, 0.11, 0.19]}, **TIGHT)
+    assert found.parameters == ("rod.mass", "ball.point.x", "ball.point.y", "ball.point.z")
+
+    def motion(mass, height):
+        values = {"rod.mass": [mass], "ball.point": [[0.0, 0.11, height]]}
+        return simulate_batch(scene, parameters=values, **TIGHT)[0].position
+
+    assert np.array_equal(found.run.position, motion(0.5, 0.19))
+    by_mass = derivative(lambda s: motion(0.5 + s, 0.19), 1e-3)
+    by_height = derivative(lambda s: motion(0.5, 0.19 + s), 1e-4)
+    # round-off of runs to 1e-13 over these steps, see finite_difference.derivative
+    assert np.abs(found.position[..., 0] - by_mass).max() < 1e-10
+    assert np.abs(found.position[..., 3] - by_height).max() < 1e-9
+
+
 @pytest.mark.parametrize("formulation", ["relative", "cartesian"])
 def test_tangents_stay_on_the_linearized_constraints(formulation):
-    """After each step and at outputs: Phi_q S + Phi_p = 0 and its rate, to round-off."""
+    """Every few steps and at outputs: Phi_q S + Phi_p = 0 and its rate, to round-off."""
     scene = short(load("slider_crank"), 1.0)
     names = ("rod.mass", "ball.point.x", "start.pivot", "gravity.z")
     code = tangent_code(scene, names, formulation)
@@ -247,7 +265,7 @@ def test_rolled_code_and_single_directions_give_the_same(monkeypatch):
     one_by_one = np.concatenate([sensitivities(scene, [name]).linear_velocity for name in names], axis=-1)
     monkeypatch.setattr("newton_euler.codegen.compile.LARGE", 200)
     monkeypatch.setattr("newton_euler.analysis.tangent_code.VERY_LARGE", 0)
-    rolled = sensitivities(scene, names).linear_velocity
+    rolled = sensitivities(replace(scene), names).linear_velocity  # another object, compiled anew
     largest = np.abs(found).max()
     # round-off of steps that the same accelerations with other round-off make
     assert np.abs(one_by_one - found).max() < 1e-9 * largest

@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 
 from newton_euler.integrators.stepper import SINGULAR, TOO_MANY_STEPS
-from newton_euler.integrators.tangents import Tangents, follow
+from newton_euler.integrators.tangent_steps import follow
+from newton_euler.integrators.tangents import Tangents
 
 
-def followed(rates_along, start, most=2000, floor=0.0):
-    """Carry one tangent (q, v) from `start` through a step of 1 s, in `most` parts at most; the tangent, how
-    often its rates were evaluated, and a status.
+def followed(rates_along, start, most=2000, floor=0.0, steps=1, settled=None):
+    """Carry one tangent (q, v) from `start` through 1 s in equal steps, in `most` parts at most; the tangent,
+    how often its rates were evaluated, and a status.
 
-    `rates_along` gives the rates (2,) of the tangent (2,); their pivot ratio is 1.
+    `rates_along` gives the rates (2,) of the tangent (2,); their pivot ratio is 1. `settled` puts x on
+    constraints, if there are any.
     """
-    calls = []
+    calls, h = [], 1.0 / steps
 
     def rates(x, k):
         calls.append(x)
@@ -28,18 +30,18 @@ def followed(rates_along, start, most=2000, floor=0.0):
         inputs=3,
         lanes=1,
         wide=1,
-        count=1,
+        count=steps,
         rows=1,
         most=most,
-        projecting=0,
+        projecting=int(settled is not None),
         places=1,
         speeds=1,
         tolerance=1e-8,
         floor=floor,
         rates=rates,
-        settled=None,
+        settled=settled,
         pause=None,
-        steps=np.array([0.0, 0.0, 0.0, 1.0]),
+        steps=np.concatenate([[0.0, 0.0, k * h, h] for k in range(steps)]),
         times=np.zeros(1),
         states=np.zeros(2),
         x=x,
@@ -52,7 +54,7 @@ def followed(rates_along, start, most=2000, floor=0.0):
         tried=np.empty(2),
         noise=np.zeros(1),
         counts=np.zeros(3),
-        found=np.empty(1),
+        found=np.empty(2),
     )
     status = follow(tangents, np.zeros(3))
     return x[3:5], len(calls), status
@@ -63,6 +65,27 @@ def test_a_step_is_taken_in_parts():
     found, _, _ = followed(lambda tangent: [tangent[1], -900.0 * tangent[0]], [1.0, 0.0])
     # fewer than a hundred parts, each to 1e-8 of the largest
     assert found == pytest.approx([np.cos(30.0), -30.0 * np.sin(30.0)], abs=30.0 * 1e-6)
+
+
+@pytest.mark.parametrize(("settling", "begun"), [(True, 3), (False, 1)])
+def test_rates_at_the_end_of_a_step_are_those_at_the_next_begin(settling, begun):
+    """But where tangents are put on the linearized constraints: before steps 0, 4 and 8, and in the end."""
+    calls = []
+
+    def settled(x, found):
+        calls.append(x)
+        found[:] = x[3:5]
+
+    oscillator = [1.0, 0.0]
+    found, evaluations, _ = followed(
+        lambda tangent: [tangent[1], -9.0 * tangent[0]],
+        oscillator,
+        steps=10,
+        settled=settled if settling else None,
+    )
+    assert found == pytest.approx([np.cos(3.0), -3.0 * np.sin(3.0)], abs=1e-9)  # 0.3^8 / 8! / 3^8 a step
+    assert len(calls) == (begun + 1 if settling else 0)
+    assert evaluations == 10 * 12 + begun
 
 
 def test_parts_have_a_limit():
