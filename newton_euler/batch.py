@@ -36,6 +36,7 @@ from newton_euler.integrators.outputs import named
 from newton_euler.integrators.run import PREPARING
 from newton_euler.integrators.side_by_side import Runs, SideBySide, go_in_lanes, load_lanes
 from newton_euler.integrators.stepper import COUNTS, counted
+from newton_euler.model.digital_control import Digital
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
@@ -158,9 +159,11 @@ def simulate_batch(
     if states is not None and not of_kind:
         needed = "State objects, one per run; coordinates are parameters: {'start.JOINT': [0.1, 0.2]}"
         raise OptionError("states", _short(states), needed)
-    if scene.sampled:
-        needed = "its law without sampling, or `simulate` run by run"
-        raise MechanismError(f"joint {scene.sampled[0].joint!r}", "has a sampled controller", needed)
+    for law in scene.sampled:
+        if not isinstance(law, Digital) or law.law.uses_model:
+            problem = "has a controller that calls Python, or knows the mechanism, at its instants"
+            needed = "its law without sampling, or `simulate` run by run"
+            raise MechanismError(f"joint {law.joint!r}", problem, needed)
     workers = thread_count(threads)
     initial = initial_numbers(scene, parameters)
     names = tuple(name for name in parameters if name not in initial)

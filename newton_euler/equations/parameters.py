@@ -21,7 +21,7 @@ has there:
 - `JOINT.gains` of the state feedback at a joint, (K_p, K_d) of each coordinate that it reads, in their
   order, and `JOINT.targets` of other coordinates, one after the other;
 - `JOINT.period`, `JOINT.resolution`, `JOINT.force_limit`, `JOINT.slew_limit` and `JOINT.stroke` of a digital
-  law, beside those of the law that it executes: of scenes, as batches have no digital laws;
+  law, beside those of the law that it executes;
 - `JOINT.spring.stiffness`, `JOINT.spring.damping`, `JOINT.spring.rest` of the spring at a joint,
   `JOINT.1.spring.rest` for its second coordinate;
 - `JOINT.ball.stiffness`, `JOINT.ball.damping`, `JOINT.ball.rest` of the spring of a joint's ball;

@@ -47,8 +47,9 @@ LEAST, MOST = 32, 1024
 
 
 def go_in_lanes(code: Code, integrator: str) -> bool:
-    """True if runs are made side by side; those of functions with knots go from knot to knot, one by one."""
-    return integrator in IN_LANES and not code.piecewise
+    """True if runs are made side by side; those with knots or digital control go from instant to instant, one
+    by one."""
+    return integrator in IN_LANES and not code.piecewise and not code.scene.sampled
 
 
 def load_lanes(code: Code, integrator: str) -> None:

@@ -10,12 +10,12 @@ import pytest
 from mechanisms import line_spring, mass_on_rail
 
 import newton_euler
-from newton_euler import simulate_batch
+from newton_euler import simulate, simulate_batch, with_parameters
 from newton_euler.batch import thread_count
 from newton_euler.equations.parameters import parameter_values
 from newton_euler.errors import MechanismError, OptionError, UnknownNameError
-from newton_euler.model.control import PD
-from newton_euler.model.digital_control import Digital
+from newton_euler.model.control import PD, ComputedTorque
+from newton_euler.model.digital_control import Digital, Sampled
 from newton_euler.model.forces import Armature
 from newton_euler.model.motions import Sum
 from newton_euler.model.smooth_functions import Polynomial, Sine
@@ -140,12 +140,35 @@ def test_bad_batches_are_refused(short, options, error, message):
     assert message in str(caught.value)
 
 
-def test_sampled_controllers_are_refused_by_the_name_of_their_joint():
-    scene = mass_on_rail(control=(Digital(PD("rail", 40.0, 3.0, 0.2), 0.02),))
+@pytest.mark.parametrize(
+    "law",
+    [Sampled("rail", lambda t, x, v: -x[0], 0.02), Digital(ComputedTorque("rail", 1.0, 1.0, 0.0), 0.02)],
+)
+def test_some_controllers_are_refused_by_the_name_of_their_joint(law):
     with pytest.raises(MechanismError) as caught:
-        simulate_batch(scene, parameters={"mass.mass": [1.0]})
+        simulate_batch(mass_on_rail(control=(law,)), parameters={"mass.mass": [1.0]})
     needed = "its law without sampling, or `simulate` run by run"
-    assert str(caught.value) == f"joint 'rail': has a sampled controller; needed: {needed}"
+    problem = "has a controller that calls Python, or knows the mechanism, at its instants"
+    assert str(caught.value) == f"joint 'rail': {problem}; needed: {needed}"
+
+
+def test_digital_laws_vary_with_all_else():
+    """As in runs of scenes with these values; a period that cannot be is an error of its run."""
+    law = Digital(PD("rail", 40.0, 3.0, 0.2), 0.02, delay=1)
+    scene = mass_on_rail(duration=1.0, control=(law,))
+    values = {
+        "mass.mass": [1.0, 2.0, 1.0],
+        "rail.stiffness": [40.0, 60.0, 40.0],
+        "rail.period": [0.01, 0.03, -1.0],
+        "rail.resolution": [1e-3, 0.0, 0.0],
+    }
+    batch = simulate_batch(scene, parameters=values)
+    assert list(batch.errors) == [2]
+    for k in range(2):
+        alone = simulate(with_parameters(scene, {name: value[k] for name, value in values.items()}))
+        # round-off of masses that are inputs of the code or constants there
+        assert np.abs(batch[k].position - alone.position).max() < 1e-13
+    assert np.abs(batch[0].position - batch[1].position).max() > 0.01
 
 
 def test_there_are_as_many_threads_as_processors_for_this_process(monkeypatch):
