@@ -37,9 +37,10 @@ from newton_euler.integrators.run import PREPARING
 from newton_euler.integrators.side_by_side import Runs, SideBySide, go_in_lanes, load_lanes
 from newton_euler.integrators.stepper import COUNTS, counted
 from newton_euler.model.digital_control import Digital
+from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.model.trajectory import Trajectory
+from newton_euler.model.trajectory import JointMotion, Trajectory, joint_motion
 from newton_euler.sampling import integrate_intervals
 from newton_euler.scalars import Array, Floats
 from newton_euler.simulate import KEPT, CompiledScene, native_trajectory
@@ -92,7 +93,7 @@ class Batch(Sequence[Trajectory]):
         found = native_trajectory(self.scene, settings, self.wall_time / len(self), arrays)
         if not self._compiled.kinematic:
             return found
-        return replace(found, mechanism=self._compiled.parametrized(self._runs.starts[number]).mechanism)
+        return replace(found, mechanism=self._mechanism(number))
 
     def stacked(self, name: str) -> Floats:
         """Return an array of all runs at all times, without a copy: `position` is (runs, n, b, 3).
@@ -109,6 +110,36 @@ class Batch(Sequence[Trajectory]):
         place, shape = places[name]
         results = self._runs.results
         return results[:, :, place].reshape(*results.shape[:2], *shape)
+
+    def joint(self, name: str) -> JointMotion:
+        """Compute the coordinates (runs, n, k) of a joint and their rates, as `Trajectory.joint` does.
+
+        Not a number in runs that could not go on. Where geometry differs from run to run that takes some
+        milliseconds for each.
+
+        Raises:
+            UnknownNameError: for an unknown joint.
+        """
+        times, known = self.scene.times, self._compiled.arrays
+        position, quaternion = self.stacked("position"), self.stacked("quaternion")
+        velocities = [
+            self.stacked(each) if each in known else None for each in ("linear_velocity", "angular_velocity")
+        ]
+        if not self._compiled.kinematic:
+            equations = self.scene.mechanism.joint_equations(name)
+            return joint_motion(equations, times, position, quaternion, *velocities)
+        found = []
+        for run in range(len(self)):
+            equations = self._mechanism(run).joint_equations(name)
+            own = (None if array is None else array[run] for array in velocities)
+            found.append(joint_motion(equations, times, position[run], quaternion[run], *own))
+        coordinates = np.array([motion.coordinates for motion in found])
+        rates = None if velocities[0] is None else np.array([motion.rates for motion in found])
+        return JointMotion(found[0].names, coordinates, rates)
+
+    def _mechanism(self, run: int) -> Mechanism:
+        """Return the mechanism of a run, where their geometry differs."""
+        return self._compiled.parametrized(self._runs.starts[run]).mechanism
 
     def __iter__(self) -> Iterator[Trajectory]:
         return (self[k] for k in range(len(self)))

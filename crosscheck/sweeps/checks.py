@@ -22,6 +22,7 @@ from crosscheck.run import Crosscheck, crosscheck
 from crosscheck.sweeps.analysis import Scalar
 from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.plan import Plan, run_all
+from crosscheck.sweeps.reductions import WHEN, Reduction
 from crosscheck.sweeps.results import Results
 from crosscheck.sweeps.store import STATUS, AtWorkError, locked, told
 from newton_euler.errors import NewtonEulerError
@@ -208,11 +209,13 @@ def _compared(
     One of numbers that are judged, and one of those that are not.
 
     As whole runs may be off, kept numbers may: an engine's and newton_euler's fixed shares, of the largest
-    number of the variable, and of 1 m, 1 rad or 1 s at least; beyond these, what finer runs of the engine and
-    of the sweep change, times `OWN_ERROR`. A number is not judged where that exceeds `UNRESOLVED`, where the
-    difference does not fall with finer runs, and where it is a reaction of soft constraints.
+    number of the variable, and of 1 m, 1 rad or 1 s at least; beyond these, what finer runs of the engine, at
+    any time, and of the sweep change, times `OWN_ERROR`. A number is not judged where that exceeds
+    `UNRESOLVED`, where the difference does not fall with finer runs, and where it is a reaction of soft
+    constraints.
     """
     plan, scene = swept.plan, result.scene
+    reductions = {each.name: each for each in plan.kept}
 
     @cache
     def change_of_sweep() -> tuple[dict[str, Array], dict[str, Array]]:
@@ -227,8 +230,8 @@ def _compared(
         trajectory = result.trajectories.get(engine.name)
         if trajectory is None or len(trajectory.time) < len(scene.times):
             continue
-        kept = kept_of(plan, trajectory)
-        of_engine = cache(partial(_finer_of, plan, engine, scene))
+        outputs, kept = kept_of(plan, run, trajectory)
+        of_engine = cache(partial(_finer_of, plan, run, engine, scene))
         figures: dict[str, list[Figure]] = {}
         for scalar in found:
             own = swept.dataset[scalar.variable][(run, *scalar.place)].item()
@@ -238,10 +241,12 @@ def _compared(
             apart = 0.0 if np.array_equal(value, own, equal_nan=True) else abs(value - own)
             limit, unsettled = fixed, ""
             if apart > fixed and not soft:
-                fine = of_engine()[scalar.variable][scalar.place]
+                finer, finely = of_engine()
+                fine = finely[scalar.variable][scalar.place]
                 again, fine_own = (each[scalar.variable][0][scalar.place] for each in change_of_sweep())
-                limit += OWN_ERROR * float(abs(value - fine) + abs(again - fine_own))
-                falls = abs(fine - fine_own) <= max(FALLS * apart, fixed)
+                change = max(abs(value - fine), _change(reductions[scalar.variable], scalar, outputs, finer))
+                limit += OWN_ERROR * float(change + abs(again - fine_own))
+                falls = abs(fine - fine_own) <= max(FALLS * max(apart, change), fixed)
                 if limit > UNRESOLVED * scalar.scale or (apart <= limit and not falls):
                     unsettled = engine.name
             figures.setdefault(scalar.variable, []).append(
@@ -274,11 +279,25 @@ def finer_control(control: Mapping[str, Any]) -> dict[str, Any]:
     return finer
 
 
-def _finer_of(plan: Plan, engine: Engine, scene: Scene) -> dict[str, Array]:
-    return kept_of(plan, (engine.refined_in_full or engine.refined)(scene))
+def _change(reduction: Reduction, scalar: Scalar, coarse: Outputs, fine: Outputs) -> float:
+    """Return by how much a finer run changes what a number is reduced from, at the most; of events 0.
+
+    The number itself may change by less, by chance, than by its error.
+    """
+    if reduction.kind == WHEN:
+        return 0.0
+    return float(np.abs(reduction.line(coarse, scalar.place) - reduction.line(fine, scalar.place)).max())
 
 
-def kept_of(plan: Plan, trajectory: Trajectory) -> dict[str, Array]:
-    """Return what is kept of a run by any engine, by name."""
-    outputs = Outputs.of(plan.scene, trajectory)
-    return {each.name: each.of(outputs)[0] for each in plan.kept}
+Measured = tuple[Outputs, dict[str, Array]]
+"""Outputs of a run, and what is kept of it, by name."""
+
+
+def _finer_of(plan: Plan, run: int, engine: Engine, scene: Scene) -> Measured:
+    return kept_of(plan, run, (engine.refined_in_full or engine.refined)(scene))
+
+
+def kept_of(plan: Plan, run: int, trajectory: Trajectory) -> Measured:
+    """Return the outputs of a run by any engine, and what is kept of them."""
+    outputs = Outputs.of(plan.scene, replace(trajectory, mechanism=plan.mechanism_of(run)))
+    return outputs, {each.name: each.of(outputs)[0] for each in plan.kept}

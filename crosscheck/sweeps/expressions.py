@@ -1,7 +1,8 @@
 """Expressions over the outputs of many runs, such as `norm(panel_7.position - slider_2.position)`.
 
 A quantity is an array of a trajectory, `reaction_force`, that of one body, joint or actuator,
-`panel_7.quaternion`, or a component of it, `panel_7.position.z`. Quantities are combined by + - * / **,
+`panel_7.quaternion`, or a component of it, `panel_7.position.z`; or a joint coordinate or its rate,
+`slide_12.coordinate`. Quantities are combined by + - * / **,
 numbers, vectors `[x, y, z]` and `FUNCTIONS`. An expression is parsed once and evaluated by NumPy for all
 times of many runs: next to the runs that takes little, and the compiled code of a scene is the same whatever
 is kept of it.
@@ -14,18 +15,20 @@ import operator
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cache, cached_property, partial, reduce
 
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.sweeps.distributions import wrong_syntax
 from newton_euler.assemble import initial_state
+from newton_euler.batch import Batch
 from newton_euler.errors import UnknownNameError, choices, plain_number
 from newton_euler.model.euler_parameters import continuous
+from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import coordinate_name
-from newton_euler.model.trajectory import QUANTITIES, SHAPES, Trajectory
+from newton_euler.model.trajectory import QUANTITIES, SHAPES, JointMotion, Trajectory, coordinate_names
 from newton_euler.scalars import Array
 
 LONGEST = 2_000
@@ -48,8 +51,18 @@ def _named(letters: str, names: Mapping[str, str]) -> str:
     return next((names[letter] for letter in letters if letter in names), "")
 
 
-DIMENSIONS = {name: (_named(SHAPES[name], ELEMENTS), _named(SHAPES[name], PARTS)) for name in QUANTITIES}
+COORDINATES = {"coordinate": "coordinates", "rate": "rates"}
+"""Quantities of joints, counted and measured as `Trajectory.joint` does, and where it has them."""
+
+DIMENSIONS = {
+    name: (_named(SHAPES[name], ELEMENTS), _named(SHAPES[name], PARTS)) for name in QUANTITIES
+} | dict.fromkeys(COORDINATES, ("coordinate", ""))
 """Of quantities."""
+
+SOURCES = {name: quantity.output for name, quantity in QUANTITIES.items()} | dict.fromkeys(
+    COORDINATES, "velocities"
+)
+"""Outputs of scenes that quantities need; None for what all runs have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,16 +97,28 @@ class Outputs:
         scene: their scene.
         times: (n,) s.
         stacked: an array (runs, n, ...) by the name of a quantity.
+        joint: coordinates (runs, n, k) by the name of a joint, and their rates.
     """
 
     scene: Scene
     times: Array
     stacked: Callable[[str], Array]
+    joint: Callable[[str], JointMotion]
 
     @classmethod
     def of(cls, scene: Scene, run: Trajectory) -> Outputs:
         """Return those of one run, by any engine."""
-        return cls(scene, run.time, lambda name: np.asarray(getattr(run, name))[None])
+
+        def joint(name: str) -> JointMotion:
+            names, coordinates, rates = run.joint(name)
+            return JointMotion(names, coordinates[None], None if rates is None else rates[None])
+
+        return cls(scene, run.time, lambda name: np.asarray(getattr(run, name))[None], cache(joint))
+
+    @classmethod
+    def of_batch(cls, scene: Scene, batch: Batch) -> Outputs:
+        """Return those of a batch, which may have fewer outputs than the scene."""
+        return cls(scene, batch.scene.times, batch.stacked, cache(batch.joint))
 
     @cached_property
     def labels(self) -> dict[str, tuple[str, ...]]:
@@ -107,6 +132,8 @@ class Outputs:
             signed: whether signs of quaternions matter, which follow one another then.
         """
         elements, parts = DIMENSIONS[name]
+        if name in COORDINATES:
+            return self._coordinates(name, element)
         array = self.stacked(name)
         array = array.reshape(*array.shape[:2], len(self.labels[elements]), len(self.labels[parts]))
         place = slice(None)
@@ -119,6 +146,17 @@ class Outputs:
             first = np.broadcast_to(start, (len(array), *start.shape))
             array = np.swapaxes(continuous(np.swapaxes(array, 0, 1), first), 0, 1)
         return Value(array, (elements, parts), self._unit(name, element))
+
+    def _coordinates(self, name: str, element: str) -> Value:
+        """Return joint coordinates or their rates, one or, if no element is named, all."""
+        mechanism, columns, units = self.scene.mechanism, [], set()
+        for (joint, k), label in mechanism.coordinate_labels.items():
+            if element in ("", label):
+                columns.append(np.asarray(getattr(self.joint(joint), COORDINATES[name]))[:, :, k])
+                units.add("m" if mechanism.is_slide(joint, k) else "rad")
+        unit = f"{units.pop()}{'/s' if name == 'rate' else ''}" if len(units) == 1 else ""
+        array = np.stack(columns, axis=-1)[..., None]
+        return Value(array, ("" if element else "coordinate", ""), unit)
 
     def _unit(self, name: str, element: str) -> str:
         if name != "actuator_force":
@@ -140,8 +178,16 @@ def labels(scene: Scene) -> dict[str, tuple[str, ...]]:
         "body": tuple(mechanism.body_names),
         "joint": tuple(mechanism.joint_names),
         "actuator": tuple(actuators),
+        "coordinate": tuple(mechanism.coordinate_labels.values()),
         **COMPONENTS,
     }
+
+
+def _resting(mechanism: Mechanism, joint: str) -> JointMotion:
+    """Return a joint at rest in its initial pose."""
+    names = coordinate_names(mechanism.joint(joint))
+    zeros = np.zeros((1, 2, len(names)))
+    return JointMotion(names, zeros, zeros)
 
 
 Node = Callable[[Outputs], Value]
@@ -154,7 +200,8 @@ class Expression:
     Attributes:
         text: as it was given.
         quantities: names of those that it takes.
-        signed: True if signs of quaternions matter to it, which are known from one time to the next alone.
+        signed: True if signs of quaternions matter to it, or revolutions, which are known from one time to
+            the next alone.
         plain: True if it is no more than a quantity.
         evaluate: returns the values at all times of all runs from their outputs.
         example: its value of zeros, for dimensions and unit.
@@ -173,7 +220,8 @@ class Expression:
                 raise ValueError(f"the expression is longer than {LONGEST} characters")
             self.evaluate = self._look_up(self.text) or self._node(ast.parse(self.text, mode="eval").body)
             with np.errstate(all="ignore"):
-                self.example = self.evaluate(Outputs(scene, np.array([0.0, 1.0]), self._zeros))
+                zeros = Outputs(scene, np.array([0.0, 1.0]), self._zeros, partial(_resting, scene.mechanism))
+                self.example = self.evaluate(zeros)
         except SyntaxError as error:
             raise CrosscheckError(wrong_syntax(error, self.text)) from None
         except (UnknownNameError, ValueError, RecursionError, MemoryError) as error:
@@ -230,16 +278,16 @@ class Expression:
         found = self._quantity(text, signed=True)
         if found is None:
             name = text.rpartition(".")[2]
-            raise ValueError(f"unknown output {name!r:.100}; {choices(name, (*QUANTITIES, 'time'))}")
+            raise ValueError(f"unknown output {name!r:.100}; {choices(name, (*DIMENSIONS, 'time'))}")
         return found
 
     def _quantity(self, text: str, signed: bool) -> Node | None:
         """Return what looks up [ELEMENT.]QUANTITY[.COMPONENT]; None if no quantity is named."""
         before, _, last = text.rpartition(".")
         component = ""
-        if last not in QUANTITIES:
+        if last not in DIMENSIONS:
             component, (before, _, last) = last, before.rpartition(".")
-        if last not in QUANTITIES:
+        if last not in DIMENSIONS:
             return None
         elements, parts = DIMENSIONS[last]
         if before and not elements:
@@ -252,7 +300,7 @@ class Expression:
         if component and component not in letters:
             raise ValueError(f"{last} has no component {component!r:.50}; {choices(component, letters)}")
         self.quantities.add(last)
-        self.signed = self.signed or (last == "quaternion" and signed)
+        self.signed = self.signed or (last == "quaternion" and signed) or last == "coordinate"
 
         def look_up(outputs: Outputs) -> Value:
             found = outputs.quantity(last, before, signed)

@@ -22,13 +22,14 @@ from crosscheck.sweeps.sampling import Samples
 from newton_euler.batch import Batch, simulate_batch
 from newton_euler.codegen.compile import lane_count, llvm_binding
 from newton_euler.codegen.fingerprint import SOURCE, fingerprint
-from newton_euler.equations.parameters import parameter_values
+from newton_euler.equations.parameters import parameter_values, with_values
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.options import Options
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import QUANTITIES
 from newton_euler.scalars import Array
+from newton_euler.starts import initial_numbers
 from newton_euler.variation import with_parameters
 
 ROOM = 48_000_000
@@ -127,6 +128,13 @@ class Plan:
             if quantity.output is None or quantity.output in self.lean.outputs
         )
         return max(lane_count(), ROOM // (8 * numbers * len(self.lean.times)))
+
+    def mechanism_of(self, run: int) -> Mechanism:
+        """Return the mechanism of one run as the sweep counts its joint coordinates."""
+        values = self.parameters(run, run + 1)
+        initial = initial_numbers(self.scene, values)
+        numbers = {name: float(value[0]) for name, value in values.items() if name not in initial}
+        return with_values(self.scene, numbers).mechanism
 
     def scene_of(self, run: int) -> Scene:
         """Return the scene of one run, for any engine.
@@ -264,7 +272,7 @@ def _parts(plan: Plan, parameters: Parameters) -> Iterator[Chunk]:
     for start in range(0, count, size):
         own = {name: values[start : start + size] for name, values in parameters.items()}
         batch = plan.batch(own, plan.lean)
-        outputs = Outputs(plan.scene, plan.lean.times, batch.stacked)
+        outputs = Outputs.of_batch(plan.scene, batch)
         values = dict(own) | {each.name: each.of(outputs) for each in plan.kept}
         # which are numbered within the batch
         errors = [str(batch.errors.get(k, "")).removeprefix(f"run {k}: ") for k in range(len(batch))]

@@ -9,15 +9,15 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.sweeps.expressions import Expression, Outputs, Value, labels, norm
+from crosscheck.sweeps.expressions import SOURCES, Expression, Outputs, Value, labels, norm
 from newton_euler.errors import choices, plain_number
 from newton_euler.integrators.options import FIXED
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import QUANTITIES
 from newton_euler.scalars import Array
 
 ITEM = re.compile(
@@ -127,6 +127,12 @@ class Reduction:
         sizes = [len(names) for name, names in self.dimensions.items() if not name.startswith("time")]
         return np.broadcast_to(array, (runs, times, *array.shape[2:])).reshape(runs, times, *sizes)
 
+    @np.errstate(all="ignore")
+    def line(self, outputs: Outputs, place: tuple[int, ...]) -> Array:
+        """Return the course (runs, times) of what the number at a place of the results is reduced from."""
+        of_time: tuple[Any, ...] = place[1:] if self.kind == AT else place
+        return self.course(outputs)[:, :, *of_time]
+
 
 Keep = str | Iterable[str] | Mapping[str, str]
 """Texts of reductions, several in a text between commas; or by the names of what they become."""
@@ -227,7 +233,7 @@ def pruned(scene: Scene, kept: Iterable[Reduction], integrator: str) -> Scene:
 
     Steps of fixed size divide the time between outputs, so that these methods need all.
     """
-    asked = {QUANTITIES[name].output for each in kept for name in each.expression.quantities}
+    asked = {SOURCES[name] for each in kept for name in each.expression.quantities}
     outputs = frozenset(name for name in asked if name)
     alone = integrator not in FIXED and not any(each.needs_all_times for each in kept)
     return replace(scene, outputs=outputs, output_period=scene.duration if alone else scene.output_period)

@@ -43,7 +43,6 @@ from crosscheck.sweeps.distributions import Distribution
 from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.pictures import MOST_POINTS, pictures, rank_of, share_of
 from crosscheck.sweeps.plan import Plan, run_all
-from crosscheck.sweeps.reductions import AT
 from crosscheck.sweeps.results import Results
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.variation import own_values, units_of
@@ -406,11 +405,11 @@ def _made_again(found: Findings) -> tuple[dict[str, Trajectory], list[Envelope]]
     scene = replace(plan.lean, output_period=plan.scene.output_period)
     batch = plan.batch({name: np.append(own[name], values) for name, values in inputs.items()}, scene)
     runs = {name: batch[k] for k, name in enumerate(named) if k not in batch.errors}
-    kept, envelopes = {each.name: each for each in plan.kept}, []
+    outputs, envelopes = Outputs.of_batch(plan.scene, batch), []
+    kept = {each.name: each for each in plan.kept}
     for scalar, _ in found.effects:
         reduction = kept[scalar.variable]
-        place: tuple[Any, ...] = scalar.place[1:] if reduction.kind == AT else scalar.place
-        courses = reduction.course(Outputs(plan.scene, scene.times, batch.stacked))[:, :, *place]
+        courses = reduction.line(outputs, scalar.place)
         lines = {name: course for name, course in zip(named, courses, strict=False) if name in runs}
         envelopes.append(Envelope(scalar.heading, scene.times, courses[len(named) :], lines))
     return runs, envelopes

@@ -17,7 +17,7 @@ import numpy as np
 
 from newton_euler.errors import MechanismError, NewtonEulerError
 from newton_euler.limits import MB, exceeded
-from newton_euler.model.joint import Joint
+from newton_euler.model.joint import Joint, JointEquations
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import OutputName
 from newton_euler.model.source_file import SourceError, read_content
@@ -78,6 +78,37 @@ class JointMotion(NamedTuple):
 
     def __repr__(self) -> str:
         return f"<JointMotion of {', '.join(self.names)}: {len(self.coordinates)} outputs>"
+
+
+def joint_motion(
+    equations: JointEquations,
+    time: Array,
+    position: Array,
+    quaternion: Array,
+    linear_velocity: Array | None,
+    angular_velocity: Array | None,
+) -> JointMotion:
+    """Compute the coordinates (..., n, k) of a joint, and their rates, of motions over the same n times, s.
+
+    Arrays are those of `Trajectory`, (..., n, b, 3 or 4), of any number of runs.
+    """
+    bodies, measures = [equations.first, equations.second], equations.coordinates
+    has_rates = linear_velocity is not None and angular_velocity is not None
+    if linear_velocity is None or angular_velocity is None:
+        linear_velocity = angular_velocity = np.zeros_like(position)
+    motion = (position, quaternion, linear_velocity, angular_velocity)
+    first, second = stacked_frames(*(a[..., bodies, :].reshape(-1, 2, a.shape[-1]) for a in motion))
+    with np.errstate(invalid="ignore", divide="ignore"):  # hinges in a row do not reach all
+        found = [measure.phi(first, second)[0] for measure in measures]
+        slopes = [measure.jacobian(first, second).rate(first, second)[0] for measure in measures]
+    times, shape = position[..., 0, 0].size, (*position.shape[:-2], len(measures))
+    x, rates = (unstacked(scalars, times).reshape(shape) for scalars in (found, slopes))
+    for k, measure in enumerate(measures):
+        if not measure.is_length:
+            expected = np.diff(time) * 0.5 * (rates[..., 1:, k] + rates[..., :-1, k])
+            revolutions = np.round((expected - np.diff(x[..., k])) / (2.0 * np.pi))
+            x[..., 1:, k] += 2.0 * np.pi * np.cumsum(np.nan_to_num(revolutions), axis=-1)
+    return JointMotion(coordinate_names(equations.joint), x, rates if has_rates else None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,24 +188,8 @@ class Trajectory:
         if self.mechanism is None:
             needed = "one: dataclasses.replace(trajectory, mechanism=scene.mechanism)"
             raise MechanismError("trajectory", "has no mechanism", needed)
-        equations = self.mechanism.joint_equations(name)
-        bodies, measures = (equations.first, equations.second), equations.coordinates
-        linear, angular = self.linear_velocity, self.angular_velocity
-        has_rates = linear is not None and angular is not None
-        if linear is None or angular is None:
-            linear = angular = np.zeros_like(self.position)
-        motion = (self.position, self.quaternion, linear, angular)
-        first, second = stacked_frames(*(array[:, bodies] for array in motion))
-        with np.errstate(invalid="ignore", divide="ignore"):  # hinges in a row do not reach all
-            found = [measure.phi(first, second)[0] for measure in measures]
-            slopes = [measure.jacobian(first, second).rate(first, second)[0] for measure in measures]
-        x, rates = (unstacked(scalars, len(self.time)) for scalars in (found, slopes))
-        for k, measure in enumerate(measures):
-            if not measure.is_length:
-                expected = np.diff(self.time) * 0.5 * (rates[1:, k] + rates[:-1, k])
-                revolutions = np.round((expected - np.diff(x[:, k])) / (2.0 * np.pi))
-                x[1:, k] += 2.0 * np.pi * np.cumsum(np.nan_to_num(revolutions))
-        return JointMotion(coordinate_names(equations.joint), x, rates if has_rates else None)
+        motion = self.position, self.quaternion, self.linear_velocity, self.angular_velocity
+        return joint_motion(self.mechanism.joint_equations(name), self.time, *motion)
 
     def to_dataframe(self) -> Any:
         """Return a table with a row per output time, of pandas, or of polars if that alone is installed.

@@ -10,6 +10,7 @@ import pytest
 from mechanisms import line_spring, mass_on_rail
 
 import newton_euler
+from crosscheck.scenes import load
 from newton_euler import simulate, simulate_batch, with_parameters
 from newton_euler.batch import thread_count
 from newton_euler.equations.parameters import parameter_values
@@ -169,6 +170,21 @@ def test_digital_laws_vary_with_all_else():
         # round-off of masses that are inputs of the code or constants there
         assert np.abs(batch[k].position - alone.position).max() < 1e-13
     assert np.abs(batch[0].position - batch[1].position).max() > 0.01
+
+
+@pytest.mark.parametrize("name", ["gravity.z", "ball.point_on_first.z"])
+def test_joint_coordinates_of_all_runs_are_those_of_each(name):
+    """Also where each run measures them by geometry of its own; a run that cannot begin has none."""
+    scene = replace(load("slider_crank"), duration=1.0, output_period=0.1)
+    batch = simulate_batch(scene, parameters={name: [0.0, 1e-3, 9.0], "rod.mass": [0.5, 0.6, -1.0]})
+    for joint in scene.mechanism.joint_names:
+        together = batch.joint(joint)
+        assert np.isnan(together.coordinates[2]).all()
+        for run in range(2):
+            alone = batch[run].joint(joint)
+            assert together.names == alone.names
+            assert np.array_equal(together.coordinates[run], alone.coordinates)
+            assert np.array_equal(together.rates[run], alone.rates)
 
 
 def test_there_are_as_many_threads_as_processors_for_this_process(monkeypatch):

@@ -211,6 +211,24 @@ def test_a_kept_number_that_engines_do_not_confirm_is_named():
     assert " J; 2 runs (1 extreme, 1 at random) cross-checked; " in verdict
 
 
+@pytest.mark.parametrize(("elsewhere", "verdict"), [(0.0, "DISAGREE"), (1e-6, "AGREE")])
+def test_numbers_may_be_off_by_what_finer_runs_change_at_any_time(monkeypatch, elsewhere, verdict):
+    """Errors pass through zero, and a number may change by less than its own."""
+    short, vary = replace(load("pendulum"), duration=1.0), {"dumbbell.mass": "uniform(1, 2)"}
+    swept = sweep(short, vary, 2, "final:kinetic_energy")
+    finer_of = crosscheck.sweeps.checks._finer_of
+
+    def changed(*arguments):
+        outputs, values = finer_of(*arguments)
+        energy = outputs.stacked("kinetic_energy").copy()
+        energy[:, 50] += elsewhere
+        return replace(outputs, stacked=lambda name: energy), values
+
+    monkeypatch.setattr(crosscheck.sweeps.checks, "_finer_of", changed)
+    swept.results.dataset["final:kinetic_energy"][:] += 1e-6
+    assert swept.check(1, ["pinocchio"]).report.verdict.startswith(verdict)
+
+
 def test_an_unsettled_number_hides_no_wrong_one(monkeypatch):
     """Of a variable x is further off, but finer runs change it, and y is wrong beyond its limit."""
     short, vary = replace(load("pendulum"), duration=1.0), {"dumbbell.mass": "uniform(1, 2)"}
@@ -218,9 +236,9 @@ def test_an_unsettled_number_hides_no_wrong_one(monkeypatch):
     finer_of = crosscheck.sweeps.checks._finer_of
 
     def unsettled(*arguments):
-        values = finer_of(*arguments)
+        outputs, values = finer_of(*arguments)
         values["final:dumbbell.position"][0] += 0.1
-        return values
+        return outputs, values
 
     monkeypatch.setattr(crosscheck.sweeps.checks, "_finer_of", unsettled)
     swept.results.dataset["final:dumbbell.position"][:, :2] += [1e-6, 4e-8]

@@ -27,7 +27,7 @@ EXPRESSIONS = {
 def runs():
     """A batch of pendulums, and its outputs."""
     batch = simulate_batch(load("pendulum"), parameters=MASSES)
-    return batch, Outputs(batch.scene, batch.scene.times, batch.stacked)
+    return batch, Outputs.of_batch(batch.scene, batch)
 
 
 def value(runs, text):
@@ -50,6 +50,9 @@ def tilt(run):
         ("at(0.5; 10):position", lambda run: run.position[[50, -1]]),
         ("at():kinetic_energy", lambda run: run.kinetic_energy),
         ("peak:reaction_force", lambda run: np.linalg.norm(run.reaction_force, axis=2).max(axis=0)),
+        ("final:coordinate", lambda run: run.joint("pivot").coordinates[-1]),
+        ("maximum:pivot.coordinate", lambda run: run.joint("pivot").coordinates.max()),
+        ("peak:pivot.rate", lambda run: np.abs(run.joint("pivot").rates).max()),
         ("peak:pivot.reaction_force.x", lambda run: np.abs(run.reaction_force[:, 0, 0]).max()),
         ("minimum:dumbbell.position.y", lambda run: run.position[:, 1, 1].min()),
         ("maximum:dumbbell.position", lambda run: run.position[:, 1].max(axis=0)),
@@ -81,13 +84,16 @@ def test_events_are_between_the_outputs_around_them(runs):
     assert np.all(np.isnan(value(runs, EXPRESSIONS["never"])))
 
 
-@pytest.mark.parametrize("text", ["rms:reaction_force", "at(5):quaternion", *EXPRESSIONS.values()])
+@pytest.mark.parametrize(
+    "text", ["rms:reaction_force", "at(5):quaternion", "rms:coordinate", *EXPRESSIONS.values()]
+)
 def test_reductions_do_not_depend_on_chunks(runs, text):
     batch, outputs = runs
     (reduction,) = reductions({"it": text}, batch.scene)
     parts = [
-        reduction.of(Outputs(batch.scene, outputs.times, lambda name, k=k: outputs.stacked(name)[k : k + 1]))
-        for k in range(len(batch))
+        reduction.of(Outputs.of_batch(batch.scene, simulate_batch(batch.scene, parameters={name: [value]})))
+        for name, values in MASSES.items()
+        for value in values
     ]
     assert np.array_equal(np.concatenate(parts), reduction.of(outputs), equal_nan=True)
 
@@ -99,6 +105,10 @@ def test_reductions_do_not_depend_on_chunks(runs, text):
         ("final:reaction_force", ("joint", "axis"), "N"),
         ("at(1):panel_7.quaternion", ("time", "component"), "1"),
         ("peak:actuator_force", ("actuator",), "N"),
+        ("peak:coordinate", ("coordinate",), ""),
+        ("final:slide_12.coordinate", (), "m"),
+        ("peak:ball_57.rate", None, "unknown coordinate 'ball_57'"),
+        ("final:hinge_14.rate", (), "rad/s"),
         ("final:panel_7.position - slider_2.position", ("axis",), "m"),
         ("final:angle(panel_7.position, slider_2.position)", (), "rad"),
         ("final:norm(position - panel_7.position)", ("body",), "m"),
@@ -121,6 +131,8 @@ def test_a_scene_is_asked_for_what_is_kept_alone(tracker):
     lean = pruned(tracker, reductions("final:panel_7.position", tracker), "DOP853")
     assert (lean.outputs, len(lean.times)) == (frozenset(), 2)
     # signs of quaternions follow one another from output to output
+    counted = pruned(tracker, reductions("final:hinge_14.coordinate", tracker), "DOP853")
+    assert (counted.outputs, len(counted.times)) == ({"velocities"}, len(tracker.times))
     full = pruned(tracker, reductions("final:panel_7.quaternion, peak:actuator_force", tracker), "DOP853")
     assert (full.outputs, len(full.times)) == ({"actuation"}, len(tracker.times))
 
