@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from queue import Empty, SimpleQueue
 from typing import Any, Unpack, overload
 
@@ -129,13 +129,18 @@ class Batch(Sequence[Trajectory]):
             equations = self.scene.mechanism.joint_equations(name)
             return joint_motion(equations, times, position, quaternion, *velocities)
         found = []
-        for run in range(len(self)):
-            equations = self._mechanism(run).joint_equations(name)
+        for run, mechanism in enumerate(self._mechanisms):
+            equations = mechanism.joint_equations(name)
             own = (None if array is None else array[run] for array in velocities)
             found.append(joint_motion(equations, times, position[run], quaternion[run], *own))
         coordinates = np.array([motion.coordinates for motion in found])
         rates = None if velocities[0] is None else np.array([motion.rates for motion in found])
         return JointMotion(found[0].names, coordinates, rates)
+
+    @cached_property
+    def _mechanisms(self) -> list[Mechanism]:
+        """The mechanisms of all runs, where their geometry differs."""
+        return [self._mechanism(run) for run in range(len(self))]
 
     def _mechanism(self, run: int) -> Mechanism:
         """Return the mechanism of a run, where their geometry differs."""
