@@ -149,9 +149,11 @@ def sensitivities(
     check_formulation(formulation)
     names = checked_names(list(parameters) if isinstance(parameters, Mapping) else parameters)
     options, places = tangent_options(control), components(scene, names)
-    labels, values = tuple(places), own_values(scene, names)
     if isinstance(parameters, Mapping):
         values = checked_values(scene, parameters)
+    else:
+        values = own_values(scene, names)
+    labels = tuple(places)
     code = tangent_code(scene, labels, formulation)
     numbers = np.array([values[name][index] for name, index in places.values()])
     start, directions = Starts(code, labels)(numbers)

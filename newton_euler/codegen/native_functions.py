@@ -37,7 +37,8 @@ class NativeFunctions:
         """
         call, given = self._calls[function.__name__], [address_of(argument) for argument in arguments]
 
-        def bound(*more: Any, keep: tuple[Any, ...] = arguments) -> Any:  # what has an address stays alive
+        # what has an address stays alive, and so does the code
+        def bound(*more: Any, keep: tuple[Any, ...] = (self, *arguments)) -> Any:
             return call(*given, *map(address_of, more))
 
         return bound

@@ -112,7 +112,7 @@ def _parts(scene: Scene) -> dict[str, list[Any]]:
     }
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=8)  # scenes, most recently used
 def _owners(scene: Scene) -> dict[str, list[Owner]]:
     """Find what names without components stand for."""
     found: dict[str, list[Owner]] = {"gravity": [GRAVITY]}
@@ -278,10 +278,13 @@ def _own(parts: dict[str, list[Any]], owner: Owner, piece: bool = False) -> Arra
 
 
 def parameter_names(scene: Scene) -> list[str]:
-    """Return the names of all parameters, numbered ones where several share a name."""
+    """Return the names of all parameters, numbered ones where several share a name.
+
+    Forces that controllers hold are none: runs set them.
+    """
     names: list[str] = []
     for name, owners in _owners(scene).items():
-        if "[" not in name:
+        if "[" not in name and owners[0][-1] != "held":
             names += [name] if len(owners) == 1 else [numbered(*owner) for owner in owners]
     return names
 

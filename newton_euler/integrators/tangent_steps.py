@@ -49,8 +49,7 @@ NOISY = 4.0
 """Noise that is expected, in units of the one found."""
 
 SETTLING = 4
-"""Steps after which tangents are put on the linearized constraints. They leave these by errors of steps, and
-between the rates at the end of one are those at the beginning of the next."""
+"""Steps after which tangents are put on the linearized constraints, which they leave by errors of steps."""
 
 TINY = 1e-300
 """Keeps ratios to nothing finite."""
@@ -161,16 +160,12 @@ def passes_singular(tangents: Tangents) -> int:
 
 
 @native
-def take_part(tangents: Tangents, begun: int, t: float, h: float) -> float:
-    """Take the stages from time t over a time h or, where tangents need it, a shorter one; returns it.
-
-    Those before the number `begun`, 0 or 1, are known.
-    """
+def take_part(tangents: Tangents, t: float, h: float) -> float:
+    """Take the stages from time t over a time h or, where tangents need it, a shorter one; returns it."""
     taken = 0
     shorter = 0
-    first = begun
     while taken == 0:
-        for s in range(first, STAGES + 1):
+        for s in range(shorter, STAGES + 1):  # the first is the same for any length
             tangent_stage(tangents, s, t, h)
         estimate_errors(tangents, h)
         if shorter == 0:
@@ -180,7 +175,6 @@ def take_part(tangents: Tangents, begun: int, t: float, h: float) -> float:
         if error > 1.0 and passes_singular(tangents) == 0:
             h = h * max(SMALLEST, SAFETY * error**EXPONENT)
             shorter = 1
-            first = 1
         else:
             taken = 1
     return h
@@ -199,21 +193,6 @@ def write_tangents(tangents: Tangents, t: float, h: float, due: int, stop: float
             interpolate_tangents(tangents, (tangents.times[due] - t) / h, tangents.table[size * due :])
             due += 1
     return due
-
-
-@native
-def begin_step(tangents: Tangents, number: int) -> int:
-    """Put the tangents on the linearized constraints, or take over what is known of the first stage; returns
-    how many stages are known."""
-    row = 2 * tangents.n * tangents.lanes + tangents.lanes
-    if number == 0 or (
-        tangents.projecting == 1 and (number % SETTLING == 0 or passes_singular(tangents) == 1)
-    ):
-        settle(tangents)
-        return 0
-    for i in range(row):
-        tangents.k[i] = tangents.k[row * STAGES + i]
-    return 1
 
 
 @native
@@ -236,7 +215,8 @@ def follow(tangents: Tangents, last: Vector) -> int:
         stop = t + step[n + 1]
         h = step[n + 1]
         put(n + 1, lanes, step, x)
-        begun = begin_step(tangents, number)
+        if number % SETTLING == 0 or passes_singular(tangents) == 1:
+            settle(tangents)
         if due == 0:
             for i in range(size):
                 tangents.table[i] = x[along + i]
@@ -250,7 +230,7 @@ def follow(tangents: Tangents, last: Vector) -> int:
                 tangents.pause(counts, counts[WISH:])
                 if counts[WISH] > 0.0:
                     return INTERRUPTED
-            taken = take_part(tangents, begun, t, h)
+            taken = take_part(tangents, t, h)
             if tangents.least[0] < tangents.floor:
                 return SINGULAR
             for i in range(size):
@@ -267,7 +247,6 @@ def follow(tangents: Tangents, last: Vector) -> int:
                 for lane in range(lanes):
                     x[size + lane] = t
                 settle(tangents)
-                begun = 0
                 error = worst_error(tangents, taken)
                 growth = SAFETY * error**EXPONENT if error > 0.0 else LARGEST
                 h = min(taken * min(LARGEST, max(SMALLEST, growth)), stop - t)

@@ -13,6 +13,7 @@ from mechanisms import line_spring, mass_on_rail
 from crosscheck.scenes import load
 from newton_euler import simulate, simulate_batch, with_parameters
 from newton_euler.equations.parameters import (
+    parameter_names,
     parameter_values,
     places,
     refusal,
@@ -273,10 +274,12 @@ def test_a_number_that_varies_alone(scene, varied_one_by_one, name):
 
 
 def test_numbers_of_digital_laws(scene):
-    """Batches refuse them; scenes have them all the same."""
+    """All but the force that is held, which a run sets and the list of names does not have."""
     law = Digital(PD("rail", 5.0, 0.1, 0.0), 0.01, 1, 0.1, 3.0, 4.0, (-1.0, 1.0))
     values = {"rail.period": 0.02, "rail.stroke.0": -0.5, "rail.slew_limit": 2.0, "rail.stiffness": 6.0}
     digital = replace(scene, control=(law,))
+    assert {*values} - {"rail.stroke.0"} <= {*parameter_names(digital)}
+    assert "rail.held" not in parameter_names(digital)
     found = with_parameters(digital, values).control
     stiff = replace(law.law, stiffness=6.0)
     assert found == (replace(law, law=stiff, period=0.02, stroke=(-0.5, 1.0), slew_limit=2.0),)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import dataclass
 from math import sqrt
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -159,6 +161,18 @@ def scalar_and_lanes(function, seed: int, f=None) -> tuple[list[np.ndarray], lis
     row = Row(4, 0.7, y, shared, f and NativeFunction(lambda: Traced(f, many=True, lanes=LANES)))
     NativeFunctions([function], side_by_side=True)(function, row, x)
     return [np.stack(each, axis=1) for each in zip(*alone, strict=True)], [x, y]
+
+
+def test_bound_functions_keep_their_code():
+    """Of a thread that compiled what another one keeps it is all that is left."""
+    x, row = np.ones(SIZE), Row(4, 0.7, np.zeros(SIZE), np.zeros(4 * SIZE), None)
+    functions = NativeFunctions([both_sides])
+    bound, known = functions.bind(both_sides, row, x), ref(functions)
+    del functions
+    gc.collect()
+    assert known() is not None
+    bound()
+    assert row.y[0] == 1.0  # 1 * 1 + 0
 
 
 @pytest.mark.parametrize("seed", range(20))
