@@ -46,14 +46,13 @@ def time_limit(seconds: float, progress: Callable[[float], None] = lambda used: 
             progress(used)
             return
         over.append(used)
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)  # again every PERIOD: an interrupt is lost where an object is freed
 
     at_work, at_interrupt = signal.signal(signal.SIGPROF, look), signal.getsignal(signal.SIGINT)
     if at_interrupt is signal.SIG_IGN:  # as a shell starts what runs in its background
         signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        signal.setitimer(signal.ITIMER_PROF, *[min(PERIOD, seconds)] * 2)
+        signal.setitimer(signal.ITIMER_PROF, min(PERIOD, seconds), PERIOD)
         try:
             yield
         finally:

@@ -143,6 +143,19 @@ def test_an_interrupt_while_python_parses_is_understood():
         parse()
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_interrupt_that_python_loses_is_repeated():
+    """Python goes on after whatever is raised while it frees an object."""
+
+    class Deaf:
+        def __del__(self):
+            work_past_the_limit()
+
+    with pytest.raises(CrosscheckError, match="not finished"), time_limit(0.01):
+        Deaf()
+        work_past_the_limit()
+
+
 def test_interrupts_from_the_keyboard_stay_what_they_are():
     before = signal.getsignal(signal.SIGPROF)
     with pytest.raises(KeyboardInterrupt), time_limit(30.0):
