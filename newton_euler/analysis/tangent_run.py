@@ -7,6 +7,7 @@ Traced derivatives of the equations of motion are carried along the steps of a r
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -66,13 +67,15 @@ class _Path:
     def __init__(self, code: TangentCode, steps: Array, begun: Array, end: Array) -> None:
         """Of steps (m, n + 2), see `Dop853`, from x (inputs,) to another."""
         n, nq = code.size, code.system.nq
-        self._n = n
-        self._velocity, self._sizes = code.function("velocity"), steps[:, n + 1 :]
+        self._n, self._nq = n, nq
+        self._velocity, self._rate, self._sizes = (
+            code.function("velocity"),
+            code.function("rate"),
+            steps[:, -1:],
+        )
         self._ends = np.tile(begun, (len(steps) + 1, 1))
         self._ends[:-1, : n + 1] = steps[:, : n + 1]
         self._ends[-1, : n + 1] = end[: n + 1]
-        rate = code.function("rate")
-        self._slopes = at_rows(rate, self._ends[:, : rate.inputs])
         speeds = np.abs(self._ends[:, nq:n] / code.system.velocity_units).max(axis=1, initial=0.0)
         moved = self._sizes[:, 0] * np.maximum(speeds[:-1], speeds[1:])
         self._counts = 1 + (moved / SPACING).astype(int)
@@ -82,37 +85,48 @@ class _Path:
 
         Least ones that are not small are taken as they are seen. Not a number counts as 0.
         """
-        counts = np.repeat(self._counts, self._counts)
-        first = np.repeat(np.cumsum(self._counts) - self._counts, self._counts)
-        places = (
-            np.repeat(np.arange(len(self._counts)), self._counts) + (np.arange(len(first)) - first) / counts
-        )
-        places = np.append(places, len(self._counts))
-        ratios = self._pivot_ratios(places)
+        places = self._places()
+        ratios = self._pivot_ratios(self._ends if len(places) == len(self._ends) else self._states(places))
         least, most = ratios.min(), ratios.max()
         for _ in range(2):
-            padded = np.pad(ratios, 1, constant_values=np.inf)
-            lowest = (ratios <= padded[:-2]) & (ratios <= padded[2:]) & (ratios < FAR * most)
-            if least < NEAR * most or not lowest.any():
+            small = ratios < FAR * most
+            if least < NEAR * most or not small.any():
                 break
-            (lowest,) = np.nonzero(lowest)
+            padded = np.pad(ratios, 1, constant_values=np.inf)
+            (lowest,) = np.nonzero(small & (ratios <= padded[:-2]) & (ratios <= padded[2:]))
             first, last = places[np.maximum(lowest - 1, 0)], places[np.minimum(lowest + 1, len(places) - 1)]
             places = np.unique(np.linspace(first, last, 2 * FINER + 1))
-            ratios = self._pivot_ratios(places)
+            ratios = self._pivot_ratios(self._states(places))
             least = min(least, ratios.min())
         return float(least / most) if most > 0.0 else 0.0
 
-    def _pivot_ratios(self, places: Array) -> Array:
-        """Return pivot ratios (k,) at places (k,): numbers of steps and shares of them."""
+    def _places(self) -> Array:
+        """Return numbers of steps and shares of them (k,), `SPACING` apart or less, and both ends of all."""
+        counts = np.repeat(self._counts, self._counts)
+        first = np.repeat(np.cumsum(self._counts) - self._counts, self._counts)
+        step = np.repeat(np.arange(len(self._counts)), self._counts)
+        return np.append(step + (np.arange(len(first)) - first) / counts, len(self._counts))
+
+    @cached_property
+    def _slopes(self) -> Array:
+        """Rates (m + 1, nq) of coordinates at both ends of all steps."""
+        return at_rows(self._rate, self._ends[:, : self._rate.inputs])
+
+    def _states(self, places: Array) -> Array:
+        """Return x (k, inputs) at places (k,), the velocities those at the begin of the step."""
         step = np.minimum(places.astype(int), len(self._counts) - 1)
         share, size = (places - step)[:, None], self._sizes[step]
-        x, nq = self._ends[step], self._slopes.shape[1]
+        x, nq = self._ends[step], self._nq
         begin, end = size * self._slopes[step], size * self._slopes[step + 1]
         change = self._ends[step + 1, :nq] - x[:, :nq]
         change -= 2.0 * np.pi * np.round((change - 0.5 * (begin + end)) / (2.0 * np.pi))  # of angles
         bend = (1.0 - share) * (begin - change) + share * (change - end)
         x[:, :nq] += share * (change + (1.0 - share) * bend)
         x[:, self._n] += share[:, 0] * size[:, 0]
+        return x
+
+    def _pivot_ratios(self, x: Array) -> Array:
+        """Return pivot ratios (k,) at x (k, inputs)."""
         ratios = at_rows(self._velocity, x[:, : self._velocity.inputs])[:, -1]
         return np.where(ratios > 0.0, ratios, 0.0)
 
