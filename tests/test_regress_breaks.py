@@ -83,7 +83,7 @@ BREAKS = {
         "pendulum",
     ),
     "a projection that leaves joints open by 1e-6": (
-        "newton_euler/integrators/projection.py",
+        "newton_euler/integrators/dense_projection.py",
         "ROUND_OFF = 16.0 * np.finfo(float).eps",
         "ROUND_OFF = 1e-6",
         "pendulum",
