@@ -180,5 +180,6 @@ def checked_names(parameters: Sequence[str]) -> tuple[str, ...]:
     """Return names of parameters, one or more, each once; raises `OptionError` for anything else."""
     valid = isinstance(parameters, list | tuple) and all(isinstance(name, str) for name in parameters)
     if not valid or not 0 < len(set(parameters)) == len(parameters):
-        raise OptionError("parameters", parameters, "names of parameters, one or more, each once")
+        needed = "names of parameters, one or more, each once, or values by name"
+        raise OptionError("parameters", parameters, needed)
     return tuple(parameters)

@@ -181,6 +181,7 @@ class Outputs:
             check_finite(self._times, arrays)
         return arrays
 
+    @np.errstate(all="ignore")  # what overflows fails
     def _settle_reactions(self, arrays: dict[str, Array], run: int) -> None:
         code, times, pivot_ratio = self._code, self._times, arrays["pivot_ratio"]
         for row in range(len(pivot_ratio)) if code.redundant else np.flatnonzero(~(pivot_ratio > 0.0)):

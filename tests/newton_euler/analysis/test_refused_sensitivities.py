@@ -13,12 +13,14 @@ from crosscheck.scenes import load
 from newton_euler import sensitivities, start
 from newton_euler.errors import NewtonEulerError, SensitivityError
 from newton_euler.model.digital_control import Sampled
+from newton_euler.model.trajectory import IntegrationError
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"parameters": []}, "parameters is []"),
+        ({"parameters": {}}, "or values by name"),
         ({"parameters": ["rod.mass", "rod.mass"]}, "each once"),
         ({"parameters": "rod.mass"}, "parameters is 'rod.mass'"),
         ({"parameters": {"rod.mass": -1.0}}, "parameter 'rod.mass': is -1.0; needed: a positive mass"),
@@ -41,6 +43,12 @@ def test_impossible_requests_are_refused(arguments, message):
     with pytest.raises(NewtonEulerError) as caught:
         sensitivities(pendulum(), **arguments)
     assert message in str(caught.value)
+
+
+def test_masses_beyond_all_forces_are_refused_in_silence():
+    """Warnings of NumPy would fail here; the float form looks at reactions that are not finite."""
+    with pytest.raises(IntegrationError, match=r"t = 0 s: .*not finite"):
+        sensitivities(load("slider_crank"), {"rod.mass": 1e308})
 
 
 def test_sampled_controllers_have_no_derivatives():
