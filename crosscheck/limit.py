@@ -46,7 +46,7 @@ def time_limit(seconds: float, progress: Callable[[float], None] = lambda used: 
             progress(used)
             return
         over.append(used)
-        signal.raise_signal(signal.SIGINT)  # again every PERIOD: an interrupt is lost where an object is freed
+        signal.raise_signal(signal.SIGINT)  # and again, as one is lost where an object is freed
 
     at_work, at_interrupt = signal.signal(signal.SIGPROF, look), signal.getsignal(signal.SIGINT)
     if at_interrupt is signal.SIG_IGN:  # as a shell starts what runs in its background

@@ -151,9 +151,12 @@ def test_an_interrupt_that_python_loses_is_repeated():
         def __del__(self):
             work_past_the_limit()
 
-    with pytest.raises(CrosscheckError, match="not finished"), time_limit(0.01):
+    def work():
         Deaf()
         work_past_the_limit()
+
+    with pytest.raises(CrosscheckError, match="not finished"), time_limit(0.01):
+        work()
 
 
 def test_interrupts_from_the_keyboard_stay_what_they_are():
