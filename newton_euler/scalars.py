@@ -159,3 +159,8 @@ def tilde(a: Array) -> Array:
     """The (3, 3) skew-symmetric matrix with `tilde(a) @ b == cross(a, b)` for a (3,) vector."""
     x, y, z = a.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def symmetric(matrix: Array) -> Array:
+    """Copy the lower triangle of a matrix that is symmetric but for round-off to the upper one."""
+    return np.where(np.tri(len(matrix), dtype=bool), matrix, matrix.T)

@@ -9,11 +9,10 @@ configurations.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from newton_euler.equations.sparse import Block
 from newton_euler.scalars import Array
 
 RANK_TOLERANCE = 1e-9  # singular values below this, or this share of the largest, count as zero
@@ -125,15 +124,6 @@ def solve_augmented(
     left[:n, n:] = push / share
     unknowns = np.linalg.solve(left, np.concatenate([right[:n] / force_units, combine.T @ right[n:]]))
     return column_units * unknowns[:n], -(combine @ (unknowns[n:] / share))
-
-
-def assemble(blocks: Iterable[Block], force: Array) -> tuple[Array, Array]:
-    """Sum up blocks to M (n, n), and to f (n,) on top of a `force`."""
-    mass, total = np.zeros((len(force), len(force))), force.copy()
-    for path, block, share in blocks:
-        mass[np.ix_(path, path)] += block
-        total[path] += share
-    return mass, total
 
 
 def orthonormal_range(matrix: Array) -> Array:

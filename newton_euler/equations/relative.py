@@ -13,14 +13,17 @@ body i, and a0_i, alpha0_i its acceleration at qddot = 0 (`newton_euler.equation
     gamma = gamma_Phi - Phi_r a0 - Phi_theta alpha0
 
 (Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, chapter 13; Featherstone, Rigid
-Body Dynamics Algorithms, 2008, section 8.1, for loops on top of a tree.)
+Body Dynamics Algorithms, 2008, section 8.1, for loops on top of a tree.) M and f are summed up from the
+leaves to the ground, by the composite-rigid-body and the recursive Newton-Euler algorithm (Featherstone,
+sections 6.2 and 5.3).
 
-Beyond that: couplings and prescribed motions are further rows of J, rotors further blocks of M.
+Beyond that: couplings and prescribed motions are further rows of J, rotors further shares of M.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,11 +34,34 @@ from newton_euler.equations.kinematics import Link, TreeKinematics, drift, tree_
 from newton_euler.equations.model_control import model_control
 from newton_euler.equations.reactions import pushes, tree_reactions
 from newton_euler.equations.redundancy import rows_left_out, without
-from newton_euler.equations.sparse import Block, Equations, Rows, RowsInUse, Solution
+from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, add_symmetric
 from newton_euler.errors import SingularityError
 from newton_euler.model import balls
 from newton_euler.model.joint import Key
-from newton_euler.scalars import Array, Scalar, cross, zeros
+from newton_euler.scalars import Array, Scalar, cross, symmetric, tilde, zeros
+
+
+class Composite(NamedTuple):
+    """Mass, first moment (3,) and inertia (3, 3) of bodies that move as one, about one of their points."""
+
+    mass: Scalar
+    moment: Array
+    inertia: Array
+
+    def joined(self, other: Composite, arm: Array) -> Composite:
+        """Join bodies whose point is at an arm (3,) from this one's."""
+        moved = other.moment + other.mass * arm
+        shift = tilde(other.moment) @ tilde(arm) + tilde(arm) @ tilde(moved)
+        return Composite(
+            self.mass + other.mass, self.moment + moved, self.inertia + other.inertia - symmetric(shift)
+        )
+
+    def momenta(self, velocity: Array, omega: Array) -> tuple[Array, Array]:
+        """Compute linear and angular momentum (3,) about the point, which has this velocity."""
+        return (
+            self.mass * velocity + cross(omega, self.moment),
+            self.inertia @ omega + cross(self.moment, velocity),
+        )
 
 
 class Relative(TreeKinematics):
@@ -48,29 +74,68 @@ class Relative(TreeKinematics):
     def world_inertia(self, body: int, link: Link) -> Array:
         """Compute the inertia (3, 3) of a body about its center of mass, world frame."""
         a = link.frame.rotation
-        return a @ self.inertias[body] @ a.T
+        return symmetric(a @ self.inertias[body] @ a.T)
 
-    def inertial_wrench(
-        self, body: int, link: Link, acceleration: Array, alpha: Array
-    ) -> tuple[Array, Array]:
-        """Compute m (a - g) and I alpha + omega x I omega of a body, I in the world frame."""
-        inertia, omega = self.world_inertia(body, link), link.frame.angular_velocity
-        force = self.mechanism.bodies[body].mass * (acceleration - self.scene.gravity)
-        return force, inertia @ alpha + cross(omega, inertia @ omega)
+    def needed_wrenches(
+        self, q: Array, v: Array, linear: Sequence[Array] | Array, angular: Sequence[Array] | Array
+    ) -> list[Array]:
+        """Compute the wrenches (6,) that joints supply to bodies of these accelerations (b, 3).
 
-    def body_blocks(self, q: Array, v: Array) -> Iterator[Block]:
-        """Compute the shares of bodies in M and f."""
-        links = self.links(q, v)
-        wrenches = body_wrenches(self.scene, self.seen(q, v))
-        for body, link in enumerate(links[1:], start=1):
-            inertia = self.world_inertia(body, link)
-            block = (
-                self.mechanism.bodies[body].mass * (link.linear.T @ link.linear)
-                + link.angular.T @ inertia @ link.angular
-            )
-            f, n = self.inertial_wrench(body, link, link.acceleration, link.angular_acceleration)
-            force, torque = wrenches[body][:3] - f, wrenches[body][3:] - n
-            yield Block(link.path, block, link.linear.T @ force + link.angular.T @ torque)
+        m (a - g) and I alpha + omega x I omega about the center of mass, world frame, less applied forces.
+        """
+        applied, needed = body_wrenches(self.scene, self.seen(q, v)), []
+        for body, link in enumerate(self.links(q, v)):
+            inertia, omega = self.world_inertia(body, link), link.frame.angular_velocity
+            force = self.mechanism.bodies[body].mass * (linear[body] - self.scene.gravity)
+            torque = inertia @ angular[body] + cross(omega, inertia @ omega)
+            needed.append(np.concatenate([force, torque]) - applied[body])
+        return needed
+
+    def _projected(self, links: list[Link], wrenches: Sequence[Array]) -> Array:
+        """Project wrenches (6,) on bodies onto velocities: sum V^T f + W^T n (nv,).
+
+        From the leaves to the ground each joint carries what acts beyond it (section 5.3).
+        """
+        force, carried = zeros(self.nv, *wrenches), list(wrenches)
+        for joint in reversed(self.tree.joints):
+            link, parent, wrench = links[joint.child], links[joint.parent], carried[joint.child]
+            own = slice(len(parent.path), len(link.path))
+            force[joint.v] = link.linear[:, own].T @ wrench[:3] + link.angular[:, own].T @ wrench[3:]
+            moment = cross(link.frame.position - parent.frame.position, wrench[:3])
+            carried[joint.parent] = carried[joint.parent] + wrench + np.concatenate([np.zeros(3), moment])
+        return force
+
+    def _mass_rows(self, links: list[Link], q: Array, v: Array) -> Rows:
+        """Compute the nonzeros of M (nv, nv), with all that a joint moves as one body (section 6.2)."""
+        composites = [
+            Composite(body.mass, np.zeros(3), self.world_inertia(k, link))
+            for k, (body, link) in enumerate(zip(self.mechanism.bodies, links, strict=True))
+        ]
+        rows: Rows = [{} for _ in range(self.nv)]
+        for joint in reversed(self.tree.joints):
+            link, parent, composite = links[joint.child], links[joint.parent], composites[joint.child]
+            arm = link.frame.position - parent.frame.position
+            composites[joint.parent] = composites[joint.parent].joined(composite, arm)
+            for n in range(len(parent.path), len(link.path)):
+                momentum, spin = composite.momenta(link.linear[:, n], link.angular[:, n])
+                row = momentum @ link.linear[:, : n + 1] + spin @ link.angular[:, : n + 1]
+                for j, entry in zip(link.path[: n + 1], row, strict=True):
+                    add_symmetric(rows, link.path[n], j, entry)
+        for inertia, jacobian, _ in self._rotors(q, v):
+            for i, x in jacobian.items():
+                for j, y in jacobian.items():
+                    if j <= i:
+                        add_symmetric(rows, i, j, inertia * (x * y))
+        return rows
+
+    def _force(self, links: list[Link], q: Array, v: Array) -> Array:
+        """Compute f (nv,) of these links, whose accelerations are those at qddot = 0."""
+        at_rest = [k.acceleration for k in links], [k.angular_acceleration for k in links]
+        force = self.actuation(q, v) - self._projected(links, self.needed_wrenches(q, v, *at_rest))
+        for inertia, jacobian, gamma in self._rotors(q, v):
+            for i, x in jacobian.items():
+                force[i] = force[i] + inertia * gamma * x
+        return force
 
     def actuation(self, q: Array, v: Array) -> Array:
         """Compute the share (nv,) of control laws and springs on joint coordinates in f."""
@@ -80,10 +145,10 @@ class Relative(TreeKinematics):
                 generalized[k] += entry * u
         return generalized
 
-    def rotor_blocks(self, q: Array, v: Array) -> Iterator[Block]:
-        """Compute the shares of armatures a in M and f, an extension: their force is -a (J vdot - gamma).
+    def _rotors(self, q: Array, v: Array) -> Iterator[tuple[Scalar, dict[int, Scalar], Scalar]]:
+        """Compute a, J and gamma of armatures, an extension: their force is -a (J vdot - gamma).
 
-        Armatures of balls have three rows J, of the relative angular velocity's components.
+        Those of balls have three rows J, of the relative angular velocity's components.
         """
         measured = self.measured(q, v)
         for armature in self.scene.armatures:
@@ -93,8 +158,7 @@ class Relative(TreeKinematics):
                 seen = measured[armature.key]
                 terms = [(seen.jacobian, seen.gamma)]
             for row, gamma in terms:
-                j = np.array(list(row.values()))
-                yield Block(list(row), armature.inertia * np.outer(j, j), armature.inertia * gamma * j)
+                yield armature.inertia, row, gamma
 
     def _spin_terms(self, joint: str, links: list[Link]) -> list[tuple[dict[int, Scalar], Scalar]]:
         """Compute J and gamma of the angular velocity at a ball, which is three of v if the tree has it."""
@@ -104,11 +168,6 @@ class Relative(TreeKinematics):
         first, second = (links[k] for k in balls.ends(self.mechanism, joint))
         gamma = balls.spin_gamma(first.frame, second.frame) - drift(balls.SPIN, first, second)
         return list(zip(self.project(balls.SPIN, first, second), gamma, strict=True))
-
-    def blocks(self, q: Array, v: Array) -> Iterator[Block]:
-        """Compute the shares of bodies and rotors in M and f."""
-        yield from self.body_blocks(q, v)
-        yield from self.rotor_blocks(q, v)
 
     def model_forces(self, q: Array, v: Array) -> Mapping[Key, Scalar]:
         return model_control(self).forces(self, q, v)
@@ -145,48 +204,43 @@ class Relative(TreeKinematics):
     ) -> tuple[Array, Array]:
         """Compute the residuals without M: from the ground to the leaves and back.
 
-        By the recursive Newton-Euler algorithm (Featherstone, section 5.3).
+        By the recursive Newton-Euler algorithm (section 5.3).
         """
         links = tree_links(self.mechanism, self.tree, q, v, accelerations)
-        applied, force = body_wrenches(self.scene, self.seen(q, v)), -self.actuation(q, v)
         jacobian, right = self._constraints(links, q, v)
-        coupled = range(self.rows - len(self.couplings), self.rows)
-        right, of_joints = right.astype(object), multipliers.copy()
-        for k in coupled:
+        right, known = right.astype(object), sparse.sparse_vector(accelerations)
+        of_joints, force = multipliers.copy(), -self.actuation(q, v)
+        for k in range(self.rows - len(self.couplings), self.rows):
             of_joints[k] = 0.0
-            right[k] = right[k] - sparse.dot(jacobian[k], sparse.sparse_vector(accelerations))
+            right[k] = right[k] - sparse.dot(jacobian[k], known)
             for place, entry in jacobian[k].items():
                 force[place] = force[place] - entry * multipliers[k]
-        needed = [
-            np.concatenate(self.inertial_wrench(body, link, link.acceleration, link.angular_acceleration))
-            - applied[body]
-            for body, link in enumerate(links)
-        ]
+        moving = [k.acceleration for k in links], [k.angular_acceleration for k in links]
+        needed = self.needed_wrenches(q, v, *moving)
         for push in pushes(self, self.frames(q, v), of_joints):
             needed[push.first] = needed[push.first] - push.on_first
             needed[push.second] = needed[push.second] - push.on_second
-        for joint in reversed(self.tree.joints):
-            link, parent, wrench = links[joint.child], links[joint.parent], needed[joint.child]
-            own = slice(len(parent.path), len(link.path))
-            share = link.linear[:, own].T @ wrench[:3] + link.angular[:, own].T @ wrench[3:]
-            force[joint.v] = force[joint.v] + share
-            moment = cross(link.frame.position - parent.frame.position, wrench[:3])
-            needed[joint.parent] = needed[joint.parent] + wrench + np.concatenate([np.zeros(3), moment])
-        for path, mass, share in self.rotor_blocks(q, v):
-            force[path] = force[path] + mass @ accelerations[path] - share
+        force = force + self._projected(links, needed)
+        for inertia, row, gamma in self._rotors(q, v):
+            push_back = inertia * (sparse.dot(row, known) - gamma)
+            for place, entry in row.items():
+                force[place] = force[place] + push_back * entry
         return force, -right
 
     # Solutions
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
-        return dense.assemble(self.blocks(q, v), self.actuation(q, v))
+        mass, force = self.sparse_mass_and_force(q, v)
+        return sparse.to_array(mass, self.nv), force
 
     def sparse_mass_and_force(self, q: Array, v: Array) -> tuple[Rows, Array]:
         """Compute the nonzeros of M (nv, nv), and f (nv,), over generic scalars."""
-        return sparse.assemble(self.blocks(q, v), self.actuation(q, v))
+        links = self.links(q, v)
+        return self._mass_rows(links, q, v), self._force(links, q, v)
 
     def mass_rows(self, q: Array) -> Rows:
-        return self.sparse_mass_and_force(q, np.zeros(self.nv))[0]
+        rest = np.zeros(self.nv)
+        return self._mass_rows(self.links(q, rest), q, rest)
 
     def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Solve for qddot (nv,) and lambda (k,) with dense matrices.
@@ -271,9 +325,5 @@ class Relative(TreeKinematics):
                 x_rates = (x * vdot[k] for k, x in seen.jacobian.items())
                 acceleration = sum(x_rates, start=0.0) - seen.gamma
                 joint_forces.append((armature.key, -(armature.inertia * acceleration)))
-        wrenches = body_wrenches(self.scene, self.seen(q, v))
-        needed = [
-            np.concatenate(self.inertial_wrench(body, link, linear[body], angular[body])) - wrenches[body]
-            for body, link in enumerate(self.links(q, v))
-        ]
+        needed = self.needed_wrenches(q, v, linear, angular)
         return tree_reactions(self, frames, needed, multipliers, joint_forces, couples)

@@ -8,7 +8,7 @@ algorithm. No pivoting: `Factor.pivot_ratio` tells how close to singular the mat
 from __future__ import annotations
 
 import heapq
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -54,29 +54,11 @@ def spread(rows: Rows, start: int, block: Array) -> None:
             add(row, start + k, entry)
 
 
-class Block(NamedTuple):
-    """A share in a symmetric matrix M and a vector f."""
-
-    path: Sequence[int]
-    """(p,) places."""
-    mass: Array
-    """(p, p)"""
-    force: Array
-    """(p,)"""
-
-
-def assemble(blocks: Iterable[Block], force: Array) -> tuple[Rows, Array]:
-    """Sum up blocks to the nonzeros of M (n, n), and to f (n,) on top of a `force`."""
-    mass: Rows = [{} for _ in force]
-    total = force.astype(object)
-    for path, block, share in blocks:
-        for n, i in enumerate(path):
-            total[i] = total[i] + share[n]
-            for m, j in enumerate(path[: n + 1]):  # both triangles alike, to the last bit and zero
-                add(mass[i], j, block[n, m])
-                if i != j:
-                    add(mass[j], i, block[n, m])
-    return mass, total
+def add_symmetric(rows: Rows, i: int, j: int, scalar: Scalar) -> None:
+    """Compute rows[i][j] += scalar and its mirror image, both alike to the last bit."""
+    add(rows[i], j, scalar)
+    if i != j and j in rows[i]:
+        rows[j][i] = rows[i][j]
 
 
 def minimum_degree(matrix: Sequence[Collection[int]]) -> list[int]:

@@ -245,6 +245,6 @@ def test_an_interrupt_stops_native_code(tracker):
         compiled.simulate("RK4", step=1e-4, most_steps=10**9)  # minutes
 
 
-@pytest.mark.parametrize(("rods", "formulation"), [(20, "relative"), (21, "cartesian")])
+@pytest.mark.parametrize(("rods", "formulation"), [(40, "relative"), (41, "cartesian")])
 def test_long_paths_of_joint_coordinates_take_the_cartesian_form(rods, formulation):
     assert Code(load("chain", N=rods)).formulation == formulation
