@@ -14,6 +14,7 @@ from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.parameters import is_kinematic, places
 from newton_euler.equations.sparse import RowsInUse, least_squares, solve_constrained, sparse_vector
 from newton_euler.integrators.options import FormulationName
+from newton_euler.integrators.singular import UNSAFE
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array, Scalar, minimum, objects, zeros
@@ -125,7 +126,8 @@ class TangentCode(CompiledScene):
     def _settled(self, system: Formulation, x: Array, along: Array) -> list[Scalar]:
         """Put a direction at a state on the constraints on the linearized ones, (q, v) of it.
 
-        By steps of least length, as states are: of coordinates, then of velocities.
+        By steps of least length, as states are: of coordinates, then of velocities. Where constraints become
+        dependent the steps have no digits, and fade: there a direction is as good as its integration.
         """
         on_q, on_v = slice(system.nq), slice(system.nq, self.size)
         q, v, moved = x[on_q], x[on_v], along.copy()
@@ -137,8 +139,10 @@ class TangentCode(CompiledScene):
         def step(residuals: Sequence[Scalar]) -> Array:
             """The least step (nv,) for residuals (k,) along the direction."""
             right = np.array(differentiated(residuals, x, moved)) / system.phi_units[self.rows.numbers]
-            least, _ = least_squares(rows, right)
-            return np.array([units[k] * least.get(k, 0.0) for k in range(system.nv)])
+            least, pivot_ratio = least_squares(rows, right)
+            known = minimum(pivot_ratio * (1.0 / UNSAFE), 1.0)
+            share = known * known * (known * known)
+            return np.array([share * units[k] * least.get(k, 0.0) for k in range(system.nv)])
 
         used = self.rows.numbers
         change = system.rate(q, step(phi[used].tolist()))

@@ -68,11 +68,8 @@ class _Path:
         """Of steps (m, n + 2), see `Dop853`, from x (inputs,) to another."""
         n, nq = code.size, code.system.nq
         self._n, self._nq = n, nq
-        self._velocity, self._rate, self._sizes = (
-            code.function("velocity"),
-            code.function("rate"),
-            steps[:, -1:],
-        )
+        self._velocity, self._rate = code.function("velocity"), code.function("rate")
+        self._sizes = np.minimum(steps[:, -1:], end[n] - steps[:, n : n + 1])  # the last may go beyond
         self._ends = np.tile(begun, (len(steps) + 1, 1))
         self._ends[:-1, : n + 1] = steps[:, : n + 1]
         self._ends[-1, : n + 1] = end[: n + 1]

@@ -48,10 +48,10 @@ SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
 EXPONENT = -1.0 / 8.0
 """Of the error in the factor for the next step."""
 
-SIZE, GROWTH, HOPPED, DUE = 0, 1, 2, 3
+SIZE, GROWTH, HOPPED, DUE, UNCUT, BEYOND = 0, 1, 2, 3, 4, 5
 """Places in the vector `control`."""
 
-CONTROLS = 4
+CONTROLS = 6
 
 FAILED = 1e10
 """Stands for the error of a step that could not be evaluated or projected."""
@@ -72,7 +72,8 @@ class Dop853(Record):
         room: number of steps that are kept, the first ones.
         steps: (room, n + 2) states and times where steps begin, and their sizes.
         control: (CONTROLS,) size of the next step, s, the largest factor for the one after it, tries to place
-            it, and the row of the table that is due.
+            it, the row of the table that is due, the size before the step was cut to end with the run, s, and
+            1 if steps may go beyond that end.
     """
 
     rtol: float
@@ -297,7 +298,8 @@ def write_outputs(system: Equations, table: Table, states: Vector, method: Dop85
     row = due
     while row < table.count and times[row] <= now[n] + h:
         state = states[n * row :]
-        interpolate(n if near == 1 else table.kept, n, (times[row] - now[n]) / h, method, state)
+        count = n if near == 1 or method.control[BEYOND] == 1.0 else table.kept
+        interpolate(count, n, (times[row] - now[n]) / h, method, state)
         keep_norms(system, state, state)
         row += 1
     method.control[DUE] = float(row)
@@ -334,6 +336,7 @@ def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853
         method.control[SIZE] = first_step(system, method, table.times[table.count - 1] - now[system.n])
     method.control[GROWTH] = LARGEST
     method.control[HOPPED] = 0.0
+    method.control[BEYOND] = 0.0
     return DONE
 
 
@@ -351,7 +354,8 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     status = before_step(system, table, method.most, control[SIZE], now)
     if status != DONE:
         return status
-    if now[n] + control[SIZE] > stop or stop - now[n] - control[SIZE] < 1e-3 * control[SIZE]:
+    control[UNCUT] = control[SIZE]
+    if control[BEYOND] == 0.0 and stop - now[n] - control[SIZE] < 1e-3 * control[SIZE]:
         control[SIZE] = stop - now[n]
     h = control[SIZE]
     pivot_ratio = HUGE
@@ -360,6 +364,11 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         if status != DONE:
             break
         pivot_ratio = min(pivot_ratio, k[row * s + n])
+    if system.projecting == 1 and pivot_ratio < NEAR and control[UNCUT] > h:
+        counts[REJECTED] += 1.0
+        control[BEYOND] = 1.0
+        control[SIZE] = control[UNCUT]
+        return DONE
     if pivot_ratio < UNSAFE and k[n] >= UNSAFE:
         counts[REJECTED] += 1.0
         control[SIZE] = HOP * h
@@ -398,6 +407,10 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     for i in range(n):
         now[i] = end[i]
     now[n] = now[n] + h
+    if control[BEYOND] == 1.0 and now[n] > stop:
+        for i in range(n):
+            now[i] = states[n * (table.count - 1) + i]
+        now[n] = stop
     status = finish_step(system, near, now, end)
     if status == DONE and system.projecting == 1:
         status = evaluate(system, now, k)

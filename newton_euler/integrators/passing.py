@@ -41,6 +41,8 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
 
     h_abs: float
     h_previous: float
+    t: float
+    t_bound: float
 
     def __init__(
         self,
@@ -126,6 +128,8 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         if min(self._ratio_at_start, self._ratio_at_end) < FAR:
             ratios = [self._pivot_ratio(y) for y in (self.y, *self._states)]
             self._near = min(ratios) < NEAR
+            if self._near and self.t + h >= self.t_bound:
+                self.t_bound = np.inf
         if not self._near:
             self._hops = 0
             return error

@@ -13,13 +13,15 @@ end, and what passes may have gone over to another branch of the mechanism's mot
 4. A step of DOP853 near a singular configuration is placed so that it passes in the widest gap between two of
    its stages: `crossing` finds where from the pivot ratios of three stages, `crossing_factor` shortens the
    step.
-5. The error of such a step is that of its projections
+5. No step can end in a singular configuration. Where the run does, the last one goes beyond its end, and is
+   interpolated.
+6. The error of a step near one is that of its projections
    (`newton_euler.integrators.dop853.error_on_constraints`): what wrong multipliers add is normal to the
    constraints, and projection in the metric of the mass matrix takes it off again
    (`newton_euler.integrators.dense_projection`), as far as constraints are strong enough.
-6. Steps of RK4 cannot be placed: a step whose stages contradict each other (`contradiction`) ends the run.
+7. Steps of RK4 cannot be placed: a step whose stages contradict each other (`contradiction`) ends the run.
 
-Native code runs 1 to 6. Equations that Python evaluates take 3 to 5 with scipy's DOP853, see
+Native code runs 1 to 7. Equations that Python evaluates take 3 to 6 with scipy's DOP853, see
 `newton_euler.integrators.passing`; their pivot ratio is the squared ratio of the least singular value of the
 constraints to the largest one, in units of the best one so far.
 

@@ -250,6 +250,9 @@ def follow(tangents: Tangents, last: Vector) -> int:
                 error = worst_error(tangents, taken)
                 growth = SAFETY * error**EXPONENT if error > 0.0 else LARGEST
                 h = min(taken * min(LARGEST, max(SMALLEST, growth)), stop - t)
+            if t > tangents.times[tangents.rows - 1]:  # the run ends within its last step
+                for i in range(size):
+                    x[along + i] = tangents.table[size * (tangents.rows - 1) + i]
     put(n + 1, lanes, last, x)
     settle(tangents)
     return DONE

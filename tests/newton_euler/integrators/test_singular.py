@@ -238,6 +238,21 @@ def test_a_step_that_would_end_in_a_singular_configuration_passes_it(middle):
     assert crossing_factor(0.98, middle, 4e-6, 1.0) == pytest.approx(1.0 - GAP, abs=AT_END)
 
 
+FLAT = 0.756998197475393
+"""s, when parallelogram(1.0, 1.0) first lies flat, by `crank`."""
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("later", [-1e-5, -1e-8, 0.0, 1e-6])
+def test_a_run_may_end_in_a_singular_configuration(later, formulation):
+    """No step can end there; one goes past it, and is interpolated."""
+    scene = replace(parallelogram(1.0, 1.0), duration=FLAT + later, output_period=0.25 * (FLAT + later))
+    options = {"formulation": formulation, "rtol": 1e-12, "atol": 1e-12}
+    assert not refusal(scene, 1e-10, **options)  # a hundred tolerances: accelerations lose digits there
+    (run,) = newton_euler.simulate_batch(scene, [scene.initial_state], **options)
+    assert np.array_equal(run.position, newton_euler.simulate(scene, **options).position)
+
+
 # Starting flat
 
 
@@ -309,10 +324,12 @@ def test_a_flat_start_without_projection_is_refused(options, stabilization):
     assert caught.value.time == 0.0
 
 
+@pytest.mark.parametrize("duration", [1.0, FLAT])
 @pytest.mark.parametrize("name", ["gravity.z", "crank.center_of_mass.x"])
-def test_derivatives_past_singular_configurations_are_right(name):
-    """Passing one loses digits alone, by parameters that do not move the closed configurations."""
-    scene = replace(parallelogram(*STARTS[0]), duration=1.0)
+def test_derivatives_past_singular_configurations_are_right(name, duration):
+    """Passing one, or ending there, loses digits alone, where parameters move no closed configurations."""
+    start = STARTS[0] if duration == 1.0 else (1.0, 1.0)
+    scene = replace(parallelogram(*start), duration=duration, output_period=0.1 * duration)
     options = {"rtol": 1e-12, "atol": 1e-14}
     found = newton_euler.sensitivities(scene, [name], **options)
     (own,) = parameter_values(scene, [name]).values()

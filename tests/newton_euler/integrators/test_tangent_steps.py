@@ -42,7 +42,7 @@ def followed(rates_along, start, most=2000, floor=0.0, steps=1, settled=None):
         settled=settled,
         pause=None,
         steps=np.concatenate([[0.0, 0.0, k * h, h] for k in range(steps)]),
-        times=np.zeros(1),
+        times=np.array([steps * h]),
         states=np.zeros(2),
         x=x,
         beside=np.empty(6),
