@@ -9,7 +9,7 @@ prescribed motions go 1.1 times as far.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -20,9 +20,8 @@ from newton_euler.equations.couplings import Coupling, couplings, residuals
 from newton_euler.equations.parameters import numbered, parameter_values, with_values
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Frame, Jacobian
-from newton_euler.model.control import ControlLaw
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
-from newton_euler.model.digital_control import Controller, Digital, HeldLaw, Law, Model, Sampled
+from newton_euler.model.digital_control import HeldLaw
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint import Joint, JointEquations
 from newton_euler.model.joint_kinds import Fixed, Screw
@@ -59,7 +58,8 @@ class Element:
             that of any. 0 where nothing is told.
         displaced: the changed joint, where the element is one that nothing acts on but its reaction.
         body: the number of the body whose "mass" or "inertia" it changes.
-        shared: True for an element that is the same code in all engines: their agreement tells nothing of it.
+        shared: True for an element that is the same code in all engines: their agreement tells nothing of it,
+            and it is not changed.
     """
 
     name: str
@@ -80,9 +80,7 @@ def elements(scene: Scene) -> Iterator[Element]:
     for field in ("control", "forces", "armatures"):
         for k, acting in enumerate(getattr(scene, field)):
             if isinstance(acting, HeldLaw):
-                yield Element(
-                    f"actuator {acting.where}", partial(_with_controller, number=k), (), shared=True
-                )
+                yield Element(f"actuator {acting.where}", lambda scene: scene, shared=True)
             for what, attributes in acting.strengths.items():
                 if any(np.any(getattr(acting, attribute)) for attribute in attributes):
                     yield _of_values(scene, f"{what} {acting.where}", field, k, *attributes)
@@ -94,27 +92,6 @@ def _of_values(scene: Scene, name: str, what: str, number: int, *attributes: str
     own = parameter_values(scene, [numbered(what, number, attribute) for attribute in attributes])
     values = {parameter: MORE * value for parameter, value in own.items()}
     return Element(name, partial(with_values, values=values), tuple(values))
-
-
-def _with_controller(scene: Scene, number: int) -> Scene:
-    """A scene with a sampled controller whose force is `MORE` times what it was."""
-    law = scene.control[number]
-    if isinstance(law, Sampled):
-        own = law.controller
-        stronger: Law = replace(law, controller=lambda time, x, x_rate: MORE * own(time, x, x_rate))
-    else:
-        assert isinstance(law, Digital)
-        stronger = _Stronger(*(getattr(law, each.name) for each in fields(law) if each.init))
-    return replace(scene, control=(*scene.control[:number], stronger, *scene.control[number + 1 :]))
-
-
-@dataclass(frozen=True)
-class _Stronger(Digital):
-    """A digital law whose force is `MORE` times what it was, beyond its limits too."""
-
-    def controller_of(self, laws: Sequence[ControlLaw], model: Model | None = None) -> Controller:
-        own = super().controller_of(laws, model)
-        return lambda time, x, x_rate: MORE * own(time, x, x_rate)
 
 
 def _constraints(scene: Scene) -> Iterator[Element]:

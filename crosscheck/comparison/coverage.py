@@ -55,7 +55,7 @@ class Covered:
     Attributes:
         element: kind and name, such as "mass of body 'crank'".
         share: by how much a change of 10 % changes the motion, in units of what engines may differ by: at
-            least, where it shows; infinite where the scene does not run to its end with it.
+            least, where it shows; infinite where the scene does not run to its end with it, 0 if shared.
         shared: see `Element`: controllers that are called at a period, and the computers of digital laws.
     """
 
@@ -186,6 +186,8 @@ class _Runs:
 
     def share(self, element: Element) -> float:
         """See `Covered.share`."""
+        if element.shared:
+            return 0.0
         if element.parameters is not None:
             found = 0.0
             if element.body is not None and self._loads is not None:
