@@ -6,10 +6,11 @@ the last bit. Steps that are too long for the derivatives, as those of a mechani
 parts: in each the error of all coordinates by one parameter is at most 100 `rtol` of the largest, and so is
 that of velocities, unless it is round-off, or a singular configuration is passed.
 
-The times of events must not depend on parameters: set-points that jump and knots of splines are such. Sampled
-controllers have no derivatives. Near singular configurations derivatives lose digits as accelerations do;
-runs that come too near to one are refused, and by parameters that move the closed configurations all that
-come near.
+The times of events must not depend on parameters: set-points that jump and knots of splines are such. Runs
+in which a spring jumps where motion takes it are refused: one on a ball that passes half a revolution, and
+one with a rest length whose ends pass through each other. Sampled controllers have no derivatives. Near
+singular configurations derivatives lose digits as accelerations do; runs that come too near to one are
+refused, and by parameters that move the closed configurations all that come near.
 """
 
 from __future__ import annotations

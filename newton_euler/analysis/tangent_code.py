@@ -25,6 +25,9 @@ ALONG = " along"
 UNREFINED, RATES, SETTLED = (name + ALONG for name in ("unrefined", "derivative", "settled"))
 """Names of programs that have a direction behind x."""
 
+REVERSING = "reversing"
+"""Name of the program of what reverses where forces jump."""
+
 
 @lru_cache(maxsize=KEPT)
 def tangent_code(scene: Scene, names: tuple[str, ...], formulation: FormulationName | None) -> TangentCode:
@@ -166,6 +169,18 @@ class TangentCode(CompiledScene):
                 kept += scalars[start:stop]
         self._layouts["output" + ALONG] = places
         return kept
+
+    def _trace_reversing(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
+        """Trace the vectors of forces that may jump; their layout has the names of these in messages."""
+        at, scalars = system.seen(q, v), list[Scalar]()
+        places: dict[str, tuple[int, int, tuple[int, ...]]] = {}
+        for force in system.scene.forces:
+            if force.may_jump:
+                vector = force.reversing(at).tolist()
+                places[force.element] = len(scalars), len(scalars) + len(vector), (len(vector),)
+                scalars += vector
+        self._layouts[REVERSING] = places
+        return scalars
 
     def _trace_coordinates(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace the coordinates of all joints, m or rad, then their rates."""

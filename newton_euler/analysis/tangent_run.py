@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from newton_euler.analysis.tangent_code import ALONG, RATES, SETTLED, TangentCode
+from newton_euler.analysis.tangent_code import ALONG, RATES, REVERSING, SETTLED, TangentCode
 from newton_euler.equations.parameters import pieces
 from newton_euler.errors import OptionError, SensitivityError
 from newton_euler.integrators import stepper as m
@@ -67,8 +67,7 @@ class _Path:
     def __init__(self, code: TangentCode, steps: Array, begun: Array, end: Array) -> None:
         """Of steps (m, n + 2), see `Dop853`, from x (inputs,) to another."""
         n, nq = code.size, code.system.nq
-        self._n, self._nq = n, nq
-        self._velocity, self._rate = code.function("velocity"), code.function("rate")
+        self._code, self._n, self._nq = code, n, nq
         self._sizes = np.minimum(steps[:, -1:], end[n] - steps[:, n : n + 1])  # the last may go beyond
         self._ends = np.tile(begun, (len(steps) + 1, 1))
         self._ends[:-1, : n + 1] = steps[:, : n + 1]
@@ -97,6 +96,28 @@ class _Path:
             least = min(least, ratios.min())
         return float(least / most) if most > 0.0 else 0.0
 
+    def jump(self) -> str:
+        """Word which force jumps on the way, and when; empty if none does.
+
+        Vectors that only turn far in a step are looked at within it, where they turn by and by.
+        """
+        turned = np.any([*self._reversals(self._ends).values()], axis=0)
+        for step in np.flatnonzero(turned):
+            x = self._states(np.linspace(step, step + 1, FINER * FINER))
+            for force, found in self._reversals(x).items():
+                if found.any():
+                    return f"{force} jumps at t = {x[found.argmax(), self._n]:.6g} s"
+        return ""
+
+    def _reversals(self, x: Array) -> dict[str, Array]:
+        """Tell (k - 1,) between which of x (k, inputs) the vectors of forces reverse, by names of these."""
+        vectors = self._evaluated(REVERSING, x)
+        products = vectors[1:] * vectors[:-1]
+        layout = self._code.function(REVERSING).layout
+        return {
+            force: products[:, first:last].sum(axis=1) < 0.0 for force, (first, last, _) in layout.items()
+        }
+
     def _places(self) -> Array:
         """Return numbers of steps and shares of them (k,), `SPACING` apart or less, and both ends of all."""
         counts = np.repeat(self._counts, self._counts)
@@ -107,7 +128,7 @@ class _Path:
     @cached_property
     def _slopes(self) -> Array:
         """Rates (m + 1, nq) of coordinates at both ends of all steps."""
-        return at_rows(self._rate, self._ends[:, : self._rate.inputs])
+        return self._evaluated("rate", self._ends)
 
     def _states(self, places: Array) -> Array:
         """Return x (k, inputs) at places (k,), the velocities those at the begin of the step."""
@@ -124,8 +145,13 @@ class _Path:
 
     def _pivot_ratios(self, x: Array) -> Array:
         """Return pivot ratios (k,) at x (k, inputs)."""
-        ratios = at_rows(self._velocity, x[:, : self._velocity.inputs])[:, -1]
+        ratios = self._evaluated("velocity", x)[:, -1]
         return np.where(ratios > 0.0, ratios, 0.0)
+
+    def _evaluated(self, program: str, x: Array) -> Array:
+        """Evaluate a program at x (k, inputs)."""
+        function = self._code.function(program)
+        return at_rows(function, x[:, : function.inputs])
 
 
 class FollowedRun:
@@ -170,16 +196,21 @@ class FollowedRun:
         if steps > len(integrator.steps):
             integrator = Integrator(code, interval.times, self._options, room=steps)
             integrator(begun)
-        if code.projects and code.moves_loops:
-            path = _Path(code, integrator.steps[:steps], begun, integrator.x)
-            if path.least_pivot_ratio() < NEAR:
-                raise SensitivityError(TOO_NEAR)
+        self._check(_Path(code, integrator.steps[:steps], begun, integrator.x))
         self._turn_pieces(begun, interval, directions)
         for rates in code.rates:
             found = self._carried(rates, integrator, begun, directions)
             if found is not None:
                 return found
         raise SensitivityError(TOO_NEAR)
+
+    def _check(self, path: _Path) -> None:
+        """Raise `SensitivityError` for the path of a run that has no derivatives, or none that are known."""
+        code = self._code
+        if code.projects and code.moves_loops and path.least_pivot_ratio() < NEAR:
+            raise SensitivityError(TOO_NEAR)
+        if any(force.may_jump for force in code.scene.forces) and (jump := path.jump()):
+            raise SensitivityError(f"{jump}, a time that depends on parameters")
 
     def _carried(
         self, program: str, integrator: Integrator, begun: Array, directions: Array

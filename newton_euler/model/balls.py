@@ -73,8 +73,13 @@ def rotation_vector(matrix: Array) -> Array:
     return np.asarray(sines * (arctan2(sine, cosine) / sine))
 
 
-def rotation_by(vector: Array) -> Array:
-    """Compute the rotation matrix (3, 3) of a rotation vector (3,), rad, of any angle."""
+def quaternion_by(vector: Array) -> Array:
+    """Compute the unit quaternion (4,) w-x-y-z of a rotation vector (3,), rad, of any angle."""
     angle = sqrt(vector @ vector + TINY)
     half = 0.5 * angle
-    return rotation(np.array([cos(half), *((sin(half) / angle) * vector)]))
+    return np.array([cos(half), *((sin(half) / angle) * vector)])
+
+
+def rotation_by(vector: Array) -> Array:
+    """Compute the rotation matrix (3, 3) of a rotation vector (3,), rad, of any angle."""
+    return rotation(quaternion_by(vector))

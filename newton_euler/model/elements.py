@@ -195,7 +195,13 @@ class OnBodies(Element):
 
 
 class AppliedForce(Element):
-    """A force or a control law: does nothing, but for the methods that a kind of its own redefines."""
+    """A force or a control law: does nothing, but for the methods that a kind of its own redefines.
+
+    Attributes:
+        may_jump: True if the force may jump where motion takes it.
+    """
+
+    may_jump: ClassVar[bool] = False
 
     def spans(self, at: Surroundings) -> tuple[Array, ...]:
         """Compute the vectors (3,), m, whose directions the force needs, so that they may not be zero."""
@@ -209,6 +215,10 @@ class AppliedForce(Element):
                 "its points coincide in the initial state",
                 "points apart, or a spring of rest_length 0 without damping",
             )
+
+    def reversing(self, at: Surroundings) -> Array:
+        """Compute a vector (k,) that reverses where the force jumps, if it may; zero for one that cannot."""
+        raise NotImplementedError
 
     def wrenches(self, at: Surroundings) -> Iterable[tuple[int, Array]]:
         """Compute what acts on bodies, by their numbers: force and torque (6,) about the center of mass."""

@@ -123,6 +123,7 @@ class BallSpring(OnBall, AppliedForce):
     noun = "spring"
     parameters = ("stiffness", "damping", "rest")
     strengths = SPRING_AND_DAMPER
+    may_jump = True
 
     def __post_init__(self) -> None:
         check_texts(self.element, self, "joint")
@@ -138,6 +139,10 @@ class BallSpring(OnBall, AppliedForce):
         """Compute the torque (3,) on the second body, N m, world frame."""
         theta, omega = self.theta(at), self.spin(at)
         return -(self.stiffness * theta + self.damping * omega)
+
+    def reversing(self, at: Surroundings) -> Array:
+        """Compute the quaternion (4,) of theta, whose sign changes at half a revolution."""
+        return np.zeros(4) if self.stiffness == 0.0 else balls.quaternion_by(self.theta(at))
 
     def wrenches(self, at: Surroundings) -> Iterator[tuple[int, Array]]:
         i, j = balls.ends(at.mechanism, self.joint)
@@ -208,6 +213,7 @@ class PointSpring(OnBodies, AppliedForce):
     strengths = SPRING_AND_DAMPER
     body_fields = ("first", "second")
     points = ("point_on_first", "point_on_second")
+    may_jump = True
 
     def __post_init__(self) -> None:
         check_name("point spring", self.name)
@@ -246,6 +252,10 @@ class PointSpring(OnBodies, AppliedForce):
 
     def spans(self, at: Surroundings) -> tuple[Array, ...]:
         return (self.line(at).d,) if self.has_direction else ()
+
+    def reversing(self, at: Surroundings) -> Array:
+        """Compute the line (3,), m, along which the spring pushes; dampers act alike on both sides."""
+        return np.zeros(3) if self.stiffness == 0.0 or self.rest_length == 0.0 else self.line(at).d
 
     def wrenches(self, at: Surroundings) -> Iterator[tuple[int, Array]]:
         line = self.line(at)

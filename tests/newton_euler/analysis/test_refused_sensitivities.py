@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mechanisms import carts, pendulum
+from ball_scenes import sphere
+from mechanisms import carts, line_spring, mass_on_rail, pendulum
 
 from crosscheck.scenes import load
-from newton_euler import sensitivities, start
+from newton_euler import BallSpring, sensitivities, start
 from newton_euler.errors import NewtonEulerError, SensitivityError
 from newton_euler.model.digital_control import Sampled
 from newton_euler.model.trajectory import IntegrationError
@@ -55,6 +56,33 @@ def test_sampled_controllers_have_no_derivatives():
     scene = carts(Sampled("rail_0", lambda t, x, v: -x[0], 0.1))
     with pytest.raises(NewtonEulerError, match="sampled controller of joint 'rail_0' has none"):
         sensitivities(scene, ["cart_0.mass"])
+
+
+def swung(**values):
+    """A globe that passes half a revolution at 0.32 s; derivatives by the stiffness lack half of it there."""
+    spring = BallSpring("ball", **values)
+    return replace(sphere(spring, spin=10.0), duration=0.4, output_period=0.1)
+
+
+def thrown(**values):
+    """A mass that passes the end of its spring at 0.22 s."""
+    scene = mass_on_rail(line_spring(**values), gravity=(0.0, 0.0, -9.81), duration=0.4)
+    return start(scene, rail=(0.0, 10.0))
+
+
+@pytest.mark.parametrize(
+    ("scene", "name", "refused"),
+    [
+        (swung(stiffness=0.5), "ball.ball.stiffness", "spring of the ball of joint 'ball' jumps at t = 0.3"),
+        (swung(damping=0.5), "ball.ball.damping", ""),
+        (thrown(rest_length=1.0), "mass.mass", "point spring 'line' jumps at t = 0.2"),
+        (thrown(rest_length=0.0, damping=0.3), "mass.mass", ""),
+    ],
+)
+def test_forces_that_jump_where_the_motion_takes_them_have_no_derivatives(scene, name, refused):
+    """Of springs alone, and the run itself goes on: dampers act alike on both sides."""
+    with pytest.raises(SensitivityError, match=refused) if refused else nullcontext():
+        sensitivities(scene, [name])
 
 
 def test_a_coordinate_that_loops_hold_has_no_derivatives():
