@@ -24,6 +24,7 @@ from newton_euler.errors import (
     UnknownNameError,
     check_type,
     is_count,
+    quoted,
 )
 from newton_euler.integrators.options import (
     FormulationName,
@@ -189,12 +190,12 @@ def simulate_batch(
     options = Options.of(integrator, control)
     options.check_steps(scene.duration)
     if not isinstance(parameters, Mapping | None):
-        raise OptionError("parameters", _short(parameters), "values, one per run, by name")
+        raise OptionError("parameters", quoted(parameters), "values, one per run, by name")
     parameters = dict(parameters or {})
     of_kind = isinstance(states, Sequence) and (not states or any(isinstance(each, State) for each in states))
     if states is not None and not of_kind:
         needed = "State objects, one per run; coordinates are parameters: {'start.JOINT': [0.1, 0.2]}"
-        raise OptionError("states", _short(states), needed)
+        raise OptionError("states", quoted(states), needed)
     for law in scene.sampled:
         if not isinstance(law, Digital) or law.law.uses_model:
             problem = "has a controller that calls Python, or knows the mechanism, at its instants"
@@ -280,11 +281,6 @@ def _compiled(
     return CompiledScene(scene, formulation, stabilization, alpha, names)
 
 
-def _short(value: object) -> str:
-    """Abbreviate a value that may be long, for a message."""
-    return f"{value!r:.100}"
-
-
 def thread_count(threads: int | None = None) -> int:
     """Return a number of threads: as many as there are processors for this process if none is given.
 
@@ -302,8 +298,8 @@ def _count(states: Sequence[State] | None, parameters: Mapping[str, Any]) -> int
     """Return the number of runs."""
     series = dict(parameters) if states is None else {**parameters, "states": states}
     for name, each in series.items():
-        if getattr(each, "ndim", int(isinstance(each, Sequence))) < 1:
-            raise OptionError(name, _short(each), "a sequence, one value per run")
+        if isinstance(each, str | bytes) or getattr(each, "ndim", int(isinstance(each, Sequence))) < 1:
+            raise OptionError(name, quoted(each), "a sequence, one value per run")
         if not len(each):
             raise OptionError(name, each, "one value per run, of one run or more")
     lengths = {name: len(values) for name, values in series.items()}

@@ -9,7 +9,7 @@ import re
 from collections.abc import Collection, Iterable
 from difflib import get_close_matches
 from numbers import Integral, Real
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,9 +51,45 @@ class MechanismError(NewtonEulerError):
 def is_finite_number(value: object) -> bool:
     """True if a value is a real number of Python or NumPy that a float can hold; truth values are none."""
     try:
-        return isinstance(value, Real) and not isinstance(value, bool) and bool(np.isfinite(float(value)))
+        return _is_real(value) and bool(np.isfinite(float(value)))
     except OverflowError:
         return False
+
+
+def _is_real(value: object) -> TypeGuard[Real]:
+    """True if a value is a real number; time spans of NumPy are integers by their class, and none."""
+    return isinstance(value, Real) and not isinstance(value, bool | np.timedelta64)
+
+
+def real_array(value: object) -> NDArray[Any]:
+    """Convert real numbers of Python or NumPy to a new array of floats.
+
+    Raises:
+        TypeError, ValueError, OverflowError: for all else that NumPy converts, text, truth values and times
+            among it, for numbers that are masked, rows of different lengths, and numbers beyond floats.
+    """
+    if _masks(value):
+        raise ValueError("has masked numbers")
+    array = np.asarray(value)
+    of_objects = array.dtype.kind == "O" and all(map(_is_real, array.flat))
+    if array.dtype.kind not in "iuf" and not of_objects:
+        raise ValueError("has something else than real numbers")
+    return array.astype(float)
+
+
+def _masks(value: object) -> bool:
+    """True if a value, or one of those in it, is a masked array with something that is masked."""
+    if isinstance(value, np.ma.MaskedArray):
+        return bool(np.ma.is_masked(value))
+    return isinstance(value, list | tuple) and any(map(_masks, value))
+
+
+def quoted(value: object, length: int = 100) -> str:
+    """Return a value as Python shows it, or its beginning, for messages."""
+    try:
+        return f"{value!r:.{length}}"
+    except ValueError:  # Python shows no whole numbers of thousands of digits
+        return f"{type(value).__name__} with too many digits"
 
 
 def plain_number(text: str) -> float:
@@ -70,15 +106,20 @@ def plain_number(text: str) -> float:
 
 def is_count(value: object) -> bool:
     """True if a value is a whole number of Python or NumPy, 1 or more; truth values are none."""
-    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 1
+    return is_whole(value) and int(value) >= 1
+
+
+def is_whole(value: object) -> TypeGuard[Integral]:
+    """True if a value is a whole number of Python or NumPy; truth values are none."""
+    return isinstance(value, Integral) and _is_real(value)
 
 
 def check_key(where: str, joint: object, coordinate: object) -> None:
     """Raise `MechanismError` for what is no name of a joint, and no whole number."""
     if not isinstance(joint, str):
-        raise MechanismError(where, f"joint is {joint!r:.100}", "a name")
-    if not isinstance(coordinate, Integral) or isinstance(coordinate, bool):
-        raise MechanismError(where, f"coordinate is {coordinate!r}", "an index from 0")
+        raise MechanismError(where, f"joint is {quoted(joint)}", "a name")
+    if not is_whole(coordinate):
+        raise MechanismError(where, f"coordinate is {quoted(coordinate)}", "an index from 0")
 
 
 def check_texts(where: str, thing: object, *fields: str) -> None:
@@ -86,25 +127,25 @@ def check_texts(where: str, thing: object, *fields: str) -> None:
     for field in fields:
         value = getattr(thing, field)
         if not isinstance(value, str):
-            raise MechanismError(where, f"{field} is {value!r:.100}", "a name")
+            raise MechanismError(where, f"{field} is {quoted(value)}", "a name")
 
 
 def check_flag(where: str, thing: object, field: str) -> None:
     """Raise `MechanismError` unless this attribute is a truth value."""
     if not isinstance(value := getattr(thing, field), bool):
-        raise MechanismError(where, f"{field} is {value!r:.100}", "True or False")
+        raise MechanismError(where, f"{field} is {quoted(value)}", "True or False")
 
 
 def finite_array(element: str, name: str, value: object, shape: tuple[int, ...]) -> NDArray[Any]:
     """Convert a value to a read-only array of finite numbers; raises `MechanismError`."""
     try:
-        array = np.array(value, dtype=float)
+        array = real_array(value)
     except (TypeError, ValueError, OverflowError):
         array = np.full(1, np.nan)
     if array.shape != shape or not np.all(np.isfinite(array)):
         words = {(): "a finite number", (3,): "three finite numbers"}
         needed = words.get(shape, f"{int(np.prod(shape))} finite numbers, shape {shape}")
-        raise MechanismError(element, f"{name} is {value!r:.200}", needed)
+        raise MechanismError(element, f"{name} is {quoted(value, 200)}", needed)
     array.flags.writeable = False
     return array
 
@@ -122,7 +163,7 @@ def set_numbers(thing: object, element: str, names: Iterable[str], least: float 
         value: Any = getattr(thing, name)
         if not is_finite_number(value) or value < least:
             needed = "a finite number" if np.isinf(least) else f"a finite number, {least:g} or more"
-            raise MechanismError(element, f"{name} is {value!r:.100}", needed)
+            raise MechanismError(element, f"{name} is {quoted(value)}", needed)
         object.__setattr__(thing, name, float(value))
 
 
@@ -130,11 +171,11 @@ def elements_of(where: str, field: str, given: Iterable[T], *kinds: type[T]) -> 
     """Return elements of some kinds as a tuple; raises `MechanismError` for anything else."""
     needed = f"a tuple of {' or '.join(kind.__name__ for kind in kinds)}"
     if not isinstance(given, Iterable):
-        raise MechanismError(where, f"{field} is {given!r:.200}", needed)
+        raise MechanismError(where, f"{field} is {quoted(given, 200)}", needed)
     elements = tuple(given)
     for element in elements:
         if not isinstance(element, kinds):
-            raise MechanismError(where, f"{field} holds {element!r:.200}", needed)
+            raise MechanismError(where, f"{field} holds {quoted(element, 200)}", needed)
     return elements
 
 
@@ -186,7 +227,7 @@ class OptionError(NewtonEulerError):
         self.option = option
         self.value = value
         self.needed = needed
-        super().__init__(f"{option} is {value!r}; needed: {needed}")
+        super().__init__(f"{option} is {quoted(value, 1000)}; needed: {needed}")
 
 
 def check_type(option: str, value: object, kind: type) -> None:

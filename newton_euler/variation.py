@@ -26,7 +26,7 @@ from newton_euler.equations.parameters import (
     refusal,
     with_values,
 )
-from newton_euler.errors import MechanismError, OptionError, check_type, finite_array
+from newton_euler.errors import MechanismError, OptionError, check_type, finite_array, quoted, real_array
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import ComputedTorque
 from newton_euler.model.initial_pose import described_at
@@ -79,7 +79,7 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """
     check_type("scene", scene, Scene)
     if not isinstance(values, Mapping):
-        raise OptionError("values", f"{values!r:.100}", "values by names of parameters")
+        raise OptionError("values", quoted(values), "values by names of parameters")
     given = checked_values(scene, values)
     assembly = assembly_of(scene, tuple(given))
     if assembly.is_needed:
@@ -139,7 +139,7 @@ def start(scene: Scene, /, **joints: Sequence[float] | Sequence[Sequence[float] 
         pairs: Any = [given] if len(kinds) == 1 else given
         if not isinstance(pairs, list | tuple | np.ndarray) or len(pairs) != len(kinds):
             needed = f"a list of {len(kinds)} pairs or None, {', '.join(kinds)}"
-            raise MechanismError(where, f"start is {given!r:.100}", needed)
+            raise MechanismError(where, f"start is {quoted(given)}", needed)
         for k, pair in enumerate(pairs):
             if pair is not None:
                 x, rate = finite_array(where, "start", pair, (2,)).tolist()
@@ -214,8 +214,8 @@ def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunV
     for name, values in given.items():
         array, unusable = _numbers(name, values, own[name])
         found.arrays[name] = array
-        for k in unusable:
-            _refuse(found, k, name, f"is {values[k]!r:.100}", f"finite numbers of shape {own[name].shape}")
+        for k, value in unusable.items():
+            _refuse(found, k, name, f"is {quoted(value)}", f"finite numbers of shape {own[name].shape}")
     by_element: dict[tuple[str, int], dict[str, Place]] = {}
     for name, place in places(scene, [name for name in given if name not in initial]).items():
         by_element.setdefault(place.owner[:2], {})[name] = place
@@ -227,30 +227,28 @@ def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunV
     return found
 
 
-def _numbers(name: str, values: Sequence[Any] | Array, own: Array) -> tuple[Array, list[int]]:
-    """Return values (n, ...) as floats, and the runs whose values are unusable, which have the own one."""
-    if isinstance(values, np.ndarray) and values.dtype.kind == "c":
-        values = values.tolist()  # NumPy would drop imaginary parts
+def _numbers(name: str, values: Sequence[Any] | Array, own: Array) -> tuple[Array, dict[int, Any]]:
+    """Return values (n, ...) as floats, and by runs those that are unusable, which have the own one."""
+    rows = list(values) if isinstance(values, Sequence) else np.asanyarray(values)  # by number, not by index
     try:
-        array = np.array(values, dtype=float)
+        array = real_array(rows)
     except (TypeError, ValueError, OverflowError):
-        rows = [_row(values[k], own) for k in range(len(values))]
-        unusable = [k for k, row in enumerate(rows) if row is None]
-        array = np.array([own if row is None else row for row in rows])
+        found = [_row(value, own) for value in rows]
+        usable = np.array([row is not None for row in found])
+        array = np.array([own if row is None else row for row in found])
     else:
         if array.shape[1:] != own.shape:
             needed = f"finite numbers of shape {own.shape}"
             raise MechanismError(f"parameter {name!r}", f"has values of shape {array.shape[1:]}", needed)
-        finite = np.isfinite(array).reshape(len(array), -1).all(axis=1)
-        unusable = np.flatnonzero(~finite).tolist()
-        array[unusable] = own
-    return array, unusable
+        usable = np.isfinite(array).reshape(len(array), -1).all(axis=1)
+        array[~usable] = own
+    return array, {k: rows[k] for k in np.flatnonzero(~usable).tolist()}
 
 
 def _row(value: Any, own: Array) -> Array | None:
     """Return the value of a run as floats, None if it has another shape or is not finite."""
     try:
-        row = np.array(value, dtype=float)
+        row = real_array(value)
     except (TypeError, ValueError, OverflowError):
         return None
     return row if row.shape == own.shape and np.isfinite(row).all() else None

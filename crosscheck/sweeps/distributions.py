@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.errors import choices, is_finite_number, plain_number
+from newton_euler.errors import choices, is_finite_number, plain_number, quoted, real_array
 from newton_euler.scalars import Array
 
 LONGEST = 10_000
@@ -66,7 +66,7 @@ class Distribution:
             positive = name == "DEVIATION"
             if not is_finite_number(value) or (positive and value <= 0.0):
                 needed = f"a {'positive' if positive else 'finite'} number"
-                raise CrosscheckError(f"{self.kind}: {name} is {value!r:.100}; needed: {needed}")
+                raise CrosscheckError(f"{self.kind}: {name} is {quoted(value)}; needed: {needed}")
         object.__setattr__(self, "numbers", tuple(map(float, self.numbers)))
         steps = given.get("COUNT", 2.0)
         if not (steps % 1.0 == 0.0 and 2 <= steps <= LONGEST):
@@ -182,8 +182,8 @@ class Correlated:
 def _matrix(what: str, given: object, count: int) -> Array:
     """Return a matrix (count, count); raises `CrosscheckError` unless it is symmetric and not negative."""
     try:
-        matrix = np.array(given, dtype=float)
-    except (TypeError, ValueError):
+        matrix = real_array(given)
+    except (TypeError, ValueError, OverflowError):
         matrix = np.full(1, np.nan)
     if matrix.shape != (count, count) or not np.all(np.isfinite(matrix)):
         raise CrosscheckError(f"{what} is no matrix of {count} rows of {count} finite numbers")

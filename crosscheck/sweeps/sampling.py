@@ -14,7 +14,7 @@ import numpy as np
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.sweeps.distributions import Correlated, Distribution, Vary, parse
-from newton_euler.errors import check_choice, is_count
+from newton_euler.errors import check_choice, is_count, quoted
 from newton_euler.scalars import Array
 
 SamplingName = Literal["random", "latin_hypercube", "sobol", "saltelli", "grid"]
@@ -64,9 +64,9 @@ class Samples:
     def __post_init__(self) -> None:
         check_choice("sampling", self.sampling, SAMPLINGS)
         if not is_count(self.runs) or self.runs > MOST_RUNS:
-            raise CrosscheckError(f"runs is {self.runs!r:.100}; needed: a whole number, 1 to {MOST_RUNS}")
+            raise CrosscheckError(f"runs is {quoted(self.runs)}; needed: a whole number, 1 to {MOST_RUNS}")
         if not is_count(self.seed + 1 if isinstance(self.seed, int) else None) or self.seed >= 2**63:
-            raise CrosscheckError(f"seed is {self.seed!r:.100}; needed: a whole number, 0 or more")
+            raise CrosscheckError(f"seed is {quoted(self.seed)}; needed: a whole number, 0 or more")
         if self.sampling == "saltelli":
             base = 2 ** max(0, (self.runs // self.block).bit_length() - 1)
             if self.runs != self.block * base:
@@ -223,12 +223,12 @@ def _distribution(names: tuple[str, ...], given: object) -> Distribution | Corre
     try:
         if isinstance(given, str):
             given = parse(given)
-        elif not isinstance(given, Distribution | Correlated) and isinstance(given, Iterable):
+        elif isinstance(given, Iterable) and not isinstance(given, bytes) and getattr(given, "ndim", True):
             given = Distribution("values", tuple(given))
     except CrosscheckError as error:
-        raise CrosscheckError(f"{', '.join(names)}={given!r:.200}: {error}") from None
+        raise CrosscheckError(f"{', '.join(names)}={quoted(given, 200)}: {error}") from None
     if not isinstance(given, Distribution | Correlated):
-        raise CrosscheckError(f"{', '.join(names)}: {given!r:.100} is no distribution")
+        raise CrosscheckError(f"{', '.join(names)}: {quoted(given)} is no distribution")
     count = len(given.distributions) if isinstance(given, Correlated) else 1
     if count != len(names):
         raise CrosscheckError(f"{', '.join(names)}: a distribution of {count} numbers, not of {len(names)}")

@@ -21,7 +21,7 @@ from newton_euler.equations.couplings import couplings
 from newton_euler.equations.dense import RANK_TOLERANCE
 from newton_euler.equations.kinematics import TreeKinematics
 from newton_euler.equations.redundancy import inherit_mobility, mobility, rows_left_out
-from newton_euler.errors import MechanismError
+from newton_euler.errors import MechanismError, quoted, real_array
 from newton_euler.integrators.compiled import NEUTRAL
 from newton_euler.integrators.outputs import at_rows
 from newton_euler.model.description import ArrayField, description
@@ -77,17 +77,17 @@ class Axis:
 def unit_vectors(element: str, name: str, given: object) -> Array:
     """Convert to unit vectors (..., 3); raises `MechanismError` for what has no direction."""
     try:
-        vectors = np.array(given, dtype=float)
+        vectors = real_array(given)
     except (TypeError, ValueError, OverflowError):
         vectors = np.zeros(0)
     if vectors.shape[-1:] != (3,) or not vectors.size:
-        raise MechanismError(element, f"{name} is {given!r:.100}", "three numbers, or rows of them, (n, 3)")
+        raise MechanismError(element, f"{name} is {quoted(given)}", "three numbers, or rows of them, (n, 3)")
     with np.errstate(all="ignore"):
         vectors = vectors / np.max(np.abs(vectors), axis=-1, keepdims=True)
         vectors = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
     wrong = np.flatnonzero(~np.isfinite(vectors).all(axis=-1))
     if wrong.size:
-        value = np.reshape(np.array(given, dtype=float), (-1, 3))[wrong[0]].tolist()
+        value = np.reshape(real_array(given), (-1, 3))[wrong[0]].tolist()
         raise MechanismError(element, f"{name} is {value}", "finite numbers, not all of them 0")
     return vectors
 

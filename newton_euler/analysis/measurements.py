@@ -17,7 +17,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, UnknownNameError, is_finite_number, nearest
+from newton_euler.errors import (
+    MechanismError,
+    UnknownNameError,
+    is_finite_number,
+    nearest,
+    quoted,
+    real_array,
+)
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import (
@@ -81,7 +88,7 @@ class Measurements:
     def __post_init__(self) -> None:
         for what in ("columns", "noise", "start", "units"):
             if not isinstance(given := getattr(self, what), Mapping):
-                raise MechanismError("measurements", f"{what} is {given!r:.100}", "a mapping of names")
+                raise MechanismError("measurements", f"{what} is {quoted(given)}", "a mapping of names")
         factors = {name: _factor(name, unit) for name, unit in self.units.items()}
         if UNITS[self.units.get("time", "s")][0] != "s":
             raise MechanismError("measurements", f"unit of time is {self.units['time']!r}", "s or ms")
@@ -104,7 +111,7 @@ class Measurements:
             if name not in columns:
                 raise MechanismError("measurements", f"have noise of {name!r:.100}", "columns alone")
             if not is_finite_number(deviation) or deviation <= 0.0:
-                problem = f"noise of {name!r:.100} is {deviation!r:.100}"
+                problem = f"noise of {name!r:.100} is {quoted(deviation)}"
                 raise MechanismError("measurements", problem, "a positive number")
         noise = {name: float(level) * factors.get(name, 1.0) for name, level in self.noise.items()}
         object.__setattr__(self, "noise", noise)
@@ -114,7 +121,7 @@ class Measurements:
         object.__setattr__(self, "units", {name: UNITS[unit][0] for name, unit in self.units.items()})
         for name, number in self.start.items():
             if not isinstance(name, str) or not name.startswith(PREFIX) or not is_finite_number(number):
-                problem = f"start with {name!r:.100} = {number!r:.100}"
+                problem = f"start with {name!r:.100} = {quoted(number)}"
                 raise MechanismError("measurements", problem, f"finite numbers by {PREFIX}JOINT")
 
     def __repr__(self) -> str:
@@ -131,11 +138,11 @@ def _factor(name: str, unit: object) -> float:
 def _numbers(what: str, given: object, factor: float) -> Floats:
     """Return finite numbers (n,), times a factor."""
     try:
-        array = np.array(given, dtype=float)
-    except (TypeError, ValueError):
+        array = real_array(given)
+    except (TypeError, ValueError, OverflowError):
         array = np.zeros(0)
     if array.ndim != 1 or not len(array) or not np.isfinite(array).all():
-        raise MechanismError("measurements", f"{what} is {given!r:.100}", "finite numbers in a row")
+        raise MechanismError("measurements", f"{what} is {quoted(given)}", "finite numbers in a row")
     array *= factor
     array.flags.writeable = False
     return array

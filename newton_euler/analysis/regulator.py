@@ -11,7 +11,7 @@ import numpy as np
 from newton_euler.analysis.inverse_dynamics import statics
 from newton_euler.analysis.linearization import linearize
 from newton_euler.assemble import initial_state
-from newton_euler.errors import MechanismError, OptionError, check_type
+from newton_euler.errors import MechanismError, OptionError, check_type, real_array
 from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import TimeFunction
@@ -110,8 +110,8 @@ def _coordinate(scene: Scene, name: str | Key) -> Key:
 def _weights(name: str, given: Any, count: int) -> Array:
     """Return a symmetric matrix (count, count) of weights; raises `OptionError`."""
     try:
-        weights = np.array(given, dtype=float)
-    except (TypeError, ValueError):
+        weights = real_array(given)
+    except (TypeError, ValueError, OverflowError):
         weights = np.full(1, np.nan)
     if weights.ndim < 2 and weights.size in (1, count):
         weights = np.diag(np.broadcast_to(weights, count))

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_flag, finite_array
+from newton_euler.errors import MechanismError, check_flag, finite_array, quoted
 from newton_euler.model.constraints import Constraint, Displacement, Perpendicular
 from newton_euler.model.description import ArrayField, DefaultArrayField, description
 from newton_euler.model.hinge_angles import (
@@ -66,7 +66,7 @@ class Compound(Joint):
             try:
                 given = [unit_vector(self.name, name, axis) for axis in getattr(self, name)]
             except TypeError as error:
-                raise MechanismError(where, f"{name} is {getattr(self, name)!r:.100}", "axes") from error
+                raise MechanismError(where, f"{name} is {quoted(getattr(self, name))}", "axes") from error
             axes = np.array(given).reshape(-1, 3)
             gram = np.sqrt(max(0.0, np.linalg.det(axes @ axes.T))) if len(axes) <= 3 else 0.0
             if gram < INDEPENDENT:
@@ -82,7 +82,7 @@ class Compound(Joint):
         try:
             vectors = [finite_array(where, "offsets", each, (3,)) for each in stated]
         except TypeError as error:
-            raise MechanismError(where, f"offsets is {self.offsets!r:.100}", "vectors") from error
+            raise MechanismError(where, f"offsets is {quoted(self.offsets)}", "vectors") from error
         if len(vectors) != needed:
             problem = f"has {len(vectors)} offsets between {len(self.hinges)} hinges"
             raise MechanismError(where, problem, f"{needed} of them, or none")

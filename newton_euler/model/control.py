@@ -8,7 +8,15 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_flag, check_key, finite_array, set_numbers
+from newton_euler.errors import (
+    MechanismError,
+    check_flag,
+    check_key,
+    finite_array,
+    quoted,
+    real_array,
+    set_numbers,
+)
 from newton_euler.model.elements import CoordinateForce, Surroundings
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism, check_coordinate
@@ -230,7 +238,7 @@ class StateFeedback(DeclaredLaw):
         """Return an attribute by joint coordinates, checked."""
         given: Any = getattr(self, name) or {}
         if not isinstance(given, Mapping):
-            raise MechanismError(self.element, f"{name} is {given!r:.100}", "a mapping from names of joints")
+            raise MechanismError(self.element, f"{name} is {quoted(given)}", "a mapping from names of joints")
         found: dict[Key, Any] = {}
         for place, value in given.items():
             key = place if isinstance(place, tuple) and len(place) == 2 else (place, 0)
@@ -302,10 +310,10 @@ class ComputedTorque(DeclaredLaw):
         check_key(self.element, self.joint, self.coordinate)
         given: Any = self.model or {}
         try:
-            model = {name: np.array(value, dtype=float).tolist() for name, value in given.items()}
+            model = {name: real_array(value).tolist() for name, value in given.items()}
         except (AttributeError, TypeError, ValueError, OverflowError) as error:
             needed = "a mapping from names of parameters to their values"
-            raise MechanismError(self.element, f"model is {given!r:.100}", needed) from error
+            raise MechanismError(self.element, f"model is {quoted(given)}", needed) from error
         object.__setattr__(self, "model", model)
 
     @property

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number
+from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number, quoted
 from newton_euler.model.variable import WHICH, Change, Variable
 from newton_euler.scalars import Array
 
@@ -68,7 +68,7 @@ class Gear(JointCoupling):
         where = f"gear {self.name!r:.100}"
         check_texts(where, self, "name")
         if not is_finite_number(self.ratio) or self.ratio == 0.0:
-            raise MechanismError(where, f"ratio is {self.ratio!r}", "a finite number, not 0")
+            raise MechanismError(where, f"ratio is {quoted(self.ratio)}", "a finite number, not 0")
         object.__setattr__(self, "ratio", float(self.ratio))
         check_key(where, self.driver, self.driver_coordinate)
         check_key(where, self.follower, self.follower_coordinate)
@@ -115,11 +115,12 @@ class LinearCoupling(JointCoupling):
             terms = tuple((joint, coordinate, factor) for joint, coordinate, factor in self.terms)
         except (TypeError, ValueError) as error:
             needed = "(joint, coordinate, factor) of each term"
-            raise MechanismError(where, f"terms is {self.terms!r:.100}", needed) from error
+            raise MechanismError(where, f"terms is {quoted(self.terms)}", needed) from error
         for joint, coordinate, factor in terms:
             check_key(where, joint, coordinate)
             if not is_finite_number(factor) or factor == 0.0:
-                raise MechanismError(where, f"factor of {joint!r} is {factor!r}", "a finite number, not 0")
+                problem = f"factor of {joint!r} is {quoted(factor)}"
+                raise MechanismError(where, problem, "a finite number, not 0")
         if len(terms) < 2 or len({term[:2] for term in terms}) < len(terms):
             raise MechanismError(where, f"has the terms {terms!r:.100}", "two joint coordinates or more")
         object.__setattr__(self, "terms", tuple((joint, k, float(factor)) for joint, k, factor in terms))

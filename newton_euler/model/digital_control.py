@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from numbers import Integral
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_key, is_finite_number, set_numbers
+from newton_euler.errors import MechanismError, check_key, is_finite_number, is_whole, quoted, set_numbers
 from newton_euler.model.control import (
     NO_FORCES,
     PD,
@@ -61,7 +60,7 @@ class HeldLaw(ControlLaw):
     def _check_period(self) -> None:
         if not is_finite_number(self.period) or self.period < SHORTEST_PERIOD:
             needed = f"a number of seconds, at least {SHORTEST_PERIOD:g}"
-            raise MechanismError(self.element, f"period is {self.period!r}", needed)
+            raise MechanismError(self.element, f"period is {quoted(self.period)}", needed)
         object.__setattr__(self, "period", float(self.period))
 
     def rebuilt(self, values: Mapping[str, Any]) -> Self:
@@ -170,24 +169,20 @@ class Digital(HeldLaw):
         object.__setattr__(self, "coordinate", self.law.coordinate)
         where = self.element
         self._check_period()
-        if (
-            not isinstance(self.delay, Integral)
-            or isinstance(self.delay, bool)
-            or not 0 <= self.delay <= LONGEST_DELAY
-        ):
+        if not is_whole(self.delay) or not 0 <= int(self.delay) <= LONGEST_DELAY:
             needed = f"a number of samples, 0 to {LONGEST_DELAY}"
-            raise MechanismError(where, f"delay is {self.delay!r:.100}", needed)
+            raise MechanismError(where, f"delay is {quoted(self.delay)}", needed)
         set_numbers(self, where, ["resolution"], least=0.0)
         for name in ("force_limit", "slew_limit"):
             value = getattr(self, name)
             if value != np.inf and not (is_finite_number(value) and value > 0.0):
-                raise MechanismError(where, f"{name} is {value!r:.100}", "a positive number, or infinity")
+                raise MechanismError(where, f"{name} is {quoted(value)}", "a positive number, or infinity")
         try:
             low, high = map(float, self.stroke)
         except (TypeError, ValueError, OverflowError):
             low, high = np.nan, np.nan
         if not low <= high:
-            raise MechanismError(where, f"stroke is {self.stroke!r:.100}", "the lower end and the upper one")
+            raise MechanismError(where, f"stroke is {quoted(self.stroke)}", "the lower end and the upper one")
         object.__setattr__(self, "stroke", (low, high))
 
     @property

@@ -19,6 +19,7 @@ from newton_euler.errors import (
     check_key,
     check_texts,
     is_finite_number,
+    quoted,
     set_arrays,
     set_numbers,
 )
@@ -422,5 +423,5 @@ class BallArmature(OnBall):
 def _set_inertia(armature: Armature | BallArmature) -> None:
     inertia = armature.inertia
     if not is_finite_number(inertia) or inertia <= 0.0:
-        raise MechanismError(armature.element, f"inertia is {inertia!r:.100}", "a positive finite number")
+        raise MechanismError(armature.element, f"inertia is {quoted(inertia)}", "a positive finite number")
     object.__setattr__(armature, "inertia", float(inertia))

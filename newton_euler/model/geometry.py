@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, is_finite_number, set_arrays
+from newton_euler.errors import MechanismError, is_finite_number, quoted, set_arrays
 from newton_euler.model.description import ArrayField, IndexField, description
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.scalars import Floats
@@ -87,7 +87,7 @@ class Homogeneous:
             MechanismError: for a density that is not positive, and what doubles do not hold.
         """
         if not is_finite_number(density) or density <= 0.0:
-            raise MechanismError(self.noun, f"density is {density!r:.100}", "a positive number of kg/m^3")
+            raise MechanismError(self.noun, f"density is {quoted(density)}", "a positive number of kg/m^3")
         with np.errstate(all="ignore"):  # numbers are checked
             return self._of_density(density).checked(self.noun)
 

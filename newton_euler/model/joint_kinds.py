@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, is_finite_number
+from newton_euler.errors import MechanismError, is_finite_number, quoted
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Constraint, Distance, Perpendicular, Reversed
 from newton_euler.model.description import ArrayField, description
@@ -209,7 +209,7 @@ class Screw(Cylindrical):
         super().__post_init__()
         if not is_finite_number(self.pitch) or self.pitch == 0.0:
             needed = "a finite number of meters per radian, not 0"
-            raise MechanismError(f"joint {self.name!r}", f"pitch is {self.pitch!r}", needed)
+            raise MechanismError(f"joint {self.name!r}", f"pitch is {quoted(self.pitch)}", needed)
         object.__setattr__(self, "pitch", float(self.pitch))
 
     @property

@@ -21,6 +21,7 @@ from newton_euler.errors import (
     check_key,
     elements_of,
     is_finite_number,
+    quoted,
     set_arrays,
 )
 from newton_euler.model.constraints import Frame
@@ -136,7 +137,7 @@ class Body(Variable):
             given = "no density and no mass" if mass is None else "a density and a mass"
             raise MechanismError(where, f"is given {given}", "one of them")
         if mass is not None and (not is_finite_number(mass) or mass <= 0.0):
-            raise MechanismError(where, f"mass is {mass!r:.100}", "a positive number of kg")
+            raise MechanismError(where, f"mass is {quoted(mass)}", "a positive number of kg")
         solids = elements_of(where, "solids", solids, *get_args(Solid))
         if not solids:
             raise MechanismError(where, "has no solids", "one or more")

@@ -10,7 +10,14 @@ from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_choices, elements_of, is_finite_number, set_arrays
+from newton_euler.errors import (
+    MechanismError,
+    check_choices,
+    elements_of,
+    is_finite_number,
+    quoted,
+    set_arrays,
+)
 from newton_euler.model.control import sensed
 from newton_euler.model.description import ArrayField, TupleField, description
 from newton_euler.model.digital_control import Digital, HeldLaw, Law, Sampled
@@ -119,12 +126,12 @@ class Scene(Variable):
             value = getattr(self, name)
             if not is_finite_number(value) or not 0.0 < value <= MAXIMUM_DURATION:
                 needed = f"a positive number of seconds, at most {MAXIMUM_DURATION:g}"
-                raise MechanismError(where, f"{name} is {value!r}", needed)
+                raise MechanismError(where, f"{name} is {quoted(value)}", needed)
             object.__setattr__(self, name, float(value))
         tolerance = self.redundancy_tolerance
         if not is_finite_number(tolerance) or not 0.0 <= tolerance < 1.0:
             raise MechanismError(
-                where, f"redundancy_tolerance is {tolerance!r}", "a number from 0 to below 1"
+                where, f"redundancy_tolerance is {quoted(tolerance)}", "a number from 0 to below 1"
             )
         if self.duration > MAXIMUM_OUTPUTS * self.output_period:
             raise MechanismError(
@@ -191,11 +198,12 @@ class Scene(Variable):
                 not isinstance(value, np.ndarray)
                 or value.dtype.kind != "f"
                 or value.shape != (count, width)
+                or np.ma.is_masked(value)
                 or not np.all(np.isfinite(value))
             ):
                 raise MechanismError(
                     where,
-                    f"{name} has another shape or holds what is not finite",
+                    f"{name} has another shape, or holds what is masked or not finite",
                     f"an array of finite floats, shape ({count}, {width})",
                 )
         norms = np.linalg.norm(state.quaternion, axis=1)

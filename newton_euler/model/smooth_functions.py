@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from newton_euler.errors import MechanismError, is_finite_number, set_numbers
+from newton_euler.errors import MechanismError, is_finite_number, quoted, set_numbers
 from newton_euler.model.variable import Function
 from newton_euler.scalars import Scalar, cos, sin
 
@@ -41,7 +41,7 @@ class Polynomial(Function):
             is_finite_number(c) and is_finite_number(k * k * c) for k, c in enumerate(given)
         ):
             needed = "one finite number or more, lowest power first"
-            raise MechanismError("polynomial", f"coefficients is {self.coefficients!r:.100}", needed)
+            raise MechanismError("polynomial", f"coefficients is {quoted(self.coefficients)}", needed)
         object.__setattr__(self, "coefficients", tuple(float(c) for c in given))
 
     def value(self, time: Scalar) -> Scalar:

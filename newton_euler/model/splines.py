@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from newton_euler.errors import MechanismError
+from newton_euler.errors import MechanismError, quoted, real_array
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.smooth_functions import Piece
 from newton_euler.model.variable import Change, Function
@@ -36,12 +36,12 @@ class Piecewise(Function):
         for name in ("times", "values"):
             given: Any = getattr(self, name)
             try:
-                array = np.array(given, dtype=float)
+                array = real_array(given)
             except (TypeError, ValueError, OverflowError):
                 array = np.zeros((0, 0))
             if array.ndim != 1 or len(array) < self.least or not np.all(np.isfinite(array)):
                 needed = f"{self.least} finite numbers or more"
-                raise MechanismError(self.noun, f"{name} is {given!r:.100}", needed)
+                raise MechanismError(self.noun, f"{name} is {quoted(given)}", needed)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
         if len(self.times) != len(self.values):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import field
-from numbers import Integral
 from typing import ClassVar
 
 import numpy as np
@@ -14,6 +13,8 @@ from newton_euler.errors import (
     check_texts,
     is_count,
     is_finite_number,
+    is_whole,
+    quoted,
     set_arrays,
     set_numbers,
 )
@@ -197,7 +198,7 @@ def wind_gust(mean: float, gust: float, period: float = 10.5) -> Sum:
     _check_positive("wind gust", period=period)
     for name, value in (("mean", mean), ("gust", gust)):
         if not is_finite_number(value):
-            raise MechanismError("wind gust", f"{name} is {value!r:.100}", "a finite number")
+            raise MechanismError("wind gust", f"{name} is {quoted(value)}", "a finite number")
     w, amplitude = math.pi / period, 0.37 * gust
     sines = (Sine(-amplitude, 3.0 * w), Sine(0.5 * amplitude, 5.0 * w), Sine(0.5 * amplitude, w))
     return Sum((Polynomial((mean,)), *sines))
@@ -249,10 +250,10 @@ def wind_turbulence(
     if not highest > lowest:
         raise MechanismError(where, f"highest is {highest:g} Hz", f"more than lowest, {lowest:g} Hz")
     if not is_count(count) or count > MOST_SINES:
-        raise MechanismError(where, f"count is {count!r:.50}", f"a whole number from 1 to {MOST_SINES}")
-    if not isinstance(seed, Integral) or isinstance(seed, bool) or seed < 0:
-        raise MechanismError(where, f"seed is {seed!r:.50}", "a whole number, 0 or more")
-    rng = np.random.default_rng(seed)
+        raise MechanismError(where, f"count is {quoted(count, 50)}", f"a whole number from 1 to {MOST_SINES}")
+    if not is_whole(seed) or int(seed) < 0:
+        raise MechanismError(where, f"seed is {quoted(seed, 50)}", "a whole number, 0 or more")
+    rng = np.random.default_rng(int(seed))
     edges = np.geomspace(lowest, highest, count + 1)
     below = 1.0 - (1.0 + 6.0 * edges * length / mean) ** (-2.0 / 3.0)
     amplitudes = deviation * np.sqrt(2.0 * np.diff(below))
@@ -265,4 +266,4 @@ def wind_turbulence(
 def _check_positive(where: str, **values: float) -> None:
     for name, value in values.items():
         if not is_finite_number(value) or not value > 0.0:
-            raise MechanismError(where, f"{name} is {value!r:.100}", "a positive number")
+            raise MechanismError(where, f"{name} is {quoted(value)}", "a positive number")

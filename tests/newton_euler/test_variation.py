@@ -173,8 +173,29 @@ def test_hinges_keep_their_side():
     assert "where the angle of the second one jumps" in str(found.errors[1])
 
 
-def test_complex_numbers_are_no_values(scene):
-    assert list(run_values(scene, {"mass.mass": np.array([1.0 + 2.0j, 2.0])}).errors) == [0, 1]
+NO_NUMBERS = {
+    "masked": np.ma.array([2.0, 3.0], mask=[False, True]),
+    "'3.0'": [2.0, "3.0"],
+    "b'3.0'": np.array([2.0, b"3.0"], dtype=object),
+    "np.timedelta64(3,'s')": [2.0, np.timedelta64(3, "s")],
+    "np.datetime64('2003')": [2.0, np.datetime64("2003")],
+    "3j": [2.0, 3j],
+    "int with too many digits": [2.0, 10**5000],
+}
+"""Values of which the second is no number, by how it is shown."""
+
+
+@pytest.mark.parametrize("shown", NO_NUMBERS)
+def test_what_is_no_number_is_no_value_of_its_run(scene, shown):
+    found = run_values(scene, {"mass.mass": NO_NUMBERS[shown]})
+    assert {run: error.problem for run, error in found.errors.items()} == {1: f"is {shown}"}
+
+
+def test_the_rows_of_a_table_are_runs_by_their_order(scene):
+    """Those that are left of a longer one have labels of their own."""
+    column = pytest.importorskip("pandas").Series([2.0, np.nan, 3.0], index=[5, 6, 7])
+    found = run_values(scene, {"mass.mass": column})
+    assert (list(found.errors), found.arrays["mass.mass"][[0, 2]].tolist()) == ([1], [2.0, 3.0])
 
 
 def test_bad_values_are_found_among_many(scene):

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pinocchio as pin
 
+from newton_euler.errors import quoted, real_array
 from newton_euler.limits import exceeded
 from newton_euler.scalars import Array
 from urdf.loops import NO_LOOPS, closure_names
@@ -137,9 +138,9 @@ class Given:
 
     def _configuration(self, model: Any, q: Sequence[float] | Array) -> Array:
         try:
-            found = np.array(q, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise SourceError(self.where, f"q is {q!r:.100}; needed: {model.nq} numbers") from error
+            found = real_array(q)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise SourceError(self.where, f"q is {quoted(q)}; needed: {model.nq} numbers") from error
         if found.shape != (model.nq,) or not np.all(np.isfinite(found)):
             problem = f"q has shape {found.shape}, or numbers that are not finite"
             raise SourceError(self.where, f"{problem}; needed: {model.nq} finite numbers")

@@ -172,6 +172,7 @@ def test_texts_that_are_no_distribution_are_one_line(text, words):
         ({"a": "uniform(0,1)"}, "latin_hypercube", 2**30, "at most; sobol has no limit"),
         ({"a": []}, "random", 3, "empty distribution"),
         ({"a": 3.0}, "random", 3, "is no distribution"),
+        ({"a": b"12"}, "random", 3, "is no distribution"),
     ],
 )
 def test_impossible_plans_are_one_line(vary, sampling, runs, words):

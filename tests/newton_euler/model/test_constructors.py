@@ -202,7 +202,9 @@ WRONG: dict[str, Any] = {
     "huge vector": [1e308, 1e308, -1e308],
     "NaN vector": [0.0, np.nan, 0.0],
     "matrix": np.full((3, 3), 1e200),
-    "texts": ["a", "b", "c"],
+    "texts": ["1", "2", "3"],
+    "masked": np.ma.array([0.0, 1.0, 0.0], mask=[True, False, False]),
+    "time span": np.timedelta64(1, "s"),
     "type": dict,
 }
 

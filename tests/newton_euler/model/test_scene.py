@@ -15,6 +15,9 @@ from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.geometry import Box, Capsule
 from newton_euler.model.trajectory import atomic_file
 
+START = State.initial(pendulum().mechanism)
+MASKED = np.ma.array(START.position, mask=START.position > 0.4)
+
 
 @pytest.mark.parametrize(
     ("field", "value", "message"),
@@ -32,6 +35,11 @@ from newton_euler.model.trajectory import atomic_file
         ("control", None, "control is None"),
         ("control", (3,), "control holds"),
         ("initial_state", 3, "is 3; needed: a State"),
+        (
+            "initial_state",
+            replace(START, position=MASKED),
+            "position has another shape, or holds what is",
+        ),
         ("outputs", "energy", "outputs is 'energy'"),
         ("outputs", None, "outputs is None"),
         ("duration", True, "duration is True"),
