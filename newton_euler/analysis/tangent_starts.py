@@ -7,14 +7,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from newton_euler.analysis.tangent_run import TOO_NEAR
+from newton_euler.equations.parameters import places
 from newton_euler.errors import MechanismError, SensitivityError
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 from newton_euler.simulate import CompiledScene
-from newton_euler.starts import assembly_of
-from newton_euler.variation import of_single_run, own_values, run_values
+from newton_euler.starts import assembly_of, initial_numbers
+from newton_euler.variation import of_single_run, own_values, run_values, units_of
 
-DIFFERENCE = 1e-4  # of parameters of starts, of the mechanism's size, m, or of their own value beyond 1
+DIFFERENCE = 1e-4  # of parameters of starts, of their size, see `_sizes`, or of their own value beyond 1
 
 WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
 """Of the central difference of order 6."""
@@ -27,6 +28,8 @@ APART = 5e-6
 
 Near a singular configuration errors go with the step by its distance, to the fourth and the sixth power.
 """
+
+DIRECTIONS = frozenset({"axis", "axis_on_first", "axis_on_second", "quaternion"})  # attributes
 
 LEAST = 1e-3  # SI, of numbers that are compared
 
@@ -53,6 +56,18 @@ def own_numbers(scene: Scene, names: Sequence[str]) -> Array:
     return np.array([float(value) for value in own_values(scene, names).values()])
 
 
+def _sizes(scene: Scene, names: Sequence[str]) -> Array:
+    """Return the sizes (p,) of numbers that move starts: 1 for angles, their rates and directions of axes.
+
+    That of the mechanism, m, up to 1, for lengths and numbers of mixed units, as those of functions of time.
+    """
+    units, initial = units_of(scene, names), initial_numbers(scene, names)
+    found = places(scene, [name for name in names if name not in initial])
+    turning = {name for name in names if units[name].startswith("rad")}
+    turning |= {name for name, place in found.items() if {*place.owner[2].split(".")} & DIRECTIONS}
+    return np.array([1.0 if name in turning else min(1.0, scene.mechanism.size) for name in names])
+
+
 class Starts:
     """Starts of a scene's runs with p of its numbers, and their derivatives by these.
 
@@ -69,6 +84,7 @@ class Starts:
         self._names = (*names, *(held or {}))
         self._assembly = assembly_of(code.scene, self._names)
         moving = {*self._assembly.kinematic, *self._assembly.initial}
+        self._sizes = _sizes(code.scene, names)
         self._moving = [k for k, name in enumerate(names) if name in moving]
 
     def __call__(self, numbers: Array) -> tuple[Array, Array]:
@@ -78,8 +94,7 @@ class Starts:
             MechanismError: for numbers that make no sense, and those with which a loop stays open.
             SensitivityError: for derivatives that do not exist, or are not known.
         """
-        code, step = self._code, DIFFERENCE * min(1.0, self._code.scene.mechanism.size)
-        steps = step * np.maximum(1.0, np.abs(numbers))
+        code, steps = self._code, DIFFERENCE * self._sizes * np.maximum(1.0, np.abs(numbers))
         count, numbers = len(numbers), np.concatenate([numbers, self._held])
         x, directions = code.start.copy(), np.zeros((code.inputs, count))
         for k, name in enumerate(self._names[:count]):

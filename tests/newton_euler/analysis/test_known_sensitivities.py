@@ -10,7 +10,7 @@ from mechanisms import CART, carts, mass_on_rail, pendulum, planar_four_bar
 from scipy.integrate import solve_ivp
 from test_sensitivity import TIGHT, short
 
-from newton_euler import sensitivities, with_parameters
+from newton_euler import sensitivities, start, with_parameters
 from newton_euler.analysis.tangent_run import OF_TANGENTS
 from newton_euler.integrators.options import Options
 from newton_euler.model.control import PD
@@ -52,6 +52,17 @@ def test_a_pendulum_against_complex_steps():
         # both are integrated to 1e-13, over one swing
         assert found.coordinates[-1, 0] @ weights == pytest.approx(angle, rel=1e-10)
         assert found.rates[-1, 0] @ weights == pytest.approx(rate, rel=1e-10)
+
+
+def test_starts_turn_alike_in_mechanisms_of_all_sizes():
+    """By angles and axes of a pendulum of 10 micrometers as by those of one of 1 m."""
+    found = []
+    for length in (1.0, 1e-5):
+        scene = start(short(pendulum(length), 1e-3), pivot=(0.5, 0.0))
+        found.append(sensitivities(scene, ["start.pivot", "pivot.axis"]).quaternion[0, 1])
+    assert np.abs(found[0][:, 1:]).max() > 0.1
+    # differences over 1e-4 rad of numbers of order 1 with round-off
+    assert np.abs(found[1] - found[0]).max() < 2e-11
 
 
 def moment_about_y(body):
