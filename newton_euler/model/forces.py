@@ -266,6 +266,8 @@ class PointSpring(OnBodies, AppliedForce):
 
     def energy(self, at: Surroundings) -> Scalar:
         d = self.line(at).d
+        if self.rest_length == 0.0:  # a length has no derivative where it is 0
+            return 0.5 * self.stiffness * (d @ d)
         stretch = sqrt(d @ d) - self.rest_length
         return 0.5 * self.stiffness * (stretch * stretch)
 

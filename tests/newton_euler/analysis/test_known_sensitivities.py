@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mechanisms import CART, carts, mass_on_rail, pendulum, planar_four_bar
+from mechanisms import CART, STIFFNESS, carts, line_spring, mass_on_rail, pendulum, planar_four_bar
 from scipy.integrate import solve_ivp
 from test_sensitivity import TIGHT, short
 
@@ -52,6 +52,18 @@ def test_a_pendulum_against_complex_steps():
         # both are integrated to 1e-13, over one swing
         assert found.coordinates[-1, 0] @ weights == pytest.approx(angle, rel=1e-10)
         assert found.rates[-1, 0] @ weights == pytest.approx(rate, rel=1e-10)
+
+
+def test_the_energy_of_a_spring_of_no_length():
+    """By its stiffness half the square of the distance, which is 0 at first."""
+    scene = start(mass_on_rail(line_spring(rest_length=0.0), duration=0.2), rail=(2.0, -3.0))
+    found = sensitivities(scene, ["line.stiffness"])
+    distance = found.run.position[:, 1, 2] - 2.0
+    by_stiffness = STIFFNESS * distance * found.position[:, 1, 2, 0] + 0.5 * distance**2
+    assert distance[0] == 0.0
+    assert by_stiffness[-1] > 0.01
+    # round-off
+    assert np.abs(found.potential_energy[:, 0] - by_stiffness).max() < 1e-14
 
 
 def test_starts_turn_alike_in_mechanisms_of_all_sizes():
