@@ -34,6 +34,7 @@ from newton_euler.equations.parameters import (
     PIECE,
     is_kinematic,
     numbered,
+    parameter_layout,
     pieces,
     places,
     unambiguous,
@@ -440,7 +441,7 @@ class Assembly:
             chosen: all that it depends on beside the scene and its parameters.
         """
         code = self.code
-        moving = code.scene.motions, tuple(code.parameters)
+        moving = code.scene.motions, parameter_layout(code.scene, code.parameters)
         known = fingerprint(self.scene, *chosen, *moving, neutral=NEUTRAL | {"outputs"})
 
         def traced() -> Traced:

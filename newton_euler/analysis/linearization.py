@@ -33,6 +33,7 @@ from newton_euler.equations.parameters import (
     check_dynamic,
     measuring,
     numbered,
+    parameter_layout,
     parameter_values,
     pieces,
     unambiguous,
@@ -183,7 +184,8 @@ class Linearization:
     def function(self) -> NativeFunction:
         """Of (q, v, inputs, directions of all three, time), see `_trace`."""
         begun = [float(motion.function.value(0.0)) for motion in self.scene.motions]
-        chosen = tuple(label(freedom.name) for freedom in self.freedoms), self.measured, tuple(self.values)
+        inputs = parameter_layout(self.scene, self.values)
+        chosen = tuple(label(freedom.name) for freedom in self.freedoms), self.measured, inputs
         known = fingerprint(self.scene, *chosen, begun, neutral=NEUTRAL)
         return NativeFunction(self._trace, known and f"{known} linearization")
 

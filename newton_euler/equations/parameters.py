@@ -304,6 +304,20 @@ def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[s
     return values
 
 
+def parameter_layout(scene: Scene, names: Iterable[str]) -> tuple[tuple[object, ...], ...]:
+    """Return names of parameters with their shapes and, of functions of time, counts of each term's numbers.
+
+    Code that has them as inputs depends on these, though on no samples.
+    """
+    names, functions = list(names), scene.functions
+    values, found = parameter_values(scene, names), []
+    for name, (owner, _) in places(scene, names).items():
+        own = () if name.endswith(PIECE) else functions.get(owner, ())  # pieces have one size
+        counts = tuple(len(term.part("")) for function in own for term in terms(function))
+        found.append((name, values[name].shape, counts))
+    return tuple(found)
+
+
 def checked(scene: Scene, values: Mapping[str, object]) -> dict[str, Array]:
     """Parameter values as arrays of floats.
 

@@ -22,7 +22,14 @@ from newton_euler.codegen.expression import Graph, Program, differentiate
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.model_control import share_model_control
-from newton_euler.equations.parameters import is_kinematic, parameter_values, pieces, places, with_values
+from newton_euler.equations.parameters import (
+    is_kinematic,
+    parameter_layout,
+    parameter_values,
+    pieces,
+    places,
+    with_values,
+)
 from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual, rows_in_use
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import Rows, RowsInUse, is_zero, least_squares
@@ -175,9 +182,12 @@ class Code:
             chosen.append(tuple(self._independent))
         # the choice of rows begins where the scene does
         chosen += [float(motion.function.value(0.0)) for motion in self.scene.motions]
-        return cache(
-            lambda parameters, neutral: fingerprint(self.scene, *chosen, parameters, neutral=neutral)
-        )
+
+        def found(parameters: tuple[str, ...], neutral: frozenset[str]) -> str | None:
+            inputs = parameter_layout(self.scene, parameters)
+            return fingerprint(self.scene, *chosen, inputs, neutral=neutral)
+
+        return cache(found)
 
     @cached_property
     def _decided(self) -> tuple[RowsInUse, bool, tuple[NearlyRedundant, ...]]:

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from mechanisms import carts, mass_on_rail
+from mechanisms import CART, carts, mass_on_rail
 from scipy.integrate import solve_ivp
 from scipy.interpolate import make_interp_spline
 from simulations import SIMULATIONS
@@ -247,6 +247,49 @@ def test_samples_of_a_law_are_parameters_of_batches():
     for run_, value in zip(batch, values, strict=True):
         alone = newton_euler.simulate(rail(PD("rail", STIFFNESS, DAMPING, Spline(TIMES, value))))
         assert np.array_equal(run_.position, alone.position)
+
+
+def samples_and_more(count: int) -> Sum:
+    times = np.linspace(0.0, 2.0, count)
+    return Sum((Spline(times, np.sin(3.0 * times)), Polynomial((0.1, 0.2))))
+
+
+def laws(count: int) -> Scene:
+    return carts(PD("rail_0", STIFFNESS, DAMPING, samples_and_more(count)))
+
+
+def moved(count: int) -> Scene:
+    return replace(carts(), motions=(PrescribedMotion("rail_0", samples_and_more(count)),))
+
+
+@pytest.mark.parametrize(
+    ("scene", "name", "value"),
+    [
+        (laws, "rail_0.target", 0.1 * np.cos(np.arange(12.0))),
+        (laws, "rail_0.target.9", 0.3),
+        (moved, "rail_0.motion.function", 0.1 * np.cos(np.arange(12.0))),
+    ],
+)
+def test_code_for_other_numbers_of_samples_is_no_code_for_these(scene, name, value, tmp_path, monkeypatch):
+    """The tenth number is a sample of 10, and of 8 a coefficient of the other term; more inputs follow."""
+    monkeypatch.setenv("NEWTON_EULER_CACHE", str(tmp_path))
+    for count in (8, 10):
+        samples = value[: count + 2] if np.ndim(value) else value
+        given = {name: samples, "cart_1.center_of_mass": np.array([0.1, 1.0, 0.0])}
+        batch = newton_euler.simulate_batch(
+            scene(count), None, {each: [own] for each, own in given.items()}, formulation="cartesian"
+        )
+        alone = newton_euler.simulate(newton_euler.with_parameters(scene(count), given), "cartesian")
+        # both are integrated to 1e-10 from starts that differ by round-off
+        assert np.abs(batch[0].position - alone.position).max() < 1e-9
+
+
+def test_linear_models_take_the_number_of_samples_into_account(tmp_path, monkeypatch):
+    """The tenth number of the target is the rate of what is added to 8 samples, the constant beside 9."""
+    monkeypatch.setenv("NEWTON_EULER_CACHE", str(tmp_path))
+    for count, gain in ((8, DAMPING), (9, STIFFNESS)):
+        model = newton_euler.linearize(laws(count), inputs=["rail_0.target.9"])
+        assert model.B[2, 0] == pytest.approx(gain / CART, rel=1e-12)  # round-off
 
 
 def test_coverage_sees_samples():
