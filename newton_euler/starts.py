@@ -305,9 +305,7 @@ class Assembly:
         for name, place in self._names.items():
             flat = values[name].reshape(len(own), -1)
             targets[:, self.code.place(place) :][:, : flat.shape[1]] = flat
-        for name, place in self._names.items():
-            if place + PIECE in self.code.parameters:
-                self._set_pieces(targets, name, values[name])
+        self._set_pieces(targets)
         for name, (key, order) in self.initial.items():
             column = self.code.place(self._motions[key]) + order
             targets[:, column] = values[name]
@@ -316,13 +314,18 @@ class Assembly:
                 targets[:, column] -= 2.0 * np.pi * revolutions  # the shorter way
         return targets
 
-    def _set_pieces(self, targets: Array, name: str, values: Array) -> None:
-        """Set the numbers of a motion's function between the first knots, of samples (n, ...) by name."""
-        piece = self._names[name] + PIECE
-        place = self.code.place(piece)
-        for row, value in zip(targets, values, strict=True):
-            numbers = pieces(with_values(self.scene, {name: value}), 0.0)[piece]
-            row[place : place + len(numbers)] = numbers
+    def _set_pieces(self, targets: Array) -> None:
+        """Set the numbers of motions' functions between the first knots by their samples."""
+        code = self.code
+        sampled = [
+            name
+            for name, place in places(code.scene, self._names.values()).items()
+            if numbered(*place.owner) + PIECE in code.parameters
+        ]
+        for row in targets if sampled else ():
+            moved = with_values(code.scene, code.values(row, sampled))
+            for name, numbers in pieces(moved, 0.0).items():
+                row[code.place(name) :][: len(numbers)] = numbers
 
     def _steps(self, own: Array, targets: Array) -> Array:
         """Return how many steps (n,) each run takes."""

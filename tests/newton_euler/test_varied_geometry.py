@@ -210,6 +210,18 @@ def test_samples_of_a_motion(crank, formulation):
         assert np.abs(run.position - simulate(along(values)).position).max() < 1e-9
 
 
+def test_samples_of_a_motion_one_by_one(crank):
+    """They move the start as all samples together do."""
+    times = np.linspace(0.0, 0.4, 9)
+    own, other = 0.1 * np.sin(3.0 * times), 0.1 * np.cos(5.0 * times)
+    motions = (PrescribedMotion("pivot", Spline(times, own)),)
+    scene = replace(crank, motions=motions, initial_state=None)
+    components = {f"pivot.motion.function.{k}": value for k, value in enumerate(other[:3])}
+    found = simulate(with_parameters(scene, components))
+    expected = simulate(with_parameters(scene, {"pivot.motion.function": [*other[:3], *own[3:]]}))
+    assert np.array_equal(found.position, expected.position)
+
+
 OF_GEOMETRY = ("point_on_first", "point_on_second", "length", "axis", "1.axis", "offsets", "quaternion")
 
 
