@@ -371,15 +371,12 @@ def rebuilt(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
 def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """The scene with other values of some parameters, scalars of any kind, which are not checked."""
-    found = places(scene, values)
-    parts = _substituted(scene, values, found, checked=False)
+    parts = _substituted(scene, values, places(scene, values), checked=False)
     (changed,) = parts.pop("scene")
-    _ = scene.mechanism.size  # the description's own makes residuals dimensionless
-    mechanism = altered(scene.mechanism, **{field: tuple(parts.pop(field)) for field in MECHANICAL})
-    if any(map(is_kinematic, found.values())):
-        vars(mechanism).pop("equations", None)
+    size = scene.mechanism.size  # the description's own makes residuals dimensionless
+    elements = {field: tuple(parts.pop(field)) for field in MECHANICAL}
+    mechanism = altered(scene.mechanism, size=size, **elements)
     changed = altered(changed, mechanism=mechanism, **{what: tuple(each) for what, each in parts.items()})
-    vars(changed).pop("joint_forces", None)  # kept of the elements that have changed
     inherit_mobility(changed, scene)
     return changed
 
@@ -387,7 +384,6 @@ def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
 def with_laws(scene: Scene, laws: Iterable[Law]) -> Scene:
     """The scene with other control laws, which are not checked, for equations alone: nothing is output."""
     changed = altered(scene, control=tuple(laws), outputs=frozenset())
-    vars(changed).pop("joint_forces", None)  # kept of the laws that have changed
     inherit_mobility(changed, scene)
     return changed
 

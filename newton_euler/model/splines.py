@@ -52,10 +52,7 @@ class Piecewise(Function):
             raise MechanismError(self.noun, problem, "times in ascending order")
 
     def with_part(self, name: str, numbers: Any, change: Change) -> Self:
-        changed = super().with_part(name, np.array(numbers), change)
-        if changed is not self:
-            vars(changed).pop("_pieces", None)  # of the samples that have changed
-        return changed
+        return super().with_part(name, np.array(numbers), change)
 
     def on_piece(self, numbers: Sequence[Scalar]) -> Piece:
         """See `Function.on_piece`; the numbers are the start of the piece in s, and its coefficients."""

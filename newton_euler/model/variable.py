@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
@@ -53,8 +54,14 @@ UNITS_ALONG = {
 
 
 def altered(thing: T, **fields: Any) -> T:
-    """Return a copy of a frozen object with other values, whatever they are."""
+    """Return a copy of a frozen object with other values, whatever they are.
+
+    It keeps nothing that was worked out of the old ones.
+    """
     changed = copy.copy(thing)
+    for name in list(vars(changed)):
+        if isinstance(getattr(type(thing), name, None), cached_property):
+            del vars(changed)[name]
     for name, value in fields.items():
         object.__setattr__(changed, name, value)
     return changed
