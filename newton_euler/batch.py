@@ -207,6 +207,7 @@ def simulate_batch(
     with PREPARING:
         compiled = _compiled(scene, formulation, stabilization, alpha, names)
         load_lanes(compiled, integrator)
+    compiled.warn()
     count = _count(states, parameters)
     shape = (len(scene.times), compiled.function("output").outputs)
     try:

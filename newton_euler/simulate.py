@@ -77,7 +77,9 @@ def simulate(
     check_type("scene", scene, Scene)
     options = Options.of(integrator, control)
     check_formulation(formulation)
-    return _compiled(scene, formulation, stabilization, baumgarte_alpha(stabilization, alpha))._run(options)
+    compiled = _compiled(scene, formulation, stabilization, baumgarte_alpha(stabilization, alpha))
+    compiled.warn()
+    return compiled._run(options)
 
 
 @lru_cache(maxsize=KEPT)
@@ -149,11 +151,16 @@ class CompiledScene(Code):
 
     def simulate(self, integrator: IntegratorName = "DOP853", **control: Unpack[StepControl]) -> Trajectory:
         """Run the scene; arguments and errors as of `newton_euler.simulate`."""
-        return self._run(Options.of(integrator, control))
+        options = Options.of(integrator, control)
+        self.warn()
+        return self._run(options)
 
-    def _run(self, options: Options) -> Trajectory:
+    def warn(self) -> None:
+        """Warn of constraints that are almost redundant, where the function that calls this is called."""
         for weak in self.nearly_redundant:
             warnings.warn(f"scene {self.scene.name!r}: {weak}", NearlyRedundantWarning, stacklevel=3)
+
+    def _run(self, options: Options) -> Trajectory:
         options.check_steps(self.scene.duration)
         return self._try(options, ROW_CHOICES)
 

@@ -234,6 +234,7 @@ def identify(
         needed = f"at least {len(names) + len(unknown)}, one for each that is fitted{more}"
         raise MechanismError("measurements", f"are {count} numbers", needed)
     measured = Residuals(scene, names, runs, formulation, tangent_options(control))
+    measured.code.warn()
     fit = Fit(scene, names, measured)
     change, noise = fit.solve(), fit.noise
     _, weak, covariance = split(fit.jacobian(change))

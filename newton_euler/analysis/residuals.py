@@ -69,6 +69,7 @@ class Residuals:
 
     Attributes:
         runs: measurements.
+        code: what is run, with derivatives.
         evaluations: runs of all of them until now, with derivatives.
     """
 
@@ -87,7 +88,7 @@ class Residuals:
         wanted = {QUANTITIES[kind].output for kind in kinds if kind in QUANTITIES}
         wanted |= {"velocities"} if "rate" in kinds else set()
         asked = replace(scene, outputs=frozenset(output for output in OUTPUTS if output in wanted))
-        code = tangent_code(asked, names, formulation)
+        self.code = code = tangent_code(asked, names, formulation)
         layouts = (code.function(name).layout for name in ("output", "output" + ALONG))
         places = [column_places(scene.mechanism, layout) for layout in layouts]
         self._columns = [_columns(scene, where, run, places) for where, run in runs.items()]

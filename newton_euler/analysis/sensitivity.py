@@ -156,6 +156,7 @@ def sensitivities(
         values = own_values(scene, names)
     labels = tuple(places)
     code = tangent_code(scene, labels, formulation)
+    code.warn()
     numbers = np.array([values[name][index] for name, index in places.values()])
     start, directions = Starts(code, labels)(numbers)
     found = FollowedRun(code, options, ("output", "coordinates"))(start, directions)

@@ -18,6 +18,7 @@ from crosscheck.run import crosscheck
 from crosscheck.studies.stress.noise import MECHANISMS, SENSITIVITY, flat_four_bar
 from mjcf import read
 from mjcf.rigid import RigidMuJoCo
+from newton_euler.analysis.measurements import Measurements
 from newton_euler.assemble import assemble, initial_state
 from newton_euler.equations import redundancy
 from newton_euler.equations.cartesian import Cartesian
@@ -125,6 +126,28 @@ def test_taken_literally_the_mechanism_is_locked_and_says_so():
     first, last = redundancy_lines(scene)
     assert first.endswith("redundancy_tolerance=1e-06 takes it as redundant")
     assert last == "the mechanism has no degree of freedom"
+
+
+def identified(scene: Scene) -> None:
+    run = newton_euler.simulate(scene)
+    angle = run.joint("motor").coordinates[:, 0]
+    newton_euler.identify(scene, ["crank.mass"], Measurements(run.time, {"coordinate.motor": angle}))
+
+
+@pytest.mark.parametrize(
+    ("call", "times"),
+    [
+        (lambda scene: newton_euler.compile_scene(scene).simulate(), 1),
+        (lambda scene: newton_euler.simulate_batch(scene, parameters={"crank.mass": [1.0, 2.0]}), 1),
+        (lambda scene: newton_euler.sensitivities(scene, ["crank.mass"]), 1),
+        (identified, 2),  # by the run that it measures, too
+    ],
+)
+def test_each_call_warns_once_where_it_is(call, times):
+    scene = replace(flat_four_bar(1e-6), duration=0.1)
+    with pytest.warns(NearlyRedundantWarning, match=r"joint 'wrist': .*, taken redundant") as heard:
+        call(scene)
+    assert [Path(each.filename) for each in heard] == [Path(__file__)] * times
 
 
 def test_what_is_below_round_off_is_never_taken_literally():
