@@ -221,11 +221,7 @@ def simulate_batch(
     results[list(errors)] = np.nan
     runs = Runs(starts, results, np.zeros((count, COUNTS)), errors)
     wall_time = _make(runs, compiled, options, workers)
-    settings = {
-        "formulation": compiled.formulation,
-        "stabilization": stabilization,
-        "threads": workers,
-    } | options.chosen()
+    settings = compiled.settings | {"threads": workers} | options.chosen()
     return Batch(scene, settings, wall_time, dict(sorted(runs.errors.items())), compiled, runs)
 
 

@@ -170,10 +170,7 @@ class CompiledScene(Code):
         x = self.start.copy()
         results, counts, stopped, wall_time = integrate_intervals(self, x, options)
         arrays = named(self, results)
-        settings: dict[str, Any] = {"formulation": self.formulation, "stabilization": self.stabilization}
-        if self.stabilization == "baumgarte":
-            settings["alpha"] = self.alpha
-        settings |= options.chosen() | counted(counts)
+        settings = self.settings | options.chosen() | counted(counts)
         settings |= {"trace_time": self.trace_time, "compile_time": self.compile_time}
         if stopped is None:
             return native_trajectory(self.scene, settings, wall_time, arrays)

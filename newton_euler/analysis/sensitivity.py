@@ -160,8 +160,7 @@ def sensitivities(
     numbers = np.array([values[name][index] for name, index in places.values()])
     start, directions = Starts(code, labels)(numbers)
     found = FollowedRun(code, options, ("output", "coordinates"))(start, directions)
-    settings = {"formulation": code.formulation, "stabilization": code.stabilization}
-    settings |= options.chosen() | found.counts
+    settings = code.settings | options.chosen() | found.counts
     outputs = named(code, found.results)
     signs = outputs["quaternion"].copy()
     run = native_trajectory(scene, settings, found.wall_time, outputs)

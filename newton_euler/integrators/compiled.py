@@ -124,6 +124,12 @@ class Code:
         return all(function.module.from_cache for function in self.functions.values())
 
     @property
+    def settings(self) -> dict[str, Any]:
+        """What was chosen, as settings of runs say it."""
+        chosen = {"formulation": self.formulation, "stabilization": self.stabilization}
+        return chosen | ({"alpha": self.alpha} if self.stabilization == "baumgarte" else {})
+
+    @property
     def projects(self) -> bool:
         """True if runs are projected onto the constraints, or quaternions at least onto norm 1."""
         closes = len(self.system.phi_units) > 0 or len(self.system.quaternions) > 0

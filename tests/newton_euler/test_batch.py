@@ -12,6 +12,7 @@ from mechanisms import line_spring, mass_on_rail
 import newton_euler
 from crosscheck.scenes import load
 from newton_euler import simulate, simulate_batch, with_parameters
+from newton_euler.assemble import initial_state
 from newton_euler.batch import thread_count
 from newton_euler.equations.parameters import parameter_values
 from newton_euler.errors import MechanismError, OptionError, UnknownNameError
@@ -68,6 +69,15 @@ def test_a_state_that_is_open_ends_its_run_alone(short, tracker_states):
     assert list(batch.errors) == [2]
     with pytest.raises(MechanismError, match=r"run 2: joint '.*': is open by"):
         batch[2]
+
+
+def test_settings_are_those_of_a_run_alone():
+    scene = replace(load("pendulum"), duration=0.1)
+    (run,) = simulate_batch(scene, [initial_state(scene)], None, 1, stabilization="baumgarte", alpha=3.0)
+    alone = simulate(scene, stabilization="baumgarte", alpha=3.0)
+    for time in ("trace_time", "compile_time"):  # of code, which all runs share
+        del alone.settings[time]
+    assert run.settings == alone.settings | {"threads": 1}
 
 
 def test_threads_change_nothing(short, tracker_states):
