@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.source_file import SourceError
 from newton_euler.model.trajectory import QUANTITIES
 from newton_euler.scalars import Array, Floats
+from newton_euler.simulate import KEPT
 
 CLEARLY = 0.1
 """Share of an angle's residuals that is left at most if it is in degrees; without other errors 1 / 57.3."""
@@ -87,8 +89,7 @@ class Residuals:
         kinds = {name.split(".")[0] for run in self.runs for name in run.columns}
         wanted = {QUANTITIES[kind].output for kind in kinds if kind in QUANTITIES}
         wanted |= {"velocities"} if "rate" in kinds else set()
-        asked = replace(scene, outputs=frozenset(output for output in OUTPUTS if output in wanted))
-        self.code = code = tangent_code(asked, names, formulation)
+        self.code = code = tangent_code(_asking(scene, frozenset(wanted)), names, formulation)
         layouts = (code.function(name).layout for name in ("output", "output" + ALONG))
         places = [column_places(scene.mechanism, layout) for layout in layouts]
         self._columns = [_columns(scene, where, run, places) for where, run in runs.items()]
@@ -189,6 +190,12 @@ class Residuals:
                     as_degrees -= 2.0 * np.pi * np.round(as_degrees / (2.0 * np.pi))
                     size = min(size, 1.0)
                 yield name, Angle(_rms(left[name]), _rms(as_degrees), size)
+
+
+@lru_cache(maxsize=KEPT)
+def _asking(scene: Scene, wanted: frozenset[str | None]) -> Scene:
+    """Return a scene with other outputs, the same one each time, by which its code is found again."""
+    return replace(scene, outputs=frozenset(output for output in OUTPUTS if output in wanted))
 
 
 def _scatter(measured: Array) -> float:

@@ -23,6 +23,7 @@ from newton_euler import (
     with_parameters,
 )
 from newton_euler.analysis.fit import split
+from newton_euler.integrators.compiled import Code
 from newton_euler.model.control import PD
 from newton_euler.model.motions import Steps
 
@@ -56,6 +57,15 @@ def test_exact_measurements_give_exact_parameters():
     assert found.undetermined == ()
     assert found.notes == []
     assert "slider.mass" in "\n".join(found.report())
+
+
+def test_a_scene_that_is_fitted_again_is_not_loaded_again(monkeypatch):
+    given = measured(sprung(), "rail")
+    wrong = with_parameters(sprung(), {"line.stiffness": 45.0})
+    first = identify(wrong, ["line.stiffness"], given)
+    monkeypatch.setattr(Code, "__init__", None)
+    again = identify(wrong, ["line.stiffness"], given)
+    assert np.array_equal(again.values, first.values)
 
 
 def test_small_numbers_are_fitted():
