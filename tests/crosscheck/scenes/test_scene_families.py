@@ -206,8 +206,8 @@ def test_windows_pass_flat_ten_times(windows):
     exact = closed_form(windows, run.time)
     for bar in range(windows + 1):
         position, velocity = top_of(run, bar)
-        # round-off at ten passages, in phase over 10 s at 5 rad/s: next to this rtol, 0.7e-13 to 1.5e-13, runs
-        # are off by 3e-11 to 5e-9, which one is a matter of last digits
+        # round-off at ten passages, in phase over 10 s at 5 rad/s: for rtol from 0.7e-13 to 1.5e-13 runs are
+        # off by 3e-11 to 5e-9, and which one by how much is a matter of last digits
         assert np.abs(position - exact[0]).max() < 5e-9
         assert np.abs(velocity - exact[1]).max() < 2e-8  # outputs within 1e-4 rad of flat
     assert run.settings["rejected"] < 0.5 * run.settings["steps"]
