@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 
@@ -30,17 +31,17 @@ BLOCK = 2**20
 LEVELS = {"least": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "most": 1.0}
 """Shares of the runs below quantiles, by their names."""
 
-MOST_BINS = 50
-"""Of runs, by the values of a parameter."""
+MOST_TERMS = 25
+"""Of the polynomial that tells what a parameter explains."""
 
-PER_BIN = 20
-"""Runs in a bin at least, and for each coefficient of a regression."""
+PER_TERM = 20
+"""Runs for each term of a polynomial at least."""
 
 LEAST_BASE = 64
 """Base samples of Saltelli's plan: of fewer its estimates are no better than guesses."""
 
-LEAST_BINS = 20
-"""Within which a normal number has 2 % of its variance; of fewer runs there are no shares, but ranks."""
+LEAST_SHARED = 400
+"""Runs of which a share is known to 10 %: of fewer there are no shares, but ranks."""
 
 LEAST_RANKED = 4
 """Runs that the error of a rank correlation is estimated from."""
@@ -73,6 +74,7 @@ class Effect:
         share: of the number's variance that is explained by the parameter alone (a first-order Sobol index);
             None of too few runs.
         error: half of a 95 % interval of the share.
+        bounds: whether the share may be larger, as a polynomial of second order explains that much.
         total: share that the parameter takes part in; None but for Saltelli's plan.
     """
 
@@ -83,6 +85,7 @@ class Effect:
     rank_error: float = 0.0
     share: float | None = None
     error: float = 0.0
+    bounds: bool = False
     total: float | None = None
 
     @property
@@ -233,7 +236,7 @@ class Analysis:
         block = self._samples.block
         if len(self.names) == 1:
             return ""
-        runs, least = self._samples.runs, LEAST_BASE * block if block > 1 else LEAST_BINS * PER_BIN
+        runs, least = self._samples.runs, LEAST_BASE * block if block > 1 else LEAST_SHARED
         return f"too few runs for shares of variance: {runs:,}; at least {least:,}" if runs < least else ""
 
     def effects(self, scalar: Scalar) -> list[Effect]:
@@ -252,18 +255,21 @@ class Analysis:
         found = []
         ranks = rankdata(y)
         for k, (name, inputs) in enumerate(zip(self.names, self._inputs, strict=True)):
-            x, rank = inputs[known, 0], {}
+            x, own = inputs[known, 0], y
+            rank, share = dict[str, Any](), dict[str, Any]()
             if inputs.shape[1] > 1:
-                x, share = _regression(inputs[known], y)
-            else:
-                share = _share(x, y)
-                if np.ptp(x) > 0.0:
-                    rank = _rank(float(np.corrcoef(rankdata(x), ranks)[0, 1]), independent)
-            shares = {"share": 1.0} if alone else sobol[k] if sobol else share
-            found.append(Effect(name, **_tenths(x, y), **rank, **shares))
+                x, own, share = _regression(inputs[known], y)
+            elif np.ptp(x) > 0.0:
+                of_x = rankdata(x)
+                rank = _rank(float(np.corrcoef(of_x, ranks)[0, 1]), independent)
+                share = {} if alone or sobol else _share(x, of_x, y)
+            elif len(y) >= LEAST_SHARED:
+                share = {"share": 0.0}
+            shares: dict[str, Any] = {"share": 1.0} if alone else sobol[k] if sobol else share
+            found.append(Effect(name, **_tenths(x, own), **rank, **shares))
         return sorted(found, key=lambda effect: -effect.size)
 
-    def _sobol(self, y: Array) -> list[dict[str, float]]:
+    def _sobol(self, y: Array) -> list[dict[str, Any]]:
         """Estimate Sobol indices from Saltelli's plan by SALib: first order, total, and the first's error.
 
         The runs of a base sample are of use together alone.
@@ -288,70 +294,83 @@ class Analysis:
         ]
 
 
-def _rank(rank: float, runs: int) -> dict[str, float]:
+def _rank(rank: float, runs: int) -> dict[str, Any]:
     """Estimate the 95 % interval of a rank correlation (Bonett and Wright, Psychometrika 65, 2000)."""
     half = TWO_SIDED * np.sqrt((1.0 + 0.5 * rank**2) / (runs - LEAST_RANKED + 1))
     middle = np.arctanh(np.clip(rank, -1.0 + EPSILON, 1.0 - EPSILON))
     return {"rank": rank, "rank_error": float(0.5 * (np.tanh(middle + half) - np.tanh(middle - half)))}
 
 
-def _bins(x: Array) -> Array:
-    """Return the bin of each run by a parameter: as many runs in each, those of equal values in the same."""
-    values, members, counts = np.unique(x, return_inverse=True, return_counts=True)
-    if len(values) > MOST_BINS:
-        bins = int(np.clip(len(x) // PER_BIN, 2, MOST_BINS))
-        members = ((np.cumsum(counts) - 1) * bins // len(x))[members]
-    return members
+def _share(x: Array, ranks: Array, y: Array) -> dict[str, Any]:
+    """Estimate the share of the variance of y that x explains alone, from any runs: by a polynomial.
 
-
-def _share(x: Array, y: Array) -> dict[str, float]:
-    """Estimate the share of the variance of y that x explains alone, from any runs: of the means of bins.
-
-    Of n runs in b bins the means of numbers that do not depend on x have a share of (b - 1)/(n - 1), which is
-    taken off (the adjusted correlation ratio; E. Plischke, Reliability Engineering and System Safety 95,
-    2010).
+    Its terms are x, as trends are of values, and Legendre polynomials of the ranks of x, which a few runs far
+    out do not bend; of few values as many as these. Those from the first on are taken that predict best, by
+    generalized cross-validation (G. Golub et al., Technometrics 21, 1979).
     """
-    if len(y) < LEAST_BINS * PER_BIN:
+    n, values = len(y), len(np.unique(ranks))
+    if n < LEAST_SHARED:
         return {}
-    bins = _bins(x)
-    counts, excesses = np.bincount(bins), np.bincount(bins, y - y.mean())
-    there = counts > 0
-    return _adjusted(float(np.sum(excesses[there] ** 2 / counts[there])), y, int(there.sum()))
+    most = min(n // PER_TERM, MOST_TERMS, values)
+    terms = np.polynomial.legendre.legvander((2.0 * ranks - 1.0) / n - 1.0, most - 1)
+    terms[:, 1] = (x - x.mean()) / x.std()
+    y = y - y.mean()
+    triangle = np.asarray(np.linalg.qr(np.column_stack([terms, y]), mode="r"))
+    # sums of squares that the first term, the first two and so on do not explain
+    left = np.cumsum(triangle[::-1, -1] ** 2)[-2::-1]
+    freedom = n - np.arange(1, most + 1)
+    count = int(np.argmin(left / freedom**2)) + 1
+    fitted = terms[:, :count] @ np.linalg.solve(triangle[:count, :count], triangle[:count, -1])
+    share, error = _adjusted(y - fitted, y, count, most)
+    if most < values:
+        # of a step, or a bend, more terms add as much as the second half of these
+        half, whole = (left / freedom)[[most // 2 - 1, -1]] / (left / freedom)[0]
+        error += max(0.0, float(half - whole))
+    return {"share": share, "error": error}
 
 
-def _adjusted(explained: float, y: Array, coefficients: int) -> dict[str, float]:
-    """Return an adjusted share of the variance of y (n,) and its error.
+def _adjusted(residuals: Array, y: Array, coefficients: int, tried: int) -> tuple[float, float]:
+    """Return the share of the variance of y (n,) that is not in the residuals, and its error.
 
-    That is the error of a squared correlation R^2, 2 R (1 - R^2)/sqrt(n) (Kendall and Stuart, vol. 2), and
-    that of as many squares of noise as there are coefficients.
+    Coefficients that explain nothing take their part of the residuals, which is given back (adjusted R^2).
+    The error is that of a ratio of two means over runs, whatever y is distributed as, and that of as many
+    squares of noise as coefficients were tried.
     """
-    n = len(y)
-    unexplained = 1.0 - explained / float(np.sum((y - y.mean()) ** 2))
+    n, squares, own = len(y), residuals**2, (y - y.mean()) ** 2
+    unexplained = squares.sum() / own.sum()
     share = max(0.0, 1.0 - unexplained * (n - 1) / max(1, n - coefficients))
-    variance = (1.0 - share) ** 2 * (4.0 * share / n + 2.0 * (coefficients - 1) / n**2)
-    return {"share": share, "error": TWO_SIDED * variance**0.5}
+    variance = np.mean(((squares - unexplained * own) / own.mean()) ** 2) / n
+    variance += 2.0 * (1.0 - share) ** 2 * (tried - 1) / n**2
+    return float(share), float(TWO_SIDED * variance**0.5)
 
 
-def _regression(x: Array, y: Array) -> tuple[Array, dict[str, float]]:
-    """Fit y (n,) by a polynomial of second order in parameters x (n, k), or of first in few runs or many.
+def _regression(x: Array, y: Array) -> tuple[Array, Array, dict[str, Any]]:
+    """Fit y (n,) by a polynomial of second order in parameters x (n, k), or of first in few runs.
 
     Returns:
-        Its values (n,), and the share of the variance of y that it explains, as of bins; none in fewer runs.
+        Its values, y of the same runs, from all parts of those where these are too many for memory, and the
+        share of the variance of y that it explains; none in fewer runs.
     """
-    n, k = x.shape
+    k = x.shape[1]
+    count = 1 + k + k * (k + 1) // 2
+    if PER_TERM * count > min(len(y), MOST_NUMBERS // count):
+        count = 1 + k
+    chosen = thinned(len(y), MOST_NUMBERS // count)
+    x, y = x[chosen], y[chosen]
     x = x - x.mean(axis=0)
     x /= np.maximum(x.std(axis=0), np.finfo(float).tiny)
-    terms = np.column_stack([np.ones(n), x])
-    count = 1 + k + k * (k + 1) // 2
-    if PER_BIN * count <= n <= MOST_NUMBERS // count:
+    terms = np.column_stack([np.ones(len(y)), x])
+    if count > terms.shape[1]:
         terms = np.column_stack([terms, *(x[:, i] * x[:, j] for i in range(k) for j in range(i + 1))])
     solution, _, rank, _ = np.linalg.lstsq(terms, y, rcond=None)
     fitted = terms @ solution
-    share = _adjusted(float(np.sum((fitted - y.mean()) ** 2)), y, int(rank))
-    return fitted, share if n >= PER_BIN * max(LEAST_BINS, rank) else {}
+    if len(y) < max(LEAST_SHARED, PER_TERM * rank):
+        return fitted, y, {}
+    share, error = _adjusted(y - fitted, y, int(rank), int(rank))
+    return fitted, y, {"share": share, "error": error, "bounds": True}
 
 
-def _tenths(x: Array, y: Array) -> dict[str, float]:
+def _tenths(x: Array, y: Array) -> dict[str, Any]:
     ordered = np.sort(x)
     count = max(1, int(EXTREME * len(x)))
     low, high = y[x <= ordered[count - 1]], y[x >= ordered[-count]]

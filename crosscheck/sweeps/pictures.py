@@ -121,7 +121,7 @@ def share_of(effect: Effect) -> str:
     if effect.share is None:
         return rank_of(effect)
     either_side = f" ± {np.ceil(100.0 * effect.error):.0f}" if effect.error else ""
-    text = f"{round(100.0 * effect.share)}{either_side} %"
+    text = f"{'≥ ' * effect.bounds}{round(100.0 * effect.share)}{either_side} %"
     return text if effect.total is None else f"{text}, in all {100.0 * effect.total:.0f} %"
 
 
