@@ -20,7 +20,7 @@ from crosscheck.limit import tidied_up
 from crosscheck.sweeps.execute import Pace, Workers, in_any_order, probed
 from crosscheck.sweeps.expressions import labels
 from crosscheck.sweeps.plan import STOPPED, Chunk, Parameters, Plan, make_runs, run_all
-from crosscheck.sweeps.store import BLOCK, ERROR, NAME, STATUS, Store, locked, store_runs
+from crosscheck.sweeps.store import BLOCK, ERROR, NAME, OF_TASKS, STATUS, Store, locked, store_runs
 from newton_euler.errors import NewtonEulerError
 from newton_euler.scalars import Array
 from newton_euler.starts import assembly_of
@@ -184,7 +184,7 @@ def _make(
         progress(f"runs to make: {made:,}, workers: {at.count()}")
     task: Callable[[tuple[int, int]], Chunk | None] = partial(make_runs, plan)
     if store.path is not None:
-        task = partial(store_runs, plan, store.path.absolute())
+        task = partial(store_runs, plan, store.path.absolute(), store.group.attrs.get(OF_TASKS))
     with closing(in_any_order(task, tasks, at, progress)) as results:
         for (first, last), chunk in results:
             if chunk is not None:

@@ -34,8 +34,12 @@ UNFINISHED = "*.partial"
 BLOCK = 2**20
 """Runs whose status is read at a time."""
 
-FREE = ("chunk", "versions", "numbers")
-"""Parts of a plan's record that are not compared: of packages samples are, and of scenes fingerprints."""
+OF_TASKS = "tasks"
+"""Attribute by which tasks know the store that they are for: one of a worker that outlives its client does
+not write into another store that has taken the place, nor into one to which runs were added."""
+
+FREE = ("chunk", "versions", "numbers", OF_TASKS)
+"""Attributes that are not compared: of packages samples are, and of scenes fingerprints."""
 
 KEPT_GOES_ON = "what is stored is kept, the same command goes on from there"
 
@@ -112,7 +116,7 @@ class Store:
         try:
             with told(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
-                cls(zarr.create_group(made), made)._create(plan, record)
+                cls(zarr.create_group(made), made)._create(plan, record | {OF_TASKS: os.urandom(8).hex()})
                 made.rename(path)
         finally:
             shutil.rmtree(made, ignore_errors=True)
@@ -164,7 +168,8 @@ class Store:
         with told(self.path):
             remove_abandoned(self.path.rglob(UNFINISHED) if self.path else ())
             if more:
-                self.group.update_attributes({"runs": runs, "samples": plan.samples.digest(runs)})
+                new = {"runs": runs, "samples": plan.samples.digest(runs), OF_TASKS: os.urandom(8).hex()}
+                self.group.update_attributes(new)
             # after that, and looked at each time: a process that is killed here is called with as many again
             for _, array in self.group.arrays():
                 if array.metadata.dimension_names[0] == "run" and array.shape[0] < runs:
@@ -283,11 +288,15 @@ def locked(path: Path | None) -> Iterator[None]:
         yield
 
 
-def store_runs(plan: Plan, path: Path, runs: tuple[int, int]) -> None:
+def store_runs(plan: Plan, path: Path, tasks: str | None, runs: tuple[int, int]) -> None:
     """Make the runs from the first to before the second number, and write them where they are made.
+
+    If the store there is that of the tasks by then.
 
     Raises:
         CrosscheckError: naming the path that cannot be written, and for a scene that cannot be run.
     """
     chunk = make_runs(plan, runs)
-    Store.at(path).write(runs[0], chunk)
+    store = Store.at(path)
+    if store.group.attrs.get(OF_TASKS) == tasks:
+        store.write(runs[0], chunk)

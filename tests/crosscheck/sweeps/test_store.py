@@ -114,6 +114,29 @@ def test_why_a_sweep_cannot_go_on_with_more_runs_is_said(tmp_path, sampling, var
     assert words in str(caught.value)
 
 
+@pytest.mark.parametrize("more", [False, True])
+def test_a_task_that_outlives_its_sweep_writes_nothing_into_another(tmp_path, monkeypatch, more):
+    """A worker of a cluster goes on when its client was killed."""
+    late = []
+
+    def killed(task, items, *others):
+        late.append(lambda: task(items[-1]))
+        raise KeyboardInterrupt
+
+    scene, vary, runs, keep = ARGUMENTS
+    other = {"dumbbell.mass": "uniform(3, 4)"}
+    with monkeypatch.context() as patch:
+        patch.setattr(crosscheck.sweeps.results, "in_any_order", killed)
+        with pytest.raises(KeyboardInterrupt):
+            sweep(scene, vary if more else other, 24 if more else runs, keep, output=tmp_path)
+    if not more:
+        (tmp_path / NAME).rename(tmp_path / "removed")
+    sweep(*ARGUMENTS, output=tmp_path)
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / NAME).rglob("*")}
+    late[0]()
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / NAME).rglob("*")} == before
+
+
 def test_runs_that_are_not_in_the_store_are_one_line(tmp_path, monkeypatch):
     write = Store.write
     monkeypatch.setattr(Store, "write", lambda store, first, chunk: first and write(store, first, chunk))
