@@ -20,7 +20,7 @@ MOST_NUMBERS = 2**25
 """That are analyzed, 270 MB: of more runs than these are in, a sample."""
 
 MOST_SCALARS = 200
-"""Numbers of a run that are analyzed, the first."""
+"""Numbers of a run that are analyzed: as many of each variable at most, evenly spread over its places."""
 
 MOST_SHARED, MOST_BASE = 2**17, 2**14
 """Runs that shares are estimated from, and base samples of Saltelli's plan: to 0.5 % and to 1 %."""
@@ -184,10 +184,16 @@ def thinned(count: int, most: int, block: int = 1) -> Array:
 
 def analyzed(swept: Results) -> Array:
     """Return the numbers of the runs that are analyzed."""
-    kept = [swept.dataset[each.name] for each in swept.plan.kept]
-    count = min(MOST_SCALARS, sum(int(np.prod(variable.shape[1:])) for variable in kept))
+    count = sum(len(_places(swept, each.name)) for each in swept.plan.kept)
     block = swept.plan.samples.block
-    return thinned(swept.plan.samples.runs, max(1, MOST_NUMBERS // max(1, count) // block), block)
+    return thinned(swept.plan.samples.runs, max(1, MOST_NUMBERS // count // block), block)
+
+
+def _places(swept: Results, name: str) -> Array:
+    """Return the places of a variable that are analyzed, counted through its arrays."""
+    size = int(np.prod(swept.dataset[name].shape[1:]))
+    most = max(1, MOST_SCALARS // len(swept.plan.kept))
+    return np.linspace(0, size - 1, min(size, most)).round().astype(int)
 
 
 def scalars(swept: Results) -> list[Scalar]:
@@ -196,14 +202,15 @@ def scalars(swept: Results) -> list[Scalar]:
     runs = analyzed(swept)
     for each in swept.plan.kept:
         variable = swept.dataset[each.name]
-        places = list(np.ndindex(variable.shape[1:]))[: MOST_SCALARS - len(found)]
+        places = _places(swept, each.name)
         columns = np.empty((len(places), len(runs)))
         block = max(1, BLOCK // int(np.prod(variable.shape[1:])))
         for first in range(0, len(runs), block):
             part = variable[runs[first : first + block]].values
-            columns[:, first : first + len(part)] = part.reshape(len(part), -1)[:, : len(places)].T
+            columns[:, first : first + len(part)] = part.reshape(len(part), -1)[:, places].T
         largest = float(np.max(np.abs(columns), initial=0.0, where=np.isfinite(columns)))
-        for place, values in zip(places, columns, strict=True):
+        for flat, values in zip(places, columns, strict=True):
+            place = tuple(map(int, np.unravel_index(flat, variable.shape[1:])))
             names = tuple(_label(variable, d, k) for d, k in zip(variable.dims[1:], place, strict=True))
             found.append(Scalar(each.name, place, names, each.unit, values, runs, largest, each.reacts))
     return found

@@ -88,7 +88,6 @@ class Findings:
         effects: of parameters on the most telling number of each variable.
         checked: crosschecks of some runs.
         too_few: why there are no shares of variance; empty if there are.
-        left_out: how many numbers of a run are not analyzed.
     """
 
     swept: Results
@@ -97,7 +96,6 @@ class Findings:
     effects: list[tuple[Scalar, list[Effect]]]
     checked: list[Checked]
     too_few: str
-    left_out: int
 
     @property
     def verdict(self) -> str:
@@ -130,13 +128,10 @@ def findings(swept: Results, checked: Sequence[Checked] = ()) -> Findings:
     """Analyze a sweep of which some runs have been crosschecked."""
     found, analysis = scalars(swept), Analysis(swept.plan.samples, analyzed(swept), swept.inputs)
     effects = [(scalar, analysis.effects(scalar)) for scalar in telling(found)]
-    kept = sum(int(np.prod(swept.dataset[each.name].shape[1:])) for each in swept.plan.kept)
     nominal = _nominal(swept.plan, found)
     without = [scalar.label for scalar, each in effects if each and each[0].share is None]
     lost = f"no shares of variance of {', '.join(without)}: too many runs without it" if without else ""
-    return Findings(
-        swept, found, nominal, effects, list(checked), analysis.too_few or lost, kept - len(found)
-    )
+    return Findings(swept, found, nominal, effects, list(checked), analysis.too_few or lost)
 
 
 def _nominal(plan: Plan, found: Sequence[Scalar]) -> dict[str, float]:
@@ -158,8 +153,10 @@ def report(found: Findings) -> Report:
     if (count := len(analyzed(swept))) < samples.runs:
         of_runs = f"of {count:,} runs from all parts of the sweep"
         notes.append(f"quantiles and extremes are {of_runs}")
-    if found.left_out:
-        notes.append(f"of {found.left_out + len(found.scalars):,} numbers of a run the first are analyzed")
+    for each in swept.plan.kept:
+        size = int(np.prod(swept.dataset[each.name].shape[1:]))
+        if (count := sum(scalar.variable == each.name for scalar in found.scalars)) < size:
+            notes.append(f"{each.name}: {count} of its {size:,} numbers of a run are analyzed, evenly spread")
     parts: list[Part] = [_quantiles(found, found.scalars, f"quantiles {of_runs}".rstrip())]
     parts += [_effects(*each, None) for each in found.effects if each[1]]
     parts += [Lines("", [found.too_few])] if found.too_few else []

@@ -77,6 +77,21 @@ def test_extreme_runs_and_some_at_random_are_cross_checked():
     swept.check(3, progress=lambda stage: pytest.fail(stage))
 
 
+def test_a_variable_of_many_numbers_hides_no_other_one():
+    """Of each as many are analyzed and checked, from the first to the last, and that is said."""
+    short = replace(load("pendulum"), duration=2.0)
+    swept = sweep(short, {"dumbbell.mass": "uniform(1, 2)"}, 3, "at():dumbbell.position, peak:reaction_force")
+    labels = [scalar.label for scalar in swept.findings.scalars]
+    assert (labels[0], labels[99], labels[100:]) == (
+        "at():dumbbell.position 0 s x",
+        "at():dumbbell.position 2 s z",
+        ["peak:reaction_force pivot"],
+    )
+    assert "at():dumbbell.position: 100 of its 603 numbers of a run are analyzed" in str(swept)
+    swept.results.dataset["peak:reaction_force"][:] *= 1.001
+    assert swept.check(1, ["pinocchio"]).report.verdict.startswith("DISAGREE")
+
+
 def test_what_has_no_effect_is_said_and_checked_all_the_same():
     short = replace(load("pendulum"), duration=1.0)
     swept = sweep(short, {"dumbbell.mass": "uniform(1, 2)"}, 3, "final:dumbbell.position.z").check(1)
