@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
-from importlib.metadata import version
 from itertools import zip_longest
 from typing import Any
 
@@ -24,7 +21,6 @@ from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.reductions import WHEN, Reduction
 from crosscheck.sweeps.results import Results
-from crosscheck.sweeps.store import STATUS, AtWorkError, locked, told
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
@@ -41,9 +37,6 @@ FINER = 0.01
 
 KEPT = "kept"
 """Level of figures that compare what a sweep keeps."""
-
-STORED = "checks"
-"""Attribute of a store's status that checks are kept in, as JSON."""
 
 
 @dataclass(frozen=True)
@@ -106,38 +99,24 @@ def check_runs(
     engines: Sequence[Engine],
     progress: Callable[[str], None],
 ) -> list[Checked]:
-    """Crosscheck runs, and compare what is kept of them; `found` are all numbers that are kept.
-
-    Checks are kept with the sweep; those by the same engines in the same versions are not made again.
-    """
-    by = {each.name: version(each.package) for each in engines} | {"crosscheck": version("crosscheck")}
-    stored = json.loads(swept.store.group[STATUS].attrs.get(STORED, "{}"))
-    known = stored["runs"] if stored.get("by") == by else {}
+    """Crosscheck runs, and compare what is kept of them; `found` are all numbers that are kept."""
     said = [""]
 
     def tell(message: str) -> None:
         said[0] = message
         progress(message)
 
-    for run in paced([run for run in runs if str(run) not in known], tell, "cross-check"):
-        checked = _check(swept, found, run, engines, lambda stage: progress(f"{said[0]}: {stage}"))
-        known[str(run)] = asdict(checked)
-        # the attributes as they are now: they are written with the number of runs
-        with suppress(AtWorkError), locked(swept.path), told(swept.path):
-            swept.store.group[STATUS].attrs[STORED] = json.dumps({"by": by, "runs": known})
-    return [_restored(known[str(run)] | {"why": why}) for run, why in runs.items()]
-
-
-def _restored(entry: dict[str, Any]) -> Checked:
-    """Return a check from its dictionary, which JSON may have made lists in."""
-    kept = (Figure(**each | {"between": tuple(each["between"])}) for each in entry["kept"])
-    return Checked(**entry | {"kept": tuple(kept), "engines": tuple(entry["engines"])})
+    return [
+        _check(swept, found, run, why, engines, lambda stage: progress(f"{said[0]}: {stage}"))
+        for run, why in paced(list(runs.items()), tell, "cross-check")
+    ]
 
 
 def _check(
     swept: Results,
     found: Sequence[Scalar],
     run: int,
+    why: str,
     engines: Sequence[Engine],
     progress: Callable[[str], None],
 ) -> Checked:
@@ -146,10 +125,10 @@ def _check(
         result = crosscheck(swept.plan.scene_of(run), engines, progress, "", {})
         kept = tuple(_compared(swept, found, run, result, engines))
     except (CrosscheckError, NewtonEulerError) as error:
-        return Checked(run, "", False, True, str(error), engines=names)
+        return Checked(run, why, False, True, str(error), engines=names)
     complete = not (result.left_out or result.unfinished)
     moves = not rests(result.scene, engines, result.trajectories)
-    return Checked(run, "", complete, not result.differs, result.verdict, kept, moves, names)
+    return Checked(run, why, complete, not result.differs, result.verdict, kept, moves, names)
 
 
 def worded(checked: Sequence[Checked], extremes: Collection[int]) -> str:

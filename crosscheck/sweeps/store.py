@@ -44,10 +44,6 @@ FREE = ("chunk", "versions", "numbers", OF_TASKS)
 KEPT_GOES_ON = "what is stored is kept, the same command goes on from there"
 
 
-class AtWorkError(CrosscheckError):
-    """A sweep that another process works at."""
-
-
 def libraries() -> tuple[Any, Any]:
     """Import xarray and zarr, which are in the optional group `sweep`.
 
@@ -265,8 +261,7 @@ def locked(path: Path | None) -> Iterator[None]:
     Two with other numbers of runs would write the chunk at the end of one of them over each other.
 
     Raises:
-        AtWorkError: if one does.
-        CrosscheckError: naming the path that cannot be written.
+        CrosscheckError: if one does, and naming the path that cannot be written.
     """
     if path is None:
         yield
@@ -284,7 +279,7 @@ def locked(path: Path | None) -> Iterator[None]:
             raise CrosscheckError(f"cannot write {path}: {error.strerror or error}") from error
         except locket.LockError as error:
             what_to_do = "wait for its end, or name another folder (--output)"
-            raise AtWorkError(f"another process works at {path}; {what_to_do}") from error
+            raise CrosscheckError(f"another process works at {path}; {what_to_do}") from error
         yield
 
 

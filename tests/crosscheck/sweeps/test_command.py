@@ -16,6 +16,7 @@ import crosscheck.sweeps.checks
 import crosscheck.sweeps.execute
 from crosscheck import sweep
 from crosscheck.comparison.figure import Figure
+from crosscheck.errors import CrosscheckError
 from crosscheck.run import Crosscheck
 from crosscheck.scenes import load
 from crosscheck.sweeps.checks import default_count
@@ -73,8 +74,6 @@ def test_extreme_runs_and_some_at_random_are_cross_checked():
     assert swept.report.verdict.startswith(
         "AGREE: all engines in all figures of 3 runs (2 extreme, 1 at random); "
     )
-    # they are kept with the sweep
-    swept.check(3, progress=lambda stage: pytest.fail(stage))
 
 
 def test_a_variable_of_many_numbers_hides_no_other_one():
@@ -260,6 +259,20 @@ def test_an_unsettled_number_hides_no_wrong_one(monkeypatch):
     verdict = swept.check(1, ["pinocchio"]).report.verdict
     assert verdict.startswith("DISAGREE: run ")
     assert "final:dumbbell.position y" in verdict
+
+
+def test_a_check_that_an_engine_was_in_the_way_of_is_made_again(monkeypatch, tmp_path):
+    def fail(*arguments):
+        raise CrosscheckError("the engine is not there")
+
+    short, vary = replace(load("pendulum"), duration=0.1), {"dumbbell.mass": "uniform(1, 2)"}
+    swept = sweep(short, vary, 2, "final:kinetic_energy", output=tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(crosscheck.sweeps.checks, "crosscheck", fail)
+        verdict = swept.check(1).report.verdict
+    assert verdict.startswith("UNFINISHED: run ")
+    assert "the engine is not there" in verdict
+    assert swept.check(1).report.verdict.startswith("AGREE")
 
 
 def test_a_run_on_which_engines_differ_is_named(monkeypatch):

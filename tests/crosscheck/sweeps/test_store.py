@@ -146,7 +146,7 @@ def test_runs_that_are_not_in_the_store_are_one_line(tmp_path, monkeypatch):
 
 def test_attributes_are_those_of_netcdf(tmp_path):
     short = replace(load("pendulum"), duration=0.1)
-    sweep(short, *ARGUMENTS[1:3], "peak:reaction_force", output=tmp_path).check(1, ["newton_euler"])
+    sweep(short, *ARGUMENTS[1:3], "peak:reaction_force", output=tmp_path)
     found = xarray.open_zarr(tmp_path / NAME, consolidated=False)
     values = [*found.attrs.values(), *(value for each in found.values() for value in each.attrs.values())]
     assert all(isinstance(value, str | int | float) for value in values)
@@ -268,14 +268,9 @@ def test_a_folder_that_another_process_works_at_is_refused_until_that_ends(tmp_p
             CrosscheckError, match=r"another process works at .*sweep\.zarr; wait for its end"
         ):
             sweep(scene, vary, 2 * runs, keep, output=tmp_path)
-        assert len(found.check(1, ["newton_euler"]).checks) == 1  # which are not kept
+        assert len(found.check(1, ["newton_euler"]).checks) == 1
         other.kill()
-    assert "checks" not in found.results.store.group["status"].attrs
     assert sweep(scene, vary, 2 * runs, keep, output=tmp_path).results.made == runs
-    # of the sweep that was there, and changes none of the numbers of the one that went on
-    found.check(1, ["newton_euler"])
-    assert found.results.store.group["status"].shape == (2 * runs,)
-    assert sweep(scene, vary, 2 * runs, keep, output=tmp_path).results.made == 0
 
 
 def test_a_folder_with_something_else_is_refused(tmp_path):
