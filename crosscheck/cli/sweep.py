@@ -16,6 +16,7 @@ from crosscheck.cli.shared import (
     load_and_tell,
     next_step,
     progress_shown,
+    say,
     scene_options,
     setting_options,
     show,
@@ -88,10 +89,14 @@ def sweep_command(
         swept = sweep(loaded, vary, keep=keep, output=folder, progress=progress, **options)
         if check != 0:
             swept = swept.check(check, progress=progress)
-        progress("analysis, pictures and recording")
+        progress("analysis")
+        made = swept.report
+    show(made)  # before what may fail, as on a full disk
+    with progress_shown() as progress:
+        progress("pictures and recording")
         written = swept.save(folder)
     look = [f"look  {next_step('view', path)}" for path in written if path.suffix == ".rrd"]
     beside = ", ".join(path.name for path in written if path.suffix == ".png")
     more = f"more  -v; {next_step('report', folder)}; there {beside or 'no pictures'} and numbers, {NAME}"
-    show(swept.report, *look, more)
-    return {"fails": DISAGREE, "doubtful": UNFINISHED}.get(swept.report.judged.verdict, AGREE)
+    say(*look, more)
+    return {"fails": DISAGREE, "doubtful": UNFINISHED}.get(made.judged.verdict, AGREE)

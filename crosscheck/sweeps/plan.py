@@ -114,20 +114,19 @@ class Plan:
         values = self.samples.values(first, last)
         return {name: values[:, k].copy() for k, name in enumerate(self.samples.names)}
 
-    def batch(self, parameters: Parameters, scene: Scene) -> Batch:
-        """Make runs on one thread."""
-        return simulate_batch(scene, parameters=parameters, threads=1, **self.control)
+    def batch(self, parameters: Parameters, scene: Scene, threads: int | None = 1) -> Batch:
+        """Make runs on some threads, on all processors if None."""
+        return simulate_batch(scene, parameters=parameters, threads=threads, **self.control)
 
-    @property
-    def together(self) -> int:
-        """The number of runs whose outputs are in memory at a time."""
+    def together(self, scene: Scene) -> int:
+        """Return the number of runs whose outputs are in memory at a time, of a scene as `lean`."""
         names = labels(self.scene)
         numbers = sum(
             prod(len(names[dimension]) for dimension in DIMENSIONS[name])
             for name, quantity in QUANTITIES.items()
-            if quantity.output is None or quantity.output in self.lean.outputs
+            if quantity.output is None or quantity.output in scene.outputs
         )
-        return max(lane_count(), ROOM // (8 * numbers * len(self.lean.times)))
+        return max(lane_count(), ROOM // (8 * numbers * len(scene.times)))
 
     def mechanism_of(self, run: int) -> Mechanism:
         """Return the mechanism of one run as the sweep counts its joint coordinates."""
@@ -267,7 +266,7 @@ def run_all(plan: Plan, parameters: Parameters) -> Chunk:
 def _parts(plan: Plan, parameters: Parameters) -> Iterator[Chunk]:
     """Make and reduce as many runs at a time as there is room for."""
     count = len(next(iter(parameters.values())))
-    parts = -(-count // plan.together)
+    parts = -(-count // plan.together(plan.lean))
     size = -(-count // (parts * lane_count())) * lane_count()
     for start in range(0, count, size):
         own = {name: values[start : start + size] for name, values in parameters.items()}

@@ -45,6 +45,7 @@ from crosscheck.sweeps.pictures import MOST_POINTS, pictures, rank_of, share_of
 from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.results import Results
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.scalars import Array
 from newton_euler.variation import own_values, units_of
 
 if TYPE_CHECKING:
@@ -399,14 +400,23 @@ def _made_again(found: Findings) -> tuple[dict[str, Trajectory], list[Envelope]]
     named = ["nominal", *(f"run {run}" for run in extremes)]
     own = own_values(plan.scene, plan.samples.names)
     inputs = found.swept.inputs(np.array([*extremes, *thinned(plan.samples.runs, SAMPLE)]))
+    values = {name: np.append(own[name], of_runs) for name, of_runs in inputs.items()}
     scene = replace(plan.lean, output_period=plan.scene.output_period)
-    batch = plan.batch({name: np.append(own[name], values) for name, values in inputs.items()}, scene)
-    runs = {name: batch[k] for k, name in enumerate(named) if k not in batch.errors}
-    outputs, envelopes = Outputs.of_batch(plan.scene, batch), []
     kept = {each.name: each for each in plan.kept}
-    for scalar, _ in found.effects:
-        reduction = kept[scalar.variable]
-        courses = reduction.line(outputs, scalar.place)
+    runs: dict[str, Trajectory] = {}
+    parts: list[list[Array]] = []
+    size = max(len(named), plan.together(scene))
+    for first in range(0, len(next(iter(values.values()))), size):
+        part = {name: of_runs[first : first + size] for name, of_runs in values.items()}
+        batch = plan.batch(part, scene, threads=None)
+        if not first:
+            runs = {name: batch[k] for k, name in enumerate(named) if k not in batch.errors}
+        outputs = Outputs.of_batch(plan.scene, batch)
+        # copies, for views of a batch would hold all of it
+        parts.append([kept[each.variable].line(outputs, each.place).copy() for each, _ in found.effects])
+    envelopes = []
+    for k, (scalar, _) in enumerate(found.effects):
+        courses = np.concatenate([part[k] for part in parts])
         lines = {name: course for name, course in zip(named, courses, strict=False) if name in runs}
         envelopes.append(Envelope(scalar.heading, scene.times, courses[len(named) :], lines))
     return runs, envelopes

@@ -14,14 +14,16 @@ from rerun.chunk import RrdReader
 
 import crosscheck.sweeps.checks
 import crosscheck.sweeps.execute
-from crosscheck import sweep
+import crosscheck.sweeps.plan
+from crosscheck import Sweep, sweep
 from crosscheck.comparison.figure import Figure
 from crosscheck.errors import CrosscheckError
 from crosscheck.run import Crosscheck
 from crosscheck.scenes import load
 from crosscheck.sweeps.checks import default_count
-from crosscheck.sweeps.report import to_record
+from crosscheck.sweeps.report import MOST_GHOSTS, to_record
 from newton_euler import with_parameters
+from newton_euler.codegen.compile import lane_count
 
 VARY = "dumbbell.mass=uniform(1, 2)"
 
@@ -206,6 +208,37 @@ def test_extreme_runs_are_recorded_as_the_sweep_made_them(tmp_path):
         assert np.array_equal(runs[name].position[:, slider, 0], of_sweep)
         assert np.array_equal(envelopes[0].lines[name], of_sweep)
     assert np.array_equal(envelopes[0].sample, kept)
+
+
+def test_runs_that_are_recorded_are_made_a_few_at_a_time(monkeypatch):
+    """By all processors, in as much memory as the sweep took."""
+    scene = replace(load("pendulum"), duration=0.1)
+    swept = sweep(scene, {"gravity.y": "uniform(-10, -9)"}, 30, KEEP)
+    of_all = to_record(swept.findings, swept.report)[2]
+    made, batch = [], crosscheck.sweeps.plan.simulate_batch
+
+    def noted(scene, parameters, threads, **control):
+        made.append((len(parameters["gravity.y"]), threads))
+        return batch(scene, parameters=parameters, threads=threads, **control)
+
+    monkeypatch.setattr(crosscheck.sweeps.plan, "simulate_batch", noted)
+    monkeypatch.setattr(crosscheck.sweeps.plan, "ROOM", 1)
+    found = to_record(swept.findings, swept.report)[2]
+    assert max(count for count, _ in made) <= max(1 + MOST_GHOSTS, lane_count())
+    assert {threads for _, threads in made} == {None}
+    for one, other in zip(found, of_all, strict=True):
+        assert one.sample.shape == (30, len(scene.times))
+        assert np.array_equal(one.sample, other.sample)
+
+
+def test_tables_are_printed_before_what_may_fail(capsys, tmp_path, monkeypatch):
+    def full(swept, folder):
+        raise CrosscheckError("cannot write: No space left on device")
+
+    monkeypatch.setattr(Sweep, "save", full)
+    status, out, err = run(capsys, "sweep", "pendulum", *ARGUMENTS, "--check", "0", "--output", tmp_path)
+    assert (status, "No space left" in err) == (2, True)
+    assert "peak:reaction_force pivot, N" in out
 
 
 def test_outputs_that_a_scene_does_not_ask_for_are_kept(tmp_path):
