@@ -206,7 +206,7 @@ def scalars(swept: Results) -> list[Scalar]:
         columns = np.empty((len(places), len(runs)))
         block = max(1, BLOCK // int(np.prod(variable.shape[1:])))
         for first in range(0, len(runs), block):
-            part = variable[runs[first : first + block]].values
+            part = swept.read(each.name, runs[first : first + block])
             columns[:, first : first + len(part)] = part.reshape(len(part), -1)[:, places].T
         largest = float(np.max(np.abs(columns), initial=0.0, where=np.isfinite(columns)))
         for flat, values in zip(places, columns, strict=True):

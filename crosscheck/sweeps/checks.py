@@ -213,7 +213,7 @@ def _compared(
         of_engine = cache(partial(_finer_of, plan, run, engine, scene))
         figures: dict[str, list[Figure]] = {}
         for scalar in found:
-            own = swept.dataset[scalar.variable][(run, *scalar.place)].item()
+            own = swept.read(scalar.variable, (run, *scalar.place)).item()
             value = float(kept[scalar.variable][scalar.place])
             soft = engine.soft_start is not None and scalar.reacts
             fixed = (engine.trajectory_error + ENGINES["newton_euler"].trajectory_error) * scalar.scale

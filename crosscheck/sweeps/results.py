@@ -20,7 +20,7 @@ from crosscheck.limit import tidied_up
 from crosscheck.sweeps.execute import Pace, Workers, in_any_order, probed
 from crosscheck.sweeps.expressions import labels
 from crosscheck.sweeps.plan import STOPPED, Chunk, Parameters, Plan, make_runs, run_all
-from crosscheck.sweeps.store import BLOCK, ERROR, NAME, OF_TASKS, STATUS, Store, locked, store_runs
+from crosscheck.sweeps.store import BLOCK, ERROR, NAME, OF_TASKS, STATUS, Store, intact, locked, store_runs
 from newton_euler.errors import NewtonEulerError
 from newton_euler.scalars import Array
 from newton_euler.starts import assembly_of
@@ -73,17 +73,26 @@ class Results:
 
     def inputs(self, runs: Array) -> Parameters:
         """Return the parameters of runs (n,)."""
-        return {name: self.dataset[name][runs].values for name in self.plan.samples.names}
+        return {name: self.read(name, runs) for name in self.plan.samples.names}
+
+    def read(self, name: str, where: Any) -> Array:
+        """Return a part of a variable.
+
+        Raises:
+            CrosscheckError: for files that are damaged.
+        """
+        with intact(self.path, name):
+            return np.asarray(self.dataset[name][where].values)
 
     @cached_property
     def errors(self) -> dict[int, str]:
         """Why runs could not go on, by their number."""
         found: dict[int, str] = {}
         for first in range(0, self.plan.samples.runs, BLOCK):
-            status = self.dataset[STATUS][first : first + BLOCK].values
+            status = self.read(STATUS, slice(first, first + BLOCK))
             stopped = first + np.flatnonzero(status == STOPPED)
             if len(stopped):
-                reasons = self.dataset[ERROR][stopped].values
+                reasons = self.read(ERROR, stopped)
                 found |= {int(run): str(reason) for run, reason in zip(stopped, reasons, strict=True)}
         return found
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError
+from crosscheck.errors import CrosscheckError, short_of_memory
 from crosscheck.files import remove_abandoned
 from crosscheck.sweeps.plan import CONDITIONS, DONE, STOPPED, Chunk, Plan, make_runs
 from crosscheck.sweeps.sampling import EXTENDED, UNEXTENDED
@@ -40,6 +40,8 @@ not write into another store that has taken the place, nor into one to which run
 
 FREE = ("chunk", "versions", "numbers", OF_TASKS)
 """Attributes that are not compared: of packages samples are, and of scenes fingerprints."""
+
+ELSEWHERE = "name another folder (--output), or remove this one"
 
 KEPT_GOES_ON = "what is stored is kept, the same command goes on from there"
 
@@ -159,9 +161,8 @@ class Store:
         if (more := own["runs"] < runs) and plan.samples.sampling in EXTENDED:
             record |= {"runs": own["runs"], "samples": plan.samples.digest(own["runs"])}
         if what := _difference(own, record):
-            elsewhere = "name another folder (--output), or remove this one"
-            raise CrosscheckError(f"{self.path} holds a sweep of {what}; {elsewhere}")
-        with told(self.path):
+            raise CrosscheckError(f"{self.path} holds a sweep of {what}; {ELSEWHERE}")
+        with intact(self.path), told(self.path):
             remove_abandoned(self.path.rglob(UNFINISHED) if self.path else ())
             if more:
                 new = {"runs": runs, "samples": plan.samples.digest(runs), OF_TASKS: os.urandom(8).hex()}
@@ -170,6 +171,10 @@ class Store:
             for _, array in self.group.arrays():
                 if array.metadata.dimension_names[0] == "run" and array.shape[0] < runs:
                     array.resize((runs, *array.shape[1:]))
+            of_kept = [name for each in plan.kept for name in (each.name, *each.dimensions)]
+            for name in (*plan.samples.names, *of_kept, ERROR):
+                if name not in self.group:
+                    raise ValueError(f"{name} is missing")
         return replace(plan, chunk=int(own["chunk"]))
 
     def missing(self, plan: Plan) -> list[tuple[int, int]]:
@@ -182,7 +187,7 @@ class Store:
         """
         runs, left = plan.samples.runs, list[tuple[int, int]]()
         step = max(1, BLOCK // plan.chunk) * plan.chunk
-        try:
+        with intact(self.path, STATUS):
             for start in range(0, runs, step):
                 there = (self.group[STATUS][start : start + step] != 0).astype(int)
                 chunks = np.arange(0, len(there), plan.chunk)
@@ -190,10 +195,7 @@ class Store:
                 lasts = np.minimum(start + chunks + plan.chunk, runs)
                 some = firsts < lasts
                 left += zip(firsts[some].tolist(), lasts[some].tolist(), strict=True)
-            return left
-        except (OSError, RuntimeError, ValueError) as error:
-            problem = f"{self.path} is damaged: {STATUS}: {error}"[:300]
-            raise CrosscheckError(f"{problem}; name another folder (--output), or remove this one") from error
+        return left
 
     def write(self, first: int, chunk: Chunk) -> None:
         """Write consecutive runs, their status last.
@@ -202,7 +204,7 @@ class Store:
             CrosscheckError: naming the path that cannot be written.
         """
         last, stopped = first + len(chunk.errors), chunk.errors != ""
-        with told(self.path):
+        with intact(self.path), told(self.path):
             for name, values in chunk.values.items():
                 self.group[name][first:last] = values
             if stopped.any():
@@ -212,7 +214,8 @@ class Store:
     def dataset(self) -> Any:
         """Return an xarray Dataset of all that is there; variables are read when they are used."""
         xarray, _ = libraries()
-        return xarray.open_zarr(self.group.store, consolidated=False, chunks=None)
+        with intact(self.path):
+            return xarray.open_zarr(self.group.store, consolidated=False, chunks=None)
 
 
 def _difference(own: Mapping[str, Any], record: Mapping[str, Any]) -> str:
@@ -242,6 +245,18 @@ def _change(name: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
         for value in (old.get(name, "not given"), new.get(name, "not given"))
     )
     return f"{name} was {was}, is {is_}"
+
+
+@contextmanager
+def intact(path: Path | None, name: str = "") -> Iterator[None]:
+    """A block in which files of a store that are damaged are one line; `name` is the variable's."""
+    try:
+        yield
+    except (OSError, RuntimeError, ValueError, KeyError) as error:
+        if short_of_memory(error):
+            raise
+        problem = f"{path} is damaged: {name and f'{name}: '}{error}"
+        raise CrosscheckError(f"{problem:.300}; {ELSEWHERE}") from error
 
 
 @contextmanager

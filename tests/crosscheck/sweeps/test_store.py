@@ -279,11 +279,29 @@ def test_a_folder_with_something_else_is_refused(tmp_path):
         sweep(*ARGUMENTS, output=tmp_path)
 
 
-def test_a_damaged_folder_is_one_line(tmp_path):
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [
+        ("status/c/3", "status: "),
+        ("dumbbell.mass/c/3", "dumbbell.mass: "),
+        ("peak:reaction_force/c/3/0", "peak:reaction_force: "),
+        ("peak:reaction_force/zarr.json", ""),
+        ("joint/c/0", ""),
+    ],
+)
+def test_a_damaged_folder_is_one_line(tmp_path, file, words):
     sweep(*ARGUMENTS, output=tmp_path)
-    chunk = tmp_path / NAME / "status" / "c" / "3"
-    chunk.write_bytes(chunk.read_bytes()[:-4])
-    with pytest.raises(CrosscheckError, match="is damaged: status"):
+    damaged = tmp_path / NAME / file
+    damaged.write_bytes(damaged.read_bytes()[:-4])
+    with pytest.raises(CrosscheckError, match=rf"sweep\.zarr is damaged: {words}.*; name another folder"):
+        str(sweep(*ARGUMENTS, output=tmp_path))
+
+
+@pytest.mark.parametrize("name", ["dumbbell.mass", "peak:reaction_force", "joint", "error"])
+def test_a_variable_that_is_not_there_is_named(tmp_path, name):
+    sweep(*ARGUMENTS, output=tmp_path)
+    (tmp_path / NAME / name).rename(tmp_path / "elsewhere")
+    with pytest.raises(CrosscheckError, match=f"is damaged: {name} is missing; name another"):
         sweep(*ARGUMENTS, output=tmp_path)
 
 

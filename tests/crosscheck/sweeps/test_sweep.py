@@ -141,7 +141,7 @@ def test_reasons_are_read_of_runs_that_stopped_alone(monkeypatch):
     status = xarray.DataArray([1, 1, 1, 1, 1, 2, 2, 1, 1, 1], dims="run")
     dataset = {"status": status, "error": Reasons()}
     plan = SimpleNamespace(samples=SimpleNamespace(runs=10))
-    found = crosscheck.sweeps.results.Results(plan, dataset, None, 0, 0.0)
+    found = crosscheck.sweeps.results.Results(plan, dataset, SimpleNamespace(path=None), 0, 0.0)
     assert found.errors == {5: "reason 5", 6: "reason 6"}
     assert read == [[5, 6]]
 
