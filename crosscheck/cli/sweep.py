@@ -99,4 +99,4 @@ def sweep_command(
     beside = ", ".join(path.name for path in written if path.suffix == ".png")
     more = f"more  -v; {next_step('report', folder)}; there {beside or 'no pictures'} and numbers, {NAME}"
     say(*look, more)
-    return {"fails": DISAGREE, "doubtful": UNFINISHED}.get(made.judged.verdict, AGREE)
+    return {"DISAGREE": DISAGREE, "UNFINISHED": UNFINISHED}.get(made.judged.text, AGREE)

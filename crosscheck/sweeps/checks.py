@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from crosscheck.comparison.figure import OWN_ERROR, UNRESOLVED, Figure
-from crosscheck.comparison.runs import FALLS, rests
+from crosscheck.comparison.runs import FALLS
 from crosscheck.engines import ENGINES, EXACT_ATOL, EXACT_RTOL, Engine
 from crosscheck.errors import CrosscheckError
 from crosscheck.limit import paced
-from crosscheck.run import Crosscheck, crosscheck
+from crosscheck.run import UNTESTED, Crosscheck, crosscheck
 from crosscheck.sweeps.analysis import Scalar
 from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.plan import Plan, run_all
@@ -51,6 +51,7 @@ class Checked:
         verdict: of its crosscheck, in a line.
         kept: of each variable and engine the numbers, judged and not, that are nearest their limits.
         moves: whether anything does.
+        untested: whether the motion tests none of the elements.
         engines: that made it.
     """
 
@@ -61,6 +62,7 @@ class Checked:
     verdict: str
     kept: tuple[Figure, ...] = ()
     moves: bool = True
+    untested: bool = False
     engines: tuple[str, ...] = ()
 
     @property
@@ -127,8 +129,8 @@ def _check(
     except (CrosscheckError, NewtonEulerError) as error:
         return Checked(run, why, False, True, str(error), engines=names)
     complete = not (result.left_out or result.unfinished)
-    moves = not rests(result.scene, engines, result.trajectories)
-    return Checked(run, why, complete, not result.differs, result.verdict, kept, moves, names)
+    moves, untested = not result.rests, result.agreement.startswith(UNTESTED)
+    return Checked(run, why, complete, not result.differs, result.verdict, kept, moves, untested, names)
 
 
 def worded(checked: Sequence[Checked], extremes: Collection[int]) -> str:

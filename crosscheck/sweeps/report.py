@@ -26,6 +26,7 @@ from crosscheck.report.table import (
     judged,
     texts,
 )
+from crosscheck.run import UNTESTED
 from crosscheck.sweeps.analysis import (
     LEVELS,
     Analysis,
@@ -116,13 +117,15 @@ class Findings:
             return "DISAGREE"
         if self.swept.errors or not all(each.complete for each in self.checked):
             return "UNFINISHED"
+        if any(each.untested for each in self.checked):
+            return UNTESTED
         return "AGREE" if self.checked else ""
 
     @property
     def judged(self) -> Cell:
         """The verdict in one word."""
-        verdicts: dict[str, Verdict] = {"DISAGREE": "fails", "UNFINISHED": "doubtful", "AGREE": "holds"}
-        return Cell(self._word or "made", verdicts.get(self._word, ""))
+        verdicts: dict[str, Verdict] = {"DISAGREE": "fails", "AGREE": "holds", "": ""}
+        return Cell(self._word or "made", verdicts.get(self._word, "doubtful"))
 
 
 def findings(swept: Results, checked: Sequence[Checked] = ()) -> Findings:

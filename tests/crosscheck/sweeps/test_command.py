@@ -101,6 +101,15 @@ def test_what_has_no_effect_is_said_and_checked_all_the_same():
     assert swept.report.verdict.startswith("AGREE: all engines in all figures of 1 run (1 at random); ")
 
 
+def test_motions_that_test_nothing_are_not_said_to_agree(capsys, tmp_path):
+    at_rest = ("--vary", "gravity.y=values(0)", "--check", "1")
+    others = ("--vary", VARY, "--runs", "3", "--keep", KEEP, "--output", tmp_path / "out")
+    status, out, _ = run(capsys, "sweep", "pendulum", *at_rest, *others)
+    assert status == 0
+    assert "\nAGREE AT RANDOM STATES ONLY: all engines in all figures of 1 run" in out
+    assert "nothing moves" in out
+
+
 def test_runs_that_fail_are_counted_by_reason(capsys, tmp_path):
     vary = ("--vary", "dumbbell.mass=normal(1, 2)", "--runs", "20", "--keep", KEEP, "--check", "0")
     status, out, _ = run(capsys, "sweep", "pendulum", *vary, "--output", tmp_path)
@@ -314,7 +323,14 @@ def test_a_run_on_which_engines_differ_is_named(monkeypatch):
     def planted(*arguments):
         result = Crosscheck.__new__(Crosscheck)
         result.__dict__.update(
-            scene=None, figures=(wrong,), measured=(), left_out={}, unfinished=(), trajectories={}
+            scene=None,
+            figures=(wrong,),
+            measured=(),
+            left_out={},
+            unfinished=(),
+            trajectories={},
+            engines=(),
+            coverage=None,
         )
         result.__dict__["verdict"] = "DISAGREE: mujoco differs"
         return result
