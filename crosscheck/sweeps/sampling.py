@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -28,6 +29,9 @@ EDGE = 2.0**-33
 
 MOST_RUNS = 2**32
 """The bits of Sobol's sequence."""
+
+MOST_COLUMNS = 21_201
+"""Of Sobol's sequence, whose direction numbers are tabulated; Saltelli's plan takes two for a parameter."""
 
 LARGEST_DESIGN = 2**26
 """Numbers of a Latin hypercube, 512 MB, which is made as a whole; others are made where they are needed."""
@@ -74,6 +78,10 @@ class Samples:
                 raise CrosscheckError(
                     f"saltelli takes a power of 2 times {self.block} runs: {near}, not {self.runs}"
                 )
+        columns = {"sobol": 1, "saltelli": 2}.get(self.sampling, 0)
+        if columns * len(self.names) > MOST_COLUMNS:
+            problem = f"{self.sampling} takes {MOST_COLUMNS // columns} parameters at most"
+            raise CrosscheckError(f"{problem}, not {len(self.names)}; random has no limit")
         if self.sampling == "latin_hypercube" and self.runs * len(self.names) > LARGEST_DESIGN:
             most = LARGEST_DESIGN // len(self.names)
             raise CrosscheckError(
@@ -206,8 +214,8 @@ def samples_of(vary: Vary, sampling: SamplingName, runs: int | None, seed: int) 
         raise CrosscheckError(
             "nothing varies; name a parameter and its distribution (--vary NAME=DISTRIBUTION)"
         )
-    for name in every:
-        if every.count(name) > 1:
+    for name, times in Counter(every).items():
+        if times > 1:
             raise CrosscheckError(f"{name} varies twice; name it once")
     if sampling == "grid":
         size = prod(len(numbers) for numbers in Samples(tuple(groups), "grid", 1, 0).grid)

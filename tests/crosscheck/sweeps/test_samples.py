@@ -157,6 +157,9 @@ def test_texts_that_are_no_distribution_are_one_line(text, words):
     assert len(str(caught.value)) < 500
 
 
+MANY = {f"p{k}": [1.0] for k in range(10_601)}
+
+
 @pytest.mark.parametrize(
     ("vary", "sampling", "runs", "words"),
     [
@@ -170,6 +173,8 @@ def test_texts_that_are_no_distribution_are_one_line(text, words):
         ({"a": "uniform(0,1)"}, "saltelli", 100, "a power of 2 times 3 runs: 96 or 192, not 100"),
         ({"a": "uniform(0,1)"}, "sobl", 3, "unknown sampling 'sobl'; did you mean 'sobol'?"),
         ({"a": "uniform(0,1)"}, "latin_hypercube", 2**30, "at most; sobol has no limit"),
+        (MANY, "saltelli", 10_603, "saltelli takes 10600 parameters at most, not 10601; random has no limit"),
+        (MANY | {f"q{k}": [1.0] for k in range(10_601)}, "sobol", 2, "sobol takes 21201 parameters"),
         ({"a": []}, "random", 3, "empty distribution"),
         ({"a": 3.0}, "random", 3, "is no distribution"),
         ({"a": b"12"}, "random", 3, "is no distribution"),
