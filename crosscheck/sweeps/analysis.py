@@ -107,7 +107,7 @@ class Scalar:
         unit: of its values.
         values: (n,) of the runs that are analyzed, not a number where one could not go on.
         runs: (n,) the numbers of these runs.
-        largest: magnitude of all numbers of the variable, beside which it is round-off or not.
+        usual: median over runs of the variable's largest magnitude, beside which a number is round-off.
         reacts: whether it depends on forces of constraints.
     """
 
@@ -117,7 +117,7 @@ class Scalar:
     unit: str
     values: Array
     runs: Array
-    largest: float = 0.0
+    usual: float = 0.0
     reacts: bool = False
 
     @property
@@ -130,10 +130,13 @@ class Scalar:
         """The label with the unit."""
         return with_unit(self.label, self.unit)
 
-    @property
-    def scale(self) -> float:
-        """The number that errors are shares of: the largest, lengths, angles and times 1 SI unit at least."""
-        return max(self.largest, 1.0 if self.unit in ("m", "rad", "1", "s") else 0.0)
+    def scale(self, numbers: Array) -> float:
+        """Return what errors in a run are shares of: the largest of its numbers of the variable.
+
+        A usual run's at least, and of lengths, angles and times 1 SI unit.
+        """
+        least = max(self.usual, 1.0 if self.unit in ("m", "rad", "1", "s") else 0.0)
+        return float(np.max(np.abs(numbers), initial=least, where=np.isfinite(numbers)))
 
     @cached_property
     def quantiles(self) -> Array:
@@ -157,7 +160,7 @@ class Scalar:
     def varies(self) -> bool:
         """False where all runs have the same number, but for round-off."""
         low, high = self.quantiles[[0, -1]]
-        return bool(high - low > CONSTANT * max(abs(low), abs(high), self.largest))
+        return bool(high - low > CONSTANT * max(abs(low), abs(high), self.usual))
 
     def extreme(self, largest: bool) -> int:
         """Return the run with the largest or the least value."""
@@ -208,11 +211,13 @@ def scalars(swept: Results) -> list[Scalar]:
         for first in range(0, len(runs), block):
             part = swept.read(each.name, runs[first : first + block])
             columns[:, first : first + len(part)] = part.reshape(len(part), -1)[:, places].T
-        largest = float(np.max(np.abs(columns), initial=0.0, where=np.isfinite(columns)))
+        known = columns[:, np.isfinite(columns).any(axis=0)]
+        largest = np.max(np.abs(known), axis=0, initial=0.0, where=np.isfinite(known))
+        usual = float(np.median(largest)) if len(largest) else 0.0
         for flat, values in zip(places, columns, strict=True):
             place = tuple(map(int, np.unravel_index(flat, variable.shape[1:])))
             names = tuple(_label(variable, d, k) for d, k in zip(variable.dims[1:], place, strict=True))
-            found.append(Scalar(each.name, place, names, each.unit, values, runs, largest, each.reacts))
+            found.append(Scalar(each.name, place, names, each.unit, values, runs, usual, each.reacts))
     return found
 
 

@@ -189,14 +189,15 @@ def _compared(
 
     One of numbers that are judged, and one of those that are not.
 
-    As whole runs may be off, kept numbers may: an engine's and newton_euler's fixed shares, of the largest
-    number of the variable, and of 1 m, 1 rad or 1 s at least; beyond these, what finer runs of the engine, at
+    As whole runs may be off, kept numbers may: an engine's and newton_euler's fixed shares of
+    `Scalar.scale`; beyond these, what finer runs of the engine, at
     any time, and of the sweep change, times `OWN_ERROR`. A number is not judged where that exceeds
     `UNRESOLVED`, where the difference does not fall with finer runs, and where it is a reaction of soft
     constraints.
     """
     plan, scene = swept.plan, result.scene
     reductions = {each.name: each for each in plan.kept}
+    numbers = {name: swept.read(name, run) for name in reductions}
 
     @cache
     def change_of_sweep() -> tuple[dict[str, Array], dict[str, Array]]:
@@ -215,10 +216,10 @@ def _compared(
         of_engine = cache(partial(_finer_of, plan, run, engine, scene))
         figures: dict[str, list[Figure]] = {}
         for scalar in found:
-            own = swept.read(scalar.variable, (run, *scalar.place)).item()
+            own, scale = float(numbers[scalar.variable][scalar.place]), scalar.scale(numbers[scalar.variable])
             value = float(kept[scalar.variable][scalar.place])
             soft = engine.soft_start is not None and scalar.reacts
-            fixed = (engine.trajectory_error + ENGINES["newton_euler"].trajectory_error) * scalar.scale
+            fixed = (engine.trajectory_error + ENGINES["newton_euler"].trajectory_error) * scale
             apart = 0.0 if np.array_equal(value, own, equal_nan=True) else abs(value - own)
             limit, unsettled = fixed, ""
             if apart > fixed and not soft:
@@ -228,7 +229,7 @@ def _compared(
                 change = max(abs(value - fine), _change(reductions[scalar.variable], scalar, outputs, finer))
                 limit += OWN_ERROR * float(change + abs(again - fine_own))
                 falls = abs(fine - fine_own) <= max(FALLS * max(apart, change), fixed)
-                if limit > UNRESOLVED * scalar.scale or (apart <= limit and not falls):
+                if limit > UNRESOLVED * scale or (apart <= limit and not falls):
                     unsettled = engine.name
             figures.setdefault(scalar.variable, []).append(
                 Figure(

@@ -267,6 +267,13 @@ def test_a_kept_number_that_engines_do_not_confirm_is_named():
     assert " J; 2 runs (1 extreme, 1 at random) cross-checked; " in verdict
 
 
+def test_a_far_run_does_not_loosen_the_checks_of_others():
+    short, vary = replace(load("pendulum"), duration=0.1), {"dumbbell.mass": "values(1, 1.1, 1.2, 1e9)"}
+    swept = sweep(short, vary, None, "final:kinetic_energy", sampling="grid")
+    swept.results.dataset["final:kinetic_energy"][:3] *= 1.001
+    assert swept.check(4, ["pinocchio"]).report.verdict.startswith("DISAGREE")
+
+
 @pytest.mark.parametrize(("elsewhere", "verdict"), [(0.0, "DISAGREE"), (1e-6, "AGREE")])
 def test_numbers_may_be_off_by_what_finer_runs_change_at_any_time(monkeypatch, elsewhere, verdict):
     """Errors pass through zero, and a number may change by less than its own."""
