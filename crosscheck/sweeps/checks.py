@@ -78,7 +78,7 @@ def default_count(runs: int) -> int:
 
 def chosen(swept: Results, kept: Sequence[Scalar], telling: Sequence[Scalar], count: int) -> dict[int, str]:
     """Choose runs to check by number, each with the reason: extreme ones and others at random by turns."""
-    known = kept[0].runs[~np.isin(kept[0].runs, list(swept.errors))]
+    known = kept[0].runs[~np.isin(kept[0].runs, swept.stopped)]
     generator = np.random.default_rng([swept.plan.samples.seed, swept.plan.samples.runs])
     random = [(int(run), RANDOM) for run in generator.choice(known, min(count, len(known)), replace=False)]
     extreme = [

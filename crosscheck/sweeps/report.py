@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
@@ -102,7 +103,7 @@ class Findings:
     @property
     def verdict(self) -> str:
         """One line: whether the engines agree on the runs that were checked, and how many came to an end."""
-        runs, stopped = self.swept.plan.samples.runs, len(self.swept.errors)
+        runs, stopped = self.swept.plan.samples.runs, len(self.swept.stopped)
         of_runs = "1 run came to its" if runs == 1 else f"{runs:,} runs came to their"
         ended = f"{runs - stopped:,} of {of_runs} end"
         found = f"{ended}; none was cross-checked"
@@ -115,7 +116,7 @@ class Findings:
     def _word(self) -> str:
         if any(each.differs for each in self.checked):
             return "DISAGREE"
-        if self.swept.errors or not all(each.complete for each in self.checked):
+        if len(self.swept.stopped) or not all(each.complete for each in self.checked):
             return "UNFINISHED"
         if any(each.untested for each in self.checked):
             return UNTESTED
@@ -173,7 +174,7 @@ def report(found: Findings) -> Report:
     varying = [scalar for scalar in found.scalars if scalar.varies]
     if not varying:
         varying = found.scalars
-        if len(swept.errors) < samples.runs:
+        if len(swept.stopped) < samples.runs:
             notes.append("what varies has no effect on what is kept")
     first = most_varying(varying)[:MOST_ROWS]
     if any(_digits(each) > WIDE for each in first):
@@ -207,12 +208,14 @@ def _not_shown(found: Findings, rows: Sequence[Scalar]) -> list[str]:
 
 def _failures(found: Findings) -> list[str]:
     """Word each reason why runs could not go on: how many, the first in full, and what may help."""
-    reasons: dict[str, list[tuple[int, str]]] = {}
-    for run, reason in found.swept.errors.items():
-        reasons.setdefault(NUMBER.sub("#", reason), []).append((run, reason))
+    counts, firsts = Counter[str](), dict[str, tuple[int, str]]()
+    for run, reason in found.swept.reasons():
+        kind = NUMBER.sub("#", reason)
+        counts[kind] += 1
+        firsts.setdefault(kind, (run, reason))
     lines = []
-    for members in sorted(reasons.values(), key=len, reverse=True):
-        (run, reason), count = members[0], len(members)
+    for kind, count in counts.most_common():
+        run, reason = firsts[kind]
         which = f"run {run}" if count == 1 else f"{count} runs could not go on, as run {run}"
         lines.append(f"{which}: {reason}{_hint(found.swept.plan, reason)}")
     return lines
@@ -316,7 +319,7 @@ def _gaps(found: Findings) -> list[str]:
     lines, block = [], found.swept.plan.samples.block
     for scalar in found.scalars:
         known = np.isfinite(scalar.values)
-        ended = ~np.isin(scalar.runs, list(found.swept.errors))
+        ended = ~np.isin(scalar.runs, found.swept.stopped)
         if ended.any() and not known.any():
             lines.append(f"{scalar.label}: a number in no run")
         elif np.any(ended & ~known):
@@ -376,7 +379,7 @@ def _data(found: Findings) -> dict[str, object]:
         "seed": plan.samples.seed,
         "keep": list(plan.keep),
         "control": dict(plan.control),
-        "errors": len(found.swept.errors),
+        "errors": len(found.swept.stopped),
         "known": {each.label: int(np.isfinite(each.values).sum()) for each in found.scalars},
         "quantiles": {
             each.label: dict(zip(map("{:g}".format, LEVELS.values()), each.quantiles.tolist(), strict=True))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -85,16 +85,19 @@ class Results:
             return np.asarray(self.dataset[name][where].values)
 
     @cached_property
-    def errors(self) -> dict[int, str]:
-        """Why runs could not go on, by their number."""
-        found: dict[int, str] = {}
-        for first in range(0, self.plan.samples.runs, BLOCK):
-            status = self.read(STATUS, slice(first, first + BLOCK))
-            stopped = first + np.flatnonzero(status == STOPPED)
-            if len(stopped):
-                reasons = self.read(ERROR, stopped)
-                found |= {int(run): str(reason) for run, reason in zip(stopped, reasons, strict=True)}
-        return found
+    def stopped(self) -> Array:
+        """The numbers of runs that could not go on."""
+        parts = (
+            first + np.flatnonzero(self.read(STATUS, slice(first, first + BLOCK)) == STOPPED)
+            for first in range(0, self.plan.samples.runs, BLOCK)
+        )
+        return np.concatenate(list(parts))
+
+    def reasons(self) -> Iterator[tuple[int, str]]:
+        """Yield the runs that could not go on and why, of which there may be too many for memory."""
+        for first in range(0, len(self.stopped), BLOCK):
+            runs = self.stopped[first : first + BLOCK]
+            yield from zip(runs.tolist(), map(str, self.read(ERROR, runs)), strict=True)
 
 
 def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[[str], None]) -> Results:

@@ -107,10 +107,10 @@ class Sweep:
         """An xarray Dataset of what varied and what was kept, by runs; read from disk if it is there."""
         return self.results.dataset
 
-    @property
+    @cached_property
     def errors(self) -> Mapping[int, str]:
         """Why runs could not go on, by their number."""
-        return self.results.errors
+        return dict(self.results.reasons())
 
     @cached_property
     def findings(self) -> Findings:

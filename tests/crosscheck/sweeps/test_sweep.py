@@ -129,7 +129,7 @@ def test_meshes_are_not_sent():
     assert len(pickle.dumps(plan)) < mesh.vertices.nbytes
 
 
-def test_reasons_are_read_of_runs_that_stopped_alone(monkeypatch):
+def test_reasons_are_read_of_runs_that_stopped_alone_and_not_all_at_once(monkeypatch):
     read = []
 
     class Reasons:
@@ -137,13 +137,15 @@ def test_reasons_are_read_of_runs_that_stopped_alone(monkeypatch):
             read.append(runs.tolist())
             return SimpleNamespace(values=np.array([f"reason {run}" for run in runs]))
 
-    monkeypatch.setattr(crosscheck.sweeps.results, "BLOCK", 4)
-    status = xarray.DataArray([1, 1, 1, 1, 1, 2, 2, 1, 1, 1], dims="run")
+    monkeypatch.setattr(crosscheck.sweeps.results, "BLOCK", 2)
+    status = xarray.DataArray([1, 1, 1, 1, 1, 2, 2, 1, 1, 2], dims="run")
     dataset = {"status": status, "error": Reasons()}
     plan = SimpleNamespace(samples=SimpleNamespace(runs=10))
     found = crosscheck.sweeps.results.Results(plan, dataset, SimpleNamespace(path=None), 0, 0.0)
-    assert found.errors == {5: "reason 5", 6: "reason 6"}
+    reasons = found.reasons()
+    assert next(reasons) == (5, "reason 5")
     assert read == [[5, 6]]
+    assert list(reasons) == [(6, "reason 6"), (9, "reason 9")]
 
 
 def test_a_sweep_whose_first_runs_make_no_sense_is_made(monkeypatch):
