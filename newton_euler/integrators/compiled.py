@@ -125,7 +125,7 @@ class Code:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What was chosen, as settings of runs say it."""
+        """The choices that it was made with, as settings of runs have them."""
         chosen = {"formulation": self.formulation, "stabilization": self.stabilization}
         return chosen | ({"alpha": self.alpha} if self.stabilization == "baumgarte" else {})
 
