@@ -15,8 +15,10 @@ omega x dtheta.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property, lru_cache
+from itertools import accumulate
+from typing import Any
 
 import numpy as np
 
@@ -36,6 +38,7 @@ from newton_euler.equations.parameters import (
     parameter_layout,
     parameter_values,
     pieces,
+    pieces_along,
     unambiguous,
     with_laws,
     with_values,
@@ -175,7 +178,8 @@ class Linearization:
         self._probes = {
             key: numbered("control", len(kept) + k, "feedforward") for k, key in enumerate(measured)
         }
-        names = [*self._probes.values(), *parameters, *pieces(self.scene, 0.0)]
+        self._pieces = tuple(pieces(self.scene, 0.0))
+        names = [*self._probes.values(), *parameters, *self._pieces]
         self.values = parameter_values(self.scene, names)
         self.system = Relative(self.scene)
         self.rows = rows_in_use(self.system)
@@ -191,16 +195,12 @@ class Linearization:
 
     def _trace(self) -> Traced:
         """Trace zddot, its derivative, that of [J; J_z] v at constant v, and the pivot ratio."""
-        sizes = [value.size for value in self.values.values()]
         nq, nv, graph = self.system.nq, self.system.nv, Graph()
-        x, directions = graph.variables(nq + nv + sum(sizes)), graph.variables(nq + nv + sum(sizes))
+        count = nq + nv + sum(value.size for value in self.values.values())
+        x, directions = graph.variables(count), graph.variables(count)
         (time,) = graph.variables(1)
-        q, v, *parts, _ = np.split(x, np.cumsum([nq, nv, *sizes]))
-        values = {
-            name: part.reshape(own.shape) if own.shape else part[0]
-            for (name, own), part in zip(self.values.items(), parts, strict=True)
-        }
-        system = at_time(Relative(with_values(self.scene, values)), time)
+        q, v, given = np.split(x, [nq, nq + nv])
+        system = at_time(Relative(with_values(self.scene, self._values(given))), time)
         share_model_control(system, self.system)
         solution = system.sparse_solution(q, v, self.rows)
         keys = [freedom.key for freedom in self.freedoms if freedom.key]
@@ -222,6 +222,24 @@ class Linearization:
         ]
         program = graph.prune(scalars)
         return Traced(program, many=program.operations < LARGE)
+
+    @cached_property
+    def _places(self) -> dict[str, slice]:
+        """Places of the inputs among all their numbers."""
+        ends = list(accumulate((value.size for value in self.values.values()), initial=0))
+        return dict(zip(self.values, map(slice, ends, ends[1:]), strict=True))
+
+    def _values(self, given: Array) -> dict[str, Any]:
+        """Return the inputs by name in numbers (m,)."""
+        return {
+            name: given[self._places[name]].reshape(own.shape) if own.shape else given[self._places[name]][0]
+            for name, own in self.values.items()
+        }
+
+    def _whole(self, given: Array) -> Scene:
+        """Return the scene with inputs (m,), functions of time whole."""
+        whole = {name: value for name, value in self._values(given).items() if name not in self._pieces}
+        return with_values(self.scene, whole)
 
     def tangent(self, q: Array) -> tuple[Array, Array]:
         """Compute [J; J_z]^-1 (nv, k + d), and T (nv, d), its last columns.
@@ -270,12 +288,16 @@ class Linearization:
             return at_rows(self.function, np.column_stack([same, directions, np.full(len(directions), time)]))
 
         n, m = d, len(given)
+        by_input = np.eye(m)
+        if self._pieces:
+            for name, changes in pieces_along(self._whole, given, np.eye(m), time).items():
+                by_input[:, self._places[name]] += changes.T
         still = along(on_q, np.zeros((n, system.nv)), np.zeros((n, m)))
         on_v = -still[:, 2 * d : -1] @ inverse.T
         found = along(
             np.concatenate([on_q, np.zeros((n + m, system.nq))]),
             np.concatenate([on_v, tangent.T, np.zeros((m, system.nv))]),
-            np.concatenate([np.zeros((2 * n, m)), np.eye(m)]),
+            np.concatenate([np.zeros((2 * n, m)), by_input]),
         )
         if not np.isfinite(found).all() or not np.all(found[:, -1] > 0.0):
             joint = fastest_joint(system.mechanism, state)
@@ -287,7 +309,7 @@ class Linearization:
             if freedom.ball >= 0:  # d/dt dtheta = domega - omega x dtheta
                 place = slice(freedom.ball, freedom.ball + 3)
                 row[:d] -= (tilde(v[place]) @ tangent[place])[freedom.place - freedom.ball]
-        b, labels = self._columns(found[2 * d :, d : 2 * d], values, inputs, names)
+        b, labels = self._columns(found[2 * d :, d : 2 * d], inputs, names)
         c, rows = self._outputs(q, tangent, twists, outputs)
         rates = rates_of(self.system, q, freedoms)
         return LinearModel(
@@ -319,20 +341,14 @@ class Linearization:
                 raise MechanismError(where, problem, "closed loops, as newton_euler.assemble makes them")
 
     def _columns(
-        self,
-        table: Array,
-        values: Mapping[str, Array],
-        inputs: Sequence[Key | str],
-        names: Sequence[str | Key],
+        self, table: Array, inputs: Sequence[Key | str], names: Sequence[str | Key]
     ) -> tuple[Array, tuple[str | Key, ...]]:
         """Select the columns (d, m) of the inputs from rows for all numbers, and name them."""
-        sizes = [value.size for value in values.values()]
-        starts = dict(zip(values, np.cumsum([0, *sizes]), strict=False))
         columns, labels = [np.zeros((0, table.shape[1]))], list[str | Key]()
         for each, name in zip(inputs, names, strict=True):
             known = each if isinstance(each, str) else self._probes[each]
-            count = values[known].size
-            columns.append(table[starts[known] : starts[known] + count])
+            count = self.values[known].size
+            columns.append(table[self._places[known]])
             labels += [name] if count == 1 else [f"{name}[{k}]" for k in range(count)]
         return np.concatenate(columns).T, tuple(labels)
 

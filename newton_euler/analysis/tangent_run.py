@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from newton_euler.analysis.tangent_code import ALONG, RATES, REVERSING, SETTLED, TangentCode
-from newton_euler.equations.parameters import pieces
+from newton_euler.equations.parameters import pieces_along
 from newton_euler.errors import OptionError, SensitivityError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.options import Options, StepControl
@@ -289,12 +289,8 @@ class FollowedRun:
     def _turn_pieces(self, x: Array, interval: Interval, directions: Array) -> None:
         """Set directions (inputs, p) of the numbers of functions between knots, linear in parameters."""
         code = self._code
-        here = pieces(code.scene, interval.middle)
-        if not here:
+        if not code.piecewise:
             return
-        here = pieces(code.parametrized(x), interval.middle)
-        for direction in directions.T:
-            moved = pieces(code.parametrized(x + direction), interval.middle)
-            for name, piece in here.items():
-                place = code.place(name)
-                direction[place : place + piece.size] = moved[name] - piece
+        for name, changes in pieces_along(code.parametrized, x, directions, interval.middle).items():
+            place = code.place(name)
+            directions[place : place + len(changes)] = changes

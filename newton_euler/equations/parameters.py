@@ -62,7 +62,7 @@ parameter of the code, `JOINT.held`, and so are the numbers of functions with kn
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -157,6 +157,15 @@ def pieces(scene: Scene, time: float, smooth: bool = True) -> dict[str, Array]:
         if any(f.numbers and (smooth or f.jumps) for f in functions):
             found[numbered(*owner) + PIECE] = piece_numbers(functions, time)
     return found
+
+
+def pieces_along(
+    scene_at: Callable[[Array], Scene], x: Array, directions: Array, time: float
+) -> dict[str, Array]:
+    """Compute the changes (k, p) of `pieces` along directions (inputs, p) of x, in which they are linear."""
+    here = pieces(scene_at(x), time)
+    moved = [pieces(scene_at(x + direction), time) for direction in directions.T]
+    return {name: np.array([each[name] - piece for each in moved]).T for name, piece in here.items()}
 
 
 def numbered(what: str, k: int, attribute: str) -> str:

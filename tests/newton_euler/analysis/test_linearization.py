@@ -15,7 +15,7 @@ from crosscheck.scenes import load
 from newton_euler import start
 from newton_euler.analysis.equilibrium import at_rest, equilibrium
 from newton_euler.analysis.inverse_dynamics import statics
-from newton_euler.analysis.linear_model import Modes
+from newton_euler.analysis.linear_model import LinearModel, Modes
 from newton_euler.analysis.linearization import linearize
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
@@ -27,7 +27,7 @@ from newton_euler.model.digital_control import Sampled
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint_kinds import Prismatic, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import PrescribedMotion
+from newton_euler.model.motions import PrescribedMotion, Steps
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.splines import Spline
@@ -93,6 +93,24 @@ def test_laws_that_depend_on_time_are_those_of_the_time():
     model = linearize(mass_on_rail(control=(PD("rail", 20.0, 1.0, target),)), time=1.5)
     assert pytest.approx(model.A, rel=1e-14) == [[0.0, 1.0], [-20.0 / MASS, -1.0 / MASS]]
     assert model.f[1] == pytest.approx((20.0 * np.sin(1.5) + np.cos(1.5)) / MASS, rel=1e-7)
+
+
+@pytest.mark.parametrize("function", [Spline, Steps])
+def test_samples_of_functions_are_inputs(function):
+    """Columns are differences between scenes with other samples, in which accelerations are linear."""
+    times, values = np.linspace(0.0, 2.0, 6), np.array([1.0, 3.0, -2.0, 0.5, 4.0, 2.0])
+
+    def model(change: float, at: int, time: float, **inputs: list[str]) -> LinearModel:
+        target = function(times, values + change * (np.arange(6) == at))
+        return linearize(mass_on_rail(control=(PD("rail", 20.0, 1.0, target),)), time=time, **inputs)
+
+    for time, at in ((0.1, 0), (0.1, 1), (1.1, 2)):
+        found = model(0.0, at, time, inputs=["rail.target", "rail.stiffness"]).B[:, at]
+        alone = model(0.0, at, time, inputs=[f"rail.target.{at}"]).B[:, 0]
+        expected = model(1.0, at, time).f - model(0.0, at, time).f
+        assert found == pytest.approx(expected, rel=1e-12, abs=1e-12)
+        assert alone == pytest.approx(expected, rel=1e-12, abs=1e-12)
+        assert (abs(expected[1]) > 0.1) == (function is Spline or at != 1)
 
 
 def test_sampled_controllers_are_held_or_refused():
