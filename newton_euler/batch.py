@@ -92,8 +92,6 @@ class Batch(Sequence[Trajectory]):
         arrays = named(self._compiled, self._runs.results[number])
         settings = self.settings | counted(self._runs.counts[number])
         found = native_trajectory(self.scene, settings, self.wall_time / len(self), arrays)
-        if not self._compiled.kinematic:
-            return found
         return replace(found, mechanism=self._mechanism(number))
 
     def stacked(self, name: str) -> Floats:
@@ -144,7 +142,7 @@ class Batch(Sequence[Trajectory]):
         return [self._mechanism(run) for run in range(len(self))]
 
     def _mechanism(self, run: int) -> Mechanism:
-        """Return the mechanism of a run, where their geometry differs."""
+        """Return the mechanism of a run."""
         return self._compiled.parametrized(self._runs.starts[run]).mechanism
 
     def __iter__(self) -> Iterator[Trajectory]:

@@ -16,7 +16,7 @@ refused, and by parameters that move the closed configurations all that come nea
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Unpack
 
 import numpy as np
@@ -164,6 +164,7 @@ def sensitivities(
     outputs = named(code, found.results)
     signs = outputs["quaternion"].copy()
     run = native_trajectory(scene, settings, found.wall_time, outputs)
+    run = replace(run, mechanism=code.parametrized(start).mechanism)
     arrays = {
         name: found.derivatives["output"][:, start:stop].reshape(len(run.time), *shape, len(labels))
         for name, (start, stop, shape) in code.function("output" + ALONG).layout.items()

@@ -198,6 +198,19 @@ def test_joint_coordinates_of_all_runs_are_those_of_each(name):
             assert np.array_equal(together.rates[run], alone.rates)
 
 
+def test_the_mechanism_of_a_run_is_its_own(short):
+    """Of a run of a batch and of one with its derivatives, varied by geometry or by masses alone."""
+    inertia = 1.5 * short.mechanism.body("panel_7").inertia
+    for values in (
+        {"panel_7.mass": 5.0, "panel_7.inertia": inertia},
+        {"panel_7.mass": 5.0, "panel_7.center_of_mass": [0.1, 0.2, 0.3]},
+    ):
+        batch = simulate_batch(short, parameters={name: [value] for name, value in values.items()})
+        for run in (batch[0], newton_euler.sensitivities(short, values).run):
+            for name, value in values.items():
+                assert np.array_equal(getattr(run.mechanism.body("panel_7"), name.split(".")[1]), value)
+
+
 def test_there_are_as_many_threads_as_processors_for_this_process(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 2, 5}, raising=False)
     assert thread_count() == 3
