@@ -184,6 +184,24 @@ def simulate_batch(
         >>> len(batch), batch.stacked("position").shape
         (2, (2, 1001, 2, 3))
     """
+    chosen = formulation, integrator, stabilization, alpha
+    return make_batch(scene, states, parameters, threads, *chosen, warned=True, **control)
+
+
+def make_batch(
+    scene: Scene,
+    states: Sequence[State] | None = None,
+    parameters: Mapping[str, Sequence[ArrayLike] | Floats] | None = None,
+    threads: int | None = None,
+    formulation: FormulationName | None = None,
+    integrator: IntegratorName = "DOP853",
+    stabilization: StabilizationName = "projection",
+    alpha: float | None = None,
+    *,
+    warned: bool = False,
+    **control: Unpack[StepControl],
+) -> Batch:
+    """Run a scene many times as `simulate_batch` does; `warned` of what it warns of only if told so."""
     check_type("scene", scene, Scene)
     options = Options.of(integrator, control)
     options.check_steps(scene.duration)
@@ -205,7 +223,8 @@ def simulate_batch(
     with PREPARING:
         compiled = _compiled(scene, formulation, stabilization, alpha, names)
         load_lanes(compiled, integrator)
-    compiled.warn()
+    if warned:
+        compiled.warn(above=1)
     count = _count(states, parameters)
     shape = (len(scene.times), compiled.function("output").outputs)
     try:

@@ -6,7 +6,7 @@ import copy
 import time
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property, lru_cache
 from typing import Any, Unpack
 
@@ -15,7 +15,7 @@ import numpy as np
 from newton_euler.assemble import coordinates_of, inherit_initial_state, initial_state
 from newton_euler.equations.couplings import couplings
 from newton_euler.equations.parameters import pieces
-from newton_euler.equations.redundancy import inherit_mobility, mobility, other_rows
+from newton_euler.equations.redundancy import NearlyRedundant, inherit_mobility, mobility, other_rows
 from newton_euler.equations.system import Observation, System, at_time
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, OptionError, check_type
 from newton_euler.integrators.compiled import Code
@@ -155,10 +155,12 @@ class CompiledScene(Code):
         self.warn()
         return self._run(options)
 
-    def warn(self) -> None:
-        """Warn of constraints that are almost redundant, where the function that calls this is called."""
-        for weak in self.nearly_redundant:
-            warnings.warn(f"scene {self.scene.name!r}: {weak}", NearlyRedundantWarning, stacklevel=3)
+    def warn(self, above: int = 0) -> None:
+        """Warn of constraints that are almost redundant, where the function that calls this is called.
+
+        Or as many calls above it.
+        """
+        warn_of(self.scene, self.nearly_redundant, above + 1)
 
     def _run(self, options: Options) -> Trajectory:
         options.check_steps(self.scene.duration)
@@ -192,6 +194,12 @@ class CompiledScene(Code):
             arguments = (self.formulation, self.stabilization, self.alpha, self._named)
             self._others[tuple(found)] = CompiledScene(self.scene, *arguments, independent=found)
         return self._others[tuple(found)]
+
+
+def warn_of(scene: Scene, nearly: Iterable[NearlyRedundant], above: int = 0) -> None:
+    """Warn of almost redundant constraints, where the function that calls this is called, or calls above."""
+    for weak in nearly:
+        warnings.warn(f"scene {scene.name!r}: {weak}", NearlyRedundantWarning, stacklevel=above + 3)
 
 
 def native_trajectory(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -21,7 +22,7 @@ from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.reductions import WHEN, Reduction
 from crosscheck.sweeps.results import Results
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
@@ -108,10 +109,12 @@ def check_runs(
         said[0] = message
         progress(message)
 
-    return [
-        _check(swept, found, run, why, engines, lambda stage: progress(f"{said[0]}: {stage}"))
-        for run, why in paced(list(runs.items()), tell, "cross-check")
-    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NearlyRedundantWarning)  # told of the sweep
+        return [
+            _check(swept, found, run, why, engines, lambda stage: progress(f"{said[0]}: {stage}"))
+            for run, why in paced(list(runs.items()), tell, "cross-check")
+        ]
 
 
 def _check(

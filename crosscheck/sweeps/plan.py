@@ -19,7 +19,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.sweeps.expressions import DIMENSIONS, Outputs, labels
 from crosscheck.sweeps.reductions import Reduction, pruned, reductions
 from crosscheck.sweeps.sampling import Samples
-from newton_euler.batch import Batch, simulate_batch
+from newton_euler.batch import Batch, make_batch
 from newton_euler.codegen.compile import lane_count, llvm_binding
 from newton_euler.codegen.fingerprint import SOURCE, fingerprint
 from newton_euler.equations.parameters import parameter_values, with_values
@@ -115,8 +115,8 @@ class Plan:
         return {name: values[:, k].copy() for k, name in enumerate(self.samples.names)}
 
     def batch(self, parameters: Parameters, scene: Scene, threads: int | None = 1) -> Batch:
-        """Make runs on some threads, on all processors if None."""
-        return simulate_batch(scene, parameters=parameters, threads=threads, **self.control)
+        """Make runs on some threads, on all processors if None; `sweep` warns once for all of them."""
+        return make_batch(scene, parameters=parameters, threads=threads, **self.control)
 
     def together(self, scene: Scene) -> int:
         """Return the number of runs whose outputs are in memory at a time, of a scene as `lean`."""

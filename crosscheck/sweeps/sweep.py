@@ -29,9 +29,11 @@ from crosscheck.sweeps.report import Findings, findings, report, to_record, writ
 from crosscheck.sweeps.results import Results, check_names, results_of
 from crosscheck.sweeps.sampling import SamplingName, samples_of
 from crosscheck.sweeps.store import libraries
+from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import OptionError, check_choices, is_count
 from newton_euler.integrators.options import IntegratorName, Options, StepControl
 from newton_euler.model.scene import OUTPUTS, Scene
+from newton_euler.simulate import warn_of
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -227,5 +229,6 @@ def sweep(
     plan = Plan(loaded, samples_of(vary, sampling, runs, seed), texts, _control(options), 1)
     check_names(plan)
     libraries()
+    warn_of(plan.scene, mobility(plan.lean).nearly)
     with workers(threads, executor, cluster) as at:
         return Sweep(results_of(plan, None if output is None else Path(output), at, progress))

@@ -224,13 +224,13 @@ def test_runs_that_are_recorded_are_made_a_few_at_a_time(monkeypatch):
     scene = replace(load("pendulum"), duration=0.1)
     swept = sweep(scene, {"gravity.y": "uniform(-10, -9)"}, 30, KEEP)
     of_all = to_record(swept.findings, swept.report)[2]
-    made, batch = [], crosscheck.sweeps.plan.simulate_batch
+    made, batch = [], crosscheck.sweeps.plan.make_batch
 
     def noted(scene, parameters, threads, **control):
         made.append((len(parameters["gravity.y"]), threads))
         return batch(scene, parameters=parameters, threads=threads, **control)
 
-    monkeypatch.setattr(crosscheck.sweeps.plan, "simulate_batch", noted)
+    monkeypatch.setattr(crosscheck.sweeps.plan, "make_batch", noted)
     monkeypatch.setattr(crosscheck.sweeps.plan, "ROOM", 1)
     found = to_record(swept.findings, swept.report)[2]
     assert max(count for count, _ in made) <= max(1 + MOST_GHOSTS, lane_count())

@@ -18,11 +18,12 @@ import crosscheck.sweeps.results
 from crosscheck import sweep
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
+from crosscheck.studies.stress.noise import flat_four_bar
 from crosscheck.sweeps.execute import probed
 from crosscheck.sweeps.plan import make_runs
 from newton_euler import simulate_batch
 from newton_euler.codegen.compile import NativeModule
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
 from newton_euler.model.geometry import Mesh
 from newton_euler.model.mechanism import Mechanism
 
@@ -102,6 +103,18 @@ def test_executors_give_the_same(reference, tmp_path):
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as processes:
         assert_equal(sweep(*ARGUMENTS, executor=processes), reference)
         assert_equal(sweep(*ARGUMENTS, executor=processes, output=tmp_path), reference)
+
+
+def test_a_sweep_warns_of_nearly_redundant_constraints_once_where_it_is_called(capfd):
+    """However many chunks, and in other processes not at all; nor do its checks."""
+    scene = replace(flat_four_bar(3e-9), duration=0.05)
+    arguments = scene, {"crank.mass": "uniform(1, 2)"}, 20, "peak:kinetic_energy"
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as processes:
+        for options in ({"threads": 2}, {"executor": processes}):
+            with pytest.warns(NearlyRedundantWarning) as heard:
+                sweep(*arguments, **options).check(1)
+            assert [each.filename for each in heard] == [__file__]
+    assert "NearlyRedundantWarning" not in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(
