@@ -24,7 +24,8 @@ from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import MechanismError, SingularityError, is_finite_number
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.options import Options
-from newton_euler.integrators.run import Integrator, Projection
+from newton_euler.integrators.run import Integrator, Projection, singular_joint
+from newton_euler.integrators.singular import UNSAFE
 from newton_euler.integrators.stepper import COUNTS
 from newton_euler.model.control import Readings
 from newton_euler.model.digital_control import HeldLaw
@@ -194,6 +195,7 @@ def integrate_intervals(
     total = np.zeros(COUNTS)
     error: IntegrationError | None = None
     controllers, integrators = Controllers(scene), dict[int, Integrator]()
+    end = (code.scene.times if times is None else times)[-1]
     for interval in intervals(scene, scene.knots, times):
         values: dict[str, Any] = pieces(scene, interval.middle)
         if interval.due:
@@ -221,6 +223,10 @@ def integrate_intervals(
         if carry:
             carry(integrator, x, interval)
         x[:] = integrator.x
+        if code.projects and x[code.size] < end and code.function("derivative")(x)[-1] < UNSAFE:
+            where = f"a singular configuration, where joint {singular_joint(code, x)!r} loses rank"
+            error = IntegrationError(float(x[code.size]), f"a knot or sample of a law is at {where}")
+            break
     none = np.zeros((0, code.function("output").outputs))
     results = parts[0] if len(parts) == 1 else np.concatenate([none, *parts])
     return NativeRun(results, total, error, time.perf_counter() - start)

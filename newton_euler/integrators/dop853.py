@@ -48,10 +48,10 @@ SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
 EXPONENT = -1.0 / 8.0
 """Of the error in the factor for the next step."""
 
-SIZE, GROWTH, HOPPED, DUE, UNCUT, BEYOND = 0, 1, 2, 3, 4, 5
+SIZE, GROWTH, HOPPED, DUE, UNCUT, BEYOND, LEAVES = 0, 1, 2, 3, 4, 5, 6
 """Places in the vector `control`."""
 
-CONTROLS = 6
+CONTROLS = 7
 
 FAILED = 1e10
 """Stands for the error of a step that could not be evaluated or projected."""
@@ -72,8 +72,9 @@ class Dop853(Record):
         room: number of steps that are kept, the first ones.
         steps: (room, n + 2) states and times where steps begin, and their sizes.
         control: (CONTROLS,) size of the next step, s, the largest factor for the one after it, tries to place
-            it, the row of the table that is due, the size before the step was cut to end with the run, s, and
-            1 if steps may go beyond that end.
+            it, the row of the table that is due, the size before the step was cut to end with the run, s, 1
+            if steps may go beyond that end, and 1 until the run has left a singular configuration where it
+            began.
     """
 
     rtol: float
@@ -337,6 +338,7 @@ def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853
     method.control[GROWTH] = LARGEST
     method.control[HOPPED] = 0.0
     method.control[BEYOND] = 0.0
+    method.control[LEAVES] = 1.0
     return DONE
 
 
@@ -369,7 +371,9 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         control[BEYOND] = 1.0
         control[SIZE] = control[UNCUT]
         return DONE
-    if pivot_ratio < UNSAFE and k[n] >= UNSAFE:
+    if k[n] >= UNSAFE:
+        control[LEAVES] = 0.0
+    if pivot_ratio < UNSAFE and control[LEAVES] == 0.0:
         counts[REJECTED] += 1.0
         control[SIZE] = HOP * h
         return DONE

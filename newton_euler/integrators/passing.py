@@ -68,6 +68,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         self._states: deque[Array] = deque(maxlen=STAGES)
         self._hops = 0
         self._near = False
+        self._leaves = True
         self._growth = 0.0
 
         def watched(t: float, y: Array) -> Array:
@@ -133,7 +134,8 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         if not self._near:
             self._hops = 0
             return error
-        if min(ratios[1:]) < UNSAFE <= ratios[0]:
+        self._leaves = self._leaves and ratios[0] < UNSAFE
+        if min(ratios[1:]) < UNSAFE and not self._leaves:
             return _error_for(HOP)
         error = min(error, self._error_on_constraints(k, h))
         shorter = SAFETY * error**EXPONENT if error > 1.0 else 1.0

@@ -53,7 +53,7 @@ FAR = 100.0 * NEAR
 
 UNSAFE = 1e-8
 """Pivot ratio below which accelerations may be so wrong that a run would leave on another branch. Only a run
-that starts there takes steps through it."""
+that starts there takes steps through it, until it has left."""
 
 DENSE_PIVOT_RATIO = 1e-12
 """Stands for the pivot ratio of what the dense form evaluated; a singular configuration has no more. Great
@@ -72,6 +72,10 @@ MIDDLE = 0.6
 GAP, LEAST, MOST = 0.4667, 0.38, 0.55
 """Place in a step where a singular configuration is to be passed: half way between the two stages of DOP853
 that are farthest apart, at 1/3 and 3/5; and the earliest and the latest that will do."""
+
+EARLY = 0.04
+"""Place before which a step passes a singular configuration farther from its second stage, at 0.053, than a
+step that is shortened for it would pass: with a start that is next to one, nothing is gained."""
 
 NOWHERE = 1e9
 """Place of a singular configuration that a step does not come near to, in units of the step."""
@@ -169,6 +173,8 @@ def crossing_factor(first: float, middle: float, last: float, shorter: float) ->
         shorter: factor that the error of the step asks for, at most 1.
     """
     where = crossing(first, middle, last)
+    if where < EARLY:
+        return 1.0
     if where < LEAST or (where <= MOST and shorter < 1.0 and where <= GAP * shorter):
         return where / GAP
     if where > MOST * shorter and where < 1.0 + GAP:

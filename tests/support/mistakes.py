@@ -82,8 +82,8 @@ MISTAKES = {
     ),
     "a missing gyroscopic torque": (
         "newton_euler/equations/relative.py",
-        "inertia @ alpha + cross(omega, inertia @ omega)",
-        "inertia @ alpha",
+        "inertia @ angular[body] + cross(omega, inertia @ omega)",
+        "inertia @ angular[body]",
         "newton_euler/equations/test_systems.py",
     ),
     "a missing gyroscopic torque in the paper's form": (
@@ -94,9 +94,21 @@ MISTAKES = {
     ),
     "inertia left in the body's frame": (
         "newton_euler/equations/relative.py",
-        "return a @ self.inertias[body] @ a.T",
+        "return symmetric(a @ self.inertias[body] @ a.T)",
         "return self.inertias[body]",
         "newton_euler/equations/test_systems.py",
+    ),
+    "bodies that joints carry without their distance": (
+        "newton_euler/equations/relative.py",
+        "joined(composite, arm)",
+        "joined(composite, 0.0 * arm)",
+        "newton_euler/equations/test_systems.py",
+    ),
+    "a last step that does not come back to the end of its run": (
+        "newton_euler/integrators/dop853.py",
+        "now[i] = states[n * (table.count - 1) + i]",
+        "now[i] = end[i]",
+        "newton_euler/integrators/test_singular.py",
     ),
     "inertia of a URDF in the wrong frame": (
         "urdf/write.py",

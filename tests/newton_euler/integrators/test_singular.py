@@ -20,9 +20,11 @@ from newton_euler.integrators.compiled import OPEN_TOLERANCE
 from newton_euler.integrators.projection import NATIVE_STEPS, check_still_closed, project
 from newton_euler.integrators.singular import AT_END, GAP, crossing_factor
 from newton_euler.integrators.stepper import COUNTS, DONE, OPEN, Equations
+from newton_euler.model.control import PD
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
+from newton_euler.model.splines import Steps
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import IntegrationError
 
@@ -251,6 +253,36 @@ def test_a_run_may_end_in_a_singular_configuration(later, formulation):
     assert not refusal(scene, 1e-10, **options)  # a hundred tolerances: accelerations lose digits there
     (run,) = newton_euler.simulate_batch(scene, [scene.initial_state], **options)
     assert np.array_equal(run.position, newton_euler.simulate(scene, **options).position)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("earlier", [1e-2, 1e-3, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 1e-8, -1e-5])
+def test_a_start_next_to_a_singular_configuration_is_right_or_refused(earlier, formulation):
+    """So many seconds before it: steps may not creep up to it, and leave on another branch."""
+    scene = replace(parallelogram(4.5 * earlier, -4.5), duration=0.5, output_period=0.05)
+    for rtol in (1e-8, 1e-10, 1e-12):
+        reason = refusal(scene, 1e-6, formulation=formulation, rtol=rtol, atol=rtol)
+        assert not reason or "near a singular configuration" in reason
+        assert not reason or rtol < 1e-10  # tighter than round-off allows there
+
+
+def with_knot(time):
+    """The parallelogram with a law that hardly pushes, whose set-point jumps at a time, s."""
+    scene = parallelogram(1.0, 1.0)
+    first, *others = scene.mechanism.joints
+    mechanism = Mechanism(scene.mechanism.bodies, [replace(first, actuated=True), *others])
+    law = PD("A", 1e-12, 1e-12, Steps([0.0, time], [0.3, 0.4]))
+    return replace(scene, mechanism=mechanism, control=(law,), duration=1.0)
+
+
+def test_a_run_goes_on_from_a_knot_near_a_singular_configuration():
+    assert not refusal(with_knot(FLAT - 1e-3), 1e-8, rtol=1e-10, atol=1e-10)  # a hundred tolerances
+
+
+def test_a_knot_next_to_a_singular_configuration_is_refused():
+    """The part of a run that begins there could leave on another branch."""
+    with pytest.raises(IntegrationError, match="a knot or sample of a law is at a singular configuration"):
+        newton_euler.simulate(with_knot(FLAT - 1e-5))
 
 
 # Starting flat
