@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from crosscheck.comparison.figure import Figure
-from crosscheck.comparison.reactions import undetermined
 from crosscheck.comparison.runs import distance, rests
 from crosscheck.engines import Engine
 from crosscheck.stiffness import is_stable_in_rk4, modes_of_run
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import couplings
+from newton_euler.equations.undetermined import undetermined
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
 from newton_euler.model.joint import Joint

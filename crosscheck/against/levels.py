@@ -29,12 +29,12 @@ from crosscheck.comparison.figure import (
 )
 from crosscheck.comparison.kinematics import kinematics_rows
 from crosscheck.comparison.levels import Level
-from crosscheck.comparison.reactions import undetermined_in_both
 from crosscheck.comparison.samples import Samples, States
 from newton_euler.assemble import initial_state
 from newton_euler.equations.applied_forces import body_wrenches, surroundings
 from newton_euler.equations.couplings import Coupling, couplings
 from newton_euler.equations.dense import orthonormal_range
+from newton_euler.equations.undetermined import undetermined_in_both
 from newton_euler.model.constraints import Frame
 from newton_euler.model.control import ControlLaw
 from newton_euler.model.digital_control import Law

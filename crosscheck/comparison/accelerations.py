@@ -13,9 +13,9 @@ import numpy as np
 
 from crosscheck.comparison.blame import SHARE, Cause, dynamic_cause
 from crosscheck.comparison.figure import EPSILON, Figure, round_off
-from crosscheck.comparison.reactions import determined
 from crosscheck.comparison.samples import Samples
 from newton_euler.equations.system import Evaluation
+from newton_euler.equations.undetermined import determined
 from newton_euler.scalars import Array
 
 LEVEL = "accelerations and reactions"

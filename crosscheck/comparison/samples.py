@@ -11,12 +11,12 @@ import numpy as np
 
 from crosscheck.comparison.energy import RANDOM_RATE, energy_scale
 from crosscheck.comparison.figure import EPSILON
-from crosscheck.comparison.reactions import undetermined
 from crosscheck.errors import CrosscheckError
 from newton_euler.equations.dense import numerical_rank, orthonormal_range, singular_values
 from newton_euler.equations.redundancy import mobility, rows_left_out, without
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation, MassProperties, System, dimensionless_jacobian
+from newton_euler.equations.undetermined import undetermined
 from newton_euler.model.joint_geometry import JointGeometry
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

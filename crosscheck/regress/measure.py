@@ -22,13 +22,13 @@ from numpy.typing import ArrayLike
 
 from crosscheck.comparison.energy import energy_balance
 from crosscheck.comparison.figure import OWN_ERROR, reach, round_off
-from crosscheck.comparison.reactions import determined
 from crosscheck.comparison.samples import Samples, States, admissible_basis
 from crosscheck.engines import ENGINES
 from crosscheck.regress.baseline import GroupName, Plan, StoredFigure, StoredState
 from newton_euler import compile_scene
 from newton_euler.assemble import initial_state
 from newton_euler.equations.system import Evaluation, System, at_time
+from newton_euler.equations.undetermined import determined
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.formulations import FORMULATIONS, formulate
 from newton_euler.integrators.options import PAPER_ALPHA, FormulationName, IntegratorName

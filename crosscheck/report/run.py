@@ -10,7 +10,6 @@ from crosscheck.against.compare import Against
 from crosscheck.comparison.coverage import Coverage
 from crosscheck.comparison.figure import FILE, NOT_NEARER, Figure, not_compared
 from crosscheck.comparison.known_figures import Measured
-from crosscheck.comparison.reactions import undetermined_joints
 from crosscheck.comparison.runs import displacements, distance
 from crosscheck.comparison.samples import admissible_basis, body_units
 from crosscheck.model_files.read import fates_line, report_lines
@@ -33,6 +32,7 @@ from crosscheck.stiffness import explicit_steps, fastest_decay
 from newton_euler.assemble import initial_state
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
+from newton_euler.equations.undetermined import undetermined_joints, worded
 from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.scene import Scene
 from newton_euler.verification.import_report import ImportReport
@@ -229,8 +229,7 @@ def undetermined_lines(scene: Scene) -> Iterator[str]:
     """Joints whose reactions the equations of motion do not determine at the start, a line if any."""
     count, joints = undetermined_joints(scene, initial_state(scene))
     if count:
-        rows = "1 redundant constraint" if count == 1 else f"{count} redundant constraints"
-        yield f"reactions not unique: {rows} at joints {_named(joints)}"
+        yield f"reactions not unique: {worded(count, _named(joints))}"
 
 
 def _activity_lines(mapping: ImportReport) -> tuple[list[str], list[str]]:

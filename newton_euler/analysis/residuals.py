@@ -21,6 +21,8 @@ from newton_euler.analysis.measurements import (
 from newton_euler.analysis.tangent_code import ALONG, tangent_code
 from newton_euler.analysis.tangent_run import Followed, FollowedRun
 from newton_euler.analysis.tangent_starts import Starts
+from newton_euler.assemble import initial_state
+from newton_euler.equations.undetermined import undetermined_joints, worded
 from newton_euler.errors import MechanismError, NewtonEulerError, UnknownNameError
 from newton_euler.integrators.options import FormulationName, Options
 from newton_euler.model.scene import OUTPUTS, Scene
@@ -28,6 +30,9 @@ from newton_euler.model.source_file import SourceError
 from newton_euler.model.trajectory import QUANTITIES
 from newton_euler.scalars import Array, Floats
 from newton_euler.simulate import KEPT
+
+REACTIONS = "reaction_force", "reaction_torque"
+"""Outputs that redundant constraints leave open."""
 
 CLEARLY = 0.1
 """Share of an angle's residuals that is left at most if it is in degrees; without other errors 1 / 57.3."""
@@ -227,9 +232,11 @@ def _selected(followed: Followed, columns: list[Column]) -> tuple[Array, Array]:
 
 
 def _columns(scene: Scene, where: str, run: Measurements, places: Sequence[Places]) -> list[Column]:
-    """Find the columns of a run; raises `SourceError` for unknown ones and those of other units."""
+    """Find the columns of a run; raises `SourceError` for those that cannot be compared."""
     columns = []
     for name in run.columns:
+        if reason := _undetermined(scene, name):
+            raise SourceError(where, f"column {name!r:.100}: {reason}; needed: other columns")
         try:
             column = column_of(scene, name, *places)
         except UnknownNameError as error:
@@ -239,3 +246,17 @@ def _columns(scene: Scene, where: str, run: Measurements, places: Sequence[Place
             raise SourceError(where, f"column {name!r:.100} is in {unit}; needed: a unit of {column.unit}")
         columns.append(column)
     return columns
+
+
+def _undetermined(scene: Scene, name: str) -> str:
+    """Word why the equations of motion leave a reaction open that a column measures; empty if they do not."""
+    kind, _, rest = name.partition(".")
+    if kind not in REACTIONS:
+        return ""
+    count, joints = undetermined_joints(scene, initial_state(scene))
+    joint = rest.rpartition(".")[0]
+    return (
+        f"reactions of joint {joint!r} are not unique, {worded(count, ', '.join(joints))}"
+        if joint in joints
+        else ""
+    )

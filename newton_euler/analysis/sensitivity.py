@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from newton_euler.analysis.tangent_code import ALONG, tangent_code
 from newton_euler.analysis.tangent_run import FollowedRun, tangent_options
 from newton_euler.analysis.tangent_starts import Starts, components
+from newton_euler.equations.undetermined import redundant_constraints
 from newton_euler.errors import OptionError, SensitivityError, check_type
 from newton_euler.integrators.formulations import check_formulation
 from newton_euler.integrators.options import FormulationName, StepControl
@@ -169,6 +170,9 @@ def sensitivities(
         name: found.derivatives["output"][:, start:stop].reshape(len(run.time), *shape, len(labels))
         for name, (start, stop, shape) in code.function("output" + ALONG).layout.items()
     }
+    if redundant_constraints(scene):
+        arrays.pop("reaction_force", None)
+        arrays.pop("reaction_torque", None)
     signs = np.sign(np.sum(signs * run.quaternion, axis=2))  # of rotations that were made continuous
     arrays["quaternion"] = arrays["quaternion"] * signs[:, :, None, None]
     for name, array in arrays.items():

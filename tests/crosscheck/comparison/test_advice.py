@@ -17,7 +17,6 @@ import mjcf
 import newton_euler
 from crosscheck.advice import WANTED, Advice, distance, fitting, redundancy_advice, soft_advice
 from crosscheck.comparison.figure import Figure
-from crosscheck.comparison.reactions import undetermined_joints
 from crosscheck.comparison.runs import rests
 from crosscheck.engines import ENGINES, choose
 from crosscheck.report.render import terminal
@@ -26,6 +25,7 @@ from crosscheck.run import crosscheck
 from mjcf.write import SOLIMP
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
+from newton_euler.equations.undetermined import undetermined_joints
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.joint_kinds import Cylindrical, Fixed, Spherical
 from newton_euler.model.mechanism import Mechanism

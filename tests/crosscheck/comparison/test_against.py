@@ -21,13 +21,13 @@ from crosscheck.against.compare import Against, Model, against
 from crosscheck.against.levels import functions_apart
 from crosscheck.cli.run import _short_name
 from crosscheck.comparison.figure import OF_EQUATIONS, OF_RUNS, START
-from crosscheck.comparison.reactions import undetermined, undetermined_in_both
 from crosscheck.scenes.scene_file import write_scene
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant
 from newton_euler import Body, Mechanism, Scene
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import Coupling
+from newton_euler.equations.undetermined import undetermined, undetermined_in_both
 from newton_euler.errors import AssemblyError
 from newton_euler.model.control import ComputedTorque
 from newton_euler.model.couplings import Gear

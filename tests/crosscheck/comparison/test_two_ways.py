@@ -18,10 +18,10 @@ import pytest
 import mjcf
 import newton_euler
 import urdf
-from crosscheck.comparison.reactions import determined, undetermined
 from mjcf.rigid import RigidMuJoCo
 from newton_euler import Body, Mechanism, Scene
 from newton_euler.equations.system import Evaluation
+from newton_euler.equations.undetermined import determined, undetermined
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory

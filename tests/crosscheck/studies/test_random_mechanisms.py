@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from crosscheck.comparison.reactions import undetermined_joints
 from crosscheck.studies.random_scenes import KINDS, random_scene
 from crosscheck.studies.stress import random_mechanisms
 from crosscheck.studies.stress.cases import judge
@@ -18,6 +17,7 @@ from crosscheck.studies.stress.topics import stress
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
+from newton_euler.equations.undetermined import undetermined_joints
 from newton_euler.errors import SingularityError
 from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint_kinds import JOINT_KINDS

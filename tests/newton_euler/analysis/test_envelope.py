@@ -11,12 +11,12 @@ from mechanisms import mass_on_rail, pendulum
 
 import newton_euler
 import urdf
-from crosscheck.comparison.reactions import determined, undetermined
 from crosscheck.scenes import SCENES, load
 from mjcf.rigid import RigidMuJoCo
 from newton_euler import PD, load_envelope, rest_case, statics
 from newton_euler.analysis.envelope import Load, joint_loads
 from newton_euler.equations.system import at_time
+from newton_euler.equations.undetermined import determined, undetermined
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import rotation

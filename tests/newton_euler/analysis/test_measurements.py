@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mechanisms import pendulum
+from mechanisms import Z, bolted, pendulum
 
-from newton_euler import Measurements, NewtonEulerError, identify, measurements_from_csv
+from newton_euler import (
+    Measurements,
+    NewtonEulerError,
+    Revolute,
+    identify,
+    measurements_from_csv,
+    sensitivities,
+    simulate,
+)
 from newton_euler.errors import OptionError
 
 CSV = "time,coordinate.pivot\n0.0,0.1\n0.1,0.2\n0.2,0.3\n"
@@ -118,6 +126,23 @@ def test_impossible_fits_are_refused(parameters, columns, message):
     with pytest.raises(NewtonEulerError) as caught:
         identify(pendulum(), parameters, Measurements(TIMES, columns))
     assert message in str(caught.value)
+
+
+def test_reactions_that_nothing_determines_are_no_measurements():
+    scene = bolted(Revolute, axis=Z)
+    run = simulate(scene)
+    lifted = Measurements(run.time, {"reaction_force.pivot.z": run.reaction_force[:, 0, 2]})
+    assert identify(scene, ["a.mass"], lifted).values == pytest.approx(1.0)
+    for name in ("reaction_force.second_bolt.z", "reaction_torque.bolt.x"):
+        with pytest.raises(NewtonEulerError) as caught:
+            identify(scene, ["a.mass"], Measurements(TIMES, {name: TIMES}))
+        joint = f"reactions of joint {name.split('.')[1]!r} are not unique"
+        assert f"column {name!r}: {joint}, 5 redundant constraints at joints bolt, second_bolt" in str(
+            caught.value
+        )
+    by = sensitivities(scene, ["a.mass"])
+    assert by.reaction_force is None
+    assert by.reaction_torque is None
 
 
 def test_times_beyond_the_scene_are_refused():

@@ -37,13 +37,23 @@ def undetermined(scene: Scene, state: State) -> Array:
     For each joint force and torque over the mechanism's size, N both, on the second body at the joint
     point; world frame. What couplings and prescribed motions put on a joint's coordinates is among them.
     """
-    mechanism, size = scene.mechanism, scene.mechanism.size
-    rank = 6 * (len(mechanism.bodies) - 1) - mobility(scene).degrees_of_freedom
-    count = sum(equations.count for equations in mechanism.equations) + len(couplings(scene))
-    if count <= rank:
+    mechanism, redundant = scene.mechanism, redundant_constraints(scene)
+    if not redundant:
         return np.zeros((6 * len(mechanism.joints), 0))
     places = _places(scene, state)
-    return _acting_on_nothing([_columns(scene, state, places, len(places), size)], len(places), rank)
+    rank = _constraints(scene) - redundant
+    columns = _columns(scene, state, places, len(places), mechanism.size)
+    return _acting_on_nothing([columns], len(places), rank)
+
+
+def redundant_constraints(scene: Scene) -> int:
+    """Count the constraints that follow from others, those of joints and of couplings."""
+    rank = 6 * (len(scene.mechanism.bodies) - 1) - mobility(scene).degrees_of_freedom
+    return max(0, _constraints(scene) - rank)
+
+
+def _constraints(scene: Scene) -> int:
+    return sum(equations.count for equations in scene.mechanism.equations) + len(couplings(scene))
 
 
 def undetermined_in_both(first: Scene, second: Scene, joints: Mapping[str, str], state: State) -> Array:
@@ -150,3 +160,8 @@ def undetermined_joints(scene: Scene, state: State) -> tuple[int, list[str]]:
     return basis.shape[1], [
         name for name, part in zip(names, parts, strict=True) if np.max(part) > RANK_TOLERANCE
     ]
+
+
+def worded(count: int, joints: str) -> str:
+    """Word how many constraints are redundant, and at which joints."""
+    return f"{count} redundant constraint{'s'[: count - 1]} at joints {joints}"
