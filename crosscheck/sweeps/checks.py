@@ -22,6 +22,8 @@ from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.reductions import WHEN, Reduction
 from crosscheck.sweeps.results import Results
+from newton_euler.assemble import initial_state
+from newton_euler.equations.undetermined import undetermined_joints
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
@@ -35,6 +37,9 @@ RANDOM = "at random"
 
 FINER = 0.01
 """Of a sweep's tolerances, at which its own error is measured."""
+
+SOFT, NOT_UNIQUE = "soft constraints", "not unique"
+"""Why reactions are not judged."""
 
 KEPT = "kept"
 """Level of figures that compare what a sweep keeps."""
@@ -165,9 +170,10 @@ def worded(checked: Sequence[Checked], extremes: Collection[int]) -> str:
     found = f"{who} in all figures of {of_runs}"
     if judged:
         found += f"; kept numbers as well, nearest its limit {_difference(max(judged, key=_share))}"
-    soft = sorted({figure.between[0] for figure in kept if figure.detail})
+    soft = sorted({figure.between[0] for figure in kept if figure.detail == SOFT})
     unsettled = sum(bool(figure.unsettled) for figure in kept)
     open_ = [f"reactions of {name}, whose constraints are soft" for name in soft]
+    open_ += ["reactions that are not unique"] * any(figure.detail == NOT_UNIQUE for figure in kept)
     open_ += [f"{unsettled} numbers that finer runs change by more"] if unsettled else []
     found += f"; not judged: {', '.join(open_)}" if open_ else ""
     return found if any(each.moves for each in checked) else f"{found}; nothing moves"
@@ -190,17 +196,20 @@ def _compared(
 ) -> Iterator[Figure]:
     """Yield of each variable and engine the difference from the sweep that is nearest its limit.
 
-    One of numbers that are judged, and one of those that are not.
+    One of numbers that are judged, and one for each reason of those that are not.
 
     As whole runs may be off, kept numbers may: an engine's and newton_euler's fixed shares of
     `Scalar.scale`; beyond these, what finer runs of the engine, at
     any time, and of the sweep change, times `OWN_ERROR`. A number is not judged where that exceeds
     `UNRESOLVED`, where the difference does not fall with finer runs, and where it is a reaction of soft
-    constraints.
+    constraints, or one that redundant constraints leave open.
     """
     plan, scene = swept.plan, result.scene
     reductions = {each.name: each for each in plan.kept}
     numbers = {name: swept.read(name, run) for name in reductions}
+    shared: set[str] = set()
+    if any(each.reacts for each in plan.kept):
+        shared.update(undetermined_joints(scene, initial_state(scene))[1])
 
     @cache
     def change_of_sweep() -> tuple[dict[str, Array], dict[str, Array]]:
@@ -221,11 +230,13 @@ def _compared(
         for scalar in found:
             own, scale = float(numbers[scalar.variable][scalar.place]), scalar.scale(numbers[scalar.variable])
             value = float(kept[scalar.variable][scalar.place])
-            soft = engine.soft_start is not None and scalar.reacts
+            why = SOFT if engine.soft_start is not None and scalar.reacts else ""
+            if scalar.reacts and not shared.isdisjoint(reductions[scalar.variable].reacting(scalar.place)):
+                why = NOT_UNIQUE
             fixed = (engine.trajectory_error + ENGINES["newton_euler"].trajectory_error) * scale
             apart = 0.0 if np.array_equal(value, own, equal_nan=True) else abs(value - own)
             limit, unsettled = fixed, ""
-            if apart > fixed and not soft:
+            if apart > fixed and not why:
                 finer, finely = of_engine()
                 fine = finely[scalar.variable][scalar.place]
                 again, fine_own = (each[scalar.variable][0][scalar.place] for each in change_of_sweep())
@@ -242,14 +253,14 @@ def _compared(
                     apart,
                     limit,
                     f"run {run}",
-                    soft or bool(unsettled),
+                    bool(why or unsettled),
                     unsettled,
-                    "soft constraints" if soft else "",
+                    why,
                 )
             )
         for of_variable in figures.values():
-            for informs in (False, True):
-                alike = [each for each in of_variable if each.informs == informs]
+            for kind in sorted({(each.informs, each.detail) for each in of_variable}):
+                alike = [each for each in of_variable if (each.informs, each.detail) == kind]
                 yield from sorted(alike, key=_share)[-1:]
 
 

@@ -199,7 +199,8 @@ class Expression:
 
     Attributes:
         text: as it was given.
-        quantities: names of those that it takes.
+        elements: names of bodies, joints and actuators whose quantities it takes, by quantity; an empty one
+            where it takes those of all.
         signed: True if signs of quaternions matter to it, or revolutions, which are known from one time to
             the next alone.
         plain: True if it is no more than a quantity.
@@ -213,7 +214,7 @@ class Expression:
         Raises:
             CrosscheckError: saying what is wrong with it.
         """
-        self.text, self.quantities, self.signed = text.strip(), set[str](), False
+        self.text, self.signed, self.elements = text.strip(), False, dict[str, set[str]]()
         self._labels, self._works = labels(scene), bool(scene.control or scene.forces or scene.motions)
         try:
             if len(text) > LONGEST:
@@ -226,6 +227,11 @@ class Expression:
             raise CrosscheckError(wrong_syntax(error, self.text)) from None
         except (UnknownNameError, ValueError, RecursionError, MemoryError) as error:
             raise CrosscheckError(f"{error}"[:400]) from None
+
+    @property
+    def quantities(self) -> set[str]:
+        """Names of those that it takes."""
+        return set(self.elements)
 
     def _zeros(self, name: str) -> Array:
         return np.zeros((1, 2, *(len(self._labels[each]) for each in DIMENSIONS[name])))
@@ -299,7 +305,7 @@ class Expression:
         letters = COMPONENTS.get(parts, ())
         if component and component not in letters:
             raise ValueError(f"{last} has no component {component!r:.50}; {choices(component, letters)}")
-        self.quantities.add(last)
+        self.elements.setdefault(last, set()).add(before)
         self.signed = self.signed or (last == "quaternion" and signed) or last == "coordinate"
 
         def look_up(outputs: Outputs) -> Value:

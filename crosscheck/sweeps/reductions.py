@@ -77,6 +77,9 @@ KINDS: dict[str, Callable[[Array, Array], Array]] = {
 
 OF_MAGNITUDES = ("peak", "rms")
 
+REACTIONS = ("reaction_force", "reaction_torque")
+"""Quantities that forces of constraints decide."""
+
 
 @dataclass(frozen=True, eq=False)
 class Reduction:
@@ -103,7 +106,15 @@ class Reduction:
     @property
     def reacts(self) -> bool:
         """True if it depends on forces of constraints, which soft ones get wrong at any step."""
-        return not self.expression.quantities.isdisjoint(("reaction_force", "reaction_torque"))
+        return not self.expression.quantities.isdisjoint(REACTIONS)
+
+    def reacting(self, place: tuple[int, ...]) -> set[str]:
+        """Return the names of joints whose reactions the number at a place of the results depends on."""
+        taken = set[str]().union(*(self.expression.elements.get(name, ()) for name in REACTIONS))
+        if "" not in taken:
+            return taken
+        own = dict(zip(self.dimensions, place, strict=True))["joint"]
+        return taken - {""} | {str(self.dimensions["joint"][own])}
 
     @property
     def needs_all_times(self) -> bool:

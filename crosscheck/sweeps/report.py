@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ import numpy as np
 
 from crosscheck.files import check_writable, write_files
 from crosscheck.report.render import as_json, markdown
+from crosscheck.report.run import undetermined_lines
 from crosscheck.report.table import (
     Cell,
     Column,
@@ -122,6 +124,12 @@ class Findings:
             return UNTESTED
         return "AGREE" if self.checked else ""
 
+    @cached_property
+    def notes(self) -> list[str]:
+        """Lines on what redundant constraints leave open, where reactions are kept."""
+        scene = self.swept.plan.scene
+        return list(undetermined_lines(scene)) if any(each.reacts for each in self.scalars) else []
+
     @property
     def judged(self) -> Cell:
         """The verdict in one word."""
@@ -168,7 +176,7 @@ def report(found: Findings) -> Report:
     parts += _checks(found.checked) if found.checked else []
     parts.append(_varied(swept.plan))
     far, gaps = _far(swept.plan), _gaps(found)
-    parts += [Lines("", lines) for lines in (far, gaps) if lines]
+    parts += [Lines("", lines) for lines in (found.notes, far, gaps) if lines]
     if failed:
         parts.append(Lines("runs that could not go on", failed))
     varying = [scalar for scalar in found.scalars if scalar.varies]
@@ -183,6 +191,7 @@ def report(found: Findings) -> Report:
     summary: list[Part] = [_quantiles(found, rows, "")]
     summary += [_effects(*each, MOST_BARS) for each in found.effects[:MOST_CHARTS] if each[1]]
     notes += [
+        *found.notes,
         *far[:MOST_REASONS],
         *gaps[:MOST_REASONS],
         *filter(None, [found.too_few]),
@@ -387,6 +396,7 @@ def _data(found: Findings) -> dict[str, object]:
         },
         "effects": {scalar.label: [asdict(each) for each in effects] for scalar, effects in found.effects},
         "checked": [asdict(each) for each in found.checked],
+        "notes": found.notes,
     }
 
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from command_line import run
+from mechanisms import Z, bolted
 from rerun.chunk import RrdReader
 
 import crosscheck.sweeps.checks
@@ -22,7 +23,7 @@ from crosscheck.run import Crosscheck
 from crosscheck.scenes import load
 from crosscheck.sweeps.checks import default_count
 from crosscheck.sweeps.report import MOST_GHOSTS, to_record
-from newton_euler import with_parameters
+from newton_euler import Revolute, with_parameters
 from newton_euler.codegen.compile import lane_count
 
 VARY = "dumbbell.mass=uniform(1, 2)"
@@ -91,6 +92,25 @@ def test_a_variable_of_many_numbers_hides_no_other_one():
     assert "at():dumbbell.position: 100 of its 603 numbers of a run are analyzed" in str(swept)
     swept.results.dataset["peak:reaction_force"][:] *= 1.001
     assert swept.check(1, ["pinocchio"]).report.verdict.startswith("DISAGREE")
+
+
+def test_reactions_that_redundant_constraints_leave_open_are_not_judged(tmp_path):
+    scene = replace(bolted(Revolute, axis=Z), duration=0.2)
+    keep = "peak:reaction_force, peak:pivot.reaction_force, peak:bolt.reaction_force"
+    checked = sweep(scene, {"a.mass": "uniform(1, 2)"}, 3, keep).check(1, ["newton_euler", "pinocchio"])
+    assert checked.report.verdict.startswith("AGREE")
+    assert "; not judged: reactions that are not unique; 3 of 3 runs" in checked.report.verdict
+    of = {(each.quantity, each.informs) for each in checked.checks[0].kept if "pinocchio" in each.between}
+    assert of == {
+        ("peak:reaction_force pivot, N", False),
+        ("peak:pivot.reaction_force, N", False),
+        ("peak:reaction_force second_bolt, N", True),
+        ("peak:bolt.reaction_force, N", True),
+    }
+    note = "reactions not unique: 5 redundant constraints at joints bolt, second_bolt"
+    assert note in str(checked)
+    checked.save(tmp_path)
+    assert json.loads((tmp_path / "sweep.json").read_text())["notes"] == [note]
 
 
 def test_what_has_no_effect_is_said_and_checked_all_the_same():
@@ -330,7 +350,7 @@ def test_a_run_on_which_engines_differ_is_named(monkeypatch):
     def planted(*arguments):
         result = Crosscheck.__new__(Crosscheck)
         result.__dict__.update(
-            scene=None,
+            scene=arguments[0],
             figures=(wrong,),
             measured=(),
             left_out={},
