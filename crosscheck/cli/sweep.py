@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,13 @@ from crosscheck.cli.shared import (
     UNFINISHED,
     cli,
     folder_option,
-    load_and_tell,
     next_step,
     progress_shown,
     say,
     scene_options,
     setting_options,
     show,
+    tell,
     verbose_option,
 )
 
@@ -77,16 +78,20 @@ def sweep_command(
     SCENE is a name or a file, which is exercised, as of run. A sweep that was interrupted goes on where it
     was.
     """
-    from crosscheck.load import exercised
+    from crosscheck.load import exercised, load_scene
     from crosscheck.sweeps.distributions import parse_vary
     from crosscheck.sweeps.store import NAME
-    from crosscheck.sweeps.sweep import own_scene, sweep
+    from crosscheck.sweeps.sweep import how_exercised, own_scene, sweep
 
     vary = parse_vary(varied)
-    loaded = own_scene(scene, load_and_tell(scene, exercised(scene, scene_options(settings))))
+    given = exercised(scene, scene_options(settings))
+    read, mapping = load_scene(scene, given)
+    tell(scene, mapping)
+    loaded = own_scene(scene, read)
     folder = output or Path("output/sweep") / loaded.name
     with progress_shown() as progress:
         swept = sweep(loaded, vary, keep=keep, output=folder, progress=progress, **options)
+        swept = replace(swept, options=given, start=how_exercised(mapping))
         if check != 0:
             swept = swept.check(check, progress=progress)
         progress("analysis")

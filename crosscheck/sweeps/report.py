@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import groupby
@@ -93,6 +93,8 @@ class Findings:
         effects: of parameters on the most telling number of each variable.
         checked: crosschecks of some runs.
         too_few: why there are no shares of variance; empty if there are.
+        options: of the scene or the file.
+        start: lines about how a file is exercised.
     """
 
     swept: Results
@@ -101,6 +103,8 @@ class Findings:
     effects: list[tuple[Scalar, list[Effect]]]
     checked: list[Checked]
     too_few: str
+    options: Mapping[str, str]
+    start: tuple[str, ...]
 
     @property
     def verdict(self) -> str:
@@ -126,9 +130,9 @@ class Findings:
 
     @cached_property
     def notes(self) -> list[str]:
-        """Lines on what redundant constraints leave open, where reactions are kept."""
-        scene = self.swept.plan.scene
-        return list(undetermined_lines(scene)) if any(each.reacts for each in self.scalars) else []
+        """Lines on how a file is exercised, and on kept reactions that redundant constraints leave open."""
+        reacts = any(each.reacts for each in self.scalars)
+        return [*self.start, *(undetermined_lines(self.swept.plan.scene) if reacts else ())]
 
     @property
     def judged(self) -> Cell:
@@ -137,14 +141,17 @@ class Findings:
         return Cell(self._word or "made", verdicts.get(self._word, "doubtful"))
 
 
-def findings(swept: Results, checked: Sequence[Checked] = ()) -> Findings:
+def findings(
+    swept: Results, checked: Sequence[Checked], options: Mapping[str, str], start: tuple[str, ...]
+) -> Findings:
     """Analyze a sweep of which some runs have been crosschecked."""
     found, analysis = scalars(swept), Analysis(swept.plan.samples, analyzed(swept), swept.inputs)
     effects = [(scalar, analysis.effects(scalar)) for scalar in telling(found)]
     nominal = _nominal(swept.plan, found)
     without = [scalar.label for scalar, each in effects if each and each[0].share is None]
     lost = f"no shares of variance of {', '.join(without)}: too many runs without it" if without else ""
-    return Findings(swept, found, nominal, effects, list(checked), analysis.too_few or lost)
+    too_few = analysis.too_few or lost
+    return Findings(swept, found, nominal, effects, list(checked), too_few, options, start)
 
 
 def _nominal(plan: Plan, found: Sequence[Scalar]) -> dict[str, float]:
@@ -382,6 +389,7 @@ def _data(found: Findings) -> dict[str, object]:
     return {
         "scene": plan.scene.name,
         "source": plan.scene.name,
+        "options": dict(found.options),
         "vary": {", ".join(names): str(each) for names, each in plan.samples.groups},
         "sampling": plan.samples.sampling,
         "runs": plan.samples.runs,

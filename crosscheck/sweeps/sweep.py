@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack, cast
@@ -34,6 +34,7 @@ from newton_euler.errors import OptionError, check_choices, is_count
 from newton_euler.integrators.options import IntegratorName, Options, StepControl
 from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.simulate import warn_of
+from newton_euler.verification.import_report import ImportReport
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -78,6 +79,8 @@ class Sweep:
     Attributes:
         results: its plan, its runs, and where they are.
         checks: runs of it that all engines made.
+        options: of the scene or the file, as they were set or taken.
+        start: lines about how a file is exercised.
 
     Examples:
         >>> swept = sweep("pendulum", {"dumbbell.mass": "normal(1, 0.1)"}, 100, "peak:reaction_force")
@@ -91,6 +94,8 @@ class Sweep:
 
     results: Results
     checks: tuple[Checked, ...] = ()
+    options: Mapping[str, str] = field(default_factory=dict)
+    start: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         plan = self.results.plan
@@ -117,7 +122,7 @@ class Sweep:
     @cached_property
     def findings(self) -> Findings:
         """Quantiles of what was kept, and shares of what varied in its variance."""
-        return findings(self.results, self.checks)
+        return findings(self.results, self.checks, self.options, self.start)
 
     @cached_property
     def report(self) -> Report:
@@ -182,6 +187,12 @@ def own_scene(model: Model, scene: Scene) -> Scene:
     return replace(scene, name=own_name(os.fspath(model)))
 
 
+def how_exercised(mapping: ImportReport | None) -> tuple[str, ...]:
+    """Return the lines about how a file is exercised."""
+    lines = mapping.start if mapping else ()
+    return tuple(line for line in lines if line.startswith("exercised"))
+
+
 def sweep(
     scene: Model,
     vary: Vary,
@@ -220,8 +231,9 @@ def sweep(
         ('run', 'joint')
     """
     check_choices("option", options, Execution.__annotations__)
-    loaded = own_scene(scene, load_scene(scene, exercised(scene, {}))[0])
-    loaded = replace(loaded, outputs=frozenset(OUTPUTS))
+    given = exercised(scene, {})
+    read, mapping = load_scene(scene, given)
+    loaded = replace(own_scene(scene, read), outputs=frozenset(OUTPUTS))
     threads, executor = options.pop("threads", None), options.pop("executor", None)
     cluster, progress = options.pop("cluster", None), options.pop("progress", _quiet)
     kept = reductions(keep, loaded)
@@ -231,4 +243,5 @@ def sweep(
     libraries()
     warn_of(plan.scene, mobility(plan.lean).nearly)
     with workers(threads, executor, cluster) as at:
-        return Sweep(results_of(plan, None if output is None else Path(output), at, progress))
+        results = results_of(plan, None if output is None else Path(output), at, progress)
+    return Sweep(results, (), given, how_exercised(mapping))

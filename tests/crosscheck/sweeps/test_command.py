@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import sys
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from command_line import run
 from mechanisms import Z, bolted
+from mjcf_models import PAIR, model
 from rerun.chunk import RrdReader
 
 import crosscheck.sweeps.checks
@@ -92,6 +94,32 @@ def test_a_variable_of_many_numbers_hides_no_other_one():
     assert "at():dumbbell.position: 100 of its 603 numbers of a run are analyzed" in str(swept)
     swept.results.dataset["peak:reaction_force"][:] *= 1.001
     assert swept.check(1, ["pinocchio"]).report.verdict.startswith("DISAGREE")
+
+
+def test_how_a_file_is_exercised_is_said(capsys, tmp_path):
+    path = tmp_path / "pair.xml"
+    path.write_text(model(PAIR, '<actuator><motor name="motor" joint="p"/></actuator>'))
+    more = (
+        "--vary",
+        "gravity.z=values(-9,-10)",
+        "--runs",
+        "2",
+        "--set",
+        "duration=0.1",
+        "--keep",
+        "final:kinetic_energy",
+        "--check",
+        "0",
+        "--output",
+        tmp_path,
+    )
+    for settings, exercise in (((), "on"), (("--set", "exercise=off"), "off")):
+        out = run(capsys, "sweep", path, *more, *settings)[1]
+        content = json.loads((tmp_path / "sweep.json").read_text())
+        assert content["options"] == {"exercise": exercise, "duration": "0.1"}
+        line = "exercised: 1 actuator driven at "
+        assert (line in out, any(line in note for note in content["notes"])) == (exercise == "on",) * 2
+        shutil.rmtree(tmp_path / "sweep.zarr")
 
 
 def test_reactions_that_redundant_constraints_leave_open_are_not_judged(tmp_path):
