@@ -64,7 +64,10 @@ COMMON = {
         "NUMBER, 0 takes all constraints literally", "1e-4", plain_number, "a number"
     ),
     "exercise": Option(
-        "on|off, moving joints and driven actuators; on in run, regress, bench", "off", _switch, "on or off"
+        "on|off, moving joints and driven actuators; on in run, regress, sweep, bench",
+        "off",
+        _switch,
+        "on or off",
     ),
 }
 """Options of all model files."""

@@ -233,6 +233,12 @@ def test_runs_exercise_by_default(
         assert ("exercised: " in capsys.readouterr().out) == expected
 
 
+def test_the_list_names_the_commands_that_exercise(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["list"])
+    assert "on in run, regress, sweep, bench" in " ".join(capsys.readouterr().out.split())
+
+
 def test_bench_exercises_as_run_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "model.xml"
     path.write_text(FILE)
