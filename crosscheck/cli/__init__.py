@@ -58,8 +58,8 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             status = _invoke(arguments)
-    except KeyboardInterrupt:
-        status = _complain("interrupted", heard)
+    except KeyboardInterrupt as interrupt:
+        status = _complain(": ".join(["interrupted", *map(str, interrupt.args)]), heard)
     except Exception as error:
         # files are named where they are written
         nameless = isinstance(error, OSError) and error.filename is None and not short_of_memory(error)

@@ -320,7 +320,9 @@ def report_command(folder: Path) -> int:
     whatever options, or one that holds such folders, as output does.
     """
     from crosscheck.report.page import write_report
+    from crosscheck.sweeps.store import check_finished
 
+    check_finished(folder)
     with progress_shown() as progress:
         path = write_report(folder, progress)
     say(f"wrote {path}")

@@ -80,7 +80,7 @@ def sweep_command(
     """
     from crosscheck.load import exercised, load_scene
     from crosscheck.sweeps.distributions import parse_vary
-    from crosscheck.sweeps.store import NAME
+    from crosscheck.sweeps.store import NAME, interruptible
     from crosscheck.sweeps.sweep import how_exercised, own_scene, sweep
 
     vary = parse_vary(varied)
@@ -89,7 +89,7 @@ def sweep_command(
     tell(scene, mapping)
     loaded = own_scene(scene, read)
     folder = output or Path("output/sweep") / loaded.name
-    with progress_shown() as progress:
+    with interruptible(folder / NAME), progress_shown() as progress:
         swept = sweep(loaded, vary, keep=keep, output=folder, progress=progress, **options)
         swept = replace(swept, options=given, start=how_exercised(mapping))
         if check != 0:

@@ -43,7 +43,9 @@ FREE = ("chunk", "versions", "numbers", OF_TASKS)
 
 ELSEWHERE = "name another folder (--output), or remove this one"
 
-KEPT_GOES_ON = "what is stored is kept, the same command goes on from there"
+GOES_ON = "the same command goes on from there"
+
+KEPT_GOES_ON = f"what is stored is kept, {GOES_ON}"
 
 
 def libraries() -> tuple[Any, Any]:
@@ -197,6 +199,18 @@ class Store:
                 left += zip(firsts[some].tolist(), lasts[some].tolist(), strict=True)
         return left
 
+    def progress(self) -> str:
+        """Word how many of all runs are there.
+
+        Raises:
+            CrosscheckError: for files that are damaged.
+        """
+        with intact(self.path, STATUS):
+            status = self.group[STATUS]
+            starts = range(0, status.shape[0], BLOCK)
+            there = sum(int(np.count_nonzero(status[start : start + BLOCK])) for start in starts)
+        return f"{there:,} of {status.shape[0]:,} runs"
+
     def write(self, first: int, chunk: Chunk) -> None:
         """Write consecutive runs, their status last.
 
@@ -267,6 +281,24 @@ def told(path: Path | None) -> Iterator[None]:
     except OSError as error:
         reason = error.strerror or str(error)
         raise CrosscheckError(f"cannot write {path}: {reason}; {KEPT_GOES_ON}") from error
+
+
+@contextmanager
+def interruptible(path: Path) -> Iterator[None]:
+    """A block whose interrupt says how many runs are in the store at a path, if it is there."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if not path.exists():
+            raise
+        raise KeyboardInterrupt(f"{Store.at(path).progress()} are stored, {GOES_ON}") from None
+
+
+def check_finished(folder: Path) -> None:
+    """Raise `CrosscheckError` for a folder with a sweep alone that did not come to its tables."""
+    if (folder / NAME).is_dir() and not any(folder.glob("*.json")):
+        there = Store.at(folder / NAME).progress()
+        raise CrosscheckError(f"{folder} holds an unfinished sweep, {there}; {GOES_ON}")
 
 
 @contextmanager

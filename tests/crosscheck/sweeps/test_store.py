@@ -18,12 +18,14 @@ import numpy as np
 import pytest
 import xarray
 import zarr
+from command_line import run
 from small_sweep import ARGUMENTS, assert_equal
 
 import crosscheck.sweeps.results
 from crosscheck import sweep
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
+from crosscheck.sweeps.execute import Pace
 from crosscheck.sweeps.sampling import _latin_hypercube
 from crosscheck.sweeps.store import NAME, Store
 from newton_euler import with_parameters
@@ -52,6 +54,23 @@ def test_an_interrupted_sweep_goes_on(reference, tmp_path):
     assert f"; {there} were there" in found.report.title
     assert_equal(found, reference)
     assert sweep(*ARGUMENTS, output=tmp_path).results.made == 0
+
+
+def test_an_interrupted_command_says_what_is_stored(tmp_path, capsys, monkeypatch):
+    class Interrupted(Pace):
+        def add(self, runs):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(crosscheck.sweeps.results, "Pace", Interrupted)
+    arguments = ("--vary", "dumbbell.mass=uniform(1, 2)", "--runs", "60", "--keep", "final:kinetic_energy")
+    status, _, err = run(capsys, "sweep", "pendulum", *arguments, "--output", tmp_path)
+    stored = Store.at(tmp_path / NAME).progress()
+    assert (status, stored.partition(" ")[2]) == (2, "of 60 runs")
+    said = f"crosscheck: error: interrupted: {stored} are stored, the same command goes on from there"
+    assert " ".join(err.split()) == said
+    status, _, err = run(capsys, "report", tmp_path)
+    assert status == 2
+    assert f"holds an unfinished sweep, {stored}; the same command goes on" in " ".join(err.split())
 
 
 @pytest.mark.parametrize("sampling", ["random", "sobol", "saltelli"])
