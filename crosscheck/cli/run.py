@@ -276,20 +276,28 @@ def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
 
 
 def _parameters(scene: Scene) -> Iterator[str]:
-    """Yield lines for each parameter and initial coordinate: name, unit and own value, a matrix by rows."""
-    from newton_euler.equations.parameters import parameter_values
+    """Yield lines for each parameter and initial coordinate: name, unit and own value, a matrix by rows.
+
+    Displacements are followed by the points that they start from.
+    """
+    from newton_euler.equations.parameters import origins, parameter_values
     from newton_euler.starts import initial_names
     from newton_euler.variation import own_values, units_of
 
     starts = own_values(scene, initial_names(scene))
-    own = parameter_values(scene) | {name: value.round(DIGITS) for name, value in starts.items()}
+    values = parameter_values(scene)
+    starting = origins(scene, values)
+    own = values | {name: value.round(DIGITS) for name, value in starts.items()}
     units = units_of(scene, own)
     columns = max(map(len, own)), max(map(len, units.values()))
     for name, value in own.items():
         before = f"{name:{columns[0]}}  {units[name]:{columns[1]}}  "
         lines = TextWrapper(WIDTH, before, " " * len(before), break_long_words=False, break_on_hyphens=False)
         for row in value if value.shape == (3, 3) else [value]:
-            yield from lines.wrap(_numbers(row, abs(value).max(initial=0.0)))
+            text = _numbers(row, abs(value).max(initial=0.0))
+            if name in starting:
+                text += f"  offset from {_numbers(starting[name], abs(starting[name]).max())}"
+            yield from lines.wrap(text)
             lines.initial_indent = lines.subsequent_indent
 
 

@@ -48,8 +48,10 @@ from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.pictures import MOST_POINTS, pictures, rank_of, share_of
 from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.results import Results
+from newton_euler.equations.parameters import origins
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
+from newton_euler.starts import initial_numbers
 from newton_euler.variation import own_values, units_of
 
 if TYPE_CHECKING:
@@ -318,15 +320,17 @@ def _varied(plan: Plan) -> Table:
 def _far(plan: Plan) -> list[str]:
     """Word which values of the scene lie far from what is drawn for them: of a slip of units, perhaps."""
     own = own_values(plan.scene, plan.samples.names)
-    lines = []
+    initial, lines = initial_numbers(plan.scene, plan.samples.names), []
+    starting = origins(plan.scene, [name for name in plan.samples.names if name not in initial])
     for names, given in plan.samples.groups:
         of_each = (given,) if isinstance(given, Distribution) else given.distributions
         for name, each in zip(names, of_each, strict=True):
             away = each.deviations_of(float(own[name]))
             if away > FAR:
-                lines.append(
-                    f"nominal {name}, {own[name] + 0.0:.4g}, is {away:.2g} deviations from the mean of {each}"
-                )
+                value = f"{own[name] + 0.0:.4g}"
+                if name in starting:
+                    value += f", an offset from {starting[name] + 0.0:.4g}"
+                lines.append(f"nominal {name}, {value}, is {away:.2g} deviations from the mean of {each}")
     return lines
 
 

@@ -73,7 +73,7 @@ from newton_euler.equations.redundancy import inherit_mobility
 from newton_euler.errors import PROPOSED, MechanismError, UnknownNameError, nearest
 from newton_euler.model.control import PD
 from newton_euler.model.digital_control import Law
-from newton_euler.model.joint import Key
+from newton_euler.model.joint import POINTS, Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction, on_piece, piece_numbers, terms
 from newton_euler.model.scene import Scene
@@ -311,6 +311,22 @@ def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[s
         own = _own(parts, place.owner, name.endswith(PIECE))
         values[name] = own if place.component is None else np.asarray(own[place.component])
     return values
+
+
+def origins(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
+    """Return the points that those of the parameters start from which displace one.
+
+    In the world at the initial pose, m.
+    """
+    found: dict[str, Array] = {}
+    for name, (owner, component) in places(scene, names).items():
+        what, _, attribute = owner
+        if attribute not in (POINTS if what == "joints" else element_of(scene, owner).points):
+            continue
+        of_joint = what == "joints" and attribute == "point_on_first"
+        point = np.asarray(getattr(element_of(scene, owner), "point" if of_joint else attribute), dtype=float)
+        found[name] = point if component is None else np.asarray(point[component])
+    return found
 
 
 def parameter_layout(scene: Scene, names: Iterable[str]) -> tuple[tuple[object, ...], ...]:

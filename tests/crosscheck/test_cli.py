@@ -15,6 +15,7 @@ from urdf_files import CHAIN
 
 from crosscheck.cli import shared
 from crosscheck.cli.shared import progress_shown
+from crosscheck.scenes import load
 
 
 @pytest.mark.parametrize("chosen", [None, "7"])
@@ -52,6 +53,16 @@ def test_list_of_a_scene_fits_80_columns(capsys):
     place = next(k for k, line in enumerate(lines) if line.startswith("leg_5.inertia"))
     rows = [line.split()[-3:] for line in lines[place : place + 3]]
     assert rows == [["5.827e-05", "0", "-8.24e-06"], ["0", "5.94e-05", "0"], ["-8.24e-06", "0", "1.72e-06"]]
+
+
+def test_list_of_a_scene_says_which_points_offsets_start_from(capsys):
+    _, out, _ = run(capsys, "list", "slider_crank")
+    rows = [" ".join(line.split()) for line in out.splitlines()]
+    crank = load("slider_crank").mechanism.joints[1]
+    point, other = (" ".join(f"{x:.6g}" for x in each) for each in (crank.point, crank.reaction_point))
+    assert f"ball.point_on_first m 0 0 0 offset from {point}" in rows
+    assert f"ball.point_on_second m 0 0 0 offset from {other}" in rows
+    assert sum("offset from" in row for row in rows) == 12
 
 
 def test_list_of_a_scene_has_no_round_off(capsys, tmp_path):

@@ -189,6 +189,10 @@ def test_a_nominal_value_far_from_its_distribution_is_named():
     said = " ".join(str(sweep(short, vary, 3, KEEP)).split())
     assert "nominal dumbbell.mass, 2, is 10 deviations from the mean of normal(1, 0.1)" in said
     assert said.count("deviations from") == 1
+    crank = replace(load("slider_crank"), duration=0.1)
+    swept = sweep(crank, {"pivot.point.y": "normal(1e-4, 1e-5)"}, 2, "final:kinetic_energy")
+    said = " ".join(str(swept).split())
+    assert "nominal pivot.point.y, 0, an offset from 0.1, is 10 deviations from the mean of normal(" in said
 
 
 def test_a_single_run_is_no_plural():
