@@ -22,7 +22,7 @@ from newton_euler.analysis.tangent_code import ALONG, tangent_code
 from newton_euler.analysis.tangent_run import Followed, FollowedRun
 from newton_euler.analysis.tangent_starts import Starts
 from newton_euler.assemble import initial_state
-from newton_euler.equations.undetermined import undetermined_joints, worded
+from newton_euler.equations.undetermined import is_undetermined, undetermined_joints, worded
 from newton_euler.errors import MechanismError, NewtonEulerError, UnknownNameError
 from newton_euler.integrators.options import FormulationName, Options
 from newton_euler.model.scene import OUTPUTS, Scene
@@ -33,6 +33,8 @@ from newton_euler.simulate import KEPT
 
 REACTIONS = "reaction_force", "reaction_torque"
 """Outputs that redundant constraints leave open."""
+
+AXES = "x", "y", "z"
 
 CLEARLY = 0.1
 """Share of an angle's residuals that is left at most if it is in degrees; without other errors 1 / 57.3."""
@@ -251,12 +253,11 @@ def _columns(scene: Scene, where: str, run: Measurements, places: Sequence[Place
 def _undetermined(scene: Scene, name: str) -> str:
     """Word why the equations of motion leave a reaction open that a column measures; empty if they do not."""
     kind, _, rest = name.partition(".")
-    if kind not in REACTIONS:
+    joint, _, axis = rest.rpartition(".")
+    if kind not in REACTIONS or joint not in scene.mechanism.joint_names or axis not in AXES:
+        return ""
+    number = scene.mechanism.joint_index(joint)
+    if not is_undetermined(scene)[number, REACTIONS.index(kind), AXES.index(axis)]:
         return ""
     count, joints = undetermined_joints(scene, initial_state(scene))
-    joint = rest.rpartition(".")[0]
-    return (
-        f"reactions of joint {joint!r} are not unique, {worded(count, ', '.join(joints))}"
-        if joint in joints
-        else ""
-    )
+    return f"reactions of joint {joint!r} are not unique, {worded(count, ', '.join(joints))}"

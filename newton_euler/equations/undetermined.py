@@ -162,6 +162,14 @@ def undetermined_joints(scene: Scene, state: State) -> tuple[int, list[str]]:
     ]
 
 
+def is_undetermined(scene: Scene) -> Array:
+    """(j, 2, 3) whether components of force and torque, world frame, are not unique in some configuration."""
+    found = np.zeros(6 * len(scene.mechanism.joints), dtype=bool)
+    for state in mobility(scene).states:
+        found |= np.linalg.norm(undetermined(scene, state), axis=1) > RANK_TOLERANCE
+    return found.reshape(-1, 2, 3)
+
+
 def worded(count: int, joints: str) -> str:
     """Word how many constraints are redundant, and at which joints."""
     return f"{count} redundant constraint{'s'[: count - 1]} at joints {joints}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mechanisms import Z, bolted, pendulum
+from mechanisms import Z, bolted, pendulum, planar_four_bar
 
 from newton_euler import (
     Measurements,
@@ -15,6 +15,7 @@ from newton_euler import (
     sensitivities,
     simulate,
 )
+from newton_euler.equations.undetermined import is_undetermined
 from newton_euler.errors import OptionError
 
 CSV = "time,coordinate.pivot\n0.0,0.1\n0.1,0.2\n0.2,0.3\n"
@@ -143,6 +144,19 @@ def test_reactions_that_nothing_determines_are_no_measurements():
     by = sensitivities(scene, ["a.mass"])
     assert by.reaction_force is None
     assert by.reaction_torque is None
+
+
+def test_reactions_in_the_plane_of_a_mechanism_are_measurements():
+    scene = planar_four_bar()
+    run = simulate(scene)
+    x, y = (
+        Measurements(run.time, {f"reaction_force.at_a.{axis}": run.reaction_force[:, 0, k]})
+        for k, axis in enumerate("xy")
+    )
+    assert identify(scene, ["crank.mass"], x).values == pytest.approx(1.0)
+    with pytest.raises(NewtonEulerError, match="reactions of joint 'at_a' are not unique"):
+        identify(scene, ["crank.mass"], y)
+    assert is_undetermined(scene)[0].tolist() == [[False, True, False], [True, False, True]]
 
 
 def test_times_beyond_the_scene_are_refused():
