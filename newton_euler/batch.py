@@ -185,7 +185,9 @@ def simulate_batch(
         (2, (2, 1001, 2, 3))
     """
     chosen = formulation, integrator, stabilization, alpha
-    return make_batch(scene, states, parameters, threads, *chosen, warned=True, **control)
+    batch = make_batch(scene, states, parameters, threads, *chosen, **control)
+    batch._compiled.warn()
+    return batch
 
 
 def make_batch(
@@ -197,11 +199,9 @@ def make_batch(
     integrator: IntegratorName = "DOP853",
     stabilization: StabilizationName = "projection",
     alpha: float | None = None,
-    *,
-    warned: bool = False,
     **control: Unpack[StepControl],
 ) -> Batch:
-    """Run a scene many times as `simulate_batch` does; `warned` of what it warns of only if told so."""
+    """Run a scene many times as `simulate_batch` does, without its warnings."""
     check_type("scene", scene, Scene)
     options = Options.of(integrator, control)
     options.check_steps(scene.duration)
@@ -223,8 +223,6 @@ def make_batch(
     with PREPARING:
         compiled = _compiled(scene, formulation, stabilization, alpha, names)
         load_lanes(compiled, integrator)
-    if warned:
-        compiled.warn(above=1)
     count = _count(states, parameters)
     shape = (len(scene.times), compiled.function("output").outputs)
     try:

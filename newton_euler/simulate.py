@@ -155,12 +155,9 @@ class CompiledScene(Code):
         self.warn()
         return self._run(options)
 
-    def warn(self, above: int = 0) -> None:
-        """Warn of constraints that are almost redundant, where the function that calls this is called.
-
-        Or as many calls above it.
-        """
-        warn_of(self.scene, self.nearly_redundant, above + 1)
+    def warn(self) -> None:
+        """Warn of constraints that are almost redundant, where the function that calls this is called."""
+        warn_of(self.scene, self.nearly_redundant, above=1)
 
     def _run(self, options: Options) -> Trajectory:
         options.check_steps(self.scene.duration)
