@@ -162,6 +162,11 @@ def fates_line(report: ImportReport) -> str:
         names = {entry.element for entry in report.of(fate) if not entry.inert}
         if names:
             found.append(f"{len(names)} {fate} ({_counted(names)})")
+    off = {entry.element for entry in report.entries if entry.is_off}
+    if off:
+        found.append(f"{len(off)} switched off by the file itself ({_counted(off)})")
+    if unknown := sorted({entry.element for entry in report.entries if not entry.is_understood}):
+        found.append(f"not understood, and not simulated: {', '.join(unknown)}")
     return ", ".join(found)
 
 

@@ -182,6 +182,8 @@ def notes(result: Crosscheck) -> Iterator[str]:
     mapping, scene = result.mapping, result.scene
     active, inactive = _activity_lines(mapping) if mapping and result.trajectories else ([], [])
     yield from result.notes
+    for _, read in _mappings(result):
+        yield from (f"finding, {finding}" for finding in read.findings)
     yield from active
     if result.rests:
         yield _rest_line(result)

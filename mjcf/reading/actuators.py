@@ -116,7 +116,7 @@ class Actuators:
         kind = TRANSMISSION(model.actuator_trntype[actuator])
         moments = self._moments(actuator, kind)
         if why := self._disabled(actuator):
-            self._report.left_out(element, why, inert=True)
+            self._report.left_out(element, why, off=True)
             self._add_rotor(actuator, element, moments)
             return
         law = self._affine(actuator, element)

@@ -41,6 +41,7 @@ def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Impor
     """Tell of everything else in the model."""
     model = start.model
     poses = Poses(start, bodies)
+    _report_flags(start, report)
     _report_contacts(start, poses, report)
     meshes = int(np.sum(model.geom_dataid >= 0))
     if meshes:
@@ -52,13 +53,13 @@ def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Impor
         if model.tendon_limited[tendon]:
             why, off = "its limits: limits are no bilateral constraints", start.disabled("LIMIT")
             watches = [_of_tendon(start, joints, poses, tendon)]
-            report.left_out(element, why, topic=LIMITS, inert=off, watches=watches)
+            report.left_out(element, why, topic=LIMITS, off=off, watches=watches)
         if model.tendon_frictionloss[tendon]:
             why = f"its dry friction {model.tendon_frictionloss[tendon]:g}"
             off = start.disabled("FRICTIONLOSS")
             keys = [joints.keys.get(joint) for joint in fixed(start, tendon) or {-1: 0.0}]
             watches_of = [Rest(tuple(key for key in keys if key))] if all(keys) else []
-            report.left_out(element, why, topic=FRICTION, inert=off, watches=watches_of)
+            report.left_out(element, why, topic=FRICTION, off=off, watches=watches_of)
     option = model.opt
     for name, number in (("density", option.density), ("viscosity", option.viscosity)):
         if number:
@@ -82,6 +83,22 @@ def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Impor
     report.left_out("options of solver and integrator", "every engine has its own", inert=True)
 
 
+def _report_flags(start: Start, report: ImportReport) -> None:
+    """Report flags of the file that switch off forces which it also describes."""
+    model = start.model
+    stiff, damped = (
+        any(np.any(getattr(model, name)) for name in names)
+        for names in (("jnt_stiffness", "tendon_stiffness"), ("dof_damping", "tendon_damping"))
+    )
+    for flag, acts, effect in (
+        ("GRAVITY", True, "bodies have no weight"),
+        ("SPRING", stiff, "its springs exert nothing"),
+        ("DAMPER", damped, "its dampers exert nothing"),
+    ):
+        if acts and start.disabled(flag):
+            report.left_out(flag.lower(), f'<flag {flag.lower()}="disable"/>: {effect}', off=True)
+
+
 def _of_tendon(start: Start, joints: Joints, poses: Poses, tendon: int) -> Watch:
     """Watches the limits of a tendon."""
     model, weights = start.model, fixed(start, tendon)
@@ -99,7 +116,11 @@ def _report_contacts(start: Start, poses: Poses, report: ImportReport) -> None:
     for count, what in ((np.sum(touching), "geoms that can touch"), (model.npair, "contact pairs")):
         if count:
             why = "contacts are no bilateral constraints"
-            report.left_out(f"{count} {what}", why, topic=CONTACTS, inert=off, watches=[Touching(poses)])
+            report.left_out(f"{count} {what}", why, topic=CONTACTS, off=off, watches=[Touching(poses)])
+
+    if model.nexclude:
+        why = "these pairs of bodies cannot touch; contacts are not simulated anyway"
+        report.left_out(f"{model.nexclude} contact exclusions", why, inert=True)
 
 
 def _report_joint(start: Start, joints: Joints, number: int, report: ImportReport) -> None:
@@ -115,13 +136,13 @@ def _report_joint(start: Start, joints: Joints, number: int, report: ImportRepor
             watches.append(Bounds(((joints.keys[number], 1.0),), low + margin, high - margin, unit, x))
         why = f"its limits {low:.4g} to {high:.4g}{where}: limits are no bilateral constraints"
         off = start.disabled("LIMIT")
-        report.left_out(element, why, topic=LIMITS, inert=off, watches=watches)
+        report.left_out(element, why, topic=LIMITS, off=off, watches=watches)
     dof = int(model.jnt_dofadr[number])
     if friction := float(model.dof_frictionloss[dof]):
         off = start.disabled("FRICTIONLOSS")
         why, key = f"its dry friction {friction:g}", joints.keys.get(number)
         resting = [Rest((key,))] if key else []
-        report.left_out(element, why, topic=FRICTION, inert=off, watches=resting)
+        report.left_out(element, why, topic=FRICTION, off=off, watches=resting)
 
 
 class Poses:

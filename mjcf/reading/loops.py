@@ -37,12 +37,16 @@ class Loops:
         self.gears: list[JointCoupling] = []
         self.held: list[PrescribedMotion] = []
         self._taken = [joint.name for joint in joints.joints]
-        off = start.disabled("EQUALITY") or start.disabled("CONSTRAINT")
+        flags = [flag for flag in ("EQUALITY", "CONSTRAINT") if start.disabled(flag)]
         for index in range(self._model.neq):
-            if off or not self._model.eq_active0[index]:
-                report.left_out(start.equality(index), "is not active", inert=True)
-                continue
-            self._add(index)
+            if flags:
+                why = f'<flag {flags[0].lower()}="disable"/>: it holds nothing, its loop is open'
+                report.left_out(start.equality(index), why, off=True)
+            elif not self._model.eq_active0[index]:
+                why = 'active="false": it holds nothing, its loop is open'
+                report.left_out(start.equality(index), why, off=True)
+            else:
+                self._add(index)
 
     def _name(self, index: int) -> str:
         own = self._model.equality(index).name.removeprefix("gear ")

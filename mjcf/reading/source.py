@@ -45,6 +45,14 @@ FOLDERS = ("meshdir", "texturedir", "assetdir")
 ASSETS = ("mesh", "texture", "hfield", "skin", "flexcomp", "composite")
 """Elements whose `file`, or `fileright` and so on of a cube's faces, is read by MuJoCo."""
 
+FREE_TEXT = frozenset(
+    """name class childclass model prefix file content_type meshdir texturedir assetdir
+    body body1 body2 joint joint1 joint2 jointinparent geom geom1 geom2 site site1 site2 refsite sidesite
+    cranksite slidersite tendon tendon1 tendon2 actuator mesh material texture hfield flex skin key camera
+    target parent objname reftype refname instance plugin data""".split()
+)
+"""Attributes that hold names and other text, in which `inf` and `nan` are words like others."""
+
 NAMED = ("body", "jnt", "site", "eq", "tendon", "actuator", "key")
 """Prefixes of elements that have names."""
 
@@ -250,7 +258,9 @@ class _Scan:
 
         def begin(tag: str, attributes: dict[str, str], line: int) -> None:
             for name, value in attributes.items():
-                if any(token.lower().lstrip("+-") in NOT_FINITE for token in value.split()):
+                if name not in FREE_TEXT and any(
+                    token.lower().lstrip("+-") in NOT_FINITE for token in value.split()
+                ):
                     raise SourceError(path, f"line {line}: <{tag}> has {name}={value!r:.100}, not finite")
                 if tag == "compiler" and name in FOLDERS:
                     _Reference(path, line, f"compiler {name}", value or ".").within(self._around, self._home)

@@ -36,6 +36,8 @@ class ImportedElement:
         topic: which of the things that a file can say of the element it is about, "" for all that it says.
         inert: whether nothing would move otherwise with the element as the file has it.
         seen: what a run shows of it.
+        is_off: True if the file itself switches the element off, so that nobody simulates it.
+        is_understood: False for an element that no rule of the reader knows.
     """
 
     element: str
@@ -45,6 +47,17 @@ class ImportedElement:
     topic: str = ""
     inert: bool = False
     seen: str = ""
+    is_off: bool = False
+    is_understood: bool = True
+
+    @property
+    def is_unsimulated(self) -> bool:
+        """True if the element acted, or can act, and is not simulated as the file has it.
+
+        Elements that move nothing, that the file switches off, or that a run has shown to be inactive do not
+        count.
+        """
+        return self.fate in ("approximated", "left out") and not self.inert
 
     @property
     def account(self) -> str:
@@ -55,11 +68,34 @@ class ImportedElement:
         return f"{self.element}: {self.fate}: {self.account}"
 
 
+@dataclass(frozen=True)
+class Finding:
+    """A likely mistake in a model file, which every engine simulates as it stands.
+
+    Attributes:
+        name: the kind of the mistake, a word or two joined by hyphens.
+        element: the element at fault, such as "body 'hip'".
+        what: the number that is wrong and what it is compared with.
+        consequence: what the mistake does to the motion.
+        remedy: what to do about it.
+    """
+
+    name: str
+    element: str
+    what: str
+    consequence: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.element}: {self.what}; {self.consequence}; {self.remedy}"
+
+
 class ImportReport:
     """Fate of every element, filled while a file is read.
 
     Attributes:
         entries: in the order in which they were added.
+        findings: likely mistakes in the file.
         start: lines about the pose and the velocities that the scene starts from.
         originals: what the scene, and others that are read from the file to verify the reading, are verified
             against, see `newton_euler.verification.verify`; the scene's first.
@@ -68,6 +104,7 @@ class ImportReport:
 
     def __init__(self) -> None:
         self.entries: list[ImportedElement] = []
+        self.findings: list[Finding] = []
         self.start: list[str] = []
         self.originals: list[tuple[Original, Scene]] = []
         self.watches: dict[int, Sequence[Watch]] = {}
@@ -83,18 +120,39 @@ class ImportReport:
         self.entries.append(ImportedElement(element, "approximated", how))
 
     def left_out(
-        self, element: str, why: str, topic: str = "", inert: bool = False, watches: Sequence[Watch] = ()
+        self,
+        element: str,
+        why: str,
+        topic: str = "",
+        inert: bool = False,
+        watches: Sequence[Watch] = (),
+        off: bool = False,
     ) -> None:
-        """`watches` tell of a limit and the like whether it is active; all of it has to be watched."""
+        """Report an element that is not in the scene.
+
+        Args:
+            element, why, topic, inert: see `ImportedElement`.
+            watches: tell whether a limit and the like is active in a run; all of it has to be watched.
+            off: True if the file itself switches the element off.
+        """
+        inert = inert or off
         if watches and not inert:
             self.watches[len(self.entries)] = watches
-        self.entries.append(ImportedElement(element, "left out", why, "", topic, inert))
+        self.entries.append(ImportedElement(element, "left out", why, "", topic, inert, is_off=off))
+
+    def not_understood(self, element: str, why: str) -> None:
+        """Report an element that no rule knows: it may act, so it counts as one that is not simulated."""
+        self.entries.append(ImportedElement(element, "left out", why, is_understood=False))
+
+    def unsimulated(self) -> list[ImportedElement]:
+        """Return the entries of elements that acted, or can act, and are not simulated as they are."""
+        return [entry for entry in self.entries if entry.is_unsimulated]
 
     def after(self, course: Course) -> ImportReport:
         """The report with what a run shows of what was left out."""
         found = ImportReport()
         found.start, found.entries, found.watches = self.start, list(self.entries), self.watches
-        found.originals = self.originals
+        found.originals, found.findings = self.originals, self.findings
         for number, watches in self.watches.items():
             seen, entry = judged(watches, course), self.entries[number]
             fate: Fate = entry.fate if entry.fate == "approximated" or seen.active else "inactive"
@@ -109,7 +167,8 @@ class ImportReport:
         """Count the elements approximated, inactive and left out that could move something, in words.
 
         Each element counts once, as the worst that became of it; "" if there are none. Those of `ACTING` that
-        are left out are named: without them a model moves otherwise from the start.
+        are left out are named: without them a model moves otherwise from the start. So is the number of
+        elements that no rule understands, and of those that the file itself switches off.
         """
         worst: dict[str, Fate] = {}
         for fate in FATES[1:]:
@@ -121,7 +180,12 @@ class ImportReport:
         whole = {entry.element for entry in self.of("left out") if not entry.inert and not entry.topic}
         acting = Counter(element.split()[0] for element in whole)
         named = [f"{acting[one]} {one if acting[one] == 1 else many}" for one, many in ACTING if acting[one]]
-        return ", ".join(found) + (f" ({', '.join(named)})" if named else "")
+        unknown = len({entry.element for entry in self.entries if not entry.is_understood})
+        named += [f"{unknown} not understood"] if unknown else []
+        counted = ", ".join(found) + (f" ({', '.join(named)})" if named else "")
+        off = {entry.element for entry in self.entries if entry.is_off}
+        idle = f"{len(off)} switched off by the file itself" if off else ""
+        return ", ".join(filter(None, [counted, idle]))
 
 
 def left_out(report: ImportReport) -> dict[str, set[str]]:

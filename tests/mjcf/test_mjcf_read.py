@@ -125,7 +125,7 @@ def test_what_is_left_out_and_what_is_approximated(tmp_path: Path) -> None:
     lines = [str(entry) for entry in (*report.of("left out"), *report.of("approximated"))]
     for expected in (
         "equality 'bent': approximated: gear 'bent' of ratio 1, its polynomial replaced by its slope",
-        "equality 'off': left out: is not active",
+        "equality 'off': left out: active=",
         "joint 'p': left out: its limits",
         "joint 'p': left out: its dry friction 0.2",
         "tendon 'sum': left out: its stiffness 2",

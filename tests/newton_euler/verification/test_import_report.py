@@ -55,3 +55,16 @@ def test_the_verdict_tells_how_much_of_the_file_is_not_in_it(capsys, tmp_path: P
         "; motion covers 7 of 7 elements; of what can act in the file 1 element is approximated, 1 left out"
     )
     assert json.loads((out / "summary.json").read_text())["verdict"] == verdict
+
+
+def test_unsimulated_elements_are_those_that_can_act() -> None:
+    report = ImportReport()
+    report.exactly("joint 'a'", "a hinge")
+    report.left_out("2 cameras", "they move nothing", inert=True)
+    report.left_out("equality 'open'", "inactive", off=True)
+    report.left_out("joint 'a'", "its limits", topic="limits")
+    report.approximated("equality 'bent'", "by its slope")
+    report.not_understood("<muscle>", "no rule knows it")
+    assert [entry.element for entry in report.unsimulated()] == ["joint 'a'", "equality 'bent'", "<muscle>"]
+    assert [entry.element for entry in report.entries if entry.is_off] == ["equality 'open'"]
+    assert "1 not understood" in report.counts() and "1 switched off" in report.counts()

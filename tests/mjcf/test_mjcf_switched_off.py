@@ -1,0 +1,65 @@
+"""What an MJCF file itself switches off is counted, and no engine simulates it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mjcf import read
+
+BODIES = """<body name="a"><joint name="a" axis="0 1 0" {joint}/><geom name="g" size="0.1" pos="0 0 0.3" {geom}/>
+    <body name="b" pos="0.5 0 0"><joint name="b" axis="0 1 0"/><geom size="0.1" pos="0.3 0 0" mass="1"/></body>
+    </body>"""
+EQUALITY = '<equality><connect name="close" body1="b" anchor="0.3 0 0" {equality}/></equality>'
+ACTUATOR = '<actuator><motor name="m" joint="a" group="2"/></actuator>'
+
+
+@pytest.mark.parametrize(
+    ("option", "parts", "elements"),
+    [
+        ('<flag equality="disable"/>', {}, {"equality 'close'"}),
+        ('<flag constraint="disable"/>', {}, {"equality 'close'"}),
+        ("", {"equality": 'active="false"'}, {"equality 'close'"}),
+        ('<flag gravity="disable"/>', {}, {"gravity"}),
+        ('<flag spring="disable"/>', {"joint": 'stiffness="3"'}, {"spring"}),
+        ('<flag damper="disable"/>', {"joint": 'damping="3"'}, {"damper"}),
+        ('<flag spring="disable" damper="disable"/>', {}, set()),
+        ('<flag limit="disable"/>', {"joint": 'limited="true" range="-1 1"'}, {"joint 'a'"}),
+        ('<flag frictionloss="disable"/>', {"joint": 'frictionloss="1"'}, {"joint 'a'"}),
+        ('<flag contact="disable"/>', {}, {"2 geoms that can touch"}),
+        ('<flag actuation="disable"/>', {}, {"actuator 'm'"}),
+    ],
+)
+def test_what_the_file_switches_off_is_counted(
+    option: str, parts: dict[str, str], elements: set[str], tmp_path: Path
+) -> None:
+    words = {"joint": "", "geom": "", "equality": ""} | parts
+    equality = EQUALITY if "equality 'close'" in elements else ""
+    path = tmp_path / "model.xml"
+    text = f"{BODIES}</worldbody>{equality}{ACTUATOR}".format(**words)
+    path.write_text(f"<mujoco><option>{option}</option><worldbody>{text}</mujoco>")
+    report = read(path).report
+    off = {entry.element for entry in report.entries if entry.is_off}
+    assert off == elements
+    assert not any(entry.is_off for entry in report.unsimulated())
+
+
+def test_actuators_of_disabled_groups_and_contact_exclusions_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "model.xml"
+    text = f"{BODIES}</worldbody>{ACTUATOR}".format(joint="", geom="")
+    exclude = '<contact><exclude body1="a" body2="b"/></contact>'
+    path.write_text(f'<mujoco><option actuatorgroupdisable="2"/><worldbody>{text}{exclude}</mujoco>')
+    entries = {entry.element: entry for entry in read(path).report.entries}
+    assert entries["actuator 'm'"].is_off
+    assert entries["1 contact exclusions"].inert
+
+
+@pytest.mark.parametrize("name", ["inf", "nan", "-Infinity"])
+def test_names_are_free_text(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "model.xml"
+    path.write_text(
+        f'<mujoco><worldbody><body name="{name}"><joint name="{name}"/><geom name="{name}" size="0.1"/></body>'
+        f'</worldbody><actuator><motor name="{name}" joint="{name}"/></actuator></mujoco>'
+    )
+    assert len(read(path).scene.mechanism.bodies) == 2
