@@ -46,10 +46,55 @@ ASSETS = ("mesh", "texture", "hfield", "skin", "flexcomp", "composite")
 """Elements whose `file`, or `fileright` and so on of a cube's faces, is read by MuJoCo."""
 
 FREE_TEXT = frozenset(
-    """name class childclass model prefix file content_type meshdir texturedir assetdir
-    body body1 body2 joint joint1 joint2 jointinparent geom geom1 geom2 site site1 site2 refsite sidesite
-    cranksite slidersite tendon tendon1 tendon2 actuator mesh material texture hfield flex skin key camera
-    target parent objname reftype refname instance plugin data""".split()
+    [
+        "name",
+        "class",
+        "childclass",
+        "model",
+        "prefix",
+        "file",
+        "content_type",
+        "meshdir",
+        "texturedir",
+        "assetdir",
+        "body",
+        "body1",
+        "body2",
+        "joint",
+        "joint1",
+        "joint2",
+        "jointinparent",
+        "geom",
+        "geom1",
+        "geom2",
+        "site",
+        "site1",
+        "site2",
+        "refsite",
+        "sidesite",
+        "cranksite",
+        "slidersite",
+        "tendon",
+        "tendon1",
+        "tendon2",
+        "actuator",
+        "mesh",
+        "material",
+        "texture",
+        "hfield",
+        "flex",
+        "skin",
+        "key",
+        "camera",
+        "target",
+        "parent",
+        "objname",
+        "reftype",
+        "refname",
+        "instance",
+        "plugin",
+        "data",
+    ]
 )
 """Attributes that hold names and other text, in which `inf` and `nan` are words like others."""
 

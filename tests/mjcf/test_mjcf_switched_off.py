@@ -8,8 +8,9 @@ import pytest
 
 from mjcf import read
 
-BODIES = """<body name="a"><joint name="a" axis="0 1 0" {joint}/><geom name="g" size="0.1" pos="0 0 0.3" {geom}/>
-    <body name="b" pos="0.5 0 0"><joint name="b" axis="0 1 0"/><geom size="0.1" pos="0.3 0 0" mass="1"/></body>
+BODIES = """<body name="a">
+    <joint name="a" axis="0 1 0" {joint}/><geom name="g" size="0.1" pos="0 0 0.3" {geom}/>
+    <body name="b" pos="0.5 0 0"><joint name="b" axis="0 1 0"/><geom size="0.1" pos="0.3 0 0"/></body>
     </body>"""
 EQUALITY = '<equality><connect name="close" body1="b" anchor="0.3 0 0" {equality}/></equality>'
 ACTUATOR = '<actuator><motor name="m" joint="a" group="2"/></actuator>'
@@ -59,7 +60,8 @@ def test_actuators_of_disabled_groups_and_contact_exclusions_are_counted(tmp_pat
 def test_names_are_free_text(name: str, tmp_path: Path) -> None:
     path = tmp_path / "model.xml"
     path.write_text(
-        f'<mujoco><worldbody><body name="{name}"><joint name="{name}"/><geom name="{name}" size="0.1"/></body>'
+        f'<mujoco><worldbody><body name="{name}"><joint name="{name}"/>'
+        f'<geom name="{name}" size="0.1"/></body>'
         f'</worldbody><actuator><motor name="{name}" joint="{name}"/></actuator></mujoco>'
     )
     assert len(read(path).scene.mechanism.bodies) == 2
