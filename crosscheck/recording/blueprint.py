@@ -42,6 +42,28 @@ QUICKEST, SLOWEST = 4.0, 60.0
 """s that a recording is played, if the motion takes less or more."""
 
 
+class Layout(rrb.Blueprint):  # type: ignore[misc]  # Rerun is untyped here
+    """A blueprint that keeps the stream to which Rerun writes it.
+
+    Rerun drops that stream without closing it, and two of its threads would stay behind.
+    """
+
+    stream: rr.RecordingStream | None = None
+
+    def _log_to_stream(self, stream: rr.RecordingStream) -> None:
+        self.stream = stream
+        super()._log_to_stream(stream)
+
+
+def send_layout(recording: rr.RecordingStream, layout: Layout) -> None:
+    """Lay out a recording, and close the stream that the layout was written to."""
+    # active, or a viewer in a browser would choose its own layout
+    recording.send_blueprint(layout)
+    if layout.stream is not None:
+        layout.stream.disconnect()
+        layout.stream = None
+
+
 def blueprint(
     mechanism: Mechanism,
     run: Trajectory,
@@ -49,7 +71,7 @@ def blueprint(
     heading: str,
     hidden: Sequence[Sequence[str]],
     moments: bool,
-) -> rrb.Blueprint:
+) -> Layout:
     """The mechanism and the verdict at the left, two rows of plots over a timeline at the right.
 
     Args:
@@ -79,13 +101,13 @@ def blueprint(
     )
 
 
-def laid_out(views: rrb.Container, duration: float = QUICKEST) -> rrb.Blueprint:
+def laid_out(views: rrb.Container, duration: float = QUICKEST) -> Layout:
     """Show these views with all panels out of the way, over and over again.
 
     Days are played in a minute, milliseconds in seconds.
     """
     shown = min(max(duration, QUICKEST), SLOWEST)
-    return rrb.Blueprint(
+    return Layout(
         views,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),

@@ -32,9 +32,10 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
+from rerun import bindings
 
 from crosscheck.palette import palette, rgb
-from crosscheck.recording.blueprint import TIME, blueprint
+from crosscheck.recording.blueprint import TIME, blueprint, send_layout
 from crosscheck.recording.plots import Plot, Tolerances, platforms, plots, rotated
 from crosscheck.recording.shapes import Style, log_shapes, paths, xyzw
 from newton_euler.model.mechanism import Mechanism
@@ -125,7 +126,7 @@ def log_run(
     hidden = [["mechanism", engine] for engine in near] + [["joints", engine] for engine in engines[1:]]
     hidden += [["reactions"]] + [["labels"], ["tilt"]] * (len(mechanism.bodies) > MOST_LABELS)
     layout = blueprint(mechanism, first, shown, _heading(title, engines, apart, near), hidden, bool(moments))
-    recording.send_blueprint(layout)  # active, or a viewer in a browser would lay it out by itself
+    send_layout(recording, layout)
     recording.send_recording_name(title)
     text = f"{verdict}\nHidden engines, labels and reactions: eye icons of the blueprint panel, left.\n"
     if moments:
@@ -152,11 +153,21 @@ def log_run(
 
 
 def recorded(log: Callable[..., None], scene: Scene, *args: Any, **more: Any) -> bytes:
-    """Return the content of an .rrd of a scene that `log`, such as `log_run`, logs to with arguments."""
+    """Return the content of an .rrd of a scene that `log`, such as `log_run`, logs to with arguments.
+
+    Rerun starts two threads for each recording. They end, and its memory is freed, after these steps alone:
+    disconnect, drop all references to it, clean up.
+    """
     recording = new_recording(scene)
-    memory = recording.memory_recording()
-    log(recording, scene, *args, **more)
-    return bytes(memory.drain_as_bytes())
+    try:
+        memory = recording.memory_recording()
+        log(recording, scene, *args, **more)
+        return bytes(memory.drain_as_bytes())
+    finally:
+        recording.disconnect()
+        memory = None
+        del recording
+        bindings.flush_and_cleanup_orphaned_recordings()
 
 
 def _styles(engines: list[str]) -> dict[str, Style]:

@@ -15,7 +15,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from crosscheck.palette import palette, rgb
-from crosscheck.recording.blueprint import laid_out, scene_view
+from crosscheck.recording.blueprint import laid_out, scene_view, send_layout
 from crosscheck.recording.log import log_bodies, log_ground, log_text
 from crosscheck.recording.shapes import Style
 from crosscheck.report.render import markdown_table
@@ -160,7 +160,7 @@ def log_modes(recording: rr.RecordingStream, scene: Scene, model: LinearModel, m
         heading = f"mode {k + 1}" + f", {modes.frequencies[k]:.4g} Hz" * bool(modes.frequencies[k])
         views.append(scene_view(mechanism, run, heading, ["+ /ground/**", f"+ /{name}/**"]))
     told = rrb.TextDocumentView(origin="/modes", name="Modes")
-    recording.send_blueprint(laid_out(rrb.Vertical(rrb.Grid(*views), told, row_shares=[2.0, 1.0])))
+    send_layout(recording, laid_out(rrb.Vertical(rrb.Grid(*views), told, row_shares=[2.0, 1.0])))
     recording.send_recording_name(f"modes of {scene.name}")
 
 

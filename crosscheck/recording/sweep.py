@@ -17,7 +17,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from crosscheck.palette import palette, rgb
-from crosscheck.recording.blueprint import laid_out, scene_view
+from crosscheck.recording.blueprint import laid_out, scene_view, send_layout
 from crosscheck.recording.log import PLAIN_COLOR, log_bodies, log_ground, log_text, send_columns
 from crosscheck.recording.shapes import Style
 from crosscheck.sweeps.analysis import LEVELS
@@ -81,7 +81,7 @@ def log_sweep(
     told = rrb.TextDocumentView(origin="/sweep", name="Sweep")
     left = rrb.Vertical(view, told, row_shares=[1.6, 1.0])
     whole = rrb.Horizontal(left, rrb.Vertical(*plots)) if plots else left
-    recording.send_blueprint(laid_out(whole, float(first.time[-1])))
+    send_layout(recording, laid_out(whole, float(first.time[-1])))
     recording.send_recording_name(title)
 
 

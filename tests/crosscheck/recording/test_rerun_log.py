@@ -246,6 +246,19 @@ def test_worst_moments_are_lines_at_their_times(
     assert "/worst" in layout(path)["ViewBlueprint:space_origin"]
 
 
+def test_recordings_leave_no_thread_behind(scene: Scene, runs: dict[str, Trajectory]) -> None:
+    """Rerun starts two threads for a recording and two for its layout."""
+
+    def threads() -> int:
+        return len(list(Path("/proc/self/task").iterdir()))
+
+    recorded(log_run, scene, runs, "", "first")  # starts the threads that all recordings share
+    before = threads()
+    for number in range(5):
+        recorded(log_run, scene, runs, "", f"{number}")
+    assert threads() <= before + 2  # of the last recording, which may still be ending
+
+
 def test_verdict_is_markdown(recording: Recording) -> None:
     (text,) = recording.static["/verdict", "TextDocument:text"]
     assert text.startswith(VERDICT)
