@@ -1,4 +1,4 @@
-"""Processes that work for another one, and the end of them all."""
+"""Python processes that work for this one: started without the current folder, ended with their parent."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, as_completed
+from contextlib import contextmanager
 from typing import TypeVar
 
 from pebble import ProcessExpired, ProcessPool
@@ -17,6 +18,28 @@ from crosscheck.limit import tidied_up
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+
+
+SAFE_PATH = "PYTHONSAFEPATH"
+"""Environment variable by which Python does not look for modules in the current folder."""
+
+
+@contextmanager
+def safe_path() -> Iterator[None]:
+    """Keep Python processes that start in the block, by whatever library, from the current folder's modules.
+
+    `python -c` and `python -m` look for modules there first. A file `socket.py` that came with a model would
+    run in place of Python's own.
+    """
+    before = os.environ.get(SAFE_PATH)
+    os.environ[SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[SAFE_PATH]
+        else:
+            os.environ[SAFE_PATH] = before
 
 
 class LostError(CrosscheckError):
@@ -42,7 +65,7 @@ def in_processes(
     # fresh processes: a fork would share the threads that libraries have started
     context = multiprocessing.get_context("spawn")
     results = dict[int, Result | LostError]()
-    with tidied_up():
+    with tidied_up(), safe_path():
         pool = ProcessPool(min(processes, len(tasks)) or 1, initializer=_end_with_parent, context=context)
         try:
             running: dict[Future[Result], int] = {

@@ -364,7 +364,7 @@ def view_command(files: tuple[Path, ...], web: bool) -> int:
         say(f"Ctrl+C ends it; open http://{HERE}:{pages}?url={source}")
         sys.stdout.flush()
     # by itself it would listen to all of the network
-    viewer = [sys.executable, "-m", "rerun", "--bind", HERE, *serve, *map(str, files)]
+    viewer = [sys.executable, "-P", "-m", "rerun", "--bind", HERE, *serve, *map(str, files)]
     with suppress(KeyboardInterrupt):  # the way to end it
         status = subprocess.run(viewer, check=False, env=os.environ | {"RUST_LOG": "error"}).returncode
         if status != 0:

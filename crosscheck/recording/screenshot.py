@@ -74,7 +74,7 @@ def _viewer() -> Iterator[ViewerClient]:
     """
     with socket.create_server((LOOPBACK, 0)) as probe:
         port = int(probe.getsockname()[1])
-    command = [sys.executable, "-m", "rerun_cli", "--bind", LOOPBACK, "--hide-welcome-screen"]
+    command = [sys.executable, "-P", "-m", "rerun_cli", "--bind", LOOPBACK, "--hide-welcome-screen"]
     command += ["--headless", "--port", str(port), "--window-size", WINDOW]
     with tempfile.TemporaryFile() as log:
         process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)

@@ -9,6 +9,7 @@ from typing import Any
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.recording.log import new_recording
+from crosscheck.workers import safe_path
 from newton_euler.model.scene import Scene
 
 
@@ -27,7 +28,8 @@ def show(log: Callable[..., None], scene: Scene, *args: Any) -> None:
             log(recording, scene, *args)
             recording.notebook_show()
         else:
-            recording.spawn()
+            with safe_path():
+                recording.spawn()
             log(recording, scene, *args)
     except (ImportError, RuntimeError) as error:
         raise CrosscheckError(f"no viewer: {' '.join(str(error).split())}") from error

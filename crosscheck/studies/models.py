@@ -114,7 +114,7 @@ def run_model(folder: Path, repository: Repository, entry: Entry, output: Path) 
         options["loops"] = str(path.parent / str(options["loops"]))
     settings = [part for name, value in options.items() for part in ("--set", f"{name}={value}")]
     shutil.rmtree(output, ignore_errors=True)
-    command = [sys.executable, "-m", "crosscheck", "run", str(path), *settings, "--output", str(output)]
+    command = [sys.executable, "-P", "-m", "crosscheck", "run", str(path), *settings, "--output", str(output)]
     start = time.perf_counter()
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)

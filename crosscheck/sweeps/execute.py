@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from crosscheck.errors import CrosscheckError
 from crosscheck.limit import span
 from crosscheck.sweeps.store import KEPT_GOES_ON, not_installed
+from crosscheck.workers import safe_path
 from newton_euler.batch import thread_count
 from newton_euler.errors import OptionError
 
@@ -93,7 +94,8 @@ def workers(
         if not isinstance(executor, Executor):
             raise OptionError("executor", executor, "one of concurrent.futures")
         count = getattr(executor, "_max_workers", USUAL_WORKERS)
-        yield Workers(executor, lambda: count)
+        with safe_path():  # processes start when they get their first task
+            yield Workers(executor, lambda: count)
     else:
         count = thread_count(threads)
         with ThreadPoolExecutor(count) as pool:

@@ -1,15 +1,21 @@
-"""Processes that a command starts: none outlives it, however it ends."""
+"""Processes that a command starts: none outlives it, however it ends, or imports from the current folder."""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+
+from crosscheck.sweeps.execute import workers
+from crosscheck.workers import in_processes
 
 PATIENCE = 60.0
 """s that processes may take to start and to end: half a second each, unless others have the processors."""
@@ -68,3 +74,51 @@ def test_no_process_outlives_its_command(tmp_path, command, number):
     if number != signal.SIGKILL:
         assert (process.returncode, complaint) == (2, "crosscheck: error: interrupted\n")
         assert not [path for path in (tmp_path / "out").rglob("*") if path.name.startswith(".")]
+
+
+IN_THE_WAY = ("socket", "signal", "selectors", "random", "json", "numpy", "click", "rerun_cli")
+"""Modules that children import, of Python and of others."""
+
+
+@pytest.fixture
+def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, with modules that leave a file when they are imported; the path of that file."""
+    for name in IN_THE_WAY:
+        (tmp_path / f"{name}.py").write_text("from pathlib import Path\nPath('imported').touch()\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    return tmp_path / "imported"
+
+
+def test_processes_of_a_pool_import_nothing_from_the_current_folder(foreign: Path) -> None:
+    assert in_processes(abs, [-3], 1, lambda *_: None) == [3]
+    assert "PYTHONSAFEPATH" not in os.environ
+    assert not foreign.exists()
+
+
+def test_an_executor_of_a_sweep_imports_nothing_from_the_current_folder(foreign: Path) -> None:
+    with (
+        ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as executor,
+        workers(executor=executor) as at,
+    ):
+        assert at.executor.submit(abs, -3).result() == 3
+    assert not foreign.exists()
+
+
+def test_the_module_imports_nothing_from_the_current_folder(foreign: Path) -> None:
+    command = [sys.executable, "-m", "crosscheck", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert version("crosscheck") in done.stdout
+    assert not foreign.exists()
+
+
+def test_every_python_process_is_started_without_the_current_folder() -> None:
+    started = [
+        line
+        for package in ("crosscheck", "mjcf", "newton_euler", "urdf")
+        for path in Path(__file__).parents[2].glob(f"{package}/**/*.py")
+        for line in path.read_text().splitlines()
+        if "[sys.executable" in line
+    ]
+    assert len(started) >= 5
+    assert [line for line in started if '[sys.executable, "-P", ' not in line] == []
