@@ -20,6 +20,9 @@ from urdf.errors import LoopFileError
 CLOSURE_TYPES = ("3d", "6d", "rod")
 """In small or capital letters."""
 
+REVOLUTE = "revolute"
+"""A closure that elements of a URDF ask for and no loop file: a hinge along the x axes of both frames."""
+
 UNIVERSAL = {f"UJOINT_{a}{b}": a + b for a in "XYZ" for b in "XYZ" if a != b} | {"CARDAN": "XY"}
 """Joint types of two hinges in a row, and about which axes of the joint's own frame they turn."""
 

@@ -16,7 +16,7 @@ import pinocchio as pin
 from newton_euler.model.spanning_tree import WeldedMechanism, motion_names
 from newton_euler.scalars import Array
 from urdf.errors import LoopFileError, UrdfError
-from urdf.loops import UNIVERSAL, Loops
+from urdf.loops import REVOLUTE, UNIVERSAL, Loops
 
 HINGES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 
@@ -36,8 +36,8 @@ class ClosedLoopModel:
     Attributes:
         model: `pinocchio.Model`.
         constraints: `pinocchio.StdVec_RigidConstraintModel`, one for each pair of `closed_loop` that is no
-            rod.
-        frames: indices of those pairs of frames.
+            rod; two for a hinge, of which Pinocchio has none: points on its axis, 1 m apart.
+        frames: indices of the pairs of frames of the constraints.
         rods: indices of the pairs of frames that are rods.
         couplings: (c, nv) the equations couplings @ v = 0.
         urdf_joints: the joint of the URDF that each of Pinocchio's is, or is a part of.
@@ -91,21 +91,25 @@ def build(
         if kind == "rod":
             rods.append((first, second))
             continue
-        constraint = pin.RigidConstraintModel(
-            pin.ContactType.CONTACT_3D if kind == "3d" else pin.ContactType.CONTACT_6D,
-            model,
-            model.frames[first].parentJoint,
-            model.frames[first].placement,
-            model.frames[second].parentJoint,
-            model.frames[second].placement,
-            pin.ReferenceFrame.LOCAL,
-        )
-        constraint.name = " ".join(pair)
-        constraint.setBaumgarteCorrectorParameters(
-            pin.BaumgarteCorrectorParameters(alpha * alpha, 2.0 * alpha)
-        )
-        constraints.append(constraint)
-        frames.append((first, second))
+        pairs = [(first, second)]
+        if kind == REVOLUTE:
+            pairs.append((_beside(model, first), _beside(model, second)))
+        for one, two in pairs:
+            constraint = pin.RigidConstraintModel(
+                pin.ContactType.CONTACT_6D if kind == "6d" else pin.ContactType.CONTACT_3D,
+                model,
+                model.frames[one].parentJoint,
+                model.frames[one].placement,
+                model.frames[two].parentJoint,
+                model.frames[two].placement,
+                pin.ReferenceFrame.LOCAL,
+            )
+            constraint.name = " ".join(pair)
+            constraint.setBaumgarteCorrectorParameters(
+                pin.BaumgarteCorrectorParameters(alpha * alpha, 2.0 * alpha)
+            )
+            constraints.append(constraint)
+            frames.append((one, two))
     single = {str(n): j.idx_v for n, j in zip(model.names, model.joints, strict=True) if j.nv == 1}
     couplings = np.zeros((len(loops.coupled), model.nv))
     for row, coupling in zip(couplings, loops.coupled, strict=True):
@@ -132,6 +136,14 @@ def _frame(model: Any, name: str, loops: Loops) -> int:
             problem = f"{name!r} is a link and a joint in different places; needed: one place"
             raise LoopFileError(loops.source, "closed_loop", problem)
     return found[0]
+
+
+def _beside(model: Any, frame: int) -> int:
+    """Add a frame 1 m along the x axis of another one; return its number."""
+    beside = pin.Frame(model.frames[frame])
+    beside.name, beside.inertia = f"axis of {beside.name}", pin.Inertia.Zero()
+    beside.placement = beside.placement * pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    return int(model.addFrame(beside, False))
 
 
 def _rebuilt(placeholder: Any, types: dict[str, str]) -> tuple[Any, tuple[str, ...]]:

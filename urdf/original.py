@@ -19,13 +19,17 @@ from newton_euler.scalars import Array, cross, tilde
 from newton_euler.verification.import_report import ImportReport, left_out, unique_name
 from newton_euler.verification.original import SEVERAL_HINGES, Original, Sample, wholes
 from newton_euler.verification.quantities import Constraints, Forces, Kinematics
-from urdf.loops import NO_LOOPS, UNIVERSAL, Loops, closure_names, parse_loops
+from urdf.loops import NO_LOOPS, REVOLUTE, UNIVERSAL, Loops, closure_names, parse_loops
+from urdf.reading.extensions import Extensions
 
 HINGES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 
 
 ARMATURE = "armature"
 """Topic of rotor inertias."""
+
+STIFFNESS = "stiffness"
+"""Topic of springs of joints."""
 
 
 class Closure(NamedTuple):
@@ -59,10 +63,11 @@ class PinocchioOriginal(Original):
             scene: what was read; its initial pose says which of the closed ones is the start.
         """
         self._model, self._of, self._closures = model, owners, closures
-        self._without = left_out(report)
+        self._without, self._report = left_out(report), report
         self._lengths: dict[int, float] = {}
         self._data: Any = model.createData()
-        self._damping = np.zeros(model.nv)
+        self._damping, self._stiffness, self._rests = np.zeros((3, model.nv))
+        self._springs: list[tuple[str, tuple[int, int], float, float, float]] = []
         self._rows, self._offsets, self._owners = np.zeros((0, model.nv)), np.zeros(0), list[str]()
         self._name(scene)
 
@@ -157,6 +162,10 @@ class PinocchioOriginal(Original):
                 length = np.linalg.norm(line)
                 residuals.append(np.array([length - self._lengths[number]]) / self.size)
                 rows.append((line / length @ apart[:3])[None] / self.size)
+            if kind == REVOLUTE:  # the first frame's x axis is perpendicular to the second's y and z axes
+                along, across = a.rotation[:, 0], b.rotation[:, 1:].T
+                residuals.append(across @ along)
+                rows.append(np.cross(along, across) @ apart[3:])
             if kind == "6d":
                 turn = a.rotation.T @ b.rotation
                 residuals.append(pin.log3(turn))
@@ -175,7 +184,11 @@ class PinocchioOriginal(Original):
                 self._lengths[number] = float(np.linalg.norm(line))
             else:
                 joint = data.oMi[model.frames[second].parentJoint]
-                wanted = data.oMf[first] if kind == "6d" else pin.SE3(np.eye(3), data.oMf[first].translation)
+                wanted = (
+                    data.oMf[first]
+                    if kind in ("6d", REVOLUTE)
+                    else pin.SE3(np.eye(3), data.oMf[first].translation)
+                )
                 model.frames[second].placement = joint.actInv(wanted)
         self._from, self._open = self.start, np.zeros(len(self._open))
         self._data = model.createData()
@@ -193,11 +206,35 @@ class PinocchioOriginal(Original):
     def forces(self, q: Array, v: Array) -> Forces:
         weight = -np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
         bias = np.array(pin.nonLinearEffects(self._model, self._data, q, v)) + weight
-        return Forces(weight, np.zeros(len(v)), -self._damping * v, np.zeros(len(v)), bias)
+        springs, dampers = -self._stiffness * (self._coordinates(q) - self._rests), -self._damping * v
+        for name, *_ in self._springs:
+            pulls = self._pulls(name, q, v)
+            springs, dampers = springs + pulls[0], dampers + pulls[1]
+        return Forces(weight, springs, dampers, np.zeros(len(v)), bias)
+
+    def _coordinates(self, q: Array) -> Array:
+        """(nv,) of joints of one motion."""
+        return np.asarray(pin.difference(self._model, pin.neutral(self._model), q))
+
+    def _pulls(self, spring: str, q: Array, v: Array) -> tuple[Array, Array, float]:
+        """Generalized forces (nv,) of a spring between points and of its damper, and its energy, J."""
+        model, data = self._model, self._data
+        frames, stiffness, rest, damping = next(each[1:] for each in self._springs if each[0] == spring)
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+        first, second = frames
+        line = data.oMf[second].translation - data.oMf[first].translation
+        length = float(np.linalg.norm(line))
+        rate = line / length @ (self._moving(second) - self._moving(first))[:3]
+        stretch = length - rest
+        return -stiffness * stretch * rate, -damping * (rate @ v) * rate, 0.5 * stiffness * stretch**2
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
         kinetic = pin.computeKineticEnergy(self._model, self._data, q, v)
-        return float(kinetic), float(pin.computePotentialEnergy(self._model, self._data, q))
+        potential = float(pin.computePotentialEnergy(self._model, self._data, q))
+        potential += float(0.5 * self._stiffness @ (self._coordinates(q) - self._rests) ** 2)
+        potential += sum(self._pulls(name, q, v)[2] for name, *_ in self._springs)
+        return float(kinetic), potential
 
     def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
         gravity, weights = self._model.gravity.linear.copy(), []
@@ -213,7 +250,11 @@ class PinocchioOriginal(Original):
                 forces = np.array(self.forces(sample.q, sample.v)[:-1])
                 found.append(np.where(own, forces, 0.0) * (1.0 - np.eye(4)[0][:, None]))
             if np.any(found):
-                yield f"{name}: damping", [found]
+                what = "stiffness and damping" if np.any(self._stiffness[own]) else "damping"
+                yield f"{name}: {what}", [found]
+        for name, *_ in self._springs:
+            pulls = [self._pulls(name, sample.q, sample.v) for sample in samples]
+            yield f"spring {name!r}", [[np.array([0.0 * k, k, d, 0.0 * d]) for k, d, _ in pulls]]
 
     def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
         for name in dict.fromkeys(self.motions):
@@ -227,7 +268,7 @@ class UrdfOriginal(PinocchioOriginal):
 
     def __init__(
         self,
-        text: str,
+        extensions: Extensions,
         loops: str | None,
         base: str,
         gravity: Sequence[float],
@@ -237,18 +278,20 @@ class UrdfOriginal(PinocchioOriginal):
         """Parse both files.
 
         Args:
-            text: of the URDF.
+            extensions: the text of the URDF, and what acts in it beyond its links and joints.
             loops: text of the loop file; None if there is none.
             base, gravity: as of `urdf.read`.
             report: of the reading.
             scene: what was read.
         """
-        self._root = ET.fromstring(text)
-        self._loops = parse_loops(loops, "loop file") if loops is not None else NO_LOOPS
-        model, owners = _built(text, self._loops, base)
+        self._root = ET.fromstring(extensions.text)
+        own = parse_loops(loops, "loop file") if loops is not None else NO_LOOPS
+        self._loops = extensions.added_to(own)
+        model, owners = _built(extensions.text, self._loops, base)
         model.gravity.linear = np.array(gravity)
         super().__init__(model, owners, _ends(model, self._loops), report, scene)
         self._damping = self._dampers()
+        self._add(extensions)
         self.unaccounted = tuple(self._unaccounted(report))
         self._couple()
         guess = np.zeros(model.nv)
@@ -267,6 +310,27 @@ class UrdfOriginal(PinocchioOriginal):
             if dynamics is not None and name in numbers and "damping" not in self._topics(f"joint {name!r}"):
                 found[model.joints[numbers[name]].idx_v] = float(dynamics.get("damping", 0.0))
         return found
+
+    def _add(self, extensions: Extensions) -> None:
+        """Add springs, dampers and rotors of elements that are no joints."""
+        model = self._model
+        for k in range(1, model.njoints):
+            joint, name = model.joints[k], str(model.names[k])
+            if joint.nv != 1:
+                continue
+            topics, place = self._topics(f"joint {name!r}"), joint.idx_v
+            if STIFFNESS not in topics:
+                self._stiffness[place], self._rests[place] = extensions.springs.get(name, (0.0, 0.0))
+            if "damping" not in topics:
+                self._damping[place] += extensions.dampings.get(name, 0.0)
+            if ARMATURE not in topics:
+                model.armature[place] = extensions.armatures.get(name, 0.0)
+        inert = {entry.element for entry in self._report.entries if entry.inert}
+        for spring in extensions.point_springs:
+            if f"spring {spring.name!r}" not in inert:
+                frames = tuple(int(model.getFrameId(frame)) for frame in spring.frames)
+                numbers = spring.stiffness, spring.rest_length, spring.damping
+                self._springs.append((spring.name, (frames[0], frames[1]), *numbers))
 
     def _couple(self) -> None:
         """Rows of mimics and of coupled joints: factors (c, nv), offsets (c,), owners."""

@@ -12,12 +12,8 @@ from __future__ import annotations
 
 import math
 import os
-import sys
-import tempfile
 import xml.etree.ElementTree as ET
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -28,9 +24,9 @@ import numpy as np
 from newton_euler.errors import NewtonEulerError, OptionError, check_choice
 from newton_euler.exercise import moving as exercised
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
-from newton_euler.model.forces import Armature, JointSpring
+from newton_euler.model.forces import Force
 from newton_euler.model.joint import Joint, Key
-from newton_euler.model.joint_kinds import Fixed, Rod, Spherical
+from newton_euler.model.joint_kinds import Fixed, Revolute, Rod, Spherical
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import ReadOptions, Request, path_text, read_text
@@ -47,11 +43,14 @@ from newton_euler.verification.import_report import (
 from newton_euler.verification.original import Original
 from newton_euler.verification.verify import check
 from urdf.errors import UrdfError
-from urdf.loops import NO_LOOPS, Loops
+from urdf.loops import NO_LOOPS, REVOLUTE, Loops
 from urdf.model import BASES, BaseName, ClosedLoopModel, build
-from urdf.original import ARMATURE, ModelOriginal, UrdfOriginal
+from urdf.original import ModelOriginal, UrdfOriginal
 from urdf.reading.bodies import Tree
+from urdf.reading.extensions import Extensions, PointSpringElement, read_extensions
+from urdf.reading.forces import armatures, joint_springs, point_springs
 from urdf.reading.given import Given, PinocchioModel
+from urdf.reading.parser_messages import overheard, report_complaints
 from urdf.reading.source import (
     JointProperties,
     SourceError,
@@ -65,14 +64,6 @@ from urdf.reading.visuals import dressed
 
 GRAVITY = (0.0, 0.0, -9.81)
 """m/s^2, unless another one is asked for; a URDF has none."""
-
-PARTS = {
-    "link": ("inertial", "visual", "collision"),
-    "joint": (
-        "origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller", "calibration"
-    ),
-}  # fmt: skip
-"""What is known inside of links and joints."""
 
 CLOSURES: dict[str, type[Joint]] = {"3d": Spherical, "6d": Fixed}
 
@@ -96,6 +87,7 @@ class Robot:
         joints: what joints have beside their motions.
         root: of the URDF; None of a model in memory.
         first: a configuration to start near to, and what reports call it.
+        springs: between points of two links.
     """
 
     where: str
@@ -107,6 +99,7 @@ class Robot:
     joints: list[JointProperties]
     root: ET.Element | None = None
     first: tuple[Array, str] | None = None
+    springs: tuple[PointSpringElement, ...] = ()
 
 
 def read(
@@ -115,6 +108,7 @@ def read(
     base: BaseName = "fixed",
     gravity: Sequence[float] | None = None,
     q: Sequence[float] | Array | None = None,
+    ignore: Sequence[str] = (),
     **options: Unpack[ReadOptions],
 ) -> Reading:
     """Read a URDF, or a model that Pinocchio has in memory.
@@ -128,6 +122,8 @@ def read(
         gravity: (3,) of the scene, m/s^2; (0, 0, -9.81) for a URDF and the model's own otherwise, if None.
         q: (nq,) Pinocchio's configuration that a model in memory starts from, or next to where its loops
             close; neutral if None.
+        ignore: tags or names of elements of a URDF that are no link and no joint, such as "loop_joint": they
+            are left out, where they would be refused or simulated.
         options: see `newton_euler.model.source_file.Request`. What is verified is the file as it stands.
 
     Raises:
@@ -146,8 +142,9 @@ def read(
     if isinstance(model, str | os.PathLike):
         if q is not None:
             raise OptionError("q", q, "none, as a URDF starts from coordinates 0")
-        return _from_file(model, loops, base, GRAVITY if gravity is None else gravity, request)
-    for option, value, default in (("loops", loops, None), ("base", base, "fixed")):
+        pull = GRAVITY if gravity is None else gravity
+        return _from_file(model, loops, base, pull, request, [ignore] if isinstance(ignore, str) else ignore)
+    for option, value, default in (("loops", loops, None), ("base", base, "fixed"), ("ignore", ignore, ())):
         if value != default:
             raise OptionError(option, value, "none, as it is of URDF files")
     return _from_memory(model, gravity, q, request)
@@ -159,6 +156,7 @@ def _from_file(
     base: BaseName,
     gravity: Sequence[float],
     request: Request,
+    ignore: Sequence[str],
 ) -> Reading:
     where = path_text(path, SourceError)
     text = read_text(where, "file_size", SourceError)
@@ -171,26 +169,35 @@ def _from_file(
         loop_text = read_text(loop_path, "scene_size", SourceError)
         closing = read_loops(loop_path, loop_text)
     words: list[str] = []
+    report = ImportReport()
     try:
-        with _overheard(words):
+        with overheard(words):
+            extensions = read_extensions(where, text, root, closing, ignore, report)
+            text = extensions.text
+            closing = extensions.added_to(closing)
             closed = build(text, closing, base=base)
         if closed.model.nv == 0:
             raise SourceError(where, "no joint can move")
         moving = [j for j in root.findall("joint") if j.get("type") != "fixed"]
         mimics = [Mimic(j, m) for j in moving for m in j.findall("mimic")]
-        name, joints = root.get("name", "") or Path(where).stem, joint_properties(root)
-        robot = Robot(where, name, Path(where).name, closed, closing, mimics, joints, root)
-        found = _reading(robot, request, gravity, partial(UrdfOriginal, text, loop_text, base, gravity))
+        name, joints = root.get("name", "") or Path(where).stem, _with_extensions(root, extensions)
+        springs = tuple(extensions.point_springs)
+        robot = Robot(where, name, Path(where).name, closed, closing, mimics, joints, root, springs=springs)
+        found = _reading(
+            robot, report, request, gravity, partial(UrdfOriginal, extensions, loop_text, base, gravity)
+        )
     except RuntimeError as error:  # what Pinocchio asserts, of inertias for one
         check_inertias(where, root)
         raise SourceError(where, f"Pinocchio refuses it: {' '.join(str(error).split())}") from error
     except UrdfError as error:
         if str(error).startswith(where) or (closing.source and str(error).startswith(closing.source)):
             raise
-        raise SourceError(where, "; ".join([str(error), *words])) from error
+        errors = [line.removeprefix("Error:").strip() for line in words if line.startswith("Error:")]
+        raise SourceError(where, "; ".join([str(error), *errors])) from error
     except (NewtonEulerError, np.linalg.LinAlgError) as error:
         check_inertias(where, root)
         raise SourceError(where, str(error)) from error
+    report_complaints(words, report)
     root_link = "is the ground" if base == "fixed" else "floats"
     pull = " ".join(f"{g:g}" for g in gravity)
     found.report.start.append(f"gravity is {pull} m/s^2, a URDF has none; its root link {root_link}")
@@ -214,7 +221,11 @@ def _from_memory(
     pull = given.closed.model.gravity.linear if gravity is None else gravity
     try:
         return _reading(
-            robot, request, pull, partial(ModelOriginal, given.model, given.constraints, given.q, pull)
+            robot,
+            ImportReport(),
+            request,
+            pull,
+            partial(ModelOriginal, given.model, given.constraints, given.q, pull),
         )
     except SourceError:
         raise
@@ -222,20 +233,37 @@ def _from_memory(
         raise SourceError(given.where, " ".join(str(error).split())) from error
 
 
+def _with_extensions(root: ET.Element, extensions: Extensions) -> list[JointProperties]:
+    """Properties of the joints of a URDF, with the springs, dampers and rotors of its other elements."""
+    found = []
+    for joint in joint_properties(root):
+        stiffness, rest = extensions.springs.get(joint.name, (0.0, 0.0))
+        found.append(
+            joint._replace(
+                stiffness=stiffness,
+                rest=rest,
+                damping=joint.damping + extensions.dampings.get(joint.name, 0.0),
+                armature=extensions.armatures.get(joint.name, 0.0),
+            )
+        )
+    return found
+
+
 def _reading(
     robot: Robot,
+    report: ImportReport,
     request: Request,
     gravity: Sequence[float],
     original: Callable[[ImportReport, Scene], Original],
 ) -> Reading:
-    report = ImportReport()
     tolerance = request.redundancy_tolerance
     start = Start(robot.where, robot.closed, robot.loops, robot.mimics, report, tolerance, robot.first)
     tree = Tree(robot.where, start, set(robot.loops.name_mot), report)
     if robot.root is not None:
         tree.bodies = dressed(robot.where, robot.root, start, tree, report)
     scene = _scene(robot, start, tree, report, request, gravity)
-    with np.errstate(all="ignore"):  # what overflows is refused
+    # what overflows is refused; the parser has been heard before
+    with np.errstate(all="ignore"), overheard([]):
         report.originals.append((original(report, scene), scene))
     if request.verified:
         report.start.append(check(report))
@@ -243,23 +271,6 @@ def _reading(
         scene, fastest = exercised(scene)
         report.start.append(f"exercised: {fastest}")
     return Reading(scene, report)
-
-
-@contextmanager
-def _overheard(words: list[str]) -> Iterator[None]:
-    """Keep what the parser says on standard error beside what it raises, which names no element."""
-    sys.stderr.flush()
-    before = os.dup(2)
-    with tempfile.TemporaryFile() as said:
-        os.dup2(said.fileno(), 2)
-        try:
-            yield
-        finally:
-            os.dup2(before, 2)
-            os.close(before)
-            said.seek(0)
-            lines = said.read().decode(errors="replace").splitlines()
-            words += [line.removeprefix("Error:").strip() for line in lines if line.startswith("Error:")]
 
 
 def _scene(
@@ -276,8 +287,11 @@ def _scene(
     joints = [*tree.joints, *_closing(start, tree, report)]
     gears = list(_gears(start, tree, [joint.name for joint in joints], report))
     name = unique_name(robot.name, "robot", ())[:100].strip(".") or "robot"
-    springs = tuple(_springs(robot.joints, tree, report))
-    armatures = tuple(_armatures(robot.joints, tree, report))
+    springs: tuple[Force, ...] = (
+        *joint_springs(robot.joints, start, tree, report),
+        *point_springs(robot.springs, start, tree, report),
+    )
+    rotors = tuple(armatures(robot.joints, tree, report))
     _report_joints(robot.joints, start, tree, report)
     if robot.root is not None:
         _report_leftovers(robot.root, report)
@@ -288,7 +302,7 @@ def _scene(
         request.output_period,
         gravity=np.array(gravity),
         forces=springs,
-        armatures=armatures,
+        armatures=rotors,
         description=robot.description,
         redundancy_tolerance=request.redundancy_tolerance,
     )
@@ -300,6 +314,7 @@ def _closing(start: Start, tree: Tree, report: ImportReport) -> Iterator[Joint]:
     frames, rods = iter(closed.frames), iter(closed.rods)
     for number, (pair, kind) in enumerate(zip(loops.closed_loop, loops.type, strict=True)):
         first, second = next(rods) if kind == "rod" else next(frames)
+        along = next(frames)[0] if kind == REVOLUTE else first  # a second point on the axis
         (a, p), (b, q) = tree.end(first), tree.end(second)
         element = f"closed_loop {' and '.join(pair)}"
         if a == b:
@@ -310,8 +325,15 @@ def _closing(start: Start, tree: Tree, report: ImportReport) -> Iterator[Joint]:
         name = unique_name(wanted, "closure", taken)
         taken = [*taken, name]
         # one point for both, so that the loop keeps what the file's digits leave it open by
-        yield Rod(name, a, b, p, point_on_second=q) if kind == "rod" else CLOSURES[kind](name, a, b, p)
-        report.exactly(element, f"{'rod' if kind == 'rod' else CLOSURES[kind].kind} joint {name!r}")
+        joint: Joint
+        if kind == "rod":
+            joint = Rod(name, a, b, p, point_on_second=q)
+        elif kind == REVOLUTE:
+            joint = Revolute(name, a, b, p, axis=tree.end(along)[1] - p)
+        else:
+            joint = CLOSURES[kind](name, a, b, p)
+        yield joint
+        report.exactly(element, f"{joint.kind} joint {name!r}")
 
 
 def _gears(start: Start, tree: Tree, taken: list[str], report: ImportReport) -> Iterator[JointCoupling]:
@@ -345,32 +367,6 @@ def _gears(start: Start, tree: Tree, taken: list[str], report: ImportReport) -> 
     yield from sums
 
 
-def _springs(joints: list[JointProperties], tree: Tree, report: ImportReport) -> Iterator[JointSpring]:
-    """The dampers of joints."""
-    for joint in joints:
-        name, damping = joint.name, joint.damping
-        if damping and name in tree.keys:
-            key = tree.keys[name]
-            yield JointSpring(key[0], damping=damping, coordinate=key[1])
-            report.exactly(f"joint {name!r}", f"its damping {damping:g} as a damper")
-        elif damping:
-            why = f"its damping {damping:g}: it is no hinge or slide that moves"
-            report.left_out(f"joint {name!r}", why, topic="damping")
-
-
-def _armatures(joints: list[JointProperties], tree: Tree, report: ImportReport) -> Iterator[Armature]:
-    """The rotor inertias of joints."""
-    for joint in joints:
-        name, armature = joint.name, joint.armature
-        if armature and name in tree.keys:
-            key = tree.keys[name]
-            yield Armature(key[0], armature, key[1])
-            report.exactly(f"joint {name!r}", f"its armature {armature:g} as a rotor inertia")
-        elif armature:
-            why = f"its armature {armature:g}: it is no hinge or slide that moves"
-            report.left_out(f"joint {name!r}", why, topic=ARMATURE)
-
-
 def _limits(start: Start, joint: JointProperties, key: Key) -> list[Watch]:
     """Watches how far a joint goes and how fast; what it may be driven with limits nothing: nothing does."""
     assert joint.limits is not None
@@ -400,15 +396,7 @@ def _report_joints(joints: list[JointProperties], start: Start, tree: Tree, repo
 
 
 def _report_leftovers(root: ET.Element, report: ImportReport) -> None:
-    """Tell of all elements that are no part of rigid bodies and joints."""
-    for tag, known in PARTS.items():
-        parts = Counter(part.tag for element in root.findall(tag) for part in element)
-        for inner, count in parts.items():
-            if inner not in known:
-                report.left_out(f"{count} <{inner}> of {tag}s", "no part of a URDF's mechanics", inert=True)
+    """Report the contacts of a URDF, which are no bilateral constraints."""
     if touching := root.findall("link/collision"):
         why = "contacts are no bilateral constraints"
         report.left_out(f"{len(touching)} collision elements", why, topic=CONTACTS)
-    for tag in dict.fromkeys(child.tag for child in root if child.tag not in ("link", "joint", "material")):
-        element = f"{len(root.findall(tag))} <{tag}>"
-        report.left_out(element, "no part of a URDF's mechanics", inert=True)

@@ -20,6 +20,14 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 
+TO_CONVERT = {
+    ".sdf": "sdf2mjcf, of the package sdformat-mjcf, makes an MJCF of it",
+    ".world": "sdf2mjcf, of the package sdformat-mjcf, makes an MJCF of it",
+    ".xacro": "run xacro first: xacro FILE -o robot.urdf",
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "export a URDF from the tool that it is of"),
+}
+"""Formats that are not read, by suffix, and what to do."""
+
 
 class Option(NamedTuple):
     """One option of model files.
@@ -48,6 +56,11 @@ def _vector(value: str) -> tuple[float, float, float]:
 def _numbers(value: str) -> list[float]:
     """Any numbers, between commas."""
     return [plain_number(each) for each in value.split(",")]
+
+
+def _names(value: str) -> list[str]:
+    """Any names, between commas."""
+    return [name.strip() for name in value.split(",") if name.strip()]
 
 
 def _switch(value: str) -> bool:
@@ -89,6 +102,7 @@ URDF_OPTIONS = COMMON | {
     "loops": Option("FILE, its loop file", "none"),
     "base": Option("fixed|free", "fixed"),
     "gravity": Option("X,Y,Z in m/s^2, or 0", "0,0,-9.81", *_GRAVITY),
+    "ignore": Option("ELEMENTS to leave out, tags or names, between commas", "none", _names),
 }
 
 LONGEST_NAMES = 150

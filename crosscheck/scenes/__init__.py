@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.model_files.read import is_model, read_model
+from crosscheck.model_files.read import TO_CONVERT, is_model, read_model
 from crosscheck.scenes import (
     andrews,
     bricard,
@@ -79,6 +79,8 @@ def load(name: str, /, **options: str | float) -> Scene:
         return SCENES[name](**_read(name, options))
     if is_model(name):
         return read_model(name, options)[0]
+    if remedy := TO_CONVERT.get(Path(name).suffix.lower()):
+        raise CrosscheckError(f"{name!r} is of a format that is not read; {remedy}")
     if Path(name).suffix not in (".yaml", ".yml", ".json"):
         raise CrosscheckError(
             f"unknown scene {name!r}; {choices(name, SCENES)}, or give a .yaml, .json, .xml or .urdf file"

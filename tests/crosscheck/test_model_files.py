@@ -7,6 +7,7 @@ from command_line import run
 
 from crosscheck.cli.shared import tell
 from crosscheck.errors import CrosscheckError
+from crosscheck.scenes import load
 from newton_euler.verification.import_report import ImportReport
 
 CLOSED_LOOP = "closed_loop: []\ntype: []\nname_mot: []\n"
@@ -96,3 +97,9 @@ def test_of_many_elements_the_first_are_told(capsys):
     *told, last = capsys.readouterr().err.splitlines()
     assert told == [f"m.xml: joint '{n}': left out: its dry friction 0.2" for n in range(4)]
     assert last == "m.xml: 5 more elements are not as in the file; crosscheck run -v names all"
+
+
+@pytest.mark.parametrize("name", ["robot.sdf", "arena.world", "robot.urdf.xacro", "robot.usda"])
+def test_other_formats_are_refused_with_what_to_do(name: str) -> None:
+    with pytest.raises(CrosscheckError, match=r"sdf2mjcf|xacro FILE|export a URDF"):
+        load(name)

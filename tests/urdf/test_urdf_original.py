@@ -58,7 +58,7 @@ def shifted(self: Any, joint: Any, mimic: Any, init: Any = Mimic.__init__) -> No
     ("where", "fault", "named"),
     [
         (
-            "urdf.reader._springs",
+            "urdf.reader.joint_springs",
             lambda *_: iter(()),
             "is not what the file says: dampers, rel: 1 > ",
         ),

@@ -15,6 +15,7 @@ from newton_euler.model import source_file
 from newton_euler.model.source_file import LARGEST, scan
 from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import Loops, parse_loops
+from urdf.reading.vocabulary import check_expanded
 
 NUMBERS = {
     "origin": ("xyz", "rpy"),
@@ -44,6 +45,8 @@ class JointProperties(NamedTuple):
         limits: lowest and highest coordinate and largest rate; None if it has none.
         unit: of its coordinate, m or rad.
         has_safety: whether it has a safety controller.
+        stiffness, rest: of its spring, N/m or N m/rad, and the coordinate, m or rad, where that
+            exerts nothing.
     """
 
     name: str
@@ -53,6 +56,8 @@ class JointProperties(NamedTuple):
     limits: tuple[float, float, float] | None
     unit: str
     has_safety: bool = False
+    stiffness: float = 0.0
+    rest: float = 0.0
 
 
 def joint_properties(root: ET.Element) -> list[JointProperties]:
@@ -90,7 +95,7 @@ def parsed(path: str, text: str) -> ET.Element:
     Raises:
         SourceError: naming the line or the element at fault.
     """
-    scan(path, text, "robot", lambda tag, attributes, line: None, SourceError)
+    scan(path, text, None, check_expanded(path, SourceError), SourceError)
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:  # a prefix of no namespace

@@ -1,0 +1,489 @@
+"""Loops, springs and rotors that tools add to a URDF in elements of their own.
+
+Read, where what they mean is documented:
+
+- `<gazebo><joint>`, https://classic.gazebosim.org/tutorials?tut=kinematic_loop: the joint's `<pose>` is in
+  the child's frame, its axis in the joint's own frame (SDF 1.7); both links are where all joints are at 0;
+- `<gazebo reference="JOINT">` with `springStiffness` and `springReference`, or `<dynamics>`;
+- `<loop_joint>` of Isaac Sim's importer;
+- `drake:ball_constraint`, `drake:linear_spring_damper`, `drake:rotor_inertia` and `drake:gear_ratio`, see
+  `parse_urdf.cc` and `detail_common.h` of Drake.
+
+Other elements that hold bodies together or push them are refused, with their line.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pinocchio as pin
+
+from newton_euler.errors import choices
+from newton_euler.model.source_file import LARGEST, scan
+from newton_euler.scalars import Array
+from newton_euler.verification.import_report import ImportReport, unique_name
+from urdf.loops import REVOLUTE, Loops
+from urdf.reading.source import SourceError
+from urdf.reading.vocabulary import CLOSING, DRAKE, report_unmoving, tag_of, unknown
+
+CLOSURE_KINDS = {
+    "revolute": REVOLUTE,
+    "continuous": REVOLUTE,
+    "ball": "3d",
+    "spherical": "3d",
+    "fixed": "6d",
+}
+"""Kinds of joints that close loops, by their types in files."""
+
+ONSHAPE = re.compile(r"closing_(.+)_([12])")
+"""Names of the two links that onshape-to-robot leaves where a loop is closed."""
+
+
+class End(NamedTuple):
+    """A frame on a link: the link's name, and the frame's placement in the link's frame (`pinocchio.SE3`)."""
+
+    link: str
+    placement: Any
+
+
+class PointSpringElement(NamedTuple):
+    """A spring and damper between two points: names of frames, N/m, m and N s/m."""
+
+    name: str
+    frames: tuple[str, str]
+    stiffness: float
+    rest_length: float
+    damping: float
+
+
+@dataclass
+class Extensions:
+    """Elements of a URDF that act beyond its links and joints.
+
+    Attributes:
+        text: the URDF with a frame for each end of a loop and of a spring.
+        closed_loop, kinds: pairs of those frames, and what closes them: kinds of `urdf.loops`.
+        springs: stiffness, N m/rad or N/m, and rest, rad or m, by the name of a joint.
+        dampings: N m s/rad or N s/m beside those of `<dynamics>`, by the name of a joint.
+        armatures: kg m^2 or kg, by the name of a joint.
+        point_springs: between points of two links.
+    """
+
+    text: str
+    closed_loop: list[tuple[str, str]] = field(default_factory=list)
+    kinds: list[str] = field(default_factory=list)
+    springs: dict[str, tuple[float, float]] = field(default_factory=dict)
+    dampings: dict[str, float] = field(default_factory=dict)
+    armatures: dict[str, float] = field(default_factory=dict)
+    point_springs: list[PointSpringElement] = field(default_factory=list)
+
+    def added_to(self, loops: Loops) -> Loops:
+        """A loop file's loops, and those of the URDF after them."""
+        return replace(
+            loops, closed_loop=(*loops.closed_loop, *self.closed_loop), type=(*loops.type, *self.kinds)
+        )
+
+
+def read_extensions(
+    path: str, text: str, root: ET.Element, loops: Loops, ignored: Sequence[str], report: ImportReport
+) -> Extensions:
+    """Read all elements of a URDF that are no link and no joint.
+
+    Args:
+        path, text, root: of the URDF, which has been checked.
+        loops: of its loop file.
+        ignored: tags or names of elements that are left out, whatever they do.
+        report: filled.
+
+    Raises:
+        SourceError: with the line of an element that holds or pushes and that is not understood, and for an
+            ignored element that the file does not have.
+    """
+    return _Reader(path, text, root, loops, ignored, report).found
+
+
+class _Reader:
+    """One pass over the elements."""
+
+    def __init__(
+        self,
+        path: str,
+        text: str,
+        root: ET.Element,
+        loops: Loops,
+        ignored: Sequence[str],
+        report: ImportReport,
+    ) -> None:
+        self._path, self._root, self._report = path, root, report
+        lines: list[int] = []
+        scan(path, text, "robot", lambda tag, attributes, line: lines.append(line), SourceError)
+        self._lines = dict(zip(root.iter(), lines, strict=True))
+        self._links = {str(link.get("name")) for link in root.findall("link")}
+        self._joints = {str(joint.get("name")): joint for joint in root.findall("joint")}
+        self._names = [*self._links, *self._joints]
+        self._frames: list[tuple[str, End]] = []
+        self._ignored, self._used = set(ignored), set[str]()
+        self._candidates: list[str] = []
+        self._plain = text
+        self.found = Extensions(text)
+        self._read_all(loops)
+        if missing := [name for name in ignored if name not in self._used]:
+            known = list(dict.fromkeys(self._candidates))
+            needed = choices(missing[0], known) if known else "none, as the file has no such elements"
+            problem = f"ignore is {missing[0]!r:.100}; needed: a tag or a name of an element; {needed}"
+            raise SourceError(path, problem)
+        self.found.text = self._amended(text)
+
+    def _read_all(self, loops: Loops) -> None:
+        for element in self._root:
+            self._read_rotors(element)
+        for element, what in unknown(self._root):
+            tag, place = tag_of(element), self._parent(element)
+            if self._is_ignored(element, place, what):
+                continue
+            if not self._read(element, tag, place):
+                if CLOSING.search(tag) or (tag in ("joint", f"{DRAKE}joint") and place is not None):
+                    raise self._refused(element, "is not understood: it may close a loop or exert a force")
+                self._report.not_understood(what, "no rule knows it, so it is not simulated")
+        self._check_onshape(loops)
+        for joint in self._joints.values():
+            self._read_dynamics(joint)
+        report_unmoving(self._root, self._report)
+
+    def _parent(self, element: ET.Element) -> ET.Element:
+        for child in self._root:
+            if child is element:
+                return self._root
+            if any(part is element for part in child.iter()):
+                return child
+        return self._root
+
+    def _is_ignored(self, element: ET.Element, place: ET.Element, what: str) -> bool:
+        tag = tag_of(element)
+        names = [tag, element.get("name"), place.get("reference")]
+        self._candidates += [name for name in names[:2] if name]
+        hit = self._ignored & {name for name in names if name}
+        if hit:
+            self._used |= hit
+            self._report.left_out(what, "ignored, as asked for")
+        return bool(hit)
+
+    def _refused(self, element: ET.Element, problem: str) -> SourceError:
+        tag, name = tag_of(element), element.get("name")
+        named = f"<{tag}>" + (f" {name!r:.100}" if name else "")
+        remedy = "put its loop into a loop file (--set loops=FILE)" if self._closes(tag) else "remove it"
+        text = f"line {self._lines[element]}: {named} {problem}; {remedy}, or leave it out: "
+        return SourceError(self._path, f"{text}--set ignore={name or tag}")
+
+    @staticmethod
+    def _closes(tag: str) -> bool:
+        return not re.search("spring|bushing|tendon", tag)
+
+    def _read(self, element: ET.Element, tag: str, place: ET.Element) -> bool:
+        """Read an element; False if no rule does."""
+        match tag_of(place), tag:
+            case "gazebo", "joint":
+                self._read_gazebo_joint(element)
+            case "gazebo", "springStiffness" | "springReference" | "dynamics" if place.get("reference"):
+                self._read_gazebo_spring(element, str(place.get("reference")), place)
+            case "gazebo", "gravity" | "turnGravityOff" if self._is_ordinary_gravity(element, tag):
+                pass
+            case _, "loop_joint":
+                self._read_loop_joint(element)
+            case _, "drake:ball_constraint":
+                ends = self._drake_ends(element, tag)
+                self._close(element, element.get("name") or "ball_constraint", "3d", *ends)
+            case _, "drake:linear_spring_damper":
+                self._read_spring(element)
+            case "joint", "drake:rotor_inertia" | "drake:gear_ratio":
+                pass  # read before
+            case _:
+                return False
+        return True
+
+    @staticmethod
+    def _is_ordinary_gravity(element: ET.Element, tag: str) -> bool:
+        text = (element.text or "").strip().lower()
+        return text in (("true", "1") if tag == "gravity" else ("false", "0"))
+
+    # Numbers
+
+    def _numbers(self, element: ET.Element, text: str | None, count: int, what: str) -> Array:
+        try:
+            values = [float(x) for x in (text or "").split()]
+        except ValueError:
+            values = []
+        if len(values) != count or not all(abs(x) <= LARGEST for x in values):
+            needed = "a finite number" if count == 1 else f"{count} finite numbers"
+            tag, line = tag_of(element), self._lines[element]
+            raise SourceError(self._path, f"line {line}: <{tag}>: {what} is {text!r:.100}; needed: {needed}")
+        return np.array(values)
+
+    def _number(self, element: ET.Element, text: str | None, what: str) -> float:
+        return float(self._numbers(element, text, 1, what)[0])
+
+    def _pose(self, element: ET.Element, xyz: str | None, rpy: str | None) -> Any:
+        turn = pin.rpy.rpyToMatrix(*self._numbers(element, rpy or "0 0 0", 3, "rpy"))
+        return pin.SE3(turn, self._numbers(element, xyz or "0 0 0", 3, "xyz"))
+
+    def _end(self, element: ET.Element, link: str | None, placement: Any) -> End:
+        name = (link or "").strip()
+        if name not in self._links:
+            line = self._lines[element]
+            known = choices(name, sorted(self._links))
+            raise SourceError(
+                self._path, f"line {line}: <{tag_of(element)}>: no link {name!r:.100}; {known:.300}"
+            )
+        return End(name, placement)
+
+    # Loops
+
+    def _placed(self, end: End) -> Any:
+        """The placement of a frame in the world with all joints at 0."""
+        model = pin.buildModelFromXML(self._plain)
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, pin.neutral(model))
+        return data.oMf[model.getFrameId(end.link, pin.FrameType.BODY)] * end.placement
+
+    def _facing(self, end: End, other: str) -> End:
+        """The frame on another link that coincides with one with all joints at 0."""
+        return End(other, self._placed(End(other, pin.SE3.Identity())).actInv(self._placed(end)))
+
+    def _read_gazebo_joint(self, element: ET.Element) -> None:
+        kind = self._kind(element)
+        pose = element.find("pose")
+        numbers = np.zeros(6)
+        if pose is not None:
+            if pose.get("relative_to") or pose.get("frame"):
+                raise self._refused(pose, "is relative to a frame that is not the child's")
+            numbers = self._numbers(pose, pose.text or "0 0 0 0 0 0", 6, "pose")
+        child = self._end(
+            element, element.findtext("child"), pin.SE3(pin.rpy.rpyToMatrix(*numbers[3:]), numbers[:3])
+        )
+        if kind == REVOLUTE:
+            xyz = element.find("axis/xyz")
+            axis = np.array([0.0, 0.0, 1.0])
+            if xyz is not None:
+                axis = self._numbers(xyz, xyz.text, 3, "axis")
+                in_model = (element.findtext("axis/use_parent_model_frame") or "").strip() in ("1", "true")
+                if in_model or xyz.get("expressed_in") == "__model__":
+                    axis = self._placed(child).rotation.T @ axis
+                elif xyz.get("expressed_in"):
+                    raise self._refused(xyz, f"is expressed in {xyz.get('expressed_in')!r:.100}")
+            child = self._along(element, child, axis)
+        parent = self._facing(child, self._end(element, element.findtext("parent"), None).link)
+        self._close(element, str(element.get("name") or "loop"), kind, parent, child)
+        self._report_rest(element)
+
+    def _report_rest(self, element: ET.Element) -> None:
+        """Report what a joint in `<gazebo>` has beside its motion and its place."""
+        name = f"joint {element.get('name')!r} of gazebo"
+        for part in ("damping", "friction", "spring_stiffness"):
+            text = element.findtext(f"axis/dynamics/{part}")
+            if text is not None and self._number(element, text, part):
+                self._report.left_out(name, f"its {part} {text.strip()}", topic=part)
+        if element.find("axis/limit") is not None:
+            self._report.left_out(name, "its limits: limits are no bilateral constraints", topic="limits")
+
+    def _along(self, element: ET.Element, end: End, axis: Array) -> End:
+        """The same frame, turned so that its x axis is along an axis (3,) of the frame."""
+        length = float(np.linalg.norm(axis))
+        if length == 0.0:
+            raise SourceError(
+                self._path, f"line {self._lines[element]}: its axis is 0 0 0; needed: a direction"
+            )
+        turn = pin.Quaternion.FromTwoVectors(np.array([1.0, 0.0, 0.0]), axis / length).toRotationMatrix()
+        return End(end.link, end.placement * pin.SE3(turn, np.zeros(3)))
+
+    def _kind(self, element: ET.Element) -> str:
+        kind = element.get("type")
+        if kind not in CLOSURE_KINDS:
+            needed = choices(kind, CLOSURE_KINDS)
+            raise self._refused(element, f"has the type {kind!r:.100}, which closes no loop here ({needed})")
+        return CLOSURE_KINDS[kind]
+
+    def _read_loop_joint(self, element: ET.Element) -> None:
+        kind = self._kind(element)
+        parts = [part for part in element if tag_of(part) in ("link1", "link2")]
+        if len(parts) == 2:
+            one, two = (self._end(p, p.get("link"), self._pose(p, p.get("xyz"), p.get("rpy"))) for p in parts)
+        else:
+            one, two = (self._origin_end(element, side) for side in ("parent", "child"))
+        if kind == REVOLUTE:
+            axis = element.find("axis")
+            if axis is None:
+                raise self._refused(element, "is revolute and has no axis")
+            given = End(one.link, pin.SE3(np.eye(3), one.placement.translation))
+            in_parent = axis.get("frame") == "parent"
+            one = self._along(
+                element, given if in_parent else one, self._numbers(axis, axis.get("xyz"), 3, "xyz")
+            )
+            facing = self._facing(one, two.link)
+            two = End(two.link, pin.SE3(facing.placement.rotation, two.placement.translation))
+        self._close(element, str(element.get("name") or "loop_joint"), kind, one, two)
+
+    def _origin_end(self, element: ET.Element, side: str) -> End:
+        link, origin = element.find(side), element.find(f"{side}_origin")
+        if link is None or origin is None:
+            raise self._refused(element, f"has no <{side}> with a <{side}_origin>, nor two <link1>")
+        return self._end(link, link.get("link"), self._pose(origin, origin.get("xyz"), origin.get("rpy")))
+
+    def _close(self, element: ET.Element, name: str, kind: str, first: End, second: End) -> None:
+        if first.link == second.link:
+            raise self._refused(element, f"joins link {first.link!r:.100} to itself")
+        pair = self._add_frames(name, first, second)
+        self.found.closed_loop.append(pair)
+        self.found.kinds.append(kind)
+
+    def _add_frames(self, name: str, *ends: End) -> tuple[str, str]:
+        taken = {frame.rpartition("_on_")[0] for frame, _ in self._frames}
+        name, names = unique_name(name, "loop", taken), []
+        for end in ends:
+            frame = unique_name(f"{name}_on_{end.link}", "frame", self._names)
+            self._names.append(frame)
+            self._frames.append((frame, end))
+            names.append(frame)
+        return names[0], names[1]
+
+    def _check_onshape(self, loops: Loops) -> None:
+        """Refuse pairs of links that onshape-to-robot leaves for loops that nothing closes."""
+        closed = {frame for pair in loops.closed_loop for frame in pair}
+        pairs: dict[str, set[str]] = {}
+        for link in self._root.findall("link"):
+            if found := ONSHAPE.fullmatch(str(link.get("name"))):
+                pairs.setdefault(found[1], set()).add(found[2])
+        for name, numbers in pairs.items():
+            frames = [f"closing_{name}_{k}" for k in (1, 2)]
+            self._candidates.append(f"closing_{name}")
+            if len(numbers) < 2 or closed & set(frames):
+                continue
+            if f"closing_{name}" in self._ignored:
+                self._used.add(f"closing_{name}")
+                self._report.left_out(f"loop 'closing_{name}'", "ignored, as asked for")
+                continue
+            text = f"closed_loop: [[{', '.join(frames)}]], type: [3d], name_mot: []"
+            problem = f"links {' and '.join(frames)}: onshape-to-robot's ends of a loop that nothing closes"
+            remedy = f"write a loop file with {text} (--set loops=FILE), or --set ignore=closing_{name}"
+            raise SourceError(self._path, f"{problem}; {remedy}")
+
+    # Springs and rotors
+
+    def _drake_ends(self, element: ET.Element, tag: str) -> tuple[End, End]:
+        ends = []
+        for body, point in (("body_A", "p_AP"), ("body_B", "p_BQ")):
+            link, place = self._drake(element, tag, body), self._drake(element, tag, point)
+            where = pin.SE3(np.eye(3), self._numbers(place, place.get("value"), 3, point))
+            ends.append(self._end(link, link.get("name"), where))
+        return ends[0], ends[1]
+
+    def _drake(self, element: ET.Element, tag: str, part: str) -> ET.Element:
+        wanted = f"{tag}_{part}"
+        for child in element:
+            if tag_of(child) == wanted:
+                return child
+        raise self._refused(element, f"has no <{wanted}>")
+
+    def _read_spring(self, element: ET.Element) -> None:
+        tag = tag_of(element)
+        ends = self._drake_ends(element, tag)
+        numbers = []
+        for part in ("stiffness", "free_length", "damping"):
+            child = self._drake(element, tag, part)
+            numbers.append(self._number(child, child.get("value"), part))
+            if numbers[-1] < 0.0:
+                raise self._refused(element, f"has a {part} below 0")
+        if ends[0].link == ends[1].link:
+            raise self._refused(element, f"joins link {ends[0].link!r:.100} to itself")
+        frames = self._add_frames(element.get("name") or "spring", *ends)
+        name = frames[0].rpartition("_on_")[0]
+        self.found.point_springs.append(PointSpringElement(name, frames, *numbers))
+
+    def _read_gazebo_spring(self, element: ET.Element, joint: str, place: ET.Element) -> None:
+        if joint not in self._joints:
+            line = self._lines[place]
+            raise SourceError(
+                self._path, f"line {line}: <gazebo> refers to {joint!r:.100}, which is no joint"
+            )
+        tag = tag_of(element)
+        if tag == "dynamics":
+            names = ("damping", "spring_stiffness", "spring_reference", "friction")
+            values = {name: element.get(name) or element.findtext(name) for name in names}
+            known = {n: self._number(element, text, n) for n, text in values.items() if text is not None}
+            self._set_spring(joint, known.get("spring_stiffness"), known.get("spring_reference"))
+            if known.get("damping"):
+                self.found.dampings[joint] = self.found.dampings.get(joint, 0.0) + known["damping"]
+            if known.get("friction"):
+                self._report.left_out(
+                    f"joint {joint!r}", f"its dry friction {known['friction']:g}", "dry friction"
+                )
+            return
+        value = self._number(element, element.text, tag)
+        self._set_spring(joint, *((value, None) if tag == "springStiffness" else (None, value)))
+
+    def _set_spring(self, joint: str, stiffness: float | None, rest: float | None) -> None:
+        before = self.found.springs.get(joint, (0.0, 0.0))
+        if stiffness is not None and stiffness < 0.0:
+            raise SourceError(
+                self._path, f"joint {joint!r:.100}: a stiffness of {stiffness:g}; needed: none below 0"
+            )
+        new = (before[0] if stiffness is None else stiffness, before[1] if rest is None else rest)
+        if new != (0.0, 0.0):
+            self.found.springs[joint] = new
+
+    def _read_dynamics(self, joint: ET.Element) -> None:
+        """Read attributes of `<dynamics>` that are no part of the URDF standard."""
+        for dynamics in joint.findall("dynamics"):
+            name = str(joint.get("name"))
+            values = {
+                key: self._number(dynamics, dynamics.get(key), key)
+                for key in ("spring_stiffness", "spring_reference", "armature")
+                if key in dynamics.attrib
+            }
+            self._set_spring(name, values.get("spring_stiffness"), values.get("spring_reference"))
+            if values.get("armature"):
+                self.found.armatures[name] = self.found.armatures.get(name, 0.0) + values["armature"]
+
+    def _read_rotors(self, element: ET.Element) -> None:
+        """Read the rotors of Drake's actuators: armature = gear ratio^2 times the rotor's inertia."""
+        if element.tag == "joint":
+            holders = [(str(element.get("name")), element)]
+        elif element.tag == "transmission":
+            joint = element.find("joint")
+            name = "" if joint is None else str(joint.get("name") or "")
+            holders = [(name, actuator) for actuator in element.findall("actuator")]
+        else:
+            return
+        for joint_name, holder in holders:
+            values = {"drake:rotor_inertia": 0.0, "drake:gear_ratio": 1.0}
+            for part in holder:
+                if tag_of(part) in values:
+                    values[tag_of(part)] = self._number(part, part.get("value"), tag_of(part))
+            inertia = values["drake:rotor_inertia"] * values["drake:gear_ratio"] ** 2
+            if not inertia:
+                continue
+            if joint_name not in self._joints or inertia < 0.0 or not math.isfinite(inertia):
+                line = self._lines[holder]
+                raise SourceError(
+                    self._path, f"line {line}: a rotor of {inertia:g} kg m^2 on joint {joint_name!r:.100}"
+                )
+            self.found.armatures[joint_name] = self.found.armatures.get(joint_name, 0.0) + inertia
+
+    def _amended(self, text: str) -> str:
+        """The URDF with a link and a fixed joint for each frame."""
+        return text.rpartition("</robot")[0] + "".join(self._written()) + "</robot>" if self._frames else text
+
+    def _written(self) -> Iterator[str]:
+        for frame, (link, placement) in self._frames:
+            xyz = " ".join(repr(float(x)) for x in placement.translation)
+            rpy = " ".join(repr(float(x)) for x in pin.rpy.matrixToRpy(placement.rotation))
+            yield f'<link name={quoteattr(frame)}/><joint name={quoteattr(frame + "_frame")} type="fixed">'
+            yield f"<parent link={quoteattr(link)}/><child link={quoteattr(frame)}/>"
+            yield f'<origin xyz="{xyz}" rpy="{rpy}"/>'
+            yield "</joint>"

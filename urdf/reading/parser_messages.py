@@ -1,0 +1,47 @@
+"""Messages that Pinocchio's URDF parser writes on standard error."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from newton_euler.verification.import_report import Finding, ImportReport
+
+
+def report_complaints(words: Sequence[str], report: ImportReport) -> None:
+    """Make one finding of what the parser complains about, beside colors."""
+    complaints = [line for line in words if not re.search("material|visual|color|texture", line, re.I)]
+    if complaints:
+        report.findings.append(
+            Finding(
+                "parser-message",
+                "the file",
+                f"Pinocchio's parser has {len(complaints)} complaints, first {complaints[0]!r:.200}",
+                "it may read the file in another way than you mean",
+                "correct what it names",
+            )
+        )
+
+
+@contextmanager
+def overheard(words: list[str]) -> Iterator[None]:
+    """Keep from the terminal what the parser writes on standard error, and collect its lines.
+
+    What the parser raises names no element; its lines do.
+    """
+    sys.stderr.flush()
+    before = os.dup(2)
+    with tempfile.TemporaryFile() as said:
+        os.dup2(said.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(before, 2)
+            os.close(before)
+            said.seek(0)
+            lines = said.read().decode(errors="replace").splitlines()
+            words += [line.strip() for line in lines if line.startswith(("Error:", "Warning:"))]

@@ -1,0 +1,284 @@
+"""Elements and attributes of URDF files: those that are read, those that move nothing, and all others.
+
+URDF is extended by many tools, and parsers ignore what they do not know. An element that is in no list here
+may act, so a report counts it as not understood.
+"""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from collections import Counter
+from collections.abc import Callable, Iterator
+
+from newton_euler.model.source_file import SourceError as FileError
+from newton_euler.verification.import_report import ImportReport
+
+DRAKE = "drake:"
+
+PARTS = {
+    "robot": frozenset({"link", "joint"}),
+    "link": frozenset({"inertial", "visual", "collision"}),
+    "inertial": frozenset({"origin", "mass", "inertia"}),
+    "joint": frozenset(
+        {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller"}
+    ),
+}
+"""Elements that are read, by the element that they are in."""
+
+UNMOVING = {
+    "robot": frozenset(
+        [
+            "material",
+            "sensor",
+            "fixed_frame",
+            "ros2_control",
+            "ros_control",
+            "group",
+            "group_state",
+            "virtual_joint",
+            "passive_joint",
+            "end_effector",
+            "chain",
+            "disable_collisions",
+            "disable_default_collisions",
+            "enable_collisions",
+            "link_sphere_approximation",
+            "joint_property",
+            "sim_property",
+            "plugin",
+            "version",
+            "drake:proximity_properties",
+            "drake:collision_filter_group",
+            "drake:parsing_options",
+        ]
+    ),
+    "link": frozenset(
+        [
+            "contact",
+            "collision_checking",
+            "self_collision_checking",
+            "material",
+            "sensor",
+            "audio_source",
+            "type",
+            "color",
+            "visual_constraint",
+            "drake:visual",
+            "drake:accepting_renderer",
+            "drake:ignore",
+        ]
+    ),
+    "inertial": frozenset[str](),
+    "joint": frozenset(
+        [
+            "calibration",
+            "hardwareInterface",
+            "drake:acceleration",
+            "drake:controller_gains",
+            "description",
+            "safety",
+            "gearbox",
+        ]
+    ),
+    "gazebo link": frozenset(
+        [
+            "material",
+            "mu",
+            "mu1",
+            "mu2",
+            "kp",
+            "kd",
+            "fdir1",
+            "slip1",
+            "slip2",
+            "maxVel",
+            "max_vel",
+            "minDepth",
+            "min_depth",
+            "maxContacts",
+            "max_contacts",
+            "selfCollide",
+            "self_collide",
+            "sensor",
+            "visual",
+            "collision",
+            "laserRetro",
+            "laser_retro",
+            "light",
+            "enable_wind",
+            "frame",
+            "static",
+            "canonical_link",
+        ]
+    ),
+    "gazebo joint": frozenset(
+        [
+            "stopErp",
+            "stopCfm",
+            "stopKp",
+            "stopKd",
+            "fudgeFactor",
+            "provideFeedback",
+            "provide_feedback",
+            "physics",
+            "sensor",
+            "cfmDamping",
+            "disableFixedJointLumping",
+            "preserveFixedJoint",
+            "implicitSpringDamper",
+            "erp",
+            "cfm",
+        ]
+    ),
+    "gazebo": frozenset(
+        [
+            "static",
+            "self_collide",
+            "selfCollide",
+            "allow_auto_disable",
+            "enable_wind",
+            "sensor",
+            "light",
+            "frame",
+            "sdf",
+            "material",
+            "physics",
+            "scene",
+            "audio",
+        ]
+    ),
+    "transmission": frozenset(
+        [
+            "type",
+            "joint",
+            "actuator",
+            "hardwareInterface",
+            "mechanicalReduction",
+            "mechanicalreduction",
+            "compensator",
+            "simulated_reduction",
+            "simulated_actuated_joint",
+            "use_simulated_gripper_joint",
+            "role",
+            "offset",
+            "leftActuator",
+            "rightActuator",
+            "flexJoint",
+            "rollJoint",
+            "gap_joint",
+            "leadScrew",
+            "motorTorqueConstant",
+            "encoderResolution",
+            "pulsesPerRevolution",
+            "state_interface",
+            "command_interface",
+            "param",
+            "drake:gear_ratio",
+            "drake:rotor_inertia",
+            "robotNamespace",
+        ]
+    ),
+    "mujoco": frozenset({"compiler", "size"}),
+}
+"""Elements that exert no force and hold nothing, by the element that they are in."""
+
+ATTRIBUTES = {
+    "origin": frozenset({"xyz", "rpy"}),
+    "axis": frozenset({"xyz"}),
+    "mass": frozenset({"value"}),
+    "inertia": frozenset(["ixx", "ixy", "ixz", "iyy", "iyz", "izz", "iyx", "izx", "izy"]),
+    "limit": frozenset(["lower", "upper", "effort", "velocity", "acceleration", "deceleration", "jerk"]),
+    "dynamics": frozenset(["damping", "friction", "spring_stiffness", "spring_reference", "armature"]),
+    "mimic": frozenset({"joint", "multiplier", "offset"}),
+    "parent": frozenset({"link", "joint"}),
+    "child": frozenset({"link", "joint"}),
+}
+"""Attributes of the elements in which numbers act."""
+
+PASSIVE_PLUGIN = re.compile(
+    r"control|state_?publisher|camera|imu|laser|ray|lidar|gps|gnss|p3d|ft_?sensor|force_?torque|sensor|"
+    r"bumper|contact|range|odometry|ground_truth|video|range|joint_state|pose",
+    re.IGNORECASE,
+)
+"""File names of Gazebo's plugins that exert nothing unless something is commanded."""
+
+CLOSING = re.compile(r"constraint|loop|closure|closing|weld|tendon|bushing|spring|coupl|equality", re.I)
+"""Tags of elements that hold bodies together or push them, in whatever tool."""
+
+
+def tag_of(element: ET.Element) -> str:
+    """The tag as the file has it: Drake's elements with their prefix, others without a namespace."""
+    space, _, tag = element.tag.rpartition("}")
+    return f"{DRAKE}{tag}" if "drake" in space.lower() else tag
+
+
+def check_expanded(path: str, error: type[FileError]) -> Callable[[str, dict[str, str], int], None]:
+    """Return what `scan` calls for each element to refuse SDF files and macros that xacro has to expand."""
+    seen: list[str] = []
+
+    def begin(tag: str, attributes: dict[str, str], line: int) -> None:
+        seen.append(tag)
+        if len(seen) == 1 and tag == "sdf":
+            needed = (
+                "needed: a URDF or an MJCF; `sdf2mjcf IN.sdf OUT.xml` of the package sdformat-mjcf makes one"
+            )
+            raise error(path, f"line {line}: an SDF file, which is not read; {needed}")
+        if len(seen) == 1 and tag != "robot":
+            raise error(path, f"line {line}: root element is <{tag:.100}>, not <robot>")
+        macro = next((value for value in attributes.values() if "${" in value or "$(" in value), "")
+        if tag.startswith("xacro:") or macro:
+            what = f"<{tag:.100}>" + (f" with {macro!r:.100}" if macro else "")
+            raise error(path, f"line {line}: {what} is of xacro; run xacro first: xacro {path} -o robot.urdf")
+
+    return begin
+
+
+def unknown(root: ET.Element) -> Iterator[tuple[ET.Element, str]]:
+    """Elements that no rule knows, each with what reports call it; those that close loops are not among them.
+
+    Elements in `<gazebo>`, `<transmission>` and `<mujoco>` are looked through, too.
+    """
+    links = {link.get("name") for link in root.findall("link")}
+    for element in root:
+        tag, name = tag_of(element), element.get("name") or element.get("reference") or ""
+        where = f"{tag} {name!r:.100}"
+        if tag in ("link", "joint"):
+            yield from _inside(element, tag, where)
+            for inertial in element.findall("inertial"):
+                yield from _inside(inertial, "inertial", where)
+        elif tag == "gazebo":
+            reference = element.get("reference")
+            place = "gazebo" if reference is None else f"gazebo {'link' if reference in links else 'joint'}"
+            yield from _inside(element, place, where if name else tag)
+        elif tag in ("transmission", "mujoco"):
+            for part in element.iter():
+                if part is not element and tag_of(part) not in UNMOVING[tag]:
+                    yield part, f"<{tag_of(part)}> of {where if name else tag}"
+        elif tag not in UNMOVING["robot"]:
+            yield element, f"<{tag}>{f' {name!r:.100}' if name else ''}"
+    for element in (*root.findall("link"), *root.findall("joint")):
+        for part in (*element, *element.findall("inertial/*")):
+            for name in part.attrib:
+                if part.tag in ATTRIBUTES and name not in ATTRIBUTES[part.tag]:
+                    where = f"{element.tag} {element.get('name')!r:.100}"
+                    yield part, f"{name}={part.attrib[name]!r:.50} of <{part.tag}> of {where}"
+
+
+def _inside(element: ET.Element, place: str, where: str) -> Iterator[tuple[ET.Element, str]]:
+    known = PARTS.get(place, frozenset()) | UNMOVING[place]
+    for part in element:
+        tag = tag_of(part)
+        passive = tag == "plugin" and PASSIVE_PLUGIN.search(
+            f"{part.get('filename', '')} {part.get('name', '')}"
+        )
+        if tag not in known and not passive:
+            yield part, f"<{tag}> of {where}"
+
+
+def report_unmoving(root: ET.Element, report: ImportReport) -> None:
+    """Count the elements that move nothing, and report why."""
+    counts = Counter(tag_of(element) for element in root)
+    for tag, count in counts.items():
+        if tag not in ("link", "joint", "material"):
+            report.left_out(f"{count} <{tag}>", "its parts that are understood move nothing", inert=True)
