@@ -9,9 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from mistakes import MISTAKES
+from mistakes import BREAKS, MISTAKES
 
 ROOT = Path(__file__).parents[1]
+PINNED = MISTAKES | BREAKS
 PACKAGES = ("newton_euler", "mjcf", "urdf", "crosscheck")
 
 
@@ -28,6 +29,21 @@ def run_tests(folder, *tests):
     # the copy comes first on the path, before an installed project
     environment = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize(("source", "right", "wrong", "_"), PINNED.values(), ids=PINNED)
+def test_a_pinned_line_stands_in_the_source_once(source, right, wrong, _):
+    text = (ROOT / source).read_text()
+    assert text.count(right) == 1, "the source has changed: pin its new line"
+    assert text.replace(right, wrong) != text
+
+
+@pytest.mark.parametrize("tests", sorted({mistake[3] for mistake in MISTAKES.values()}))
+def test_the_tests_of_a_mistake_exist(tests):
+    path, _, name = tests.partition("::")
+    source = ROOT / "tests" / path
+    assert source.exists()
+    assert not name or f"def {name.partition('[')[0]}(" in source.read_text()
 
 
 @pytest.mark.slow

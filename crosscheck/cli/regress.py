@@ -51,7 +51,8 @@ def regress_command(
     """Compare figures with stored baselines.
 
     SCENEs are names or model files, the library if none is given. Exit status 1 if a figure moved by more
-    than its tolerance. What `crosscheck report` makes a page of is in OUTPUT.
+    than its tolerance. A cost (operations, steps, evaluations) that fell is an improvement and never fails.
+    What `crosscheck report` makes a page of is in OUTPUT.
     """
     from crosscheck.regress.report import report, tables, verdict
     from crosscheck.regress.run import check, update

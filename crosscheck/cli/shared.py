@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from newton_euler.model.scene import Scene
     from newton_euler.verification.import_report import ImportReport
 
-COLORS = {"": None, "holds": "green", "doubtful": "yellow", "fails": "red"}
+COLORS = {"": None, "holds": "green", "improved": "green", "doubtful": "yellow", "fails": "red"}
 """Of verdicts."""
 
 LONG = 10.0

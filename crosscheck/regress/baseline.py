@@ -24,6 +24,12 @@ from newton_euler.scalars import Array
 GroupName = Literal["model", "relative", "cartesian", "integrators", "mujoco", "pinocchio"]
 """Of `crosscheck.regress.measure.GROUPS`."""
 
+OPERATIONS = "operations of "
+"""Start of the names of checks that count arithmetic operations of compiled code."""
+
+COUNTED = (": steps", ": evaluations")
+"""Ends of the names of checks that count the work of an integrator."""
+
 
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid")
@@ -65,6 +71,11 @@ class StoredFigure(_Strict):
     def over_time(self) -> bool:
         """True if rows are times, along which errors grow; otherwise all rows have one error."""
         return self.name.endswith("over time")
+
+    @property
+    def is_cost(self) -> bool:
+        """True if the number is a cost (operations, steps, evaluations), which may fall but not grow."""
+        return self.name.startswith(OPERATIONS) or self.name.endswith(COUNTED)
 
 
 class StoredState(_Strict):

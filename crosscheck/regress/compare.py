@@ -1,7 +1,12 @@
-"""A scene's figures against its baseline: what moved, by how many tolerances, and from when on."""
+"""Compare a scene's figures with its baseline: what moved, by how many tolerances, and from when on.
+
+A cost (operations, steps, evaluations) moves only if it grows. A cost that falls by more than its tolerance
+is an improvement.
+"""
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -35,16 +40,25 @@ class Checked(Figure):
         unit: of the quantity.
         was, now: SI; None where there is nothing to compare.
         problem: why it could not be compared.
+        is_cost: whether the number counts operations, steps or evaluations.
     """
 
     unit: str = ""
     was: float | None = None
     now: float | None = None
     problem: str = ""
+    is_cost: bool = False
+
+    @property
+    def cheaper(self) -> bool:
+        """True for a cost that fell by more than its tolerance."""
+        if not self.is_cost or self.was is None or self.now is None:
+            return False
+        return math.isfinite(self.now) and self.now < self.was - self.tolerance
 
     @property
     def moved(self) -> bool:
-        return not self.agrees
+        return not (self.agrees or self.cheaper)
 
 
 @dataclass(frozen=True)
@@ -72,6 +86,11 @@ class Comparison:
         return [figure for figure in self.checked if figure.moved]
 
     @property
+    def cheaper(self) -> list[Checked]:
+        """Costs that fell by more than their tolerance."""
+        return [figure for figure in self.checked if figure.cheaper]
+
+    @property
     def changed_versions(self) -> list[str]:
         """Such as "numpy 2.1.0 -> 2.2.0"."""
         names = dict.fromkeys([*self.made.versions, *self.now])
@@ -83,12 +102,16 @@ class Comparison:
         """One line."""
         made = f"the baseline of {self.made.date}"
         if not self.moved:
+            if self.cheaper:
+                count = f"{len(self.cheaper)} of {len(self.checked)} figures"
+                return f"{self.scene}: quiet: nothing moved since {made}; {count} are cheaper"
             return f"{self.scene}: quiet: all {len(self.checked)} figures are as in {made}"
         made += f" ({self.made.reason})"
         since = ", ".join(self.changed_versions) or "no version changed"
         when = "" if self.diverges is None else f"; poses part at {self.diverges:.6g} s"
         moved = f"{len(self.moved)} of {len(self.checked)} figures"
-        return f"{self.scene}: MOVED: {moved} since {made}: {since}{when}"
+        cheaper = f"; {len(self.cheaper)} cheaper" if self.cheaper else ""
+        return f"{self.scene}: MOVED: {moved} since {made}: {since}{when}{cheaper}"
 
     def summary(self) -> dict[str, Any]:
         """For JSON."""
@@ -100,7 +123,9 @@ class Comparison:
             "versions": self.now,
             "diverges": self.diverges,
             "wall_time": self.wall_time,
-            "figures": [asdict(figure) | {"moved": figure.moved} for figure in self.checked],
+            "figures": [
+                asdict(figure) | {"moved": figure.moved, "cheaper": figure.cheaper} for figure in self.checked
+            ],
         }
 
 
@@ -155,7 +180,7 @@ def check(figures: Iterable[StoredFigure], found: list[StoredFigure] | str) -> l
 
 
 def _check(stored: StoredFigure, now: StoredFigure | None, problem: str) -> Checked:
-    checked = partial(Checked, stored.group, stored.name, BETWEEN, unit=stored.unit)
+    checked = partial(Checked, stored.group, stored.name, BETWEEN, unit=stored.unit, is_cost=stored.is_cost)
     if now is not None and (stored.rows, stored.columns) != (now.rows, now.columns):
         now, problem = None, "is of other bodies, joints or times"
     if now is None:

@@ -24,7 +24,14 @@ from crosscheck.comparison.energy import energy_balance
 from crosscheck.comparison.figure import OWN_ERROR, reach, round_off
 from crosscheck.comparison.samples import Samples, States, admissible_basis
 from crosscheck.engines import ENGINES
-from crosscheck.regress.baseline import GroupName, Plan, StoredFigure, StoredState
+from crosscheck.regress.baseline import (
+    COUNTED,
+    OPERATIONS,
+    GroupName,
+    Plan,
+    StoredFigure,
+    StoredState,
+)
 from newton_euler import compile_scene
 from newton_euler.assemble import initial_state
 from newton_euler.equations.system import Evaluation, System, at_time
@@ -61,7 +68,7 @@ RADAU_RTOL = 1e-10
 
 COUNT_RTOL, COUNT_SHARE = 1e-6, 0.02
 """Of the runs whose steps are counted: at the tolerances of the others steps follow round-off, which differs
-from one processor to the next. And the share of a count that may differ: libraries of other versions round
+from one processor to the next. And the share by which a count may grow: libraries of other versions round
 constants differently, and a step more or less follows."""
 
 OPEN = 1e-3
@@ -300,8 +307,9 @@ class Measurement:
     def counts(self, compiled: CompiledScene, integrator: IntegratorName) -> Iterator[StoredFigure]:
         """Steps and evaluations of a run at `COUNT_RTOL`."""
         run = compiled.simulate(integrator, rtol=COUNT_RTOL, atol=0.01 * COUNT_RTOL)
-        for name in ("steps", "evaluations"):
-            yield self.count(f"{integrator}, rtol {COUNT_RTOL:g}: {name}", run.settings[name])
+        for name in COUNTED:
+            key = name.removeprefix(": ")
+            yield self.count(f"{integrator}, rtol {COUNT_RTOL:g}{name}", run.settings[key])
 
     def short(self, steps: int) -> Scene:
         """A few steps from the moving state; from the start where motions are prescribed from there."""
@@ -339,7 +347,7 @@ def _formulation(here: Measurement) -> Iterator[StoredFigure]:
     yield here.open_joints(formulation)
     compiled = compile_scene(part(here.scene, formulation, plan.step), formulation)
     for name, operations in compiled.operations.items():
-        yield here.count(f"operations of {name}", operations)
+        yield here.count(f"{OPERATIONS}{name}", operations)
     run = compiled.simulate(rtol=plan.rtol[formulation], atol=0.01 * plan.rtol[formulation])
     if formulation == MAIN:
         yield from here.over_time(run)

@@ -15,36 +15,45 @@ MOST_LINES = 12
 
 COLUMNS = [Column("figure", brief=True), *texts("where"), *figures("was", "moved by", "tolerances")]
 
-VERDICTS: tuple[Verdict, Verdict] = "holds", "fails"
+CHEAPER = "cheaper"
+"""Added to the tolerances by which a cost fell."""
 
 
 def tables(found: Sequence[Comparison]) -> Iterator[Table]:
-    """A table per scene that moved: its first figures, and how many more moved."""
+    """Make a table of what moved and one of what became cheaper for each scene that has any.
+
+    Each table holds the first figures and the number of the others.
+    """
     for comparison in found:
-        if moved := comparison.moved:
-            rest = [f"and {len(moved) - MOST_LINES} more"] if len(moved) > MOST_LINES else []
-            rows = [_row(figure, f"{figure.level}: ") for figure in moved[:MOST_LINES]]
-            yield Table(f"{comparison.scene}: what moved", COLUMNS, [*rows, *rest])
+        for title, chosen in (("what moved", comparison.moved), ("what is cheaper", comparison.cheaper)):
+            if chosen:
+                rest = [f"and {len(chosen) - MOST_LINES} more"] if len(chosen) > MOST_LINES else []
+                rows = [_row(figure, f"{figure.level}: ") for figure in chosen[:MOST_LINES]]
+                yield Table(f"{comparison.scene}: {title}", COLUMNS, [*rows, *rest])
 
 
 def _row(figure: Checked, group: str = "") -> list[str | Cell]:
     """Cells of `COLUMNS`."""
     unit = f", {figure.unit}" if figure.unit else ""
-    name, verdict = f"{group}{figure.quantity}{unit}", VERDICTS[figure.moved]
+    name = f"{group}{figure.quantity}{unit}"
+    verdict: Verdict = "fails" if figure.moved else "improved" if figure.cheaper else "holds"
     if figure.was is None or figure.now is None:
         return [name, Cell(figure.problem or "the same", verdict), "", "", ""]
     change = f"{figure.now - figure.was:+.2e}"
-    tolerances = Cell(f"{figure.share:.3g}", verdict)
-    return [name, figure.where, f"{figure.was:.9g}", change, tolerances]
+    share = f"{figure.share:.3g} {CHEAPER}" if figure.cheaper else f"{figure.share:.3g}"
+    return [name, figure.where, f"{figure.was:.9g}", change, Cell(share, verdict)]
 
 
 def verdict(found: Sequence[Comparison]) -> str:
-    """One line for all scenes."""
+    """Word the result of all scenes in one line."""
     moved = [comparison.scene for comparison in found if comparison.moved]
+    cheaper = [comparison.scene for comparison in found if comparison.cheaper]
     count = sum(len(comparison.checked) for comparison in found)
+    improved = f"; cheaper: {', '.join(cheaper)}" if cheaper else ""
     if moved:
-        return f"MOVED: {len(moved)} of {len(found)} scenes: {', '.join(moved)}"
-    return f"QUIET: all {count} figures of {'1 scene' if len(found) == 1 else f'{len(found)} scenes'}"
+        return f"MOVED: {len(moved)} of {len(found)} scenes: {', '.join(moved)}{improved}"
+    scenes = "1 scene" if len(found) == 1 else f"{len(found)} scenes"
+    return f"QUIET: all {count} figures of {scenes}{improved}"
 
 
 def report(found: Sequence[Comparison], recordings: Mapping[str, Path]) -> Report:
@@ -74,7 +83,8 @@ def as_json(
         for each in found
     ]
     quiet = not any(comparison.moved for comparison in found)
-    content = {"quiet": quiet, "verdict": verdict(found), "scenes": scenes}
+    cheaper = [comparison.scene for comparison in found if comparison.cheaper]
+    content = {"quiet": quiet, "cheaper": cheaper, "verdict": verdict(found), "scenes": scenes}
     return render.as_json(content, report(found, recordings), files)
 
 

@@ -40,7 +40,7 @@ INDENT = 2
 HEAD = 12
 """Characters of headings that are not wrapped to the width of the figures below."""
 
-STYLES = {"": "", "holds": "green", "doubtful": "yellow", "fails": "bold red"}
+STYLES = {"": "", "holds": "green", "improved": "bold green", "doubtful": "yellow", "fails": "bold red"}
 """Of verdicts, in a terminal."""
 
 MARKED = re.compile(r"[\\`*\[\]<|]|(?<!\w)_|_(?!\w)")
@@ -259,7 +259,10 @@ def _finite(value: object) -> object:
 
 
 def junit(report: Report) -> str:
-    """JUnit XML: a suite per table with judged cells, a case per row."""
+    """JUnit XML: a suite per table with judged cells, a case per row.
+
+    A row that fails has its cells as the failure's message, a row that improved has them as its output.
+    """
     root = ElementTree.Element("testsuites", name=_legal(report.title), time=f"{report.wall_time or 0.0:.3f}")
     for part in report.parts:
         if isinstance(part, Lines):
@@ -282,8 +285,11 @@ def junit(report: Report) -> str:
             case = ElementTree.SubElement(
                 suite, "testcase", classname=_legal(owner), name=_legal(row[0].text), time="0"
             )
-            if any(cell.verdict == "fails" for cell in row):
-                message = _legal(f"{heading}: {row[0].text}: {_worded(part, row)}".removeprefix(": "))
+            message = _legal(f"{heading}: {row[0].text}: {_worded(part, row)}".removeprefix(": "))
+            verdicts = {cell.verdict for cell in row}
+            if "improved" in verdicts:
+                ElementTree.SubElement(case, "system-out").text = message
+            if "fails" in verdicts:
                 failure = ElementTree.SubElement(case, "failure", message=message)
                 failure.text = _legal(report.verdict)
     ElementTree.indent(root, " ")

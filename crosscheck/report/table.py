@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-Verdict = Literal["", "holds", "doubtful", "fails"]
+Verdict = Literal["", "holds", "improved", "doubtful", "fails"]
 """How a cell is judged; empty where there is nothing to judge."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -14,7 +15,7 @@ from command_line import run
 from crosscheck.comparison.figure import OWN_ERROR
 from crosscheck.regress import measure
 from crosscheck.regress import run as regress
-from crosscheck.regress.baseline import Record, StoredFigure
+from crosscheck.regress.baseline import Record, StoredFigure, read
 from crosscheck.regress.compare import MODEL_FILE, Comparison, check, check_unsimulated, compare, divergence
 from crosscheck.regress.run import Guarded
 from crosscheck.scenes import load
@@ -64,7 +65,7 @@ def test_a_group_with_a_figure_that_is_not_finite_is_left_out(monkeypatch, measu
     assert found == "position is not finite"
 
 
-def test_a_count_may_move_by_two_percent(swing, measured):
+def test_a_count_may_grow_by_two_percent(swing, measured):
     count = measure.Measurement("relative", swing, measured.plan).count("steps", 101)
     assert count.tolerance == [3.0]  # 2 % rounded up
 
@@ -100,6 +101,81 @@ def test_divergence_is_at_the_first_time_out_of_a_tolerance():
     stored = figure([[0.0], [0.0], [0.0]], name=name)
     assert divergence([stored], [figure([[0.0], [1e-8], [1.0]], name=name)], times) == 0.5
     assert divergence([stored], [figure([[0.0], [1e-10], [0.0]], name=name)], times) is None
+
+
+# Costs: operations, steps and evaluations may fall, and may not grow
+
+
+COST_NAMES = ["operations of derivative", "DOP853, rtol 1e-06: steps", "DOP853, rtol 1e-06: evaluations"]
+
+
+@pytest.mark.parametrize("name", COST_NAMES)
+@pytest.mark.parametrize(
+    ("now", "moved", "cheaper"),
+    [
+        (100.0, False, False),
+        (98.0, False, False),
+        (97.0, False, True),
+        (1.0, False, True),
+        (102.0, False, False),
+        (103.0, True, False),
+        (float("nan"), True, False),
+        (float("-inf"), True, False),
+    ],
+)
+def test_a_cost_fails_only_where_it_grows(name, now, moved, cheaper):
+    (found,) = check([figure([[100.0]], [2.0], name)], [figure([[now]], name=name)])
+    assert (found.moved, found.cheaper) == (moved, cheaper)
+
+
+def test_a_length_that_falls_has_moved():
+    (found,) = check([figure([[100.0]], [2.0])], [figure([[97.0]])])
+    assert (found.moved, found.cheaper) == (True, False)
+
+
+def test_every_count_of_a_baseline_is_a_cost(measured):
+    costs = {(each.group, each.name) for each in measured.figures if each.is_cost}
+    for group, compiled in (
+        ("relative", ("derivative", "output")),
+        ("cartesian", ("derivative", "output", "position", "velocity")),
+    ):
+        counted = {f"operations of {name}" for name in compiled} | set(COST_NAMES[1:])
+        assert {name for owner, name in costs if owner == group} == counted
+    assert all(
+        float(value).is_integer() for each in measured.figures if each.is_cost for (value,) in each.value
+    )
+
+
+def test_what_is_cheaper_is_reported_in_every_format(capsys, tmp_path, guarded, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    model = Path(shutil.copy(guarded / "mine.yaml", tmp_path))
+    assert run(capsys, "regress", model, "--update", "first")[0] == 0
+    stored = Path("mine.baseline.json")
+    baseline = read(stored)
+    name = "operations of derivative"
+    dearer, cost = baseline.model_copy(deep=True), baseline.figure("relative", name).value[0][0]
+    dearer.figure("relative", name).value[0][0] = 2.0 * cost
+    stored.write_text(dearer.text())
+
+    status, out, _ = run(capsys, "regress", model, "--output", "out")
+    assert status == 0
+    assert f"relative: {name}" in out
+    content = json.loads(Path("out/regress.json").read_text())
+    assert (content["quiet"], content["cheaper"]) == (True, ["mine"])
+    (scene,) = content["scenes"]
+    (entry,) = [each for each in scene["figures"] if each["cheaper"]]
+    assert (entry["quantity"], entry["moved"], entry["was"], entry["now"]) == (name, False, 2.0 * cost, cost)
+    assert f"relative: {name}" in Path("out/summary.md").read_text()
+    suite = ElementTree.parse("out/junit.xml").getroot().find("testsuite")
+    assert suite.get("failures") == "0"
+    (output,) = suite.findall("testcase/system-out")
+    assert name in output.text
+    assert list(tmp_path.glob("out/*.rrd")) == []
+
+    cheaper = baseline.model_copy(deep=True)
+    cheaper.figure("relative", name).value[0][0] = 0.5 * cost
+    stored.write_text(cheaper.text())
+    assert run(capsys, "regress", model, "--output", "out")[0] == 1
 
 
 # A scene against its baseline

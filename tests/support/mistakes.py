@@ -1,4 +1,4 @@
-"""Mistakes that tests have to notice, see `tests/test_mutations.py`."""
+"""Deliberate mistakes: tests must notice `MISTAKES`, `crosscheck regress` must notice `BREAKS`."""
 
 MISTAKES = {
     "swapped axes of a universal joint": (
@@ -298,8 +298,8 @@ MISTAKES = {
     ),
     "a warning swallowed": (
         "newton_euler/simulate.py",
-        "for weak in self.nearly_redundant:",
-        "for weak in self.nearly_redundant[1:]:",
+        "warn_of(self.scene, self.nearly_redundant, above=1)",
+        "warn_of(self.scene, self.nearly_redundant[1:], above=1)",
         "newton_euler/equations/test_nearly_redundant.py::test_taken_literally_the_mechanism_is_locked_and_says_so",
     ),
     "a setting of a limit that does not suffice": (
@@ -449,3 +449,79 @@ MISTAKES = {
     ),
 }
 """File, what is there, what is made of it, and the tests that see it: a file or a function."""
+
+BREAKS = {
+    "a gyroscopic torque off by 1e-6": (
+        "newton_euler/equations/relative.py",
+        "inertia @ angular[body] + cross(omega, inertia @ omega)",
+        "inertia @ angular[body] + (1.0 + 1e-6) * cross(omega, inertia @ omega)",
+        "free_top",
+    ),
+    "a gyroscopic torque of the paper's form off by 1e-6": (
+        "newton_euler/equations/cartesian.py",
+        "return cross(omega, momentum)",
+        "return (1.0 + 1e-6) * cross(omega, momentum)",
+        "free_top",
+    ),
+    "a centripetal acceleration off by 1e-6": (
+        "newton_euler/equations/kinematics.py",
+        "cross(alpha, s) + cross(omega, turning)",
+        "cross(alpha, s) + (1.0 + 1e-6) * cross(omega, turning)",
+        "pendulum",
+    ),
+    "gamma off by 1e-6": (
+        "newton_euler/model/constraints.py",
+        "return cross(omega, cross(omega, s))",
+        "return (1.0 + 1e-6) * cross(omega, cross(omega, s))",
+        "pendulum",
+    ),
+    "gamma dropped": (
+        "newton_euler/model/constraints.py",
+        "return cross(omega, cross(omega, s))",
+        "return 0.0 * cross(omega, cross(omega, s))",
+        "pendulum",
+    ),
+    "inertia turned the wrong way": (
+        "newton_euler/equations/relative.py",
+        "return symmetric(a @ self.inertias[body] @ a.T)",
+        "return symmetric(a.T @ self.inertias[body] @ a)",
+        "free_top",
+    ),
+    "gravity off by 1e-7": (
+        "crosscheck/scenes/pendulum.py",
+        "GRAVITY = np.array([0.0, -9.81, 0.0])",
+        "GRAVITY = np.array([0.0, -9.810001, 0.0])",
+        "pendulum",
+    ),
+    "a gain of Baumgarte's off by 1e-6": (
+        "newton_euler/equations/formulation.py",
+        "self.K_D, self.K_P = 2.0 * alpha, alpha * alpha",
+        "self.K_D, self.K_P = 2.000002 * alpha, alpha * alpha",
+        "pendulum",
+    ),
+    "the tenth digit of a coefficient of DOP853": (
+        "newton_euler/integrators/dop853_tableau.py",
+        "27.94888452941996",
+        "27.94888453941996",
+        "pendulum",
+    ),
+    "the tenth digit of a coefficient of the dense output": (
+        "newton_euler/integrators/dop853_tableau.py",
+        "-25.69393346270375",
+        "-25.69393347270375",
+        "pendulum",
+    ),
+    "a weight of RK4 off by 2e-7": (
+        "newton_euler/integrators/fixed_step.py",
+        "weight = h / 6.0 if",
+        "weight = h / 6.000001 if",
+        "pendulum",
+    ),
+    "a projection that leaves joints open by 1e-6": (
+        "newton_euler/integrators/dense_projection.py",
+        "ROUND_OFF = 16.0 * np.finfo(float).eps",
+        "ROUND_OFF = 1e-6",
+        "pendulum",
+    ),
+}
+"""Small mistakes for `crosscheck regress`: file, right line, wrong line, and the scene that shows it."""
