@@ -1,12 +1,16 @@
 """Machine code and chosen constraint rows kept on disk, by name.
 
-A file holds the SHA-256 of its name and content and then the content, so that one that is damaged, or is
-another's, counts as missing. It is written beside and renamed, so that no reader ever sees half of it,
-whoever else writes at the same time and wherever a run is killed. A cache that cannot be read or written
+What the cache holds is executed. Its directory and its files must belong to this user, or to root, and nobody
+else may write them; the directory is made for this user alone. A checksum would be no protection: whoever can
+write a file can write a checksum that fits it.
+
+A file holds the SHA-256 of its name and content and then the content, so that a damaged or renamed file
+counts as missing. A file is written beside its place and renamed, so that no reader ever sees half of it,
+whoever else writes at the same time and wherever a run is killed. A file that cannot be read or written
 costs a compilation, never a run.
 
-It is kept below `LIMIT` by removing what has not been used for longest. A file's time of modification is when
-it was last used, to `_RECENT`. Files are counted with one write in `_COUNT_EVERY`, and never by a read.
+The cache is kept below `LIMIT` by removing what has not been used for longest. A file's time of modification
+is when it was last used, to `_RECENT`. Files are counted with one write in `_COUNT_EVERY`, never by a read.
 """
 
 from __future__ import annotations
@@ -46,6 +50,14 @@ _UNFINISHED = ".newton-euler-new-"
 _ABANDONED = 3600.0
 """s after which an unfinished file is that of a run that was killed."""
 
+OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+"""Permissions that no directory and no file of the cache may have."""
+
+PRIVATE = stat.S_IRWXU
+"""Permissions of the directory that the cache makes."""
+
+OWN_OR_NOTHING = "a directory of your own that nobody else can write, or nothing for no cache"
+
 _DIGEST = 32
 """Bytes of a SHA-256."""
 
@@ -63,29 +75,52 @@ def cache_directory() -> Path | None:
     """Return the directory of the cache; None if the user wants none or has no home directory.
 
     Raises:
-        OptionError: for a name of what is no directory and cannot become one.
+        OptionError: for a name of what is no directory and cannot become one, and for a directory that others
+            own or can write.
     """
     chosen = os.environ.get(CACHE_VARIABLE)
     if chosen is not None:
-        return _checked(chosen) if chosen else None
+        return _checked(chosen, OWN_OR_NOTHING) if chosen else None
     try:
         directory = user_cache_path("newton_euler", appauthor=False)
     except RuntimeError:  # a user without a home directory
         return None
-    return directory if directory.is_absolute() else None  # platformdirs 4.2 leaves "~" to such a user
+    if not directory.is_absolute():  # platformdirs 4.2 leaves "~" to such a user
+        return None
+    with suppress(OSError):
+        status = os.lstat(directory)
+        if stat.S_ISDIR(status.st_mode) and status.st_uid == os.geteuid() and status.st_mode & OTHERS_WRITE:
+            os.chmod(directory, PRIVATE)
+    return _checked(str(directory), f"another directory by {CACHE_VARIABLE}, {OWN_OR_NOTHING}")
 
 
-def _checked(name: str) -> Path:
+def _checked(name: str, needed: str) -> Path:
     """Return the path of a directory that is there, or that may be made later if the disk permits."""
     problem = os.strerror(errno.ENOTDIR)
     try:
-        if stat.S_ISDIR(os.stat(name).st_mode):
-            return Path(name)
+        status = os.stat(name)
+        if stat.S_ISDIR(status.st_mode):
+            # who owns a link can point it elsewhere later
+            problem = _foreign(status) or _foreign_owner(os.lstat(name))
+            if not problem:
+                return Path(name)
     except (FileNotFoundError, PermissionError):
         return Path(name)
     except OSError as error:
         problem = str(error.strerror)
-    raise OptionError(CACHE_VARIABLE, f"{name:.100}", f"a directory, or nothing for no cache ({problem})")
+    raise OptionError(CACHE_VARIABLE, f"{name:.100}", f"{needed} ({problem})")
+
+
+def _foreign(status: os.stat_result) -> str:
+    """Word why code of a file or directory is not executed; empty if it may be."""
+    if owner := _foreign_owner(status):
+        return owner
+    return "others can write it; chmod go-w" if status.st_mode & OTHERS_WRITE else ""
+
+
+def _foreign_owner(status: os.stat_result) -> str:
+    trusted = (os.geteuid(), 0)
+    return "" if status.st_uid in trusted else f"it belongs to user {status.st_uid}, not {trusted[0]}"
 
 
 def read_cache(key: str) -> bytes | None:
@@ -94,14 +129,17 @@ def read_cache(key: str) -> bytes | None:
     if directory is None:
         return None
     path = directory / (key + _ENDING)
-    if not path.is_file():  # a pipe would keep its reader waiting
-        return None
     try:
-        with path.open("rb") as stream:
-            content, used = stream.read(), os.fstat(stream.fileno()).st_mtime
+        # a link is not followed, and a pipe does not keep its reader waiting
+        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        with os.fdopen(handle, "rb") as stream:
+            status = os.fstat(handle)
+            if not stat.S_ISREG(status.st_mode) or _foreign(status):
+                return None
+            content = stream.read()
     except OSError:
         return None
-    if time.time() - used > _RECENT:
+    if time.time() - status.st_mtime > _RECENT:
         with suppress(OSError):  # a read-only disk, or another process has removed it
             os.utime(path)
     digest, code = content[:_DIGEST], content[_DIGEST:]
@@ -114,7 +152,7 @@ def write_cache(key: str, code: bytes) -> None:
     if directory is None:
         return
     with suppress(OSError):  # a full or read-only disk: the next run compiles again
-        directory.mkdir(parents=True, exist_ok=True)
+        directory.mkdir(PRIVATE, parents=True, exist_ok=True)
         if int(key, 16) % _COUNT_EVERY == 0:
             _tidy(directory)
         handle, name = tempfile.mkstemp(dir=directory, prefix=_UNFINISHED)

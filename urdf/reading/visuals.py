@@ -50,8 +50,8 @@ class _Unusable(Exception):
 def dressed(path: str, root: ET.Element, start: Start, tree: Tree, report: ImportReport) -> list[Body]:
     """The bodies of a tree with the shapes and meshes of their links; each mesh missing is reported.
 
-    Mesh files have to be in the URDF's folder or the one around it, or in the package that they name, a
-    folder of that name that the URDF is in or beside.
+    Mesh files have to be in the URDF's folder or the one around it, or in the package that they name: a
+    folder of that name around the URDF, or a folder with a `package.xml` beside one of those around it.
     """
     shapes: list[tuple[_Visual, Shape]] = []
     meshes: list[tuple[_Visual, Path, Array]] = []
@@ -167,8 +167,7 @@ def _mesh(urdf: Path, visual: _Visual) -> tuple[Path, Array]:
     home = urdf.resolve().parent
     package, _, rest = name.removeprefix("package://").partition("/")
     if name.startswith("package://"):
-        around = [folder if folder.name == package else folder / package for folder in (home, *home.parents)]
-        candidates = [(folder, folder / rest) for folder in around]
+        candidates = [(folder, folder / rest) for folder in packages(home, package)]
     else:
         outer = home if home.parent == Path(home.anchor) else home.parent
         candidates = [(outer, home / name.removeprefix("file://"))]
@@ -180,6 +179,25 @@ def _mesh(urdf: Path, visual: _Visual) -> tuple[Path, Array]:
                 raise _Unusable(f"mesh {name!r:.200} is larger than {MAXIMUM_BYTES} bytes")
             return file.resolve(), scale
     raise _Unusable(f"mesh {name!r:.200} does not exist")
+
+
+def packages(home: Path, name: str) -> list[Path]:
+    """The folders that may be a package, the nearest to a folder first; never the root of the disk or below it.
+
+    A folder beside those around `home` has to have a `package.xml`: any file of the disk could be named
+    otherwise.
+    """
+    if name in ("", ".", "..") or "\0" in name:
+        return []
+    found = []
+    for folder in (home, *home.parents):
+        if folder == folder.parent:
+            break
+        if folder.name == name:
+            found.append(folder)
+        elif (folder / name / "package.xml").is_file():
+            found.append(folder / name)
+    return found
 
 
 def _loaded(files: list[Path]) -> dict[Path, Mesh | None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from newton_euler.errors import MechanismError
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import Box, Capsule, Cylinder, Mesh
 from newton_euler.model.mechanism import Mechanism
+from urdf.reading.visuals import packages
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.2]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -130,6 +132,27 @@ def test_visuals_of_a_urdf(folder, name):
     assert isinstance(box, Box)
     np.testing.assert_allclose(box.half_sizes, [1.0, 2.0, 3.0])
     assert ("3 visuals", "drawn") in [(e.element, e.how) for e in reading.report.of("exactly")]
+
+
+def test_a_package_beside_has_to_be_one(folder):
+    """A folder of any name beside those around the file would reach most of the disk."""
+    beside = folder.parent / "parts"
+    (beside / "meshes").mkdir(parents=True)
+    shutil.copy(folder / "meshes" / "t.obj", beside / "meshes")
+    geometry = visual('<mesh filename="package://parts/meshes/t.obj"/>')
+    assert not of_urdf(folder, geometry).scene.mechanism.bodies[1].meshes
+    (beside / "package.xml").write_text("<package/>")
+    assert len(of_urdf(folder, geometry).scene.mechanism.bodies[1].meshes) == 1
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "\0"])
+def test_no_package_is_a_folder_itself_or_a_step_up(folder, name):
+    for place in (folder.parent, folder, folder / "meshes"):
+        (place / "package.xml").write_text("<package/>")
+    geometry = visual(f'<mesh filename="package://{name}/robot/meshes/t.obj"/>')
+    if name != "\0":  # which XML cannot hold
+        assert not of_urdf(folder, geometry).scene.mechanism.bodies[1].meshes
+    assert packages(folder / "meshes", name) == []
 
 
 @pytest.mark.parametrize(

@@ -114,6 +114,100 @@ def test_a_cache_that_cannot_be_one_is_refused(tmp_path, monkeypatch):
         assert len(str(caught.value)) < 300
 
 
+def test_the_directory_is_made_for_its_user_alone(cache):
+    before = os.umask(0)
+    try:
+        compiled(SOURCE)
+    finally:
+        os.umask(before)
+    (entry,) = cache.iterdir()
+    assert stat.S_IMODE(cache.stat().st_mode) == 0o700
+    assert stat.S_IMODE(entry.stat().st_mode) == 0o600
+
+
+@pytest.mark.parametrize("mode", [0o775, 0o777, 0o1777, 0o2770])
+def test_a_directory_that_others_can_write_is_refused(cache, mode):
+    compiled(SOURCE)
+    cache.chmod(mode)
+    with pytest.raises(OptionError, match="others can write it"):
+        compiled(SOURCE)
+    cache.chmod(0o755)
+    assert compiled(SOURCE).from_cache
+
+
+def test_a_directory_of_another_user_is_refused(cache, monkeypatch):
+    compiled(SOURCE)
+    as_of = os.stat(cache)
+    theirs = os.stat_result((*as_of[:4], os.geteuid() + 1, *as_of[5:]))
+    with monkeypatch.context() as patch:
+        patch.setattr("newton_euler.codegen.cache.os.stat", lambda name: theirs)
+        with pytest.raises(OptionError, match="it belongs to user") as caught:
+            compiled(SOURCE)
+    assert caught.value.value == str(cache)
+    assert compiled(SOURCE).from_cache
+
+
+def test_a_link_of_another_user_to_a_directory_of_ones_own_is_refused(cache, tmp_path, monkeypatch):
+    compiled(SOURCE)
+    link = tmp_path / "link"
+    link.symlink_to(cache)
+    monkeypatch.setenv(CACHE_VARIABLE, str(link))
+    assert compiled(SOURCE).from_cache
+    as_of = os.lstat(link)
+    theirs = os.stat_result((*as_of[:4], os.geteuid() + 1, *as_of[5:]))
+    with monkeypatch.context() as patch:
+        patch.setattr("newton_euler.codegen.cache.os.lstat", lambda name: theirs)
+        with pytest.raises(OptionError, match="it belongs to user"):
+            compiled(SOURCE)
+
+
+def test_a_default_directory_that_others_could_write_is_closed(tmp_path, monkeypatch):
+    """Earlier ones were made as the umask of the user permits."""
+    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    compiled(SOURCE)
+    (tmp_path / "newton_euler").chmod(0o775)
+    assert compiled(SOURCE).from_cache
+    assert stat.S_IMODE((tmp_path / "newton_euler").stat().st_mode) == 0o700
+
+
+def replaced_by_link(path):
+    path.rename(path.with_name("elsewhere"))
+    path.symlink_to(path.with_name("elsewhere"))
+
+
+def replaced_by_pipe(path):
+    path.unlink()
+    os.mkfifo(path)
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [lambda path: path.chmod(0o666), lambda path: path.chmod(0o620), replaced_by_link, replaced_by_pipe],
+)
+def test_an_entry_that_others_could_have_written_is_compiled_over(cache, harm):
+    compiled(SOURCE)
+    (path,) = cache.iterdir()
+    harm(path)
+    assert not compiled(SOURCE).from_cache
+    assert stat.S_ISREG(path.lstat().st_mode)
+    assert compiled(SOURCE).from_cache
+
+
+def test_an_entry_of_another_user_is_compiled_over(cache, monkeypatch):
+    compiled(SOURCE)
+    fstat, own = os.fstat, os.geteuid()
+
+    def theirs(handle):
+        status = fstat(handle)
+        return os.stat_result((*status[:4], own + 1, *status[5:]))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("newton_euler.codegen.cache.os.fstat", theirs)
+        assert not compiled(SOURCE).from_cache
+    assert compiled(SOURCE).from_cache
+
+
 def test_a_read_only_cache_is_read(cache):
     compiled(SOURCE)
     cache.chmod(stat.S_IRUSR | stat.S_IXUSR)
