@@ -171,7 +171,9 @@ def report(found: Findings) -> Report:
         title += f"; {swept.made:,} made at {swept.made / swept.wall_time:,.0f} per s"
     if swept.made < samples.runs:
         title += f"; {samples.runs - swept.made:,} were there"
-    of_runs, notes, failed = "", [], _failures(found)
+    of_runs, notes, failed = "", [*swept.repaired[:MOST_REASONS]], _failures(found)
+    if (more := len(swept.repaired) - MOST_REASONS) > 0:
+        notes.append(f"{more} more files were damaged and their runs made again; -v prints all")
     if (count := len(analyzed(swept))) < samples.runs:
         of_runs = f"of {count:,} runs from all parts of the sweep"
         notes.append(f"quantiles and extremes are {of_runs}")
@@ -185,7 +187,7 @@ def report(found: Findings) -> Report:
     parts += _checks(found.checked) if found.checked else []
     parts.append(_varied(swept.plan))
     far, gaps = _far(swept.plan), _gaps(found)
-    parts += [Lines("", lines) for lines in (found.notes, far, gaps) if lines]
+    parts += [Lines("", list(lines)) for lines in (swept.repaired, found.notes, far, gaps) if lines]
     if failed:
         parts.append(Lines("runs that could not go on", failed))
     varying = [scalar for scalar in found.scalars if scalar.varies]

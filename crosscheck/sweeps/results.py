@@ -20,7 +20,8 @@ from crosscheck.limit import tidied_up
 from crosscheck.sweeps.execute import Pace, Workers, in_any_order, probed
 from crosscheck.sweeps.expressions import labels
 from crosscheck.sweeps.plan import STOPPED, Chunk, Parameters, Plan, make_runs, run_all
-from crosscheck.sweeps.store import BLOCK, ERROR, NAME, OF_TASKS, STATUS, Store, intact, locked, store_runs
+from crosscheck.sweeps.store import BLOCK, ERROR, NAME, OF_TASKS, STATUS, Store, intact, store_runs
+from crosscheck.sweeps.store_files import locked
 from newton_euler.errors import NewtonEulerError
 from newton_euler.scalars import Array
 from newton_euler.starts import assembly_of
@@ -58,6 +59,7 @@ class Results:
         store: that holds it.
         made: runs that were made now; the others were there.
         wall_time: s that they took.
+        repaired: lines about files that were damaged, whose runs were made again.
     """
 
     plan: Plan
@@ -65,6 +67,7 @@ class Results:
     store: Store
     made: int
     wall_time: float
+    repaired: tuple[str, ...] = ()
 
     @property
     def path(self) -> Path | None:
@@ -109,11 +112,12 @@ def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[
         NewtonEulerError: for a scene that cannot be run.
     """
     path = None if folder is None else folder / NAME
-    start = time.perf_counter()
+    start, repaired = time.perf_counter(), list[str]()
     with tidied_up(), locked(path):
         if path is not None and path.exists():
-            store = Store.at(path)
+            store = Store.checked(path)
             plan = store.resumed(plan)
+            repaired = store.discard_damaged(plan)
         else:
             if path is not None:
                 check_writable(path)
@@ -128,7 +132,7 @@ def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[
             raise CrosscheckError(f"{problem}; needed: a folder that all workers see")
     dataset = store.dataset()
     wall_time = time.perf_counter() - start
-    return Results(plan, dataset.load() if path is None else dataset, store, made, wall_time)
+    return Results(plan, dataset.load() if path is None else dataset, store, made, wall_time, tuple(repaired))
 
 
 def check_names(plan: Plan) -> None:

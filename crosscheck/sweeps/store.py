@@ -2,6 +2,9 @@
 
 A chunk counts when the status of its runs is there, which is written after all else; Zarr writes each file
 beside its place. So a sweep may be killed anywhere, and what is not there is made again.
+
+Every chunk ends with a checksum, which is compared whenever the chunk is read. Runs with a damaged chunk are
+made again when the sweep resumes.
 """
 
 from __future__ import annotations
@@ -9,9 +12,10 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +25,14 @@ from crosscheck.errors import CrosscheckError, short_of_memory
 from crosscheck.files import remove_abandoned
 from crosscheck.sweeps.plan import CONDITIONS, DONE, STOPPED, Chunk, Plan, make_runs
 from crosscheck.sweeps.sampling import EXTENDED, UNEXTENDED
+from crosscheck.sweeps.store_files import PARTIAL, check_files, chunk_file, stored_chunks
+from newton_euler.scalars import Array
 from newton_euler.variation import units_of
 
 NAME = "sweep.zarr"
 
 STATUS, ERROR = "status", "error"
 """Variables beside those that vary and those that are kept."""
-
-UNFINISHED = "*.partial"
-"""Files of Zarr that were never ended, where a process was killed."""
 
 BLOCK = 2**20
 """Runs whose status is read at a time."""
@@ -88,7 +91,7 @@ class Store:
 
     @classmethod
     def at(cls, path: Path) -> Store:
-        """Open a store that is there.
+        """Open a store that is there, whose files have been checked.
 
         Raises:
             CrosscheckError: for a folder that holds no sweep.
@@ -101,6 +104,19 @@ class Store:
         except (OSError, ValueError, KeyError) as error:
             raise CrosscheckError(f"{path} holds no sweep: {error}"[:300]) from error
         return cls(group, path)
+
+    @classmethod
+    def checked(cls, path: Path) -> Store:
+        """Open a store that is there, after its files were checked.
+
+        Raises:
+            CrosscheckError: for a folder that holds no sweep, or other files than those of a sweep.
+        """
+        try:
+            check_files(path)
+        except CrosscheckError as error:
+            raise CrosscheckError(f"{path} holds no sweep of this version: {error}; {ELSEWHERE}") from error
+        return cls.at(path)
 
     @classmethod
     def make(cls, plan: Plan, path: Path) -> Store:
@@ -124,6 +140,8 @@ class Store:
 
     def _create(self, plan: Plan, attributes: Mapping[str, Any]) -> None:
         """Make all variables, without values, and the names along their dimensions."""
+        from zarr.codecs import Crc32cCodec
+
         self.group.update_attributes(dict(attributes))
         of_runs = {"run": plan.samples.runs}
 
@@ -137,6 +155,7 @@ class Store:
                 dimension_names=tuple(sizes),
                 attributes={key: text for key, text in said.items() if text},
                 fill_value=np.nan if kind == "f8" else None,
+                compressors=[Crc32cCodec()],
             )
 
         for name, unit in units_of(plan.scene, plan.samples.names).items():
@@ -144,11 +163,9 @@ class Store:
         for each in plan.kept:
             sizes = {name: len(along) for name, along in each.dimensions.items()}
             make(each.name, "f8", of_runs | sizes, each.unit, each.text)
-        coordinates = {name: along for each in plan.kept for name, along in each.dimensions.items()}
-        for dimension, values in coordinates.items():
-            kind, unit = ("f8", "s") if values.dtype.kind == "f" else (str, "")
-            array = make(dimension, kind, {dimension: len(values)}, unit)
-            array[:] = values if unit else values.astype(object)
+        for dimension, values in _coordinates(plan).items():
+            kind, unit = (str, "") if values.dtype.kind == "O" else ("f8", "s")
+            make(dimension, kind, {dimension: len(values)}, unit)[:] = values
         make(ERROR, str, of_runs, about="why a run could not go on")
         about = f"{DONE}: to its end, {STOPPED}: could not go on, 0: not made yet"
         make(STATUS, "u1", of_runs, about=about)
@@ -165,7 +182,7 @@ class Store:
         if what := _difference(own, record):
             raise CrosscheckError(f"{self.path} holds a sweep of {what}; {ELSEWHERE}")
         with intact(self.path), told(self.path):
-            remove_abandoned(self.path.rglob(UNFINISHED) if self.path else ())
+            remove_abandoned(self.path.rglob(f"*{PARTIAL}") if self.path else ())
             if more:
                 new = {"runs": runs, "samples": plan.samples.digest(runs), OF_TASKS: os.urandom(8).hex()}
                 self.group.update_attributes(new)
@@ -173,11 +190,67 @@ class Store:
             for _, array in self.group.arrays():
                 if array.metadata.dimension_names[0] == "run" and array.shape[0] < runs:
                     array.resize((runs, *array.shape[1:]))
-            of_kept = [name for each in plan.kept for name in (each.name, *each.dimensions)]
-            for name in (*plan.samples.names, *of_kept, ERROR):
-                if name not in self.group:
-                    raise ValueError(f"{name} is missing")
-        return replace(plan, chunk=int(own["chunk"]))
+            resumed = replace(plan, chunk=int(own["chunk"]))
+            self._check_metadata(resumed)
+        return resumed
+
+    def _check_metadata(self, plan: Plan) -> None:
+        """Raise `ValueError` for variables that are not described as those of a new store of the plan."""
+        own, new = (dict(group.arrays()) for group in (self.group, Store.in_memory(plan).group))
+        for name in {**new, **own}:
+            if name not in own:
+                raise ValueError(f"{name} is missing")
+            if name not in new:
+                raise ValueError(f"{name} is no variable of this sweep")
+            have, needed = (arrays[name].metadata.to_dict() for arrays in (own, new))
+            for field in sorted(_changed(have, needed)):
+                problem = f"{name}: {field} is {have.get(field)!s:.60}"
+                raise ValueError(f"{problem}; needed: {needed.get(field)!s:.60}")
+
+    def discard_damaged(self, plan: Plan) -> list[str]:
+        """Mark runs whose chunks are damaged or lost as not made, so that they are made again.
+
+        Returns:
+            A line for each file: its path, its runs and what is done.
+        """
+        if self.path is None:
+            return []
+        lines = list[str]()
+        with told(self.path):
+            for name, values in _coordinates(plan).items():
+                if _unreadable(self.group[name], 0, 1) or not np.array_equal(self.group[name][:], values):
+                    lines.append(f"{self.path / name} was damaged and is written again")
+                    self.group[name][:] = values
+            count = -(-plan.samples.runs // plan.chunk)
+            for number in self._discard(STATUS, _unreadable(self.group[STATUS], 0, count)):
+                lines.append(self._line(STATUS, number, plan))
+            made, stopped = set[int](), set[int]()
+            for start, status in self._statuses(plan):
+                chunks = np.arange(0, len(status), plan.chunk)
+                for marked, found in ((status != 0, made), (status == STOPPED, stopped)):
+                    of_chunks = np.logical_or.reduceat(marked, chunks)
+                    found.update(((start + chunks[of_chunks]) // plan.chunk).tolist())
+            for name in (*plan.samples.names, *(each.name for each in plan.kept), ERROR):
+                array = self.group[name]
+                lost = (stopped if name == ERROR else made) - stored_chunks(self.path / name, array.ndim)
+                for number in self._discard(name, sorted(lost | {*_unreadable(array, 0, count)})):
+                    first = number * plan.chunk
+                    self.group[STATUS][first : first + plan.chunk] = 0
+                    lines.append(self._line(name, number, plan))
+        return lines
+
+    def _discard(self, name: str, numbers: Iterable[int]) -> Iterator[int]:
+        """Remove the files of damaged chunks of a variable: part of a chunk cannot be written into them."""
+        assert self.path is not None
+        for number in numbers:
+            chunk_file(self.path / name, number, self.group[name].ndim).unlink(missing_ok=True)
+            yield number
+
+    def _line(self, name: str, number: int, plan: Plan) -> str:
+        assert self.path is not None
+        first, last = number * plan.chunk, min((number + 1) * plan.chunk, plan.samples.runs) - 1
+        file = chunk_file(self.path / name, number, self.group[name].ndim)
+        return f"{file} was damaged or lost: runs {first} to {last} are made again"
 
     def missing(self, plan: Plan) -> list[tuple[int, int]]:
         """Return the runs that are not there: of each chunk the first of them and the first after them.
@@ -188,16 +261,21 @@ class Store:
             CrosscheckError: for files that are damaged.
         """
         runs, left = plan.samples.runs, list[tuple[int, int]]()
-        step = max(1, BLOCK // plan.chunk) * plan.chunk
         with intact(self.path, STATUS):
-            for start in range(0, runs, step):
-                there = (self.group[STATUS][start : start + step] != 0).astype(int)
+            for start, status in self._statuses(plan):
+                there = (status != 0).astype(int)
                 chunks = np.arange(0, len(there), plan.chunk)
                 firsts = start + chunks + np.add.reduceat(there, chunks)
                 lasts = np.minimum(start + chunks + plan.chunk, runs)
                 some = firsts < lasts
                 left += zip(firsts[some].tolist(), lasts[some].tolist(), strict=True)
         return left
+
+    def _statuses(self, plan: Plan) -> Iterator[tuple[int, Array]]:
+        """Yield the status of all runs in parts of whole chunks, each with the number of its first run."""
+        step = max(1, BLOCK // plan.chunk) * plan.chunk
+        for start in range(0, plan.samples.runs, step):
+            yield start, self.group[STATUS][start : start + step]
 
     def progress(self) -> str:
         """Word how many of all runs are there.
@@ -220,7 +298,8 @@ class Store:
         last, stopped = first + len(chunk.errors), chunk.errors != ""
         with intact(self.path), told(self.path):
             for name, values in chunk.values.items():
-                self.group[name][first:last] = values
+                # also where all are not a number: a chunk without a file counts as lost
+                self.group[name].with_config({"write_empty_chunks": True})[first:last] = values
             if stopped.any():
                 self.group[ERROR][first:last] = chunk.errors
             self.group[STATUS][first:last] = np.where(stopped, STOPPED, DONE).astype("u1")
@@ -230,6 +309,33 @@ class Store:
         xarray, _ = libraries()
         with intact(self.path):
             return xarray.open_zarr(self.group.store, consolidated=False, chunks=None)
+
+
+def _coordinates(plan: Plan) -> dict[str, Any]:
+    """The names or times along the dimensions of what is kept."""
+    found = {name: along for each in plan.kept for name, along in each.dimensions.items()}
+    return {name: along if along.dtype.kind == "f" else along.astype(object) for name, along in found.items()}
+
+
+def _unreadable(array: Any, first: int, last: int) -> list[int]:
+    """The numbers of the chunks, from the first to before the last, whose files cannot be read.
+
+    Many chunks are read together, and halved where that fails.
+    """
+    chunk = array.chunks[0]
+    if last - first > max(1, BLOCK // (chunk * prod(array.shape[1:]))):
+        middle = (first + last) // 2
+        return [*_unreadable(array, first, middle), *_unreadable(array, middle, last)]
+    try:
+        array[first * chunk : last * chunk]
+    except Exception as error:  # whatever codecs make of damaged bytes
+        if short_of_memory(error):
+            raise
+        if last - first == 1:
+            return [first]
+        middle = (first + last) // 2
+        return [*_unreadable(array, first, middle), *_unreadable(array, middle, last)]
+    return []
 
 
 def _difference(own: Mapping[str, Any], record: Mapping[str, Any]) -> str:
@@ -263,14 +369,15 @@ def _change(name: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
 
 @contextmanager
 def intact(path: Path | None, name: str = "") -> Iterator[None]:
-    """A block in which files of a store that are damaged are one line; `name` is the variable's."""
+    """A block in which files of a store that are damaged are one line; `name` is a variable to be read."""
+    what_to_do = f"the same command makes its runs again; otherwise {ELSEWHERE}" if name else ELSEWHERE
     try:
         yield
     except (OSError, RuntimeError, ValueError, KeyError) as error:
         if short_of_memory(error):
             raise
         problem = f"{path} is damaged: {name and f'{name}: '}{error}"
-        raise CrosscheckError(f"{problem:.300}; {ELSEWHERE}") from error
+        raise CrosscheckError(f"{problem:.300}; {what_to_do}") from error
 
 
 @contextmanager
@@ -291,43 +398,14 @@ def interruptible(path: Path) -> Iterator[None]:
     except KeyboardInterrupt:
         if not path.exists():
             raise
-        raise KeyboardInterrupt(f"{Store.at(path).progress()} are stored, {GOES_ON}") from None
+        raise KeyboardInterrupt(f"{Store.checked(path).progress()} are stored, {GOES_ON}") from None
 
 
 def check_finished(folder: Path) -> None:
     """Raise `CrosscheckError` for a folder with a sweep alone that did not come to its tables."""
     if (folder / NAME).is_dir() and not any(folder.glob("*.json")):
-        there = Store.at(folder / NAME).progress()
+        there = Store.checked(folder / NAME).progress()
         raise CrosscheckError(f"{folder} holds an unfinished sweep, {there}; {GOES_ON}")
-
-
-@contextmanager
-def locked(path: Path | None) -> Iterator[None]:
-    """A block in which no other process works at a store; the lock ends with the process, if it is killed.
-
-    Two with other numbers of runs would write the chunk at the end of one of them over each other.
-
-    Raises:
-        CrosscheckError: if one does, and naming the path that cannot be written.
-    """
-    if path is None:
-        yield
-        return
-    try:
-        import locket
-    except ImportError as error:
-        raise not_installed(error) from error
-    with ExitStack() as stack:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            lock = path.parent.absolute() / f".{path.stem}.lock"
-            stack.enter_context(locket.lock_file(str(lock), timeout=0.0))
-        except OSError as error:
-            raise CrosscheckError(f"cannot write {path}: {error.strerror or error}") from error
-        except locket.LockError as error:
-            what_to_do = "wait for its end, or name another folder (--output)"
-            raise CrosscheckError(f"another process works at {path}; {what_to_do}") from error
-        yield
 
 
 def store_runs(plan: Plan, path: Path, tasks: str | None, runs: tuple[int, int]) -> None:

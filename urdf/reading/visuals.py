@@ -182,7 +182,7 @@ def _mesh(urdf: Path, visual: _Visual) -> tuple[Path, Array]:
 
 
 def packages(home: Path, name: str) -> list[Path]:
-    """The folders that may be a package, the nearest to a folder first; never the root of the disk or below it.
+    """The folders that may be a package, the nearest to `home` first; none is directly below `/`.
 
     A folder beside those around `home` has to have a `package.xml`: any file of the disk could be named
     otherwise.

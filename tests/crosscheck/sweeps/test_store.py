@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -270,7 +272,7 @@ def test_another_package_or_processor_is_refused(tmp_path, monkeypatch, place, w
 AT_WORK = """
 import sys
 from pathlib import Path
-from crosscheck.sweeps.store import locked
+from crosscheck.sweeps.store_files import locked
 with locked(Path(sys.argv[1])):
     print("at work", flush=True)
     sys.stdin.read()
@@ -298,22 +300,171 @@ def test_a_folder_with_something_else_is_refused(tmp_path):
         sweep(*ARGUMENTS, output=tmp_path)
 
 
+def flipped(file, random):
+    """Flip one bit of a file."""
+    content = bytearray(file.read_bytes())
+    content[random.randrange(len(content))] ^= 1 << random.randrange(8)
+    file.write_bytes(content)
+
+
+HARM = {
+    "a bit flipped": flipped,
+    "cut": lambda file, random: file.write_bytes(file.read_bytes()[:-4]),
+    "empty": lambda file, random: file.write_bytes(b""),
+    "gone": lambda file, random: file.unlink(),
+}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """The folder of the small sweep, of tasks of 7 runs."""
+    folder = tmp_path_factory.mktemp("finished")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(crosscheck.sweeps.results, "_task", lambda plan, at, progress: 7)
+        sweep(*ARGUMENTS, output=folder)
+    return folder
+
+
+@pytest.fixture
+def copied(finished, tmp_path):
+    """A copy of that folder."""
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
 @pytest.mark.parametrize(
-    ("file", "words"),
+    ("name", "harm"),
     [
-        ("status/c/3", "status: "),
-        ("dumbbell.mass/c/3", "dumbbell.mass: "),
-        ("peak:reaction_force/c/3/0", "peak:reaction_force: "),
-        ("peak:reaction_force/zarr.json", ""),
-        ("joint/c/0", ""),
+        *(("peak:reaction_force", harm) for harm in HARM),
+        *((name, "a bit flipped") for name in ("dumbbell.mass", "at(1;2):dumbbell.position", "status")),
     ],
 )
-def test_a_damaged_folder_is_one_line(tmp_path, file, words):
-    sweep(*ARGUMENTS, output=tmp_path)
-    damaged = tmp_path / NAME / file
-    damaged.write_bytes(damaged.read_bytes()[:-4])
-    with pytest.raises(CrosscheckError, match=rf"sweep\.zarr is damaged: {words}.*; name another folder"):
-        str(sweep(*ARGUMENTS, output=tmp_path))
+def test_runs_of_a_damaged_chunk_are_named_and_made_again(reference, copied, name, harm):
+    random = Random(f"{name} {harm}")
+    (file,) = [path for path in (copied / NAME / name / "c" / "3",) if path.exists()]
+    while file.is_dir():
+        (file,) = file.iterdir()
+    HARM[harm](file, random)
+    found = sweep(*ARGUMENTS, output=copied)
+    assert found.results.made == 7
+    (line,) = found.results.repaired
+    assert str(file) in line
+    assert "runs 21 to 27 " in line
+    assert line in str(found.report.summary[-1].lines)
+    assert_equal(found, reference)
+    again = sweep(*ARGUMENTS, output=copied)
+    assert (again.results.made, again.results.repaired) == (0, ())
+
+
+@pytest.mark.slow  # a sweep for each bit
+def test_any_flipped_bit_is_found(reference, copied):
+    files = [path for path in (copied / NAME).glob("*/c/**/*") if path.is_file()]
+    random = Random(8)
+    for file in random.choices(files, k=60):
+        flipped(file, random)
+        found = sweep(*ARGUMENTS, output=copied)
+        (line,) = found.results.repaired
+        assert str(file.parent.parent) in line or str(file) in line
+        assert_equal(found, reference)
+
+
+def test_names_along_a_dimension_are_those_of_the_scene(reference, copied):
+    group = zarr.open_group(copied / NAME)
+    group["joint"][0] = "another"  # with a checksum that fits
+    found = sweep(*ARGUMENTS, output=copied)
+    assert len(found.results.repaired) == 1
+    assert list(found.dataset["joint"].values) == ["pivot"]
+
+
+def test_a_run_that_stopped_keeps_its_reason(tmp_path):
+    """Its numbers are all not a number, and have a file all the same."""
+    arguments = ("pendulum", {"dumbbell.mass": [1.0, -1.0]}, None, "peak:reaction_force")
+    sweep(*arguments, sampling="grid", output=tmp_path)
+    for name in ("error", "peak:reaction_force"):
+        (file,) = [path for path in (tmp_path / NAME / name / "c").rglob("*") if path.is_file()]
+        file.unlink()
+        found = sweep(*arguments, sampling="grid", output=tmp_path)
+        assert found.results.made == 2
+        assert list(found.errors) == [1]
+
+
+def of_metadata(change):
+    def harm(file):
+        content = json.loads(file.read_text())
+        change(content)
+        file.write_text(json.dumps(content))
+
+    return harm
+
+
+def linked(file):
+    file.rename(file.with_name("elsewhere"))
+    file.symlink_to(file.with_name("elsewhere"))
+
+
+def piped(file):
+    file.unlink()
+    os.mkfifo(file)
+
+
+def device(file):
+    file.unlink()
+    file.symlink_to("/dev/zero")
+
+
+@pytest.mark.parametrize(
+    ("file", "harm"),
+    [
+        ("zarr.json", lambda file: file.write_bytes(file.read_bytes()[:-4])),
+        ("zarr.json", of_metadata(lambda content: content["attributes"].update(runs=2**40))),
+        ("zarr.json", of_metadata(lambda content: content["attributes"].update(chunk=8))),
+        ("zarr.json", of_metadata(lambda content: content["attributes"].update(runs="60"))),
+        ("zarr.json", of_metadata(lambda content: content["attributes"].update(seed=[0]))),
+        ("status/zarr.json", of_metadata(lambda content: content.update(shape=[10**30]))),
+        ("status/zarr.json", of_metadata(lambda content: content.update(shape="x"))),
+        ("status/zarr.json", of_metadata(lambda content: content.update(data_type="float64"))),
+        ("status/zarr.json", of_metadata(lambda content: content.update(fill_value=1))),
+        ("status/zarr.json", of_metadata(lambda content: content["codecs"].pop())),
+        ("error/zarr.json", of_metadata(lambda content: content["codecs"].insert(1, {"name": "zstd"}))),
+        ("joint/zarr.json", of_metadata(lambda content: content["attributes"].update(units="m"))),
+        ("dumbbell.mass/zarr.json", of_metadata(lambda content: content["attributes"].clear())),
+        ("dumbbell.mass/zarr.json", of_metadata(lambda content: content.update(dimension_names=["joint"]))),
+        ("status/zarr.json", piped),
+        ("status/c/3", piped),
+        ("status/c/3", device),
+        ("status/c/3", linked),
+        ("status", linked),
+        ("error", lambda file: (file / "c").mkdir() or os.mkfifo(file / "c" / "0")),
+        ("dumbbell.mass/c/3", lambda file: file.write_bytes(bytes(1000))),
+    ],
+)
+def test_a_folder_of_other_files_is_one_line(copied, file, harm):
+    harm(copied / NAME / file)
+    with pytest.raises(CrosscheckError) as caught:
+        sweep(*ARGUMENTS, output=copied)
+    assert file.partition("/")[0] in str(caught.value)
+    assert "name another folder" in str(caught.value)
+    assert len(str(caught.value)) < 700
+
+
+def test_another_variable_is_refused(copied):
+    shutil.copytree(copied / NAME / "status", copied / NAME / "more")
+    with pytest.raises(CrosscheckError, match="more is no variable of this sweep"):
+        sweep(*ARGUMENTS, output=copied)
+
+
+@pytest.mark.parametrize(
+    "make", [lambda lock, other: lock.symlink_to(other), lambda lock, _: os.mkfifo(lock)]
+)
+def test_a_lock_is_a_file_of_the_folder(tmp_path, make):
+    other, folder = tmp_path / "precious", tmp_path / "out"
+    other.write_text("content")
+    folder.mkdir()
+    make(folder / ".sweep.lock", other)
+    with pytest.raises(CrosscheckError, match=r"cannot write .*\.sweep\.lock"):
+        sweep(*ARGUMENTS, output=folder)
+    assert other.read_text() == "content"
+    assert list(folder.iterdir()) == [folder / ".sweep.lock"]
 
 
 @pytest.mark.parametrize("name", ["dumbbell.mass", "peak:reaction_force", "joint", "error"])

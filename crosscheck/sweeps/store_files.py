@@ -1,0 +1,224 @@
+"""Files of a sweep's store: their lock, and what is checked of them before Zarr opens any.
+
+A store may come from anybody. Zarr would wait at a pipe for ever, and would read a link to a device until the
+memory is full.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import math
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StrictInt, StringConstraints
+
+from crosscheck.errors import CrosscheckError
+from crosscheck.results import read_json
+from newton_euler.limits import size_in_bytes
+
+METADATA = "zarr.json"
+
+CHUNKS = "c"
+"""Folder of an array's chunks, each by its number."""
+
+CODECS = {
+    "float64": ["bytes", "crc32c"],
+    "uint8": ["bytes", "crc32c"],
+    "string": ["vlen-utf8", "crc32c"],
+}
+"""Names of the codecs by the type of an array. The last one is a checksum, which finds every error within 32
+neighboring bits."""
+
+CHECKSUM_BYTES = 4
+
+ITEM_BYTES = {"float64": 8, "uint8": 1}
+"""Bytes of a number by the type of an array. Nothing is compressed, so that the size of a file is known."""
+
+MAX_RUNS, MAX_CHUNK = 2**32, 2**16
+"""Runs of a sweep and of a chunk."""
+
+PARTIAL = ".partial"
+"""Ending of files that Zarr has not finished, where a process was killed."""
+
+Name = Annotated[str, StringConstraints(max_length=1000)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class _Attributes(BaseModel):
+    """Attributes of a sweep: its plan, as texts and numbers."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, str | int | float]
+    runs: StrictInt = Field(ge=1, le=MAX_RUNS)
+    chunk: StrictInt = Field(ge=1, le=MAX_CHUNK)
+
+
+class _Group(_Strict):
+    zarr_format: Literal[3]
+    node_type: Literal["group"]
+    attributes: _Attributes
+
+
+class _ChunkShape(_Strict):
+    chunk_shape: list[Annotated[StrictInt, Field(ge=1, le=2**32)]] = Field(min_length=1, max_length=8)
+
+
+class _Grid(_Strict):
+    name: Literal["regular"]
+    configuration: _ChunkShape
+
+
+class _Separator(_Strict):
+    separator: Literal["/"]
+
+
+class _Encoding(_Strict):
+    name: Literal["default"]
+    configuration: _Separator
+
+
+class _Codec(_Strict):
+    name: str
+    configuration: dict[str, str] = {}
+
+
+class _Array(_Strict):
+    zarr_format: Literal[3]
+    node_type: Literal["array"]
+    shape: list[Annotated[StrictInt, Field(ge=0, le=MAX_RUNS)]] = Field(min_length=1, max_length=8)
+    data_type: Literal["float64", "uint8", "string"]
+    chunk_grid: _Grid
+    chunk_key_encoding: _Encoding
+    fill_value: Literal["NaN", "", 0] | float
+    codecs: list[_Codec]
+    attributes: dict[Name, str]
+    dimension_names: list[Name]
+    storage_transformers: list[str] = Field(max_length=0)
+
+
+def check_files(path: Path) -> None:
+    """Check the folder of a store: regular files alone, of the metadata and the sizes that a sweep has.
+
+    Raises:
+        CrosscheckError: naming the file.
+    """
+    _check_entry(path)
+    group = read_json(path / METADATA, _Group)
+    for folder in _entries(path):
+        if not folder.is_dir():
+            continue
+        file = folder / METADATA
+        if not os.path.lexists(file):
+            raise CrosscheckError(f"{folder}: no {METADATA}; needed: a variable of a sweep")
+        _check_entry(file)
+        array = read_json(file, _Array)
+        _check_array(file, array, group.attributes)
+        most = _most_bytes(array)
+        for chunk in _files_below(folder):
+            if chunk.suffix != PARTIAL and chunk.name != METADATA and (size := chunk.lstat().st_size) > most:
+                raise CrosscheckError(f"{chunk}: {size} bytes; needed: {most} at most")
+
+
+def _check_array(file: Path, array: _Array, sweep: _Attributes) -> None:
+    """Check what concerns several fields of an array."""
+    codecs, needed_codecs = [codec.name for codec in array.codecs], CODECS[array.data_type]
+    if codecs != needed_codecs:
+        names, needed = ", ".join(codecs), ", ".join(needed_codecs)
+        raise CrosscheckError(f"{file}: codecs are {names:.100}; needed: {needed}, with a checksum")
+    chunk, of_runs = array.chunk_grid.configuration.chunk_shape, array.dimension_names[:1] == ["run"]
+    if not len(array.shape) == len(chunk) == len(array.dimension_names):
+        raise CrosscheckError(f"{file}: shape, chunk_shape and dimension_names differ in length")
+    if of_runs and (chunk[0] != sweep.chunk or array.shape[0] > sweep.runs):
+        needed = f"chunks of {sweep.chunk} and at most {sweep.runs} runs, as the sweep has"
+        raise CrosscheckError(f"{file}: chunks of {chunk[0]} of {array.shape[0]} runs; needed: {needed}")
+
+
+def _most_bytes(array: _Array) -> int:
+    """The bytes of a chunk: exactly of numbers, the largest of texts."""
+    if array.data_type not in ITEM_BYTES:
+        return size_in_bytes("array_size")
+    numbers = math.prod(array.chunk_grid.configuration.chunk_shape)
+    return numbers * ITEM_BYTES[array.data_type] + CHECKSUM_BYTES
+
+
+def _entries(folder: Path) -> list[Path]:
+    """The entries of a folder, each checked to be a regular file or a folder."""
+    try:
+        entries = sorted(folder.iterdir())
+    except OSError as error:
+        raise CrosscheckError(f"{folder}: cannot be read: {error.strerror}") from error
+    for entry in entries:
+        _check_entry(entry)
+    return entries
+
+
+def _files_below(folder: Path) -> Iterator[Path]:
+    for entry in _entries(folder):
+        if entry.is_dir():
+            yield from _files_below(entry)
+        else:
+            yield entry
+
+
+def _check_entry(path: Path) -> None:
+    """Raise `CrosscheckError` for a link, a pipe or a device."""
+    try:
+        mode = path.lstat().st_mode
+    except OSError as error:
+        raise CrosscheckError(f"{path}: cannot be read: {error.strerror}") from error
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        kind = "a link" if stat.S_ISLNK(mode) else "a pipe or a device"
+        raise CrosscheckError(f"{path}: {kind}; needed: a regular file or a folder")
+
+
+def chunk_file(folder: Path, number: int, dimensions: int) -> Path:
+    """The file of a chunk of runs of an array, which is whole along all other dimensions."""
+    return folder.joinpath(CHUNKS, str(number), *["0"] * (dimensions - 1))
+
+
+def stored_chunks(folder: Path, dimensions: int) -> set[int]:
+    """The numbers of the chunks of runs of an array that have a file."""
+    try:
+        names = os.listdir(folder / CHUNKS)
+    except FileNotFoundError:
+        return set()
+    numbers = {int(name) for name in names if name.isascii() and name.isdigit()}
+    return {number for number in numbers if chunk_file(folder, number, dimensions).is_file()}
+
+
+@contextmanager
+def locked(path: Path | None) -> Iterator[None]:
+    """A block in which no other process works at a store; the lock ends with the process, if it is killed.
+
+    Two with other numbers of runs would write the chunk at the end of one of them over each other.
+
+    Raises:
+        CrosscheckError: if another process does, naming a path that cannot be written or is a link.
+    """
+    if path is None:
+        yield
+        return
+    with ExitStack() as stack:
+        lock = path.parent.absolute() / f".{path.stem}.lock"
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o600)
+            stack.callback(os.close, handle)
+            if not stat.S_ISREG(os.fstat(handle).st_mode):
+                raise CrosscheckError(f"cannot write {lock}: not a regular file")
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            what_to_do = "wait for its end, or name another folder (--output)"
+            raise CrosscheckError(f"another process works at {path}; {what_to_do}") from error
+        except OSError as error:
+            reason = "a link, remove it" if lock.is_symlink() else error.strerror or error
+            raise CrosscheckError(f"cannot write {lock if lock.is_symlink() else path}: {reason}") from error
+        yield
