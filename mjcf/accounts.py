@@ -65,6 +65,9 @@ def switch_off(model: Any, kind: str, k: int, topic: str) -> None:
             model.tendon_stiffness[k] = model.tendon_damping[k] = 0.0
             model.tendon_stiffnesspoly[k] = model.tendon_dampingpoly[k] = 0.0
         case "actuator", "":
+            # motors divide by their parameters, so these cannot all be zero without another type
+            model.actuator_gaintype[k] = mujoco.mjtGain.mjGAIN_FIXED
+            model.actuator_biastype[k] = mujoco.mjtBias.mjBIAS_NONE
             model.actuator_gainprm[k] = model.actuator_biasprm[k] = model.actuator_gear[k] = 0.0
             model.actuator_armature[k] = 0.0
             model.actuator_damping[k] = model.actuator_dampingpoly[k] = 0.0

@@ -82,7 +82,7 @@ class PinocchioSystem:
         if self.nv == 0:  # its bindings crash on empty Jacobians
             raise UrdfError(f"scene {scene.name!r}: no joint can move; needed by Pinocchio: one that can")
         text, loops = to_urdf(scene), parse_loops(to_loops(scene), f"{scene.name}.loops.yaml")
-        self.closed = build(text, loops, alpha)
+        self.closed = build(text, loops, alpha, keeps_axes=True)
         self._model = self.closed.model
         self._model.gravity = pin.Motion(scene.gravity, np.zeros(3))
         self.map = CoordinateMap(self._model, self._welded)

@@ -6,6 +6,7 @@ is the one place where that meets the coordinates of `newton_euler`.
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from collections.abc import Container, Iterable
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
@@ -24,6 +25,9 @@ BaseName = Literal["fixed", "free"]
 """What the root link of a URDF may be: the ground, or floating."""
 
 BASES: tuple[BaseName, ...] = get_args(BaseName)
+
+ROUNDED = 1e-11
+"""Components of unit axes below which Pinocchio's parser may take them for 0; it does below 1e-12."""
 
 GROUND = "universe"
 """Pinocchio's name of the joint that everything hangs on."""
@@ -56,6 +60,7 @@ def build(
     loops: Loops,
     alpha: float = 0.0,
     base: BaseName = "fixed",
+    keeps_axes: bool = False,
 ) -> ClosedLoopModel:
     """Build the model of a URDF text and its loops.
 
@@ -64,6 +69,8 @@ def build(
         loops: what the loop file says.
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2 in every closure.
         base: one of `BASES`.
+        keeps_axes: True for axes as they are in the text; Pinocchio's parser takes those within 1e-12 of a
+            coordinate axis for that.
 
     Raises:
         UrdfError: for text that is not a URDF.
@@ -82,7 +89,7 @@ def build(
     if held:
         placeholder = pin.buildReducedModel(placeholder, held, pin.neutral(placeholder))
     _check_joints(loops, "name_mot", loops.name_mot, list(placeholder.names)[1:])
-    model, urdf_joints = _rebuilt(placeholder, types)
+    model, urdf_joints = _rebuilt(placeholder, types, _rounded_axes(urdf) if keeps_axes else {})
 
     constraints = pin.StdVec_RigidConstraintModel()
     frames, rods = [], []
@@ -146,8 +153,21 @@ def _beside(model: Any, frame: int) -> int:
     return int(model.addFrame(beside, False))
 
 
-def _rebuilt(placeholder: Any, types: dict[str, str]) -> tuple[Any, tuple[str, ...]]:
-    """The same model with the named joints of other types.
+def _rounded_axes(urdf: str) -> dict[str, Array]:
+    """Axes (3,) of a URDF that are next to a coordinate axis and not on it, by the names of joints."""
+    found = {}
+    for joint in ET.fromstring(urdf).findall("joint"):
+        element = joint.find("axis")
+        if element is not None:
+            axis = np.array([float(x) for x in element.get("xyz", "").split()])
+            small = np.abs(axis) < ROUNDED
+            if np.sum(small) == 2 and np.any(axis[small]):
+                found[str(joint.get("name"))] = axis / np.linalg.norm(axis)
+    return found
+
+
+def _rebuilt(placeholder: Any, types: dict[str, str], axes: dict[str, Array]) -> tuple[Any, tuple[str, ...]]:
+    """The same model with the named joints of other types, or about other axes.
 
     Returns:
         It, and the joint of the placeholder that each of its joints is, or is a part of.
@@ -159,6 +179,11 @@ def _rebuilt(placeholder: Any, types: dict[str, str]) -> tuple[Any, tuple[str, .
         owner = name = str(placeholder.names[index])
         parent, placement = numbers[placeholder.parents[index]], placeholder.jointPlacements[index]
         joint, kind = placeholder.joints[index], types.get(name)
+        if kind is None and name in axes:
+            slides = joint.shortname().startswith("JointModelP")
+            joint = (pin.JointModelPrismaticUnaligned if slides else pin.JointModelRevoluteUnaligned)(
+                axes[name]
+            )
         if kind == "SPHERICAL":
             joint = pin.JointModelSpherical()
         elif kind in UNIVERSAL:

@@ -123,15 +123,18 @@ class Actuators:
         if law is None:
             return
         self._report_damping(actuator, element)
-        self._report_limits(actuator, element, law, moments)
+        is_kept = True
         if moments is not None:
-            self._add_to_joints(actuator, element, law, moments)
+            is_kept = self._add_to_joints(actuator, element, law, moments)
         elif law == Affine(0.0, 0.0, 0.0) and not model.actuator_armature[actuator]:
             self._tell(actuator, "no force at the controls of the start", CONTROL)
         elif kind == TRANSMISSION.mjTRN_SITE:
-            self._add_wrench(actuator, element, law, model.actuator_gear[actuator])
+            is_kept = self._add_wrench(actuator, element, law, model.actuator_gear[actuator])
         else:
             self._report.left_out(element, f"no control law acts {self._through(actuator, kind)}")
+            is_kept = False
+        if is_kept:
+            self._report_limits(actuator, element, law, moments)
 
     def _moments(self, actuator: int, kind: mujoco.mjtTrn) -> dict[int, float] | None:
         """Return its moment on each joint; None if it acts on others than hinges and slides."""
@@ -279,13 +282,14 @@ class Actuators:
         if np.any(model.actuator_damping[actuator]) or np.any(model.actuator_dampingpoly[actuator]):
             self._report.left_out(element, "damping of its own", topic="damping")
 
-    def _add_to_joints(self, actuator: int, element: str, law: Affine, moments: dict[int, float]) -> None:
+    def _add_to_joints(self, actuator: int, element: str, law: Affine, moments: dict[int, float]) -> bool:
+        """Add its force to the laws of joints; False if no laws exert it, which is reported."""
         keys, inertia = self._joints.keys, float(self._model.actuator_armature[actuator])
         slopes = self._ties.slopes({keys[joint]: moment for joint, moment in moments.items()})
         if slopes is None and (law.by_length or law.by_rate or inertia):
             what = f"a sum of {len(moments)} joint coordinates that no gears tie"
             self._report.left_out(element, f"its force depends on {what}")
-            return
+            return False
         constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
         self._add_rotor(actuator, element, moments)
         shares = {keys[joint]: moment for joint, moment in moments.items()}
@@ -296,7 +300,7 @@ class Actuators:
             if slope == 0.0:
                 why = "equalities keep its length, so that it does no work"
                 self._report.left_out(element, why, inert=True)
-                return
+                return False
             shares = {key: slope}
         for key, share in shares.items():
             before = self._acting.get(key, Acting())
@@ -309,6 +313,7 @@ class Actuators:
         self._note_drive(actuator, shares, moments)
         names = ", ".join(repr(joint) for joint, _ in shares)
         self._tell(actuator, f"control law of joint {names}, its {self._course(actuator)}", CONTROL)
+        return True
 
     def _gain(self, actuator: int) -> float:
         """N or N m for each unit of control or activation; 0 if it has no fixed gain."""
@@ -378,18 +383,21 @@ class Actuators:
         self.armatures[rotor[0]] = self.armatures.get(rotor[0], 0.0) + rotor[1]
         self._report.exactly(element, f"its armature {inertia:g} at joint {rotor[0][0]!r}", ROTOR)
 
-    def _add_wrench(self, actuator: int, element: str, law: Affine, gear: Array) -> None:
-        """A constant force and torque at a site, in the site's frame or in that of a fixed one."""
+    def _add_wrench(self, actuator: int, element: str, law: Affine, gear: Array) -> bool:
+        """Add a constant force and torque at a site, in the site's frame or in that of a fixed one.
+
+        False if there is no such wrench, which is reported.
+        """
         model, data = self._model, self._data
         site, reference = (int(k) for k in model.actuator_trnid[actuator])
         body = self._bodies.names[int(model.site_bodyid[site])]
         turning = reference < 0
         if law.by_length or law.by_rate or body == GROUND:
             self._report.left_out(element, "its force on a site depends on where that is")
-            return
+            return False
         if not turning and self._bodies.names[int(model.site_bodyid[reference])] != GROUND:
             self._report.left_out(element, "its force on a site turns with another moving body")
-            return
+            return False
         axes = data.site_xmat[site if turning else reference].reshape(3, 3)
         force, torque = law.constant * (gear.reshape(2, 3) @ axes.T)
         own = model.actuator(actuator).name.removeprefix("wrench ")
@@ -398,3 +406,4 @@ class Actuators:
         frame: Any = "body" if turning else "world"
         self._forces.forces.append(Wrench(name, body, data.site_xpos[site].copy(), force, torque, frame))
         self._tell(actuator, f"wrench {name!r}, constant in the {frame}", FORCE)
+        return True

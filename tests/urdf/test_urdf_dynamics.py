@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from constrained_motion import states_near_start
 from elements import offset_slide
@@ -29,7 +31,10 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
+from urdf import to_loops, to_urdf
 from urdf.dynamics import PinocchioSystem
+from urdf.loops import parse_loops
+from urdf.model import build
 
 
 def cylinder_loop() -> Scene:
@@ -112,3 +117,19 @@ def test_motions_and_gears_that_depend_on_each_other():
     motions = tuple(PrescribedMotion(f"j_{name}", Polynomial((0.0,))) for name in "ab")
     system = PinocchioSystem(Scene("driven_twice", mechanism, 1.0, 0.1, motions=motions))
     assert system.acceleration(*system.coordinates(initial_state(system.scene))) == pytest.approx([0.0, 0.0])
+
+
+def test_axes_next_to_a_coordinate_axis_are_not_rounded() -> None:
+    scene = planar_four_bar()
+    text = to_urdf(scene)
+    axis = re.search(r'axis xyz="([^"]*)"', text)
+    assert axis is not None
+    text = text.replace(axis[0], 'axis xyz="6e-13 1.0 0.0"', 1)
+    loops = parse_loops(to_loops(scene), "loops")
+    for keeps, tilt in ((False, 0.0), (True, 6e-13)):
+        model = build(text, loops, keeps_axes=keeps).model
+        columns = np.reshape(
+            pin.computeJointJacobians(model, model.createData(), pin.neutral(model)), (6, -1)
+        )
+        assert tilt in np.abs(columns[3])
+        assert (6e-13 in np.abs(columns[3])) == keeps
