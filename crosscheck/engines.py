@@ -37,12 +37,15 @@ more `IMPLICIT` is taken instead. They take some seconds."""
 
 IMPLICIT: Final = "implicitfast"
 
-NATIVE_STEPS, PYTHON_STEPS = 100_000, 5_000
-"""Of DOP853, as few as stability alone asks for: with more Radau runs instead, see `crosscheck.stiffness`.
-They take some seconds in native code, and some minutes where each evaluation is called from Python."""
+NATIVE_STABILITY_STEPS, PYTHON_STABILITY_STEPS = 100_000, 60
+"""Largest numbers of steps of DOP853 for stability alone; above them Radau runs instead, see
+`crosscheck.stiffness`. In native code so many take some seconds. Where Python evaluates the equations, so
+many (or one for each output of the run, if these are more) cost about as much as Radau: DOP853 made 4 to 7
+times as many on damped trackers and servo-driven arms, at 13 evaluations each, Radau 500 to 900 for a second
+of an arm's motion, at 7."""
 
-MOST_STEPS = 2
-"""Times as many are made before a run is given up, so that it does not grind on."""
+NATIVE_MAX_STEPS, PYTHON_MAX_STEPS = 200_000, 10_000
+"""Steps of an adaptive method after which a run is given up, so that it does not last for hours."""
 
 STIFF_RTOL, STIFF_ATOL = 1e-8, 1e-10
 """Of Radau, a method of order 5: a hundred times tighter it would need ten times as many steps."""
@@ -84,16 +87,25 @@ class Engine:
     refined_in_full: Callable[[Scene], Trajectory] | None = None
 
 
-def adaptive(scene: Scene, steps: int, refined: bool) -> dict[str, Any]:
-    """Method, tolerances and most steps for an engine that is to make so many steps at most by DOP853."""
+def native_method(scene: Scene, refined: bool) -> dict[str, Any]:
+    """Choose the method, tolerances and largest number of steps for newton_euler's runs."""
+    return {"most_steps": NATIVE_MAX_STEPS} | _by_stiffness(scene, NATIVE_STABILITY_STEPS, refined)
+
+
+def python_method(scene: Scene, refined: bool) -> dict[str, Any]:
+    """Choose the same for runs whose equations Python evaluates."""
+    steps = max(PYTHON_STABILITY_STEPS, len(scene.times))
+    return {"most_steps": PYTHON_MAX_STEPS} | _by_stiffness(scene, steps, refined)
+
+
+def _by_stiffness(scene: Scene, stability_steps: int, refined: bool) -> dict[str, Any]:
+    """Choose Radau for a scene in which stability costs DOP853 more steps than these, and tolerances."""
     from crosscheck.stiffness import explicit_steps
 
-    most = MOST_STEPS * steps
-    if explicit_steps(scene) > steps:
+    if explicit_steps(scene) > stability_steps:
         share = STIFF_REFINEMENT if refined else 1.0
-        tolerances = {"rtol": share * STIFF_RTOL, "atol": share * STIFF_ATOL}
-        return {"integrator": "Radau", "most_steps": most} | tolerances
-    return {"most_steps": most} | ({"rtol": REFINED_RTOL, "atol": REFINED_ATOL} if refined else {})
+        return {"integrator": "Radau", "rtol": share * STIFF_RTOL, "atol": share * STIFF_ATOL}
+    return {"rtol": REFINED_RTOL, "atol": REFINED_ATOL} if refined else {}
 
 
 @lru_cache(maxsize=1)
@@ -101,7 +113,7 @@ def native_run(scene: Scene) -> Trajectory:
     """newton_euler's run, made once for all that it is compared with."""
     from newton_euler import simulate
 
-    return simulate(scene, **adaptive(scene, NATIVE_STEPS, refined=False))
+    return simulate(scene, **native_method(scene, refined=False))
 
 
 @lru_cache(maxsize=1)
@@ -109,7 +121,7 @@ def native_refined(scene: Scene) -> Trajectory:
     """newton_euler's finer run, made once as well."""
     from newton_euler import simulate
 
-    return simulate(scene, **adaptive(scene, NATIVE_STEPS, refined=True))
+    return simulate(scene, **native_method(scene, refined=True))
 
 
 def _newton_euler_exact(scene: Scene) -> Trajectory:
@@ -185,14 +197,14 @@ def _mujoco_soft(scene: Scene) -> Evaluation:
 def _pinocchio_run(scene: Scene) -> Trajectory:
     import urdf
 
-    return urdf.simulate(scene, **adaptive(scene, PYTHON_STEPS, refined=False))
+    return urdf.simulate(scene, **python_method(scene, refined=False))
 
 
 def _pinocchio_refined(scene: Scene, in_full: bool = False) -> Trajectory:
     import urdf
 
     wanted = scene if in_full else _motion_of(scene)
-    return urdf.simulate(wanted, **adaptive(scene, PYTHON_STEPS, refined=True))
+    return urdf.simulate(wanted, **python_method(scene, refined=True))
 
 
 def _pinocchio_systems(scene: Scene) -> tuple[System, ...]:

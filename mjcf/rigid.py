@@ -21,7 +21,7 @@ from mjcf.evaluate import EvaluatedScene, constraint_jacobian, mass_and_force
 from mjcf.loops import all_loops, closes, loops
 from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.model_control import EngineControl, servo_forces
-from newton_euler.equations.redundancy import rows_left_out, without
+from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
 from newton_euler.equations.system import Evaluation
 from newton_euler.model.joint import Key
 from newton_euler.model.joint_geometry import JointGeometry, closing, in_tree
@@ -150,7 +150,8 @@ class RigidMuJoCo(EvaluatedScene):
         gamma = self._gamma(q, v)
         mass, force = self._mass_and_force()
         rows, gamma = without(self._jacobian(), unused), without(gamma, unused)
-        return solve_constrained(mass, force, rows, gamma, self.phi_units, self.velocity_units)
+        units = self.phi_units, self.velocity_units
+        return solve_constrained(mass, force, rows, gamma, *units, constraint_rank(self))
 
     def servo_forces(self, q: Array, v: Array, keys: Sequence[Key], accelerations: Array) -> Array:
         """Forces on joint coordinates, N or N m, for their accelerations, by MuJoCo's own matrices."""

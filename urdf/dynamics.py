@@ -112,6 +112,7 @@ class PinocchioSystem:
         self._sensed = [keys.index(key) for key in scene.sensed]
         self._control = EngineControl(scene, PinocchioSystem) if roles(scene) else None
         self._alpha = alpha
+        self._rank = constraint_rank(self)
         self._eliminates = bool(len(self._rows.units)) or mobility(scene).residual > 0.0
         self._moving = bool(self._forces) or self._eliminates
         self._solved: tuple[Any, tuple[Array, Array, Array]] | None = None
@@ -119,7 +120,7 @@ class PinocchioSystem:
             self._unused = rows_left_out(self)
         else:
             q, _ = self.coordinates(initial_state(scene))
-            self._proximal = ConstraintDynamics(self.closed, self.map, self._units, q, constraint_rank(self))
+            self._proximal = ConstraintDynamics(self.closed, self.map, self._units, q, self._rank)
 
     def _add_body_frames(self) -> list[int]:
         """Add the frames of the bodies: at the center of mass, turned by `Body.quaternion`."""
@@ -249,6 +250,7 @@ class PinocchioSystem:
                 without(gamma, self._unused),
                 self.phi_units,
                 self.velocity_units,
+                self._rank,
             )
         except np.linalg.LinAlgError:
             found, multipliers = np.full(self.nv, np.nan), np.zeros(len(gamma))

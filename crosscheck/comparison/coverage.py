@@ -27,7 +27,7 @@ from crosscheck.comparison.changes import CHANGE, Element, Moments, elements
 from crosscheck.comparison.figure import OWN_ERROR, POSES, ROUND_OFF, UNRESOLVED, Figure, reach
 from crosscheck.comparison.joint_loads import JointLoads
 from crosscheck.comparison.runs import orientations_apart, positions_apart
-from crosscheck.engines import NATIVE_STEPS, adaptive, native_refined, native_run
+from crosscheck.engines import native_method, native_refined, native_run
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System, at_time
 from newton_euler.errors import AssemblyError, NearlyRedundantWarning, NewtonEulerError, SingularityError
@@ -138,7 +138,7 @@ class _Runs:
     def __init__(
         self, scene: Scene, found: Sequence[Element], length: float, angle: float, end: int | None
     ) -> None:
-        self._elements, self._settings = found, adaptive(scene, NATIVE_STEPS, refined=False)
+        self._elements, self._settings = found, native_method(scene, refined=False)
         if "velocities" not in scene.outputs:
             scene = replace(scene, outputs=scene.outputs | {"velocities"})
         run, finer = (_as_far_as_it_goes(each, scene) for each in (native_run, native_refined))

@@ -27,7 +27,7 @@ from newton_euler.equations.couplings import Measured
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.model_control import model_control
 from newton_euler.equations.reactions import at_joint_points, pushes
-from newton_euler.equations.redundancy import rows_left_out, without
+from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
 from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, add, spread, to_array
 from newton_euler.equations.system import fastest_joint
 from newton_euler.errors import SingularityError
@@ -284,7 +284,8 @@ class Cartesian(Formulation):
         force_units = np.concatenate([self.force_units, np.ones(len(self.bodies))])
         units = self.phi_units[: self.rows], self.velocity_units, force_units
         try:
-            qddot, multipliers = dense.solve_augmented(matrix, right, *units)
+            max_rank = constraint_rank(self) - len(self.bodies)  # Euler parameters' norms are rows of A
+            qddot, multipliers = dense.solve_augmented(matrix, right, *units, max_rank)
         except np.linalg.LinAlgError as error:
             raise SingularityError(self._weakest_joint(q), f"{error} in equation (21)") from error
         if not np.isfinite(qddot).all():

@@ -66,32 +66,45 @@ def minimum_norm(matrix: Array, right: Array, row_units: Array, column_units: Ar
     return np.asarray(column_units * (vt[:r].T @ ((u[:, :r].T @ (right / row_units)) / s[:r])))
 
 
-def independent_rows(jacobian: Array, row_units: Array, column_units: Array) -> Array:
+def independent_rows(
+    jacobian: Array, row_units: Array, column_units: Array, max_rank: int | None = None
+) -> Array:
     """Compute combinations (k, r) of the rows of a Jacobian that imply all of them.
 
     With them as C, constraints J a = gamma become C^T J a = C^T gamma, and multipliers mu of those are
     lambda = C mu: of all equivalent multipliers the smallest, in dimensionless terms.
+
+    At most `max_rank` combinations are kept. Redundant closures that are open by 1e-8, as at the states
+    that a difference quotient or a Newton iteration looks at, have a larger rank than closed ones.
     """
     u, s, _ = singular_values(jacobian * column_units / row_units[:, None])
-    return np.asarray(u[:, : numerical_rank(s)] / row_units[:, None])
+    return np.asarray(u[:, : numerical_rank(s)][:, :max_rank] / row_units[:, None])
 
 
 def solve_constrained(
-    mass: Array, force: Array, jacobian: Array, gamma: Array, row_units: Array, column_units: Array
+    mass: Array,
+    force: Array,
+    jacobian: Array,
+    gamma: Array,
+    row_units: Array,
+    column_units: Array,
+    max_rank: int | None = None,
 ) -> tuple[Array, Array]:
     """Solve M a = f + J^T lambda, J a = gamma for a (n,) and lambda (k,).
 
     Redundant constraints are combined into independent ones first. With L the Cholesky factor of M
     and QR = L^-1 J^T, L^T a = L^-1 f + Q (R^-T gamma - Q^T L^-1 f); not squaring J keeps its digits.
-    Units are as in `minimum_norm`. Raises `numpy.linalg.LinAlgError` for an indefinite M, and for what is
-    not finite.
+    Units are as in `minimum_norm`, `max_rank` is as in `independent_rows`.
+
+    Raises:
+        numpy.linalg.LinAlgError: for an indefinite M, and for numbers that are not finite.
     """
     if not (np.isfinite(force).all() and np.isfinite(gamma).all()):
         raise np.linalg.LinAlgError("a force is not finite")
     lower = np.linalg.cholesky(mass)
     if not jacobian.size:
         return np.linalg.solve(lower.T, np.linalg.solve(lower, force)), np.zeros(len(gamma))
-    combine = independent_rows(jacobian, row_units, column_units)
+    combine = independent_rows(jacobian, row_units, column_units, max_rank)
     columns = np.linalg.solve(lower, np.column_stack([force, jacobian.T @ combine]))
     free = columns[:, 0]
     q, r = np.linalg.qr(columns[:, 1:])
@@ -100,7 +113,12 @@ def solve_constrained(
 
 
 def solve_augmented(
-    matrix: Array, right: Array, row_units: Array, column_units: Array, force_units: Array
+    matrix: Array,
+    right: Array,
+    row_units: Array,
+    column_units: Array,
+    force_units: Array,
+    max_rank: int | None = None,
 ) -> tuple[Array, Array]:
     """Solve [[A, B^T], [J, 0]] (a, -lambda) = right for a (n,) and lambda (k,), as equation (21) is written.
 
@@ -109,13 +127,14 @@ def solve_augmented(
     Args:
         matrix, right: (n + k, n + k) and (n + k,).
         row_units, column_units, force_units: (k,), (n,) and (n,), of rows of J, of a and of rows of A.
+        max_rank: as in `independent_rows`.
 
     Raises:
         numpy.linalg.LinAlgError: for a singular matrix, and for a Jacobian that is not finite.
     """
     n = len(column_units)
     jacobian = matrix[n:, :n]
-    combine = independent_rows(jacobian, row_units, column_units)
+    combine = independent_rows(jacobian, row_units, column_units, max_rank)
     left = np.zeros((n + combine.shape[1],) * 2)
     left[:n, :n] = matrix[:n, :n] * column_units / force_units[:, None]
     left[n:, :n] = combine.T @ jacobian * column_units

@@ -33,7 +33,7 @@ from newton_euler.equations.formulation import Servos
 from newton_euler.equations.kinematics import Link, TreeKinematics, drift, tree_links
 from newton_euler.equations.model_control import model_control
 from newton_euler.equations.reactions import pushes, tree_reactions
-from newton_euler.equations.redundancy import rows_left_out, without
+from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
 from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, add_symmetric
 from newton_euler.errors import SingularityError
 from newton_euler.model import balls
@@ -253,7 +253,9 @@ class Relative(TreeKinematics):
         unused = rows_left_out(self)
         jacobian, right = without(sparse.to_array(rows, self.nv), unused), without(right, unused)
         try:
-            return dense.solve_constrained(mass, force, jacobian, right, self.phi_units, self.velocity_units)
+            return dense.solve_constrained(
+                mass, force, jacobian, right, self.phi_units, self.velocity_units, constraint_rank(self)
+            )
         except np.linalg.LinAlgError as error:
             raise self._singularity(mass, force) from error
 

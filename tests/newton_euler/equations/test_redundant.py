@@ -30,6 +30,7 @@ from newton_euler.equations.sparse import to_array
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
 from newton_euler.exercise import random_states
+from newton_euler.model.couplings import Gear
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.joint_kinds import Fixed, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
@@ -118,6 +119,26 @@ def test_rank_is_absolute_as_well_as_relative():
     assert independent_rows(np.array([[1.0, 0, 0], [2.0, 0, 0], [0, 1e-14, 0]]), ones, ones).shape == (3, 1)
     x = minimum_norm(np.array([[1.0, 1.0, 0.0]]), np.array([2.0]), np.ones(1), np.array([1.0, 1.0, 5.0]))
     assert x == pytest.approx([1.0, 1.0, 0.0])
+
+
+def test_no_more_combinations_than_the_rank_are_kept():
+    ones, open_loop = np.ones(2), np.array([[1.0, 0.0], [1.0, 1e-7]])
+    assert independent_rows(open_loop, ones, ones).shape == (2, 2)
+    assert independent_rows(open_loop, ones, ones, max_rank=1).shape == (2, 1)
+
+
+@pytest.mark.parametrize("gears", [(), (Gear("same", "foot_0", "foot_1", 1.0),)], ids=["loops", "gear"])
+def test_open_redundant_loops_have_the_accelerations_of_closed_ones(gears):
+    """Loops open by 1e-6 m have a larger rank; difference quotients and implicit stages look at such."""
+    loops = parallel_cranks().mechanism
+    scene = replace(parallel_cranks(), mechanism=Mechanism(loops.bodies, loops.joints, gears))
+    state = random_states(scene, 1)[0]
+    for system in systems(scene):
+        q, v = system.coordinates(state)
+        away = 1e-6 * np.random.default_rng(0).standard_normal(system.nv)
+        closed, opened = system.acceleration(q, v), system.acceleration(system.retract(q, away), v)
+        # 1e-6 times the derivative of accelerations, which is below 100 /s^2
+        assert np.abs(opened - closed).max() < 1e-4, system.name
 
 
 @pytest.mark.parametrize("build", REGULAR, ids=lambda build: build.__name__)
