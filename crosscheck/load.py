@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, TypeAlias
 
 from crosscheck.errors import CrosscheckError
@@ -20,6 +21,11 @@ if TYPE_CHECKING:
 
 EXERCISED = {"exercise": "on"}
 """Options of models of other tools that crosschecks take by default."""
+
+
+def told_options(options: Mapping[str, str]) -> dict[str, str]:
+    """Return the options that a title names: all but those that crosschecks take by default."""
+    return {name: value for name, value in options.items() if EXERCISED.get(name) != value}
 
 
 def is_own(model: Model) -> bool:

@@ -8,17 +8,20 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
+from crosscheck.activity import watched
 from crosscheck.advice import Advice, advise
 from crosscheck.comparison.coverage import Coverage, coverage
 from crosscheck.comparison.diagnosis import Diagnosis, diagnose
-from crosscheck.comparison.figure import Figure, not_judged
+from crosscheck.comparison.figure import READING, Figure, not_judged
 from crosscheck.comparison.known_figures import Measured, known_of, measure
-from crosscheck.comparison.levels import in_order, stages
+from crosscheck.comparison.levels import in_order, reading_rows, stages
 from crosscheck.comparison.runs import errors_of_runs, rests
 from crosscheck.each_run import Stop, as_far_as_it_goes, each_run, finite
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import SHORTER, limited
+from crosscheck.load import told_options
+from crosscheck.outcome import Outcome
 from crosscheck.results import versions
 from crosscheck.scenes.options import titled
 from newton_euler.equations.redundancy import mobility
@@ -26,8 +29,7 @@ from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.verification.activity import Course
-from newton_euler.verification.import_report import ImportReport
+from newton_euler.verification.import_report import CONTACTS, ImportedElement, ImportReport
 
 SAMPLES = 200
 """Velocities, at least, that the random states at which the engines' equations are compared have together."""
@@ -35,8 +37,11 @@ SAMPLES = 200
 FEWEST_STATES, MOST_STATES = 4, 20
 """Of these: each is a sample of all joints of a large mechanism, and of few of a small one."""
 
-UNTESTED = "AGREE AT RANDOM STATES ONLY"
-"""The verdict on equations that agree and a motion that tests none of the elements."""
+MOST_ACTING = 2
+"""Elements that a verdict names of those that act and are not simulated."""
+
+MISREAD = "the scene is not what the file says: no engine was run, and nothing else was compared"
+"""Note on a crosscheck that ends with the comparison with the file."""
 
 Progress = Callable[[str], None]
 
@@ -83,7 +88,7 @@ class Crosscheck:
     @property
     def title(self) -> str:
         """The scene's name, with the options that were set."""
-        return titled(self.scene.name, self.options)
+        return titled(self.scene.name, told_options(self.options))
 
     @property
     def rests(self) -> bool:
@@ -96,9 +101,47 @@ class Crosscheck:
         return not all(row.agrees for row in self.figures) or not all(known.agrees for known in self.measured)
 
     @property
+    def outcome(self) -> Outcome:
+        """The outcome; one that says more against agreement comes before one that says less."""
+        if self.unfinished:
+            return Outcome.UNFINISHED
+        if self.differs:
+            return Outcome.DISAGREE
+        if self.left_out:
+            return Outcome.NOT_COMPARED if self._alone else Outcome.AGREE_OF_SOME_ENGINES
+        if self._alone:
+            return Outcome.ONE_ENGINE_ALONE
+        if self.acting:
+            return Outcome.AGREE_ON_A_REDUCED_MODEL
+        if self.untested:
+            return Outcome.AGREE_AT_RANDOM_STATES_ONLY
+        return Outcome.AGREE
+
+    @property
     def agrees(self) -> bool:
-        """True if all came to an end, none is left out, and every figure is within its tolerance."""
-        return not (self.left_out or self.unfinished or self.differs)
+        """True for AGREE alone: all checks passed, and all that acted in the file was simulated."""
+        return self.outcome is Outcome.AGREE
+
+    @property
+    def untested(self) -> bool:
+        """True if the motion is known to test none of the elements."""
+        covered = self.coverage
+        return covered is not None and len(covered.untested) == len(covered.elements)
+
+    @property
+    def acting(self) -> list[ImportedElement]:
+        """Elements of the file that acted and were not simulated as the file has them, in order of time."""
+        return self.mapping.acting if self.mapping else []
+
+    @property
+    def until(self) -> float | None:
+        """s, the first time at which the model that was run is not the file's; None if it always is."""
+        return self.acting[0].since if self.acting else None
+
+    @property
+    def misread(self) -> bool:
+        """True if the scene is not what the file says, whichever engine evaluates it."""
+        return _misread(self.engines, self.figures)
 
     @cached_property
     def diagnosis(self) -> tuple[Diagnosis, ...]:
@@ -106,14 +149,6 @@ class Crosscheck:
         names, stopped = [each.name for each in self.engines], {stop.what for stop in self.unfinished}
         soft = [each.name for each in self.engines if each.soft_start and each.name not in stopped]
         return diagnose(names, self.figures, self.measured, soft, mobility(self.scene).nearly)
-
-    @property
-    def agreement(self) -> str:
-        """The word where nothing differs, which says if the motion tests nothing or engines are left out."""
-        if self.left_out and self._alone:
-            return "NOT COMPARED"
-        covered = self.coverage is None or len(self.coverage.untested) < len(self.coverage.elements)
-        return f"{'AGREE' if covered else UNTESTED}{self._of_engines}"
 
     @property
     def _of_engines(self) -> str:
@@ -136,24 +171,45 @@ class Crosscheck:
             others = ""
             if 0 < len(ended) < len(self.engines) and not self.diagnosis:
                 others = f"; {' and '.join(ended)} ran to the end"
-            return f"UNFINISHED: {'; '.join(map(str, self.unfinished))}{others}; as far as compared {found}"
-        return f"{word}: {found}" if word else found
+            stops = "; ".join(map(str, self.unfinished))
+            return f"{self.outcome}: {stops}{others}; as far as compared {found}"
+        return f"{word}: {found}"
 
     def _judgment(self) -> tuple[str, str]:
         """A word and what the figures say."""
         names = ", ".join(engine.name for engine in self.engines)
         if self.left_out and self._alone:
             found = f"nothing could be compared on {self.title}, ran {names} alone; its own figures"
-            return self.agreement, f"{found} {self._own_figures}"
+            return self.outcome, f"{found} {self._own_figures}"
         if self._alone:
-            found = f"ran {names} alone on {self.title}: nothing to compare it with; its own figures"
-            return "", f"{found} {self._own_figures}"
+            found = f"ran {names} on {self.title}: nothing to compare it with; its own figures"
+            found += f" {self._own_figures}"
+            return self.outcome, "; ".join(filter(None, [found, self._reduced]))
         if self.diagnosis:
             first, *others = self.diagnosis
             said = [f"{first.who}; {first.place}", first.blame]
             said += [f"then {other.who}, {other.place}" for other in others]
-            return f"DISAGREE{self._of_engines}", f"{'; '.join(filter(None, said))} ({self._failed})"
-        return self.agreement, f"{names} agree on {self.title} in all {self._judged} figures{self._beside}"
+            if self._reduced and not self.misread:
+                said.append(self._reduced)
+            differ = "; ".join(filter(None, said))
+            return f"{Outcome.DISAGREE}{self._of_engines}", f"{differ} ({self._failed})"
+        agree = f"{names} agree on {self.title} in all {self._judged} figures{self._beside}"
+        if self._reduced:
+            agree = f"{self._reduced}; {agree}"
+        some = self.outcome in (Outcome.AGREE_OF_SOME_ENGINES, Outcome.UNFINISHED)
+        return f"AGREE{self._of_engines}" if some else self.outcome, agree
+
+    @property
+    def _reduced(self) -> str:
+        """Word the elements that acted and were not simulated, and which part of the run is the file's."""
+        acting = self.acting
+        if not acting:
+            return ""
+        more = f"; and {len(acting) - MOST_ACTING} more" if len(acting) > MOST_ACTING else ""
+        named = f"not simulated: {'; '.join(map(acted, acting[:MOST_ACTING]))}{more}"
+        if not self.until:
+            return f"{named}. The whole run is of the file without these"
+        return f"{named}. The run is of the file until {self.until:.4g} s, then of the file without these"
 
     @property
     def _alone(self) -> bool:
@@ -210,6 +266,9 @@ class Crosscheck:
             "source": self.source,
             "options": dict(self.options),
             "agrees": self.agrees,
+            "outcome": self.outcome.value,
+            "not_simulated": [asdict(entry) for entry in self.acting],
+            "as_in_the_file_until": self.until,
             "verdict": self.verdict,
             "wall_time": self.wall_time,
             "versions": versions(packages),
@@ -219,6 +278,8 @@ class Crosscheck:
             "left_out": self.left_out,
             "mapping": [asdict(entry) for entry in self.mapping.entries] if self.mapping else None,
             "start": self.mapping.start if self.mapping else None,
+            "moved_start": asdict(moved) if self.mapping and (moved := self.mapping.moved) else None,
+            "settings_of_the_file": self.mapping.settings if self.mapping else None,
             "figures": [asdict(row) | {"agrees": row.agrees} for row in self.figures],
             "known_figures": [measured.summary() for measured in self.measured],
             "advice": [asdict(advice) for advice in self.advice],
@@ -258,13 +319,31 @@ def crosscheck(
             raise CrosscheckError(f"scene {scene.name!r} does not ask for the output {output!r}, needed here")
     start = time.perf_counter()
     able, left_out = _able(scene, engines)
+    rows: list[Figure] = []
+    unread: list[Stop] = []
+    what = "comparing with the file"
+    with as_far_as_it_goes(what, unread), limited(what, SHORTER, progress):
+        for row in finite(reading_rows(able, mapping)):
+            rows.append(row)  # not all at once: those before an error are kept
+    if _misread(able, rows):
+        took = time.perf_counter() - start
+        noted = (MISREAD,)
+        return Crosscheck(
+            source, options, scene, tuple(able), left_out, {}, tuple(rows), (), took, mapping, notes=noted
+        )
     runs, stops = each_run(scene, able, progress)
     stopped = {stop.what for stop in stops}
-    rows: list[Figure] = []
-    for what, stage in stages(scene, able, runs, _random_states(scene), mapping).items():
+    stops += unread
+    beside: list[Stop] = []
+    if mapping and runs:
+        what = "watching what was left out"
+        with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
+            mapping = watched(scene, mapping, next(iter(runs.values())))
+    until = mapping.acting[0].since if mapping and mapping.acting else None
+    for what, stage in stages(scene, able, runs, _random_states(scene), until).items():
         with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
             for row in finite(stage(tuple(rows))):
-                rows.append(row)  # not all at once: those before an error are kept
+                rows.append(row)
     if not (rows or runs):
         raise CrosscheckError("; ".join(map(str, stops)))
     rows = in_order(rows)
@@ -275,15 +354,10 @@ def crosscheck(
             what = f"{engine.name}: known figures"
             with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
                 measured.extend(measure(source, scene, engine, runs[engine.name], known))
-    beside: list[Stop] = []
     found: Coverage | None = None
     what = "working out what the motion covers"
     with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
         found = coverage(scene, runs, rows)
-    if mapping and runs:
-        what = "watching what was left out"
-        with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
-            mapping = mapping.after(Course(scene, next(iter(runs.values()))))
     advice: tuple[Advice, ...] = ()
     if advised and not stops:
         what = "working out advice"
@@ -311,6 +385,23 @@ def crosscheck(
         off_by = errors_of_runs(scene, [engine for engine in able if engine.name not in odd], runs)
     wall_time = time.perf_counter() - start
     return replace(result, off_by=off_by, notes=tuple(map(str, beside)), wall_time=wall_time)
+
+
+def _misread(engines: Sequence[Engine], rows: Sequence[Figure]) -> bool:
+    """Return True if every engine's equations of a scene differ from those of the file it was read from."""
+    wrong = {row.between[0] for row in rows if row.level == READING and not row.agrees}
+    return bool(engines) and wrong >= {engine.name for engine in engines}
+
+
+def acted(entry: ImportedElement) -> str:
+    """Word an element that acted in a run: which, since when, and by how much a limit was passed."""
+    what = f"{entry.topic} of {entry.element}" if entry.topic else entry.element
+    if entry.topic == CONTACTS:
+        what = CONTACTS
+    if entry.fate == "approximated":
+        what = f"{entry.element}, approximated"
+    passed = f" {entry.seen}" if entry.seen.startswith("passed") else f" from {entry.since:.4g} s on"
+    return f"{what}{passed}"
 
 
 def _random_states(scene: Scene) -> int:

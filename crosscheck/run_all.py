@@ -13,13 +13,16 @@ from crosscheck.engines import choose
 from crosscheck.errors import reason_of
 from crosscheck.files import check_writable
 from crosscheck.report.output import write
-from crosscheck.report.run import FAILS, judged_word, report
+from crosscheck.report.run import judged_word, report
 from crosscheck.report.summary import judged_figures, nearest
 from crosscheck.report.table import Cell, Column, Table, figures, texts
 from crosscheck.run import Crosscheck, Progress, crosscheck
 from crosscheck.scenes import SCENES, load
 from crosscheck.workers import LostError, in_processes
 from newton_euler.batch import thread_count
+
+NOT_RUN = Cell("FAILS", "fails")
+"""The word on a scene that did not run."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class Outcome:
     agrees: bool
     verdict: str
     nearest: Cell | str = ""
-    word: Cell = FAILS
+    word: Cell = NOT_RUN
 
 
 def run_all(engines: Sequence[str], folder: Path, progress: Progress) -> list[Outcome]:
@@ -81,7 +84,7 @@ def outcome(name: str, engines: Sequence[str], folder: Path) -> Outcome:
 
 def _outcome(name: str, result: Crosscheck, wall_time: float) -> Outcome:
     figure = nearest(judged_figures(result))
-    return Outcome(name, wall_time, result.agrees, result.verdict, figure, judged_word(result))
+    return Outcome(name, wall_time, result.outcome.passes(), result.verdict, figure, judged_word(result))
 
 
 def outcomes_table(outcomes: Sequence[Outcome]) -> Table:

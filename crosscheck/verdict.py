@@ -16,6 +16,7 @@ from crosscheck.comparison.figure import Figure
 from crosscheck.engines import ENGINES, choose
 from crosscheck.files import check_writable
 from crosscheck.load import exercised, load_scene
+from crosscheck.outcome import Outcome
 from crosscheck.report.output import own_name, to_record, write
 from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal, wrapped
@@ -50,8 +51,13 @@ class Verdict:
 
     @property
     def agrees(self) -> bool:
-        """True if all engines that were asked for ran to the end and every figure is within its tolerance."""
+        """True for the outcome `AGREE` alone: checks passed, and all that acted was simulated and tested."""
         return self.crosscheck.agrees
+
+    @property
+    def outcome(self) -> Outcome:
+        """The outcome of the crosscheck, one of a closed set."""
+        return self.crosscheck.outcome
 
     @property
     def figures(self) -> tuple[Figure, ...]:
@@ -83,9 +89,14 @@ class Verdict:
     def _repr_html_(self) -> str:
         return rendered("summary.html", report=self.report)
 
-    def assert_agrees(self) -> None:
-        """Raise `AssertionError`, with the verdict and the worst figure of each level, unless all agree."""
-        if not self.agrees:
+    def assert_agrees(self, allow_reduced: bool = False) -> None:
+        """Raise `AssertionError`, with the verdict and the worst figure of each level, unless all agree.
+
+        Args:
+            allow_reduced: whether the model may be reduced: elements of its file may act without being
+                simulated (contacts, limits of joints, dry friction, approximations).
+        """
+        if not self.outcome.passes(allow_reduced):
             raise AssertionError(str(self))
 
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
@@ -140,8 +151,9 @@ def check(
     chosen = choose(list(engines))
     texts = {name: _text(value) for name, value in options.items()}
     source = os.fspath(model) if isinstance(model, str | os.PathLike) else ""
-    scene, mapping = load_scene(model, exercised(model, texts), verified=False)
-    return Verdict(crosscheck(scene, chosen, progress, source, texts, mapping, advice))
+    taken = exercised(model, texts)
+    scene, mapping = load_scene(model, taken, verified=False)
+    return Verdict(crosscheck(scene, chosen, progress, source, taken, mapping, advice))
 
 
 def _text(value: str | float | Sequence[float] | Floats) -> str:

@@ -197,6 +197,7 @@ def _reading(
     swings: Given[int, Sine] = MappingProxyType({}),
 ) -> Reading:
     report = ImportReport()
+    report.settings = _own_settings(model)
     start = Start(where, model, key, report, request.redundancy_tolerance, control)
     try:
         bodies = Bodies(start, report)
@@ -206,6 +207,18 @@ def _reading(
     except NewtonEulerError as error:
         raise SourceError(where, str(error)) from error
     return Reading(scene, report, start, drives)
+
+
+def _own_settings(model: Any) -> str:
+    """Word how MuJoCo would simulate a model by itself: integrator, time step, and softness of its loops."""
+    integrator = mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_").lower()
+    words = [f"{integrator} {1e3 * model.opt.timestep:g} ms"]
+    for name in ("solref", "solimp") if model.neq else ():
+        values = np.unique(getattr(model, f"eq_{name}"), axis=0)
+        several = f" and {len(values) - 1} other" if len(values) > 1 else ""
+        shown = values[0] if name == "solref" else values[0][:3]  # the last two shape the way between
+        words.append(f"{name} {' '.join(f'{value:g}' for value in shown)}{several}")
+    return ", ".join(words)
 
 
 def _scene(

@@ -368,14 +368,17 @@ def _gears(start: Start, tree: Tree, taken: list[str], report: ImportReport) -> 
 
 
 def _limits(start: Start, joint: JointProperties, key: Key) -> list[Watch]:
-    """Watches how far a joint goes and how fast; what it may be driven with limits nothing: nothing does."""
+    """Watch how far a joint goes."""
     assert joint.limits is not None
-    (low, high, speed), at, unit = joint.limits, start.displacement(joint.name), joint.unit
-    terms = ((key, 1.0),)
-    found: list[Watch] = [Bounds(terms, low - at, high - at, unit)]
-    if math.isfinite(speed):
-        found.append(Bounds(terms, -speed, speed, f"{unit}/s", by_value=0.0, by_rate=1.0))
-    return found
+    (low, high, _), at = joint.limits, start.displacement(joint.name)
+    return [Bounds(((key, 1.0),), low - at, high - at, joint.unit)]
+
+
+def _speed_limit(joint: JointProperties, key: Key) -> list[Watch]:
+    """Watch how fast a joint moves."""
+    assert joint.limits is not None
+    speed = joint.limits[2]
+    return [Bounds(((key, 1.0),), -speed, speed, f"{joint.unit}/s", by_value=0.0, by_rate=1.0)]
 
 
 def _report_joints(joints: list[JointProperties], start: Start, tree: Tree, report: ImportReport) -> None:
@@ -387,16 +390,21 @@ def _report_joints(joints: list[JointProperties], start: Start, tree: Tree, repo
             resting = [Rest((key,))] if key else []
             report.left_out(element, why, topic=FRICTION, watches=resting)
         if joint.limits:
-            low, high, _ = joint.limits
+            low, high, speed = joint.limits
             why = f"its limits {low:.4g} to {high:.4g}: limits are no bilateral constraints"
             watches = _limits(start, joint, key) if key else []
             report.left_out(element, why, topic=LIMITS, watches=watches)
+            if math.isfinite(speed):
+                why = f"its limit of velocity, {speed:.4g} {joint.unit}/s"
+                watches = _speed_limit(joint, key) if key else []
+                report.left_out(element, why, topic="limit of velocity", watches=watches)
         if joint.has_safety:
-            report.left_out(element, "its safety controller", topic="safety controller")
+            why = "its safety controller: a program that runs beside the mechanism"
+            report.left_out(element, why, topic="safety controller", examined=False)
 
 
 def _report_leftovers(root: ET.Element, report: ImportReport) -> None:
     """Report the contacts of a URDF, which are no bilateral constraints."""
     if touching := root.findall("link/collision"):
-        why = "contacts are no bilateral constraints"
-        report.left_out(f"{len(touching)} collision elements", why, topic=CONTACTS)
+        why = "contacts: a URDF does not say which bodies may touch, nor what ground there is"
+        report.left_out(f"{len(touching)} collision elements", why, topic=CONTACTS, examined=False)

@@ -23,6 +23,7 @@ from crosscheck.each_run import Stop, as_far_as_it_goes, each_run, finite
 from crosscheck.engines import ENGINES, Engine
 from crosscheck.limit import SHORTER, limited
 from crosscheck.model_files.read import is_model, is_urdf
+from crosscheck.outcome import Outcome
 from crosscheck.run import Crosscheck, Progress
 from crosscheck.scenes.options import titled
 from newton_euler.assemble import initial_state
@@ -102,6 +103,18 @@ class Against(Crosscheck):
     def differs(self) -> bool:
         """True if any figure exceeds its tolerance, or anything else differs that moves the mechanism."""
         return super().differs or any(other.moves for other in self.unsimulated)
+
+    @property
+    def outcome(self) -> Outcome:
+        """Same, different, or unfinished; a difference that was found before a run stopped is one."""
+        if self.differs:
+            return Outcome.DIFFERENT
+        return Outcome.UNFINISHED if self.unfinished else Outcome.SAME
+
+    @property
+    def agrees(self) -> bool:
+        """True if the two models do not differ in anything that was compared, and all was."""
+        return self.outcome is Outcome.SAME
 
     @cached_property
     def diagnosis(self) -> tuple[Diagnosis, ...]:

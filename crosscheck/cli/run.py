@@ -17,7 +17,6 @@ import click
 from crosscheck.cli.shared import (
     AGREE,
     DISAGREE,
-    UNFINISHED,
     cli,
     engines_option,
     is_verbose,
@@ -74,6 +73,11 @@ WIDTH = 80
     help="Folder.  [default: output/ and SCENE's name or its file's without suffix; output with --all]",
 )
 @click.option("--advice", is_flag=True, help="Work out what to do about what is found, by more runs.")
+@click.option(
+    "--allow-reduced",
+    is_flag=True,
+    help="Exit with 0 if the engines agree on a model without elements of the file that act.",
+)
 @verbose_option
 @click.option("--save", type=click.Path(path_type=Path), help="Recording's file.  [default: OUTPUT/NAME.rrd]")
 def run_command(
@@ -84,6 +88,7 @@ def run_command(
     against: str | None,
     against_settings: tuple[str, ...],
     advice: bool,
+    allow_reduced: bool,
     **files: Path | None,
 ) -> int:
     """Run a model through the engines and compare them.
@@ -97,7 +102,7 @@ def run_command(
 
     output, save = files["output"], files["save"]
     if library:
-        alone = scene is None and against is None and not (settings or advice or save)
+        alone = scene is None and against is None and not (settings or advice or save or allow_reduced)
         if not alone:
             raise CrosscheckError("--all runs all scenes at their defaults, without SCENE and its options")
         return _run_all(engines or list(ENGINES), output)
@@ -105,13 +110,15 @@ def run_command(
         raise CrosscheckError("--against-set is for the model of --against")
     if against is not None and engines is not None:
         raise CrosscheckError("--against compares two models by newton_euler alone, without --engines")
+    if against is not None and allow_reduced:
+        raise CrosscheckError("--allow-reduced is on the runs of engines, without --against")
     if against is not None and advice:
         raise CrosscheckError("--advice is on the runs of engines, without --against")
     if save is not None and save.suffix != ".rrd":
         raise CrosscheckError(f"--save {save}: a recording's name ends in .rrd")
     chosen = "tracker" if scene is None else scene
     if against is None:
-        return _run(chosen, engines or list(ENGINES), settings, output, save, advice)
+        return _run(chosen, engines or list(ENGINES), settings, output, save, advice, allow_reduced)
     return _run_against(_models((chosen, settings), (against, against_settings)), output, save)
 
 
@@ -138,6 +145,7 @@ def _run(
     output: Path | None,
     save: Path | None,
     advised: bool,
+    allow_reduced: bool,
 ) -> int:
     from crosscheck.engines import choose
     from crosscheck.files import check_no_source
@@ -153,9 +161,9 @@ def _run(
     loaded, mapping = load_scene(scene, taken, verified=False)  # the run says all that is not right
 
     def work(progress: Progress) -> Crosscheck:
-        return crosscheck(loaded, chosen, progress, scene, options, mapping, advised)
+        return crosscheck(loaded, chosen, progress, scene, taken, mapping, advised)
 
-    return _carry_out(work, own_name(scene), [engine.name for engine in chosen], folder, save)
+    return _carry_out(work, own_name(scene), [engine.name for engine in chosen], folder, save, allow_reduced)
 
 
 def _own_folder(name: str, sources: Sequence[str]) -> Path:
@@ -211,10 +219,12 @@ def _carry_out(
     runs: Sequence[str],
     folder: Path,
     save: Path | None,
+    allow_reduced: bool = False,
 ) -> int:
     """Do what was asked for of the models, with `runs` of these names, write it and tell of it."""
     from crosscheck.against.compare import Against
     from crosscheck.files import check_writable
+    from crosscheck.load import told_options
     from crosscheck.report.output import write
     from crosscheck.report.run import report
 
@@ -228,14 +238,11 @@ def _carry_out(
         write(result, found, folder, recording, name)
     more = ["-v", next_step("report", folder)]
     if not isinstance(result, Against):
-        settings = [word for key, value in result.options.items() for word in ("--set", f"{key}={value}")]
+        told = told_options(result.options)
+        settings = [word for key, value in told.items() for word in ("--set", f"{key}={value}")]
         more.append(next_step("bench", result.source, *settings))
     show(found, f"look  {next_step('view', recording)}", f"more  {'; '.join(more)}")
-    if result.agrees:
-        return AGREE
-    if result.unfinished and not isinstance(result, Against):
-        return UNFINISHED  # whatever was found until then; models that differ do so anyway
-    return DISAGREE if result.differs else UNFINISHED
+    return result.outcome.exit_status(allow_reduced)
 
 
 @cli.command("list")

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Self
 import click
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.outcome import ExitStatus
 from crosscheck.report.render import terminal, wrapped
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ SENTENCE = 200
 MOST_LINES = 4
 """Elements of a file that are not simulated as they are, a line each."""
 
-AGREE, DISAGREE, BAD_INPUT, UNFINISHED = 0, 1, 2, 3
+AGREE, DISAGREE, BAD_INPUT, UNFINISHED, REDUCED = ExitStatus
 
 
 class Commands(click.Group):

@@ -40,7 +40,7 @@ def energy_scale(scene: Scene, states: list[State]) -> float:
 
 
 def energy_balance(scene: Scene, run: Trajectory) -> Balance | None:
-    """True if the energy of a run changes by the work done on the mechanism.
+    """Compute the energy balance error of a run: the change of its energy less the work done on it.
 
     The work is what the engine integrated beside the motion, `Trajectory.work`. None if the run holds
     no energies, or no work where the scene has something that may do work.

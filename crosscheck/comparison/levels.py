@@ -21,7 +21,7 @@ from crosscheck.comparison.figure import FILE, LEVELS, READING, Figure, in_full
 from crosscheck.comparison.kinematics import kinematics_rows
 from crosscheck.comparison.model import model_rows
 from crosscheck.comparison.momentum import momentum_row
-from crosscheck.comparison.runs import Runs, compare_runs
+from crosscheck.comparison.runs import Runs, compare_runs, compare_runs_until
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import Engine
 from newton_euler.assemble import initial_state
@@ -107,7 +107,7 @@ def compare(scene: Scene, engines: Sequence[Engine], runs: Runs, states: int) ->
 
 
 def stages(
-    scene: Scene, engines: Sequence[Engine], runs: Runs, states: int, report: ImportReport | None = None
+    scene: Scene, engines: Sequence[Engine], runs: Runs, states: int, until: float | None = None
 ) -> dict[str, Callable[[Sequence[Figure]], Iterator[Figure]]]:
     """Parts of the comparison by what they do, one after the other; each is given the rows of those before.
 
@@ -116,7 +116,8 @@ def stages(
         engines: those that can express it.
         runs: by engine, as far as they came.
         states: number of random consistent states for the levels that need no run.
-        report: on the model file that the scene was read from, if it was.
+        until: s, the time up to which runs are those of the file that the scene was read from; None if they
+            are to the end, and for scenes that are not from a file.
     """
     start = States(scene, (initial_state(scene),))
 
@@ -133,13 +134,15 @@ def stages(
             energy = samples()[engines[0].name][0].states.energy
         except AssemblyError:
             energy = start.energy  # runs may be compared where random states cannot be had
-        yield from compare_runs(scene, ran, runs, energy, {row.between for row in rows if not row.agrees})
+        parted = {row.between for row in rows if not row.agrees}
+        yield from compare_runs(scene, ran, runs, energy, parted)
+        if until is not None:
+            yield from compare_runs_until(until, scene, ran, runs, energy, parted)
 
     def momentum(_: Sequence[Figure]) -> Iterator[Figure]:
         yield from (momentum_row(engine.name, samples()[engine.name][0]) for engine in engines)
 
     return {
-        "comparing with the file": lambda _: reading_rows(engines, report),
         "comparing equations": equations,
         "comparing runs": trajectories,
         "balancing momentum": momentum,

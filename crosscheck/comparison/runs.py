@@ -6,6 +6,7 @@ What an engine's run may be off is measured by refining its step or tolerance.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial, wraps
 from itertools import combinations
 
@@ -286,6 +287,28 @@ def compare_runs(
             *(energy_less_work(engine) for engine in engines),
         ]
     )
+
+
+def compare_runs_until(
+    until: float,
+    scene: Scene,
+    engines: Sequence[Engine],
+    runs: Runs,
+    energy: float,
+    parted: Collection[tuple[str, ...]] = (),
+) -> Iterator[Figure]:
+    """Compare trajectories up to a time, s, as `compare_runs` does over whole runs.
+
+    Errors of whole runs excuse nothing there. There are no figures if only the start is before that time.
+    """
+    count = int(np.searchsorted(scene.times, until, side="right"))
+    if count < 2 or count == len(scene.times):
+        return
+    shorter = {name: run.first(count) for name, run in runs.items()}
+    for row in compare_runs(scene, engines, shorter, energy, parted):
+        if row.level == "trajectories":
+            quantity, _, unit = row.quantity.rpartition(", ")
+            yield replace(row, quantity=f"{quantity} until {until:.4g} s, {unit}")
 
 
 def _noise(scene: Scene) -> float:

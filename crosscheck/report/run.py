@@ -27,7 +27,7 @@ from crosscheck.report.table import (
     judged,
     texts,
 )
-from crosscheck.run import Crosscheck
+from crosscheck.run import Crosscheck, acted
 from crosscheck.stiffness import explicit_steps, fastest_decay
 from newton_euler.assemble import initial_state
 from newton_euler.equations.redundancy import mobility
@@ -46,8 +46,11 @@ ALL_LISTED = "all in summary.json and on the page of `crosscheck report`"
 SAME_CODE = "as all engines call the same code"
 """Why controllers are untested, whatever the motion."""
 
-FAILS = Cell("FAILS", "fails")
-"""The verdict on results that do not agree, in one word."""
+MOST_ACTING_LINES = 3
+"""Elements that act and are not simulated, a line each; more are named in one line."""
+
+START_DIGITS = 1e-5
+"""Share of the mechanism's size, or rad, that the digits of a file may leave its loops open at the start."""
 
 IMPLICIT = ("Radau", "implicitfast")
 """Integrators that engines take for stiff scenes by themselves."""
@@ -55,7 +58,8 @@ IMPLICIT = ("Radau", "implicitfast")
 
 def report(result: Crosscheck) -> Report:
     """All that a crosscheck found."""
-    said = list(notes(result))
+    limits, others = list(limiting(result)), list(notes(result))
+    said = [*limits, *others]
     parts: list[Part] = list(tables(result))
     parts.append(Lines("", [*said, *(f"advice, {advice}" for advice in result.advice)]))
     parts.append(entries("settings and run times", dict(_settings(result))))
@@ -69,7 +73,8 @@ def report(result: Crosscheck) -> Report:
         entries("scene and versions", {name: found[name] for name in named if found.get(name)}, folded=True)
     )
     title = ": ".join(filter(None, [result.title, result.scene.description]))
-    return Report(title, result.verdict, judged_word(result), parts, result.wall_time, summary(result, said))
+    brief = summary(result, limits, others)
+    return Report(title, result.verdict, judged_word(result), parts, result.wall_time, brief)
 
 
 def _mappings(result: Crosscheck) -> Iterator[tuple[str, ImportReport]]:
@@ -82,9 +87,7 @@ def _mappings(result: Crosscheck) -> Iterator[tuple[str, ImportReport]]:
 
 def judged_word(result: Crosscheck) -> Cell:
     """The verdict in one word."""
-    if result.unfinished or result.differs:
-        return FAILS
-    return Cell(result.agreement, "holds" if result.agreement == "AGREE" else "doubtful")
+    return Cell(result.outcome.value, result.outcome.judged)
 
 
 def _untested_table(found: Coverage) -> Table:
@@ -177,14 +180,44 @@ def _settings(result: Crosscheck) -> Iterator[tuple[str, str]]:
         yield name, f"{settings}; {run.wall_time:.2g} s"
 
 
-def notes(result: Crosscheck) -> Iterator[str]:
-    """Word all that is to be known beside the figures, a line each, the first bearing on the verdict most."""
-    mapping, scene = result.mapping, result.scene
-    active, inactive = _activity_lines(mapping) if mapping and result.trajectories else ([], [])
+def limiting(result: Crosscheck) -> Iterator[str]:
+    """Word what limits the verdict, a line each: stopped parts, another start, what was not simulated."""
     yield from result.notes
     for _, read in _mappings(result):
         yield from (f"finding, {finding}" for finding in read.findings)
-    yield from active
+    mapping = result.mapping
+    if mapping is None or isinstance(result, Against):
+        return
+    yield from moved_start_lines(mapping, result.scene)
+    acting = mapping.acting
+    for entry in acting[:MOST_ACTING_LINES]:
+        kind = "approximated" if entry.fate == "approximated" else "active, and left out"
+        yield f"{kind}: {entry.element}: {'; '.join(filter(None, [entry.seen, entry.how]))}"
+    if more := [acted(entry) for entry in acting[MOST_ACTING_LINES:]]:
+        yield f"active, and left out, too: {_named(more)}"
+    if unknown := [entry for entry in mapping.entries if not entry.examined]:
+        yield "not examined whether they act: " + "; ".join(f"{e.element}: {e.how}" for e in unknown)
+    if mapping.settings and result.trajectories:
+        yield f"the file's own settings ({mapping.settings}) were not simulated"
+
+
+def moved_start_lines(mapping: ImportReport, scene: Scene) -> Iterator[str]:
+    """Word how far the start is from the file's if closing the loops moved more than the file's digits."""
+    moved = mapping.moved
+    if moved is None:
+        return
+    share = max(moved.displacement / scene.mechanism.size, abs(moved.way))
+    if share > START_DIGITS:
+        yield (
+            f"the start is not the file's: {moved.loop} is open by {moved.open:.3g} m or rad in the file; "
+            f"closing the loops moved body {moved.body!r} by {moved.displacement:.3g} m and joint "
+            f"{moved.joint!r} by {moved.way:.3g} m or rad"
+        )
+
+
+def notes(result: Crosscheck) -> Iterator[str]:
+    """Word all else that is to be known beside the figures, a line each, the most important first."""
+    mapping, scene = result.mapping, result.scene
     if result.rests:
         yield _rest_line(result)
     yield from redundancy_lines(scene)
@@ -211,7 +244,7 @@ def notes(result: Crosscheck) -> Iterator[str]:
         yield f"stiff: fastest decay {rate:.2g} 1/s at the start; {needed}; implicit: {', '.join(implicit)}"
     if mapping and result.trajectories:
         yield _start_line(result)
-    yield from inactive
+        yield from _inactive_lines(mapping)
 
 
 def redundancy_lines(scene: Scene) -> Iterator[str]:
@@ -234,20 +267,13 @@ def undetermined_lines(scene: Scene) -> Iterator[str]:
         yield f"reactions not unique: {worded(count, _named(joints))}"
 
 
-def _activity_lines(mapping: ImportReport) -> tuple[list[str], list[str]]:
-    """Word what the run shows of approximations and of what was left out and acts, and of what does not."""
+def _inactive_lines(mapping: ImportReport) -> Iterator[str]:
+    """Word which elements were left out and watched, and did nothing in the run."""
     entries = [mapping.entries[number] for number in mapping.watches]
     watched = [entry for entry in entries if entry.fate != "approximated"]
-    active = []
-    for entry in entries:
-        found = "; ".join(filter(None, [entry.seen, entry.how]))  # lines are cut in the summary
-        if entry.fate == "approximated":
-            active.append(f"approximated: {entry.element}: {found}")
-        elif entry.fate != "inactive":
-            active.append(f"active, and left out: {entry.element}: {found}")
     idle = [f"{entry.element}: {entry.account}" for entry in watched if entry.fate == "inactive"]
-    counted = f"inactive in this run, {len(idle)} of {len(watched)} watched"
-    return active, [f"{counted}: {'; '.join(idle)}"] if idle else []
+    if idle:
+        yield f"inactive in this run, {len(idle)} of {len(watched)} watched: {'; '.join(idle)}"
 
 
 def _start_line(result: Crosscheck) -> str:

@@ -22,14 +22,15 @@ LEAST_SHARE = 0.01
 """Of a tolerance; less is not told apart."""
 
 
-def summary(result: Crosscheck, notes: Sequence[str]) -> list[Part]:
-    """Make the tables of levels and of engines, the first notes, and all advice."""
+def summary(result: Crosscheck, limits: Sequence[str], notes: Sequence[str]) -> list[Part]:
+    """Make the tables of levels and engines, all that limits the verdict, the first notes, and all advice."""
     parts: list[Part] = [levels_table(result)]
     if result.trajectories:
         parts.append(engines_table(result))
-    if notes:
-        most = MOST_NOTES if result.agrees else MOST_OF_FAILING
-        parts.append(Lines("", list(notes[:most])))
+    most = MOST_OF_FAILING if result.unfinished or result.differs else MOST_NOTES
+    lines = [*limits, *notes[: max(0, most - len(limits))]]
+    if lines:
+        parts.append(Lines("", lines))
     if result.advice:
         parts.append(Lines("", [f"advice, {advice}" for advice in result.advice]))
     return parts

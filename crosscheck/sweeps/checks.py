@@ -16,7 +16,7 @@ from crosscheck.comparison.runs import FALLS
 from crosscheck.engines import ENGINES, EXACT_ATOL, EXACT_RTOL, Engine
 from crosscheck.errors import CrosscheckError
 from crosscheck.limit import paced
-from crosscheck.run import UNTESTED, Crosscheck, crosscheck
+from crosscheck.run import Crosscheck, crosscheck
 from crosscheck.sweeps.analysis import Scalar
 from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.plan import Plan, run_all
@@ -137,7 +137,7 @@ def _check(
     except (CrosscheckError, NewtonEulerError) as error:
         return Checked(run, why, False, True, str(error), engines=names)
     complete = not (result.left_out or result.unfinished)
-    moves, untested = not result.rests, result.agreement.startswith(UNTESTED)
+    moves, untested = not result.rests, result.untested
     return Checked(run, why, complete, not result.differs, result.verdict, kept, moves, untested, names)
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crosscheck.files import check_writable, write_files
+from crosscheck.outcome import Outcome
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.run import undetermined_lines
 from crosscheck.report.table import (
@@ -29,7 +30,6 @@ from crosscheck.report.table import (
     judged,
     texts,
 )
-from crosscheck.run import UNTESTED
 from crosscheck.sweeps.analysis import (
     LEVELS,
     Analysis,
@@ -127,7 +127,7 @@ class Findings:
         if len(self.swept.stopped) or not all(each.complete for each in self.checked):
             return "UNFINISHED"
         if any(each.untested for each in self.checked):
-            return UNTESTED
+            return Outcome.AGREE_AT_RANDOM_STATES_ONLY.value
         return "AGREE" if self.checked else ""
 
     @cached_property

@@ -19,7 +19,7 @@ from mjcf.reading.loops import fixed
 from mjcf.reading.start import Start
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.scalars import Array
-from newton_euler.verification.activity import PARTS, UNSEEN, Bounds, Course, Judged, Rest, Watch
+from newton_euler.verification.activity import PARTS, UNSETTLED, Bounds, Course, Judged, Rest, Watch
 from newton_euler.verification.import_report import CONTACTS, FRICTION, LIMITS, ImportReport
 
 UNMOVING = {
@@ -32,6 +32,12 @@ UNMOVING = {
     "tuple": "tuples",
 }
 """Elements that do not move anything."""
+
+MOST_PAIRS = 3
+"""Pairs of geoms that touch first, which are named."""
+
+PENETRATION = 1e-6
+"""m by which geoms have to be nearer than their margin to push: MuJoCo's default `ccd_tolerance`."""
 
 CARRIED = (("geom_xpos", "geom_xmat"), ("site_xpos", "site_xmat"), ("xipos", "ximat"), ("xpos", "xmat"))
 """Arrays of MuJoCo's data that bodies carry along: points and rotation matrices."""
@@ -190,24 +196,30 @@ class Touching:
         self._poses = poses
 
     def judge(self, course: Course) -> Judged:
-        model, count, first = self._poses.model, 0, ""
+        model, count = self._poses.model, 0
+        pairs: dict[tuple[int, int], tuple[float, float]] = {}  # first time, s, and depth, m
         for time, data in self._poses.along(course):
             mujoco.mj_collision(model, data)
-            pushing = np.flatnonzero(data.contact.exclude == 0)
-            if not pushing.size:
+            depths = np.where(data.contact.exclude == 0, data.contact.includemargin - data.contact.dist, 0.0)
+            if not np.any(depths > PENETRATION):
                 continue
             count += 1
-            if not first:
-                deepest = int(pushing[np.argmin(data.contact.dist[pushing])])
-                names = " and ".join(self._name(int(geom)) for geom in data.contact.geom[deepest])
-                depth = float(data.contact.includemargin[deepest] - data.contact.dist[deepest])
-                first = f"first at {time:.4g} s: {names}, {depth:.3g} m nearer than their margin"
-        if count:
-            return Judged(True, f"active at {count} of {len(course.time)} moments, {first}")
+            for number in np.argsort(-depths)[: np.sum(depths > PENETRATION)]:
+                one, two = map(int, data.contact.geom[number])
+                pairs.setdefault((one, two), (time, float(depths[number])))
+        if pairs:
+            words = f"active at {count} of {len(course.time)} moments"
+            for pair, (time, depth) in list(pairs.items())[:MOST_PAIRS]:
+                order = "then" if "first" in words else "first"
+                names = " and ".join(map(self._name, pair))
+                words += f", {order} at {time:.4g} s: {names}, {depth:.3g} m nearer than their margin"
+            if len(pairs) > MOST_PAIRS:
+                words += f", and {len(pairs) - MOST_PAIRS} more pairs"
+            return Judged(words, next(iter(pairs.values()))[0], settled=course.is_fine)
         if not course.is_fine:
-            return Judged(True, UNSEEN)
+            return Judged(UNSETTLED, 0.0, settled=False)
         between = f"and at {PARTS - 1} moments between each two"
-        return Judged(False, f"inactive at all {len(course.run.time)} output times {between}")
+        return Judged(f"inactive at all {len(course.run.time)} output times {between}")
 
     def _name(self, geom: int) -> str:
         if geom < 0:

@@ -65,7 +65,7 @@ class Start(FileStart):
             self.data.ctrl[:] = control
         mujoco.mj_normalizeQuat(model, self.data.qpos)
         data = self.data
-        data.qpos[:], lines = self.closed(np.array(data.qpos), self.key, tolerance)
+        data.qpos[:], lines, report.moved = self.closed(np.array(data.qpos), self.key, tolerance)
         report.start.extend(lines)
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
@@ -137,6 +137,9 @@ class Start(FileStart):
 
     def centers(self) -> Array:
         return np.array(self.data.xipos)
+
+    def center_names(self) -> list[str]:
+        return [self.model.body(number).name for number in range(self.model.nbody)]
 
     def moved(self, q: Array, step: Array) -> Array:
         moved = q.copy()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -123,6 +124,25 @@ def reach(motions: Sequence[Array], levers: Sequence[float], velocities: Array) 
     return float(np.max(moves, initial=0.0)) or 1.0, float(np.max(rotations, initial=0.0)) or 1.0
 
 
+@dataclass(frozen=True)
+class MovedStart:
+    """The change of a file's start that closes its loops.
+
+    Attributes:
+        open: largest loop-closure error of the file's own start, m or rad.
+        loop: element of the file with that error.
+        body, displacement: body whose center of mass moves farthest, and how far, m.
+        joint, way: joint that moves most, and by how much, m or rad.
+    """
+
+    open: float
+    loop: str
+    body: str
+    displacement: float
+    joint: str
+    way: float
+
+
 class FileStart(ABC):
     """The start of a model file, as the file's own reader has it.
 
@@ -149,6 +169,10 @@ class FileStart(ABC):
         """Return the bodies' centers of mass (n, 3), m, world, at that configuration."""
 
     @abstractmethod
+    def center_names(self) -> Sequence[str]:
+        """Return the names (n,) of the bodies that `centers` are of."""
+
+    @abstractmethod
     def moved(self, q: Array, step: Array) -> Array:
         """Move a configuration by a step (nv,)."""
 
@@ -160,24 +184,24 @@ class FileStart(ABC):
     def joint_of(self, dof: int) -> str:
         """Return the name of the joint that a velocity belongs to."""
 
-    def closed(self, q: Array, called: str, tolerance: float) -> tuple[Array, list[str]]:
+    def closed(self, q: Array, called: str, tolerance: float) -> tuple[Array, list[str], MovedStart | None]:
         """Close the loops next to a configuration that messages call by a name.
 
         Args:
             tolerance: of the scene, see `newton_euler.Scene.redundancy_tolerance`.
 
         Returns:
-            The configuration, and lines of a report.
+            The configuration, lines of a report, and the change of the start; None if the loops are closed.
 
         Raises:
             SourceError: of the class `error`, naming the element that stays open the most.
         """
         before, _ = self.residuals(q)
         if not len(before):
-            return q, [f"starts from {called}: no loops"]
+            return q, [f"starts from {called}: no loops"], None
         units, owners = self.units(), self.owners
         if largest(before / units.rows) <= CLOSED:
-            return q, [f"starts from {called}: all loops closed, to {largest(before):.1e}"]
+            return q, [f"starts from {called}: all loops closed, to {largest(before):.1e}"], None
         centers = self.centers()
         found = close(q, self.residuals, self.moved, units, tolerance)
         after, _ = self.residuals(found.q)
@@ -193,6 +217,15 @@ class FileStart(ABC):
             opened[owner] = max(opened.get(owner, 0.0), gap)
         moved = self.difference(q, found.q)
         dof, way = int(np.argmax(np.abs(moved))), np.linalg.norm(self.centers() - centers, axis=1)
+        farthest, widest = int(np.argmax(way)), max(opened, key=lambda owner: opened[owner])
+        change = MovedStart(
+            opened[widest],
+            widest,
+            self.center_names()[farthest],
+            float(way[farthest]),
+            self.joint_of(dof),
+            float(moved[dof]),
+        )
         elements = "; ".join(f"{owner} {gap:.3g}" for owner, gap in opened.items() if gap > CLOSED)
         lines = [
             f"open at {called}, in m or rad: {elements}",
@@ -204,4 +237,4 @@ class FileStart(ABC):
                 f"loops keep an offset of {found.offset:.1e} (m or rad), {found.noise:.1e} of their reach: "
                 "the digits of the file do not close them better"
             )
-        return found.q, lines
+        return found.q, lines, change

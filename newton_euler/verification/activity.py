@@ -1,9 +1,9 @@
 """Activity in a run of elements that a scene leaves out.
 
-Limits, contacts and dry friction are no bilateral constraints, and scenes have none. Where a limit is not
-reached and nothing touches, the run is that of the file all the same. Between output times motion is that of
-cubics through values and rates, which are off by about as much as those across an output miss it, and less
-where outputs are close enough. What these leave open counts as active.
+Limits, contacts and dry friction are no bilateral constraints, and scenes have none. If no limit is reached
+and nothing touches, the run is that of the file all the same. Between output times the motion is taken from
+cubics through values and rates. The error of the cubics is estimated from cubics across each output. If this
+error hides whether an element acts, the judgment is not settled: a run with closer outputs settles it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ from newton_euler.scalars import Array
 AT_REST = 1e-12  # m/s and rad/s, below which velocities are round-off
 PARTS = 16  # of the time between outputs, at whose ends elements are looked at
 FINE = 1e-2  # rad, and m per m of the longest body, by which poses between outputs may be off
-UNSEEN = "not seen between output times: ask for more of them"  # words on what may have been active there
+TOUCH = 1e-9  # rad, m, or share of a limit of a force, by which a limit may be passed and carry no force
+ROUNDED = 1e-6  # the same at the start: files that MuJoCo saves have six digits
+UNSETTLED = "may act between output times"
 
 
 def missed(time: Array, x: Array, rate: Array) -> Array:
@@ -138,10 +140,22 @@ def _curve(time: Array, x: Array, rate: Array) -> Any:
 
 
 class Judged(NamedTuple):
-    """Observation of an element."""
+    """Observation of an element in a run.
 
-    active: bool
+    Attributes:
+        words: what was seen.
+        since: s, the first time at which the element acts; None if it does not.
+        settled: False if outputs are too far apart to tell whether and when the element acts.
+    """
+
     words: str
+    since: float | None = None
+    settled: bool = True
+
+    @property
+    def active(self) -> bool:
+        """Whether the element acts at any time of the run."""
+        return self.since is not None
 
 
 class Watch(Protocol):
@@ -149,6 +163,10 @@ class Watch(Protocol):
 
     def judge(self, course: Course) -> Judged:
         """Look at all moments of a run."""
+
+
+LENGTHS_AND_ANGLES = ("m", "rad", "m or rad", "m/s", "rad/s")
+"""Units in which `TOUCH` and `ROUNDED` are absolute."""
 
 
 @dataclass(frozen=True)
@@ -180,25 +198,58 @@ class Bounds:
             x, rate = x + factor * value, rate + factor * slope
             doubt += abs(factor) * (abs(self.by_value) + abs(self.by_rate) / steps) * miss
         if not np.all(np.isfinite(x)):
-            return Judged(True, "not judged: its coordinate cannot be told from the poses")
+            return Judged("not judged: the poses do not determine its coordinate", 0.0)
         constant: Any = self.constant
         if isinstance(constant, TimeFunction):
             constant = np.array([constant.value(time) for time in course.time.tolist()])
         return self.judged(course.time, constant + self.by_value * x + self.by_rate * rate, doubt)
 
     def judged(self, times: Array, found: Array, doubt: Array) -> Judged:
-        """Judge values (m,) at times (m,), s, that may be off by `doubt` (n - 1,) between outputs."""
+        """Judge values (m,) at times (m,), s, whose error between outputs is at most `doubt` (n - 1,).
+
+        A limit acts where the values pass it. A coordinate that starts at its limit and moves inwards needs
+        no force, even if digits of the file put it outside by up to `ROUNDED`.
+        """
         room = np.minimum(found - self.low, self.high - found)
         least = int(np.argmin(room))
-        if room[least] < 0.0:
-            first = times[int(np.argmax(room < 0.0))]
-            return Judged(True, f"passed from {first:.4g} s on, by up to {-room[least]:.3g} {self.unit}")
         if np.isinf(room[least]):
-            return Judged(False, "no limit")
+            return Judged("no limit")
+        ends = [abs(limit) for limit in (self.low, self.high) if np.isfinite(limit)]
+        scale = 1.0 if self.unit in LENGTHS_AND_ANGLES else max(ends)
+        passed = room < -TOUCH * scale
+        outside, inwards = _way_inwards(room, ROUNDED * scale)
+        passed[:outside] = False
         nearest = np.min(np.minimum(room[1:], room[:-1]).reshape(-1, PARTS), axis=1)
-        if np.any((nearest < doubt) & (doubt > AT_REST)):
-            return Judged(True, UNSEEN)
-        return Judged(False, f"closest {room[least]:.3g} {self.unit} at {times[least]:.4g} s")
+        nearest[: inwards // PARTS] = np.inf
+        unseen = (nearest < doubt) & (doubt > TOUCH * scale)
+        starts = times[:-1:PARTS]
+        if np.any(passed):
+            first = int(np.argmax(passed))
+            settled = not np.any(unseen & (starts < times[first]))
+            words = f"passed from {times[first]:.4g} s on, by up to {-room[least]:.3g} {self.unit}"
+            return Judged(words, float(times[first]), settled)
+        if np.any(unseen):
+            return Judged(UNSETTLED, float(starts[int(np.argmax(unseen))]), settled=False)
+        return Judged(f"closest {max(0.0, room[least]):.3g} {self.unit} at {times[least]:.4g} s")
+
+
+def _way_inwards(room: Array, rounded: float) -> tuple[int, int]:
+    """Follow a value that starts at its limit and moves inwards from there.
+
+    Args:
+        room: (m,) distances from the limit, negative outside.
+        rounded: how far from the limit a start at the limit may be.
+
+    Returns:
+        The number of moments until the value is inside, and until it turns back. Both are 0 for a value that
+        starts elsewhere or moves outwards.
+    """
+    rises = np.diff(room) > 0.0
+    inwards = len(rises) if np.all(rises) else int(np.argmin(rises))
+    inside = room[: inwards + 1] > 0.0
+    if abs(room[0]) > rounded or not np.any(inside):
+        return 0, 0
+    return int(np.argmax(inside)), inwards
 
 
 @dataclass(frozen=True)
@@ -211,9 +262,9 @@ class Rest:
         seen = (course.coordinate(key) for key in self.keys)
         moves = np.max([np.maximum(np.abs(x - x[0]), np.abs(rate)) for x, rate, _ in seen], axis=0)
         if np.max(moves) <= AT_REST:
-            return Judged(False, "it stays where it is")
+            return Judged("it stays where it is")
         first = float(course.time[int(np.argmax(moves > AT_REST))])
-        return Judged(True, f"moves from {first:.4g} s on")
+        return Judged(f"moves from {first:.4g} s on", first)
 
 
 @dataclass(frozen=True)
@@ -233,16 +284,16 @@ class Tangent:
     def judge(self, course: Course) -> Judged:
         x, *_ = course.coordinate(self.key)
         if not np.all(np.isfinite(x)):
-            return Judged(True, "not judged: its coordinate cannot be told from the poses")
+            return Judged("not judged: the poses do not determine its coordinate", 0.0)
         away = np.abs(np.polynomial.Polynomial((0.0, 0.0, *self.coefficients[2:]))(x))
         most = int(np.argmax(away))
         how = f"they are apart by up to {away[most]:.3g} {self.unit}, at {course.time[most]:.4g} s"
-        return Judged(bool(away[most] > 0.0), how)
+        return Judged(how, float(course.time[int(np.argmax(away > 0.0))]) if away[most] > 0.0 else None)
 
 
 def judged(watches: Sequence[Watch], course: Course) -> Judged:
-    """Of all that an element says; active if any of it is."""
+    """Judge an element by all its watches: it acts from the first time on at which any of them does."""
     found = [watch.judge(course) for watch in watches]
-    active = any(each.active for each in found)
-    words = "; ".join(each.words for each in found if each.active == active)
-    return Judged(active, words)
+    times = [each.since for each in found if each.since is not None]
+    words = "; ".join(each.words for each in found if each.active == bool(times))
+    return Judged(words, min(times, default=None), all(each.settled for each in found))

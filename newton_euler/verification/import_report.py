@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from newton_euler.equations.loop_closure import MovedStart
 from newton_euler.model.scene import Scene
 from newton_euler.verification.activity import Course, Watch, judged
 from newton_euler.verification.original import Original
@@ -38,6 +40,8 @@ class ImportedElement:
         seen: what a run shows of it.
         is_off: True if the file itself switches the element off, so that nobody simulates it.
         is_understood: False for an element that no rule of the reader knows.
+        since: s, the first time of a run at which the element acts; None if it does not, and before a run.
+        examined: False if neither the file nor a run shows whether the element acts.
     """
 
     element: str
@@ -47,6 +51,8 @@ class ImportedElement:
     topic: str = ""
     inert: bool = False
     seen: str = ""
+    since: float | None = None
+    examined: bool = True
     is_off: bool = False
     is_understood: bool = True
 
@@ -100,6 +106,10 @@ class ImportReport:
         originals: what the scene, and others that are read from the file to verify the reading, are verified
             against, see `newton_euler.verification.verify`; the scene's first.
         watches: what tells of entries, by their numbers, whether they are active in a run.
+        unsettled: numbers of entries whose run had outputs too far apart to tell whether they act.
+        settings: how the file itself would be simulated: integrator, time step and softness, in words; empty
+            if the file does not say.
+        moved: what closing the loops changed of the file's start; None if there is nothing to close.
     """
 
     def __init__(self) -> None:
@@ -108,6 +118,9 @@ class ImportReport:
         self.start: list[str] = []
         self.originals: list[tuple[Original, Scene]] = []
         self.watches: dict[int, Sequence[Watch]] = {}
+        self.unsettled: frozenset[int] = frozenset()
+        self.settings = ""
+        self.moved: MovedStart | None = None
 
     def exactly(self, element: str, how: str, became: str = "", inert: bool = False) -> None:
         """`inert` is what moves nothing as the file has it, such as an idle motor."""
@@ -126,19 +139,22 @@ class ImportReport:
         topic: str = "",
         inert: bool = False,
         watches: Sequence[Watch] = (),
+        examined: bool = True,
         off: bool = False,
     ) -> None:
         """Report an element that is not in the scene.
 
         Args:
-            element, why, topic, inert: see `ImportedElement`.
-            watches: tell whether a limit and the like is active in a run; all of it has to be watched.
+            element, why, topic, inert, examined: see `ImportedElement`.
+            watches: tell whether a limit and the like is active in a run; together they have to watch all of
+                the element. An element without watches acts from the start on.
             off: True if the file itself switches the element off.
         """
         inert = inert or off
         if watches and not inert:
             self.watches[len(self.entries)] = watches
-        self.entries.append(ImportedElement(element, "left out", why, "", topic, inert, is_off=off))
+        entry = ImportedElement(element, "left out", why, "", topic, inert, examined=examined, is_off=off)
+        self.entries.append(entry)
 
     def not_understood(self, element: str, why: str) -> None:
         """Report an element that no rule knows: it may act, so it counts as one that is not simulated."""
@@ -149,15 +165,33 @@ class ImportReport:
         return [entry for entry in self.entries if entry.is_unsimulated]
 
     def after(self, course: Course) -> ImportReport:
-        """The report with what a run shows of what was left out."""
-        found = ImportReport()
-        found.start, found.entries, found.watches = self.start, list(self.entries), self.watches
-        found.originals, found.findings = self.originals, self.findings
-        for number, watches in self.watches.items():
-            seen, entry = judged(watches, course), self.entries[number]
-            fate: Fate = entry.fate if entry.fate == "approximated" or seen.active else "inactive"
-            found.entries[number] = replace(entry, fate=fate, seen=seen.words)
+        """Return the report with what a run shows of elements that are approximated or left out.
+
+        After a report that is partly unsettled only the unsettled entries are judged again.
+        """
+        found = copy(self)
+        found.entries, unsettled = list(self.entries), set[int]()
+        for number, entry in enumerate(self.entries):
+            if self.unsettled and number not in self.unsettled:
+                continue
+            if number in self.watches:
+                seen = judged(self.watches[number], course)
+                if not seen.settled:
+                    unsettled.add(number)
+                fate: Fate = entry.fate
+                if fate != "approximated":
+                    fate = "left out" if seen.active else "inactive"
+                found.entries[number] = replace(entry, fate=fate, seen=seen.words, since=seen.since)
+            elif entry.is_unsimulated and entry.examined:
+                found.entries[number] = replace(entry, since=0.0)
+        found.unsettled = frozenset(unsettled)
         return found
+
+    @property
+    def acting(self) -> list[ImportedElement]:
+        """Elements that act in the run and are not simulated as the file has them, the first to act first."""
+        acting = ((entry.since, entry) for entry in self.entries if entry.since is not None)
+        return [entry for _, entry in sorted(acting, key=lambda pair: pair[0])]
 
     def of(self, fate: Fate) -> list[ImportedElement]:
         """The entries of one fate."""

@@ -85,7 +85,7 @@ class Start(FileStart):
             )
         if first is not None:
             self._first, called = first
-        self.q, lines = self.closed(self._first, called, tolerance)
+        self.q, lines, report.moved = self.closed(self._first, called, tolerance)
         report.start.extend(lines)
 
     def _mimicked(self, mimics: list[Mimic]) -> Array:
@@ -165,6 +165,9 @@ class Start(FileStart):
     def joint_of(self, dof: int) -> str:
         named = zip(self.model.names, self.model.joints, strict=True)
         return str(next(name for name, joint in named if joint.idx_v <= dof < joint.idx_v + joint.nv))
+
+    def center_names(self) -> list[str]:
+        return list(self.model.names)
 
     def centers(self) -> Array:
         poses = zip(self.data.oMi, self.model.inertias, strict=True)

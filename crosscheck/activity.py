@@ -1,0 +1,45 @@
+"""Elements of a model file that are not simulated: whether they act in a run, and since when."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from crosscheck.engines import native_method
+from newton_euler.errors import NewtonEulerError
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import StoppedError, Trajectory
+from newton_euler.simulate import simulate
+from newton_euler.verification.activity import Course
+from newton_euler.verification.import_report import ImportReport
+
+CLOSER_OUTPUTS = (8, 64)
+"""Factors by which outputs are closer in further runs, made while elements may act between outputs.
+
+Their errors are of fourth order in the output period: a factor of 8 divides them by 4096."""
+
+
+def watched(scene: Scene, mapping: ImportReport, run: Trajectory) -> ImportReport:
+    """Return an import report with what a run of the scene shows of elements that are not simulated.
+
+    If the outputs of the run are too far apart to tell, newton_euler repeats the run with closer ones.
+
+    Args:
+        scene: as it was read from the file.
+        mapping: what became of the elements of the file.
+        run: of the scene, with velocities.
+    """
+    found = mapping.after(Course(scene, run))
+    for factor in CLOSER_OUTPUTS:
+        if not found.unsettled:
+            break
+        closer = replace(scene, output_period=scene.output_period / factor, outputs=frozenset({"velocities"}))
+        try:
+            finer = simulate(closer, **native_method(closer, refined=False))
+        except StoppedError as error:
+            if error.partial is None or len(error.partial.time) < len(run.time):
+                break
+            finer = error.partial
+        except NewtonEulerError:
+            break
+        found = found.after(Course(closer, finer))
+    return found
