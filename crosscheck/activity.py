@@ -10,7 +10,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory
 from newton_euler.simulate import simulate
 from newton_euler.verification.activity import Course
-from newton_euler.verification.import_report import ImportReport
+from newton_euler.verification.import_report import CONTACTS, ImportedElement, ImportReport
 
 CLOSER_OUTPUTS = (8, 64)
 """Factors by which outputs are closer in further runs, made while elements may act between outputs.
@@ -43,3 +43,31 @@ def watched(scene: Scene, mapping: ImportReport, run: Trajectory) -> ImportRepor
             break
         found = found.after(Course(closer, finer))
     return found
+
+
+def watched_in_own_run(scene: Scene, mapping: ImportReport) -> ImportReport:
+    """Return an import report with what newton_euler's run of the scene shows; unchanged without a run."""
+    try:
+        run = simulate(scene, **native_method(scene, refined=False))
+    except StoppedError as error:
+        if error.partial is None:
+            return mapping
+        run = error.partial
+    except NewtonEulerError:
+        return mapping
+    return watched(scene, mapping, run)
+
+
+def acted(entry: ImportedElement) -> str:
+    """Word an element that acted in a run: which, since when, and by how much a limit was passed."""
+    passed = f" {entry.seen}" if entry.seen.startswith("passed") else f" from {entry.since:.4g} s on"
+    return f"{what_acted(entry)}{passed}"
+
+
+def what_acted(entry: ImportedElement) -> str:
+    """Word which element acted."""
+    if entry.fate == "approximated":
+        return f"{entry.element}, approximated"
+    if entry.topic == CONTACTS:
+        return CONTACTS
+    return f"{entry.topic} of {entry.element}" if entry.topic else entry.element

@@ -41,12 +41,18 @@ class Outcome(StrEnum):
     """Two models do not differ."""
     DIFFERENT = "DIFFERENT"
     """Two models differ."""
+    QUIET = "QUIET"
+    """All figures are those of the baselines."""
+    QUIET_ON_A_REDUCED_MODEL = "QUIET ON A REDUCED MODEL"
+    """The same, but elements of a file acted that were not simulated as the file has them."""
+    MOVED = "MOVED"
+    """A figure is not that of its baseline."""
 
     @property
     def judged(self) -> Verdict:
-        """How tables and pages color the outcome."""
+        """Color of the outcome in the terminal, in tables and on pages."""
         match self:
-            case Outcome.AGREE | Outcome.SAME:
+            case Outcome.AGREE | Outcome.SAME | Outcome.QUIET:
                 return "holds"
             case (
                 Outcome.AGREE_ON_A_REDUCED_MODEL
@@ -54,9 +60,10 @@ class Outcome(StrEnum):
                 | Outcome.AGREE_OF_SOME_ENGINES
                 | Outcome.ONE_ENGINE_ALONE
                 | Outcome.NOT_COMPARED
+                | Outcome.QUIET_ON_A_REDUCED_MODEL
             ):
                 return "doubtful"
-            case Outcome.DISAGREE | Outcome.UNFINISHED | Outcome.DIFFERENT:
+            case Outcome.DISAGREE | Outcome.UNFINISHED | Outcome.DIFFERENT | Outcome.MOVED:
                 return "fails"
             case _:
                 assert_never(self)
@@ -69,12 +76,16 @@ class Outcome(StrEnum):
         """
         match self:
             case (
-                Outcome.AGREE | Outcome.AGREE_AT_RANDOM_STATES_ONLY | Outcome.ONE_ENGINE_ALONE | Outcome.SAME
+                Outcome.AGREE
+                | Outcome.AGREE_AT_RANDOM_STATES_ONLY
+                | Outcome.ONE_ENGINE_ALONE
+                | Outcome.SAME
+                | Outcome.QUIET
             ):
                 return ExitStatus.AGREE
-            case Outcome.AGREE_ON_A_REDUCED_MODEL:
+            case Outcome.AGREE_ON_A_REDUCED_MODEL | Outcome.QUIET_ON_A_REDUCED_MODEL:
                 return ExitStatus.AGREE if allow_reduced else ExitStatus.REDUCED
-            case Outcome.DISAGREE | Outcome.DIFFERENT:
+            case Outcome.DISAGREE | Outcome.DIFFERENT | Outcome.MOVED:
                 return ExitStatus.DISAGREE
             case Outcome.UNFINISHED | Outcome.AGREE_OF_SOME_ENGINES | Outcome.NOT_COMPARED:
                 return ExitStatus.UNFINISHED

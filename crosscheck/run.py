@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
-from crosscheck.activity import watched
+from crosscheck.activity import acted, watched
 from crosscheck.advice import Advice, advise
 from crosscheck.comparison.coverage import Coverage, coverage
 from crosscheck.comparison.diagnosis import Diagnosis, diagnose
@@ -29,7 +29,7 @@ from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.verification.import_report import CONTACTS, ImportedElement, ImportReport
+from newton_euler.verification.import_report import ImportedElement, ImportReport
 
 SAMPLES = 200
 """Velocities, at least, that the random states at which the engines' equations are compared have together."""
@@ -391,17 +391,6 @@ def _misread(engines: Sequence[Engine], rows: Sequence[Figure]) -> bool:
     """Return True if every engine's equations of a scene differ from those of the file it was read from."""
     wrong = {row.between[0] for row in rows if row.level == READING and not row.agrees}
     return bool(engines) and wrong >= {engine.name for engine in engines}
-
-
-def acted(entry: ImportedElement) -> str:
-    """Word an element that acted in a run: which, since when, and by how much a limit was passed."""
-    what = f"{entry.topic} of {entry.element}" if entry.topic else entry.element
-    if entry.topic == CONTACTS:
-        what = CONTACTS
-    if entry.fate == "approximated":
-        what = f"{entry.element}, approximated"
-    passed = f" {entry.seen}" if entry.seen.startswith("passed") else f" from {entry.since:.4g} s on"
-    return f"{what}{passed}"
 
 
 def _random_states(scene: Scene) -> int:

@@ -58,6 +58,9 @@ MOST_NAMES = 5
 AT_REST = 1e-12
 """m/s and rad/s, below which velocities are round-off."""
 
+DEFAULT_SOLIMP = (0.9, 0.95, 0.001)
+"""MuJoCo's default of the first three numbers of `solimp`."""
+
 
 MujocoModel: TypeAlias = mujoco.MjSpec | mujoco.MjModel
 """A model that is not in a file."""
@@ -210,14 +213,20 @@ def _reading(
 
 
 def _own_settings(model: Any) -> str:
-    """Word how MuJoCo would simulate a model by itself: integrator, time step, and softness of its loops."""
+    """Word how MuJoCo would simulate a model by itself: integrator, time step, softness of its loops.
+
+    The solver and `solimp` are named if they are not MuJoCo's defaults.
+    """
     integrator = mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_").lower()
     words = [f"{integrator} {1e3 * model.opt.timestep:g} ms"]
-    for name in ("solref", "solimp") if model.neq else ():
-        values = np.unique(getattr(model, f"eq_{name}"), axis=0)
-        several = f" and {len(values) - 1} other" if len(values) > 1 else ""
-        shown = values[0] if name == "solref" else values[0][:3]  # the last two shape the way between
-        words.append(f"{name} {' '.join(f'{value:g}' for value in shown)}{several}")
+    if model.opt.solver != mujoco.mjtSolver.mjSOL_NEWTON:
+        words.append(f"solver {mujoco.mjtSolver(model.opt.solver).name.removeprefix('mjSOL_')}")
+    if model.neq:
+        constants = np.unique(model.eq_solref[:, 0])
+        words.append(f"solref {' and '.join(f'{value:g}' for value in constants)}")
+        softness = np.unique(model.eq_solimp[:, :3], axis=0)
+        if np.any(softness != DEFAULT_SOLIMP):
+            words.append(f"solimp {' and '.join(' '.join(f'{x:g}' for x in row) for row in softness)}")
     return ", ".join(words)
 
 

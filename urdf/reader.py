@@ -37,6 +37,7 @@ from newton_euler.verification.import_report import (
     CONTACTS,
     FRICTION,
     LIMITS,
+    VELOCITY_LIMITS,
     ImportReport,
     unique_name,
 )
@@ -397,7 +398,7 @@ def _report_joints(joints: list[JointProperties], start: Start, tree: Tree, repo
             if math.isfinite(speed):
                 why = f"its limit of velocity, {speed:.4g} {joint.unit}/s"
                 watches = _speed_limit(joint, key) if key else []
-                report.left_out(element, why, topic="limit of velocity", watches=watches)
+                report.left_out(element, why, topic=VELOCITY_LIMITS, watches=watches)
         if joint.has_safety:
             why = "its safety controller: a program that runs beside the mechanism"
             report.left_out(element, why, topic="safety controller", examined=False)

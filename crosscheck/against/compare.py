@@ -36,7 +36,13 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import CONTACTS, LIMITS, ImportedElement, ImportReport
+from newton_euler.verification.import_report import (
+    CONTACTS,
+    LIMITS,
+    VELOCITY_LIMITS,
+    ImportedElement,
+    ImportReport,
+)
 
 ENGINE = ENGINES["newton_euler"]
 """Whose equations both models are given."""
@@ -368,7 +374,7 @@ def unsimulated(first: Model, second: Model, aligned: Aligned) -> Iterator[Unsim
     )
     for where, mine, theirs, kind in (("here", here, there, kinds[0]), ("there", there, here, kinds[1])):
         for key, entry in mine.items():
-            demanded = kind == "URDF" and kinds[0] != kinds[1] and entry.topic == LIMITS
+            demanded = kind == "URDF" and kinds[0] != kinds[1] and entry.topic in (LIMITS, VELOCITY_LIMITS)
             if key not in theirs and not demanded:
                 yield Unsimulated(f"only {where}: {entry}", not entry.inert)
 

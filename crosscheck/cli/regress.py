@@ -9,7 +9,6 @@ import click
 
 from crosscheck.cli.shared import (
     AGREE,
-    DISAGREE,
     cli,
     everything,
     progress_shown,
@@ -40,6 +39,11 @@ _file = click.Path(path_type=Path)
     show_default=True,
     help="Folder for reports (JSON, JUnit XML, markdown) and recordings.",
 )
+@click.option(
+    "--allow-reduced",
+    is_flag=True,
+    help="Exit with 0 although elements of a file act that are not simulated.",
+)
 @verbose_option
 def regress_command(
     sources: tuple[str, ...],
@@ -47,14 +51,16 @@ def regress_command(
     baseline: Path | None,
     reason: str | None,
     output: Path,
+    allow_reduced: bool,
 ) -> int:
     """Compare figures with stored baselines.
 
     SCENEs are names or model files, the library if none is given. Exit status 1 if a figure moved by more
-    than its tolerance. A cost (operations, steps, evaluations) that fell is an improvement and never fails.
-    What `crosscheck report` makes a page of is in OUTPUT.
+    than its tolerance, 4 if elements of a file act that are not simulated. A cost (operations, steps,
+    evaluations) that fell is an improvement and never fails. What `crosscheck report` makes a page of is in
+    OUTPUT.
     """
-    from crosscheck.regress.report import report, tables, verdict
+    from crosscheck.regress.report import outcome, report, tables, verdict
     from crosscheck.regress.run import check, update
 
     if len(sources) != 1 and (settings or baseline):
@@ -70,7 +76,7 @@ def regress_command(
                 say(f"  {group} left out: {why}")
         return AGREE
     with progress_shown() as progress:
-        compared, recordings, written = check(guarded, output, progress)
+        compared, recordings, written = check(guarded, output, progress, allow_reduced)
     parts = everything(report(compared, recordings))[1:]  # the first are the verdicts, which follow
     click.echo(terminal(parts or tables(compared)), nl=False)
     for comparison in compared:
@@ -79,7 +85,7 @@ def regress_command(
             say(f"  recording: {recordings[comparison.scene]}")
     say("wrote " + ", ".join(str(path) for path in written))
     say(verdict(compared), bold=True)
-    return DISAGREE if any(comparison.moved for comparison in compared) else AGREE
+    return outcome(compared).exit_status(allow_reduced)
 
 
 def _guarded(sources: tuple[str, ...], options: dict[str, str], baseline: Path | None) -> list[Guarded]:

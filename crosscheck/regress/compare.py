@@ -16,13 +16,15 @@ from typing import Any
 
 import numpy as np
 
+from crosscheck.activity import acted, watched_in_own_run, what_acted
 from crosscheck.comparison.figure import Figure
+from crosscheck.outcome import Outcome
 from crosscheck.regress.baseline import Baseline, Record, StoredFigure
 from crosscheck.regress.measure import MAIN, measure_group, regress_scene
 from crosscheck.results import versions
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import ImportReport
+from newton_euler.verification.import_report import ImportedElement, ImportReport
 
 MODEL_FILE = "model file"
 """In place of the group of a figure: what a file holds and no scene does."""
@@ -70,6 +72,7 @@ class Comparison:
         checked: what of a model file is in no figure, then all figures in the baseline's order.
         made: when, why and with which versions the baseline was made.
         now: versions of this run.
+        acting: elements of a model file that acted and were not simulated as the file has them.
         diverges: s, first output time at which a pose is out of its tolerance; None if none is.
         wall_time: s.
     """
@@ -80,6 +83,14 @@ class Comparison:
     now: dict[str, str]
     diverges: float | None
     wall_time: float
+    acting: tuple[ImportedElement, ...] = ()
+
+    @property
+    def outcome(self) -> Outcome:
+        """The outcome of the comparison."""
+        if self.moved:
+            return Outcome.MOVED
+        return Outcome.QUIET_ON_A_REDUCED_MODEL if self.acting else Outcome.QUIET
 
     @property
     def moved(self) -> list[Checked]:
@@ -102,10 +113,11 @@ class Comparison:
         """One line."""
         made = f"the baseline of {self.made.date}"
         if not self.moved:
+            left_out = "".join(f"; not simulated: {acted(entry)}" for entry in self.acting)
             if self.cheaper:
                 count = f"{len(self.cheaper)} of {len(self.checked)} figures"
-                return f"{self.scene}: quiet: nothing moved since {made}; {count} are cheaper"
-            return f"{self.scene}: quiet: all {len(self.checked)} figures are as in {made}"
+                return f"{self.scene}: quiet: nothing moved since {made}; {count} are cheaper{left_out}"
+            return f"{self.scene}: quiet: all {len(self.checked)} figures are as in {made}{left_out}"
         made += f" ({self.made.reason})"
         since = ", ".join(self.changed_versions) or "no version changed"
         when = "" if self.diverges is None else f"; poses part at {self.diverges:.6g} s"
@@ -118,6 +130,8 @@ class Comparison:
         return {
             "scene": self.scene,
             "quiet": not self.moved,
+            "outcome": self.outcome.value,
+            "not_simulated": [asdict(entry) for entry in self.acting],
             "verdict": self.verdict,
             "baseline": self.made.model_dump(),
             "versions": self.now,
@@ -141,7 +155,8 @@ def compare(
     """
     start = time.perf_counter()
     measured = regress_scene(scene)
-    checked = check_unsimulated(baseline.unsimulated or [], unsimulated(mapping) or [])
+    watched = watched_in_own_run(scene, mapping) if mapping else None
+    checked = check_unsimulated(baseline.unsimulated or [], unsimulated(mapping, watched) or [])
     diverges = None
     for group in baseline.groups:
         progress(f"{scene.name}: {group}")
@@ -151,14 +166,21 @@ def compare(
         if group == MAIN and not isinstance(found, str):
             diverges = divergence(figures, found, measured.times)
     wall_time = time.perf_counter() - start
-    return Comparison(scene.name, tuple(checked), baseline.made, versions(), diverges, wall_time)
+    acting = tuple(watched.acting) if watched else ()
+    return Comparison(scene.name, tuple(checked), baseline.made, versions(), diverges, wall_time, acting)
 
 
-def unsimulated(mapping: ImportReport | None) -> list[str] | None:
-    """Lines on what of a model file is in no figure and moves something, as its report words them."""
-    if mapping is None:
+def unsimulated(mapping: ImportReport | None, watched: ImportReport | None) -> list[str] | None:
+    """Lines on what of a model file is in no figure and can move something, and which of it acts.
+
+    Args:
+        mapping: what became of the elements of the file; None for a scene of this package's own.
+        watched: the same with what a run shows.
+    """
+    if mapping is None or watched is None:
         return None
-    return [str(entry) for entry in mapping.entries if entry.fate != "exactly" and not entry.inert]
+    lines = [str(entry) for entry in mapping.entries if entry.fate != "exactly" and not entry.inert]
+    return lines + [f"acts, and is not simulated: {what_acted(entry)}" for entry in watched.acting]
 
 
 def check_unsimulated(stored: Sequence[str], found: Sequence[str]) -> list[Checked]:

@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from crosscheck.activity import what_acted
+from crosscheck.outcome import Outcome
 from crosscheck.regress.compare import Checked, Comparison
 from crosscheck.report import render
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, Verdict, figures, texts
@@ -44,6 +46,15 @@ def _row(figure: Checked, group: str = "") -> list[str | Cell]:
     return [name, figure.where, f"{figure.was:.9g}", change, Cell(share, verdict)]
 
 
+def outcome(found: Sequence[Comparison]) -> Outcome:
+    """Return the outcome for all scenes."""
+    each = {comparison.outcome for comparison in found}
+    for worst in (Outcome.MOVED, Outcome.QUIET_ON_A_REDUCED_MODEL):
+        if worst in each:
+            return worst
+    return Outcome.QUIET
+
+
 def verdict(found: Sequence[Comparison]) -> str:
     """Word the result of all scenes in one line."""
     moved = [comparison.scene for comparison in found if comparison.moved]
@@ -51,13 +62,22 @@ def verdict(found: Sequence[Comparison]) -> str:
     count = sum(len(comparison.checked) for comparison in found)
     improved = f"; cheaper: {', '.join(cheaper)}" if cheaper else ""
     if moved:
-        return f"MOVED: {len(moved)} of {len(found)} scenes: {', '.join(moved)}{improved}"
+        return f"{Outcome.MOVED}: {len(moved)} of {len(found)} scenes: {', '.join(moved)}{improved}"
     scenes = "1 scene" if len(found) == 1 else f"{len(found)} scenes"
-    return f"QUIET: all {count} figures of {scenes}{improved}"
+    return f"{outcome(found)}: all {count} figures of {scenes}{improved}"
 
 
-def report(found: Sequence[Comparison], recordings: Mapping[str, Path]) -> Report:
-    """Verdicts, the figures that moved, and all figures."""
+def report(
+    found: Sequence[Comparison], recordings: Mapping[str, Path], allow_reduced: bool = False
+) -> Report:
+    """Make the report: verdicts, the figures that moved, and all figures.
+
+    Args:
+        found: the comparisons.
+        recordings: files by scene.
+        allow_reduced: whether elements that act and are not simulated are no failures.
+    """
+    acts: Verdict = "doubtful" if allow_reduced else "fails"
     lines: list[str] = []
     every: list[Part] = []
     for each in found:
@@ -67,15 +87,17 @@ def report(found: Sequence[Comparison], recordings: Mapping[str, Path]) -> Repor
         rows: Rows = []
         for group in dict.fromkeys(figure.level for figure in each.checked):
             rows += [group, *(_row(figure) for figure in each.checked if figure.level == group)]
+        if each.acting:
+            rows.append("acts in the file, and is not simulated")
+            rows += [[what_acted(entry), Cell(f"from {entry.since:.4g} s on", acts)] for entry in each.acting]
         every.append(Table(each.scene, COLUMNS, rows, folded=True))
-    moved = any(comparison.moved for comparison in found)
-    word = Cell("MOVED", "fails") if moved else Cell("QUIET", "holds")
+    word = Cell(outcome(found).value, outcome(found).judged)
     parts = [Lines("", lines), *tables(found), *every]
     return Report("crosscheck regress", verdict(found), word, parts, sum(each.wall_time for each in found))
 
 
 def as_json(
-    found: Sequence[Comparison], recordings: Mapping[str, Path], files: Mapping[Path, bytes]
+    found: Sequence[Comparison], recordings: Mapping[str, Path], files: Mapping[Path, bytes], whole: Report
 ) -> bytes:
     """Everything that was compared, with SHA-256 of the files beside it."""
     scenes = [
@@ -84,11 +106,16 @@ def as_json(
     ]
     quiet = not any(comparison.moved for comparison in found)
     cheaper = [comparison.scene for comparison in found if comparison.cheaper]
-    content = {"quiet": quiet, "cheaper": cheaper, "verdict": verdict(found), "scenes": scenes}
-    return render.as_json(content, report(found, recordings), files)
+    content = {
+        "quiet": quiet,
+        "outcome": outcome(found).value,
+        "cheaper": cheaper,
+        "verdict": verdict(found),
+        "scenes": scenes,
+    }
+    return render.as_json(content, whole, files)
 
 
-def junit(found: Sequence[Comparison]) -> str:
-    """JUnit XML: a suite per scene, a case per figure."""
-    whole = report(found, {})
+def junit(whole: Report) -> str:
+    """JUnit XML of a report: a suite per scene, a case per figure and per element that acts."""
     return render.junit(replace(whole, parts=[part for part in whole.parts if part.folded]))

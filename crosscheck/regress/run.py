@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from crosscheck.activity import watched_in_own_run
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_no_source, check_writable, write_files
 from crosscheck.load import exercised, load_scene
@@ -106,10 +107,12 @@ def make(guarded: Guarded, reason: str, progress: Progress) -> Baseline:
             figures.extend(found)
     if MAIN in left_out:
         raise CrosscheckError(f"scene {scene.name!r} has no figures: {left_out[MAIN]}")
+    mapping = guarded.mapping
+    watched = watched_in_own_run(guarded.scene, mapping) if mapping else None
     return Baseline(
         scene=scene.name,
         options=guarded.options,
-        unsimulated=unsimulated(guarded.mapping),
+        unsimulated=unsimulated(guarded.mapping, watched),
         history=[*history, Record.now(reason)],
         plan=plan,
         left_out=left_out,
@@ -134,9 +137,12 @@ def update(guarded: Sequence[Guarded], reason: str, progress: Progress) -> list[
 
 
 def check(
-    guarded: Sequence[Guarded], folder: Path, progress: Progress
+    guarded: Sequence[Guarded], folder: Path, progress: Progress, allow_reduced: bool = False
 ) -> tuple[list[Comparison], dict[str, Path], list[Path]]:
     """Compare scenes with their baselines; write `REPORTS` and recordings of those that moved to a folder.
+
+    Elements of a file that act and are not simulated are failures in the reports unless `allow_reduced` is
+    set.
 
     Returns:
         What was found, the recordings by scene, and all files that were written.
@@ -162,8 +168,12 @@ def check(
             text = markdown(report([comparison], {}))
             recordings[each.scene.name] = path
             contents[path] = recorded(log_run, regress_scene(each.scene), runs, text, title)
-    summary = markdown(report(found, recordings))
-    texts = as_json(found, recordings, contents), junit(found).encode(), summary.encode()
+    whole = report(found, recordings, allow_reduced)
+    texts = (
+        as_json(found, recordings, contents, whole),
+        junit(whole).encode(),
+        markdown(whole).encode(),
+    )
     write_files(dict(zip(reports, texts, strict=True)) | contents)
     return found, recordings, reports
 

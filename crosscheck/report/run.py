@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from crosscheck.activity import acted
 from crosscheck.against.compare import Against
 from crosscheck.comparison.coverage import Coverage
 from crosscheck.comparison.figure import FILE, NOT_NEARER, Figure, not_compared
@@ -27,7 +28,7 @@ from crosscheck.report.table import (
     judged,
     texts,
 )
-from crosscheck.run import Crosscheck, acted
+from crosscheck.run import Crosscheck
 from crosscheck.stiffness import explicit_steps, fastest_decay
 from newton_euler.assemble import initial_state
 from newton_euler.equations.redundancy import mobility

@@ -29,6 +29,7 @@ PARTS = 16  # of the time between outputs, at whose ends elements are looked at
 FINE = 1e-2  # rad, and m per m of the longest body, by which poses between outputs may be off
 TOUCH = 1e-9  # rad, m, or share of a limit of a force, by which a limit may be passed and carry no force
 ROUNDED = 1e-6  # the same at the start: files that MuJoCo saves have six digits
+SETTLED_SHARE = 1e-3  # of the most by which a limit is passed: error of motion that tells when it first is
 UNSETTLED = "may act between output times"
 
 
@@ -154,7 +155,7 @@ class Judged(NamedTuple):
 
     @property
     def active(self) -> bool:
-        """Whether the element acts at any time of the run."""
+        """True if the element acts at any time of the run."""
         return self.since is not None
 
 
@@ -225,9 +226,11 @@ class Bounds:
         starts = times[:-1:PARTS]
         if np.any(passed):
             first = int(np.argmax(passed))
-            settled = not np.any(unseen & (starts < times[first]))
+            within = max(0, first - 1) // PARTS  # the number of the interval between outputs
+            is_exact = first == 0 or doubt[within] <= SETTLED_SHARE * -room[least]
+            settled = is_exact and not np.any(unseen[:within])
             words = f"passed from {times[first]:.4g} s on, by up to {-room[least]:.3g} {self.unit}"
-            return Judged(words, float(times[first]), settled)
+            return Judged(words, float(times[first]), bool(settled))
         if np.any(unseen):
             return Judged(UNSETTLED, float(starts[int(np.argmax(unseen))]), settled=False)
         return Judged(f"closest {max(0.0, room[least]):.3g} {self.unit} at {times[least]:.4g} s")

@@ -16,7 +16,8 @@ from newton_euler.verification.original import Original
 Fate = Literal["exactly", "approximated", "inactive", "left out"]
 
 FATES: tuple[Fate, ...] = ("exactly", "approximated", "inactive", "left out")
-CONTACTS, LIMITS, FRICTION = "contacts", "limits", "dry friction"  # topics of files
+CONTACTS, LIMITS, VELOCITY_LIMITS, FRICTION = "contacts", "limits", "limit of velocity", "dry friction"
+"""Topics of files."""
 
 CONTROL, FORCE, ROTOR = "control law", "force", "rotor"
 """What elements became that not every format has; all have dampers along hinges and slides."""

@@ -122,8 +122,9 @@ def test_one_engine_alone_agrees_with_nobody(tmp_path, capsys, good):
     path = scene_file(tmp_path, good)
     status, out, _ = run(capsys, "run", path, "--engines", "mujoco", "--output", tmp_path / "out")
     assert status == 0
-    verdict = "ran mujoco alone on four_bar: nothing to compare it with; its own figures hold, all "
-    assert verdict_of(out).startswith(verdict)
+    assert verdict_of(out).startswith(
+        "ONE ENGINE ALONE: ran mujoco on four_bar: nothing to compare it with; "
+    )
     assert "AGREE" not in out
     assert "agree" not in verdict_of(out)
 
@@ -166,4 +167,4 @@ def test_summary_tells_what_was_run(tmp_path, capsys, monkeypatch, good):
     assert told == {"scene": "tracker", "source": "tracker", "options": {"panel_inertia": "literal"}}
     assert set(summary["versions"]) == {"python", "numpy", "scipy", "rerun-sdk", "pin"}
     assert summary["verdict"] == verdict_of(out)
-    assert "alone on tracker (panel_inertia=literal)" in summary["verdict"]
+    assert "ran pinocchio on tracker (panel_inertia=literal)" in summary["verdict"]

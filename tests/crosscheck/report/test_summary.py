@@ -35,9 +35,9 @@ def result(rows=(), **more):
         "unfinished": (),
         "off_by": {},
         "advice": (),
-        "agrees": True,
+        "differs": False,
     }
-    return SimpleNamespace(figures=rows, engines=engines, scene=scene, **nothing | {"agrees": True} | more)
+    return SimpleNamespace(figures=rows, engines=engines, scene=scene, **nothing | more)
 
 
 def figure(level, between, value, tolerance=1e-6, quantity="mass, rel", where="rod"):
@@ -101,14 +101,24 @@ def test_engines_have_their_time_their_error_and_why_they_stopped():
 def test_few_notes_are_shown_each_whole(monkeypatch):
     monkeypatch.setenv("COLUMNS", "60")
     notes = [f"{letter * 40} {letter * 30}" for letter in "abcdef"]
-    shown = terminal(summary(result([figure("model", ("newton_euler", "mujoco"), 0.0)]), notes)).splitlines()
+    rows = [figure("model", ("newton_euler", "mujoco"), 0.0)]
+    shown = terminal(summary(result(rows), [], notes)).splitlines()
     lines = [line for letter in "abcdef"[:MOST_NOTES] for line in (letter * 40, f"  {letter * 30}")]
     assert shown[-2 * MOST_NOTES :] == lines
     failing = terminal(
-        summary(result([figure("model", ("newton_euler", "mujoco"), 1.0)], agrees=False), notes)
+        summary(result([figure("model", ("newton_euler", "mujoco"), 1.0)], differs=True), [], notes)
     )
     assert failing.count("a" * 40) == MOST_OF_FAILING == 1
     assert "b" * 40 not in failing
+
+
+def test_what_limits_the_verdict_is_never_cut():
+    limits, notes = [letter * 40 for letter in "abcde"], ["f" * 40, "g" * 40]
+    shown = terminal(summary(result([figure("model", ("newton_euler", "mujoco"), 0.0)]), limits, notes))
+    assert all(line in shown for line in limits)
+    assert not any(line in shown for line in notes)
+    few = terminal(summary(result([figure("model", ("newton_euler", "mujoco"), 0.0)]), limits[:2], notes))
+    assert [line in few for line in notes] == [True, False]
 
 
 def test_a_run_of_a_file_is_told_in_25_lines_of_80_columns(capsys, tmp_path, monkeypatch):

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from crosscheck.activity import watched
 from mjcf import read
 from newton_euler import simulate
-from newton_euler.verification.activity import Course
+from newton_euler.verification.activity import UNSETTLED, Course
 from newton_euler.verification.import_report import ImportReport
 from urdf import read as read_urdf
 
@@ -159,9 +160,9 @@ def test_contacts_between_outputs_are_seen(x, fate, changes, geoms, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("rate", "how"), [(100.0 * np.pi, "passed from 0.00375 s on"), (200.0 * np.pi, "ask for more of them")]
+    ("rate", "how"), [(100.0 * np.pi, "passed from 0.00375 s on"), (200.0 * np.pi, UNSETTLED)]
 )
-def test_limits_between_outputs_are_seen_or_said_not_to_be(rate, how, tmp_path):
+def test_limits_between_outputs_are_seen_or_not_settled(rate, how, tmp_path):
     """Half a period of a swing of 1 rad, or a whole one, from output to output, where it is at its middle."""
     inertia = 1e3 + (0.5**2 + 0.1**2) / 3.0 + 0.5**2
     joint = f'range="-40 40" stiffness="{inertia * rate**2!r}" armature="1e3"'
@@ -171,7 +172,51 @@ def test_limits_between_outputs_are_seen_or_said_not_to_be(rate, how, tmp_path):
     fate, said = told(report, "joint 'j': its limits")
     assert fate == "left out"
     assert how in said
-    assert "ask for more of them" in told(report, "2 geoms that can touch")[1]
+    assert UNSETTLED in told(report, "2 geoms that can touch")[1]
+    assert report.unsettled == {n for n, entry in enumerate(report.entries) if n in report.watches}
+
+
+@pytest.mark.parametrize("rate", [100.0 * np.pi, 200.0 * np.pi])
+def test_what_acts_between_outputs_is_settled_by_closer_ones(rate, tmp_path):
+    """The swing of the test above: sin(rate t) passes 40 degrees first at asin(0.698) / rate."""
+    inertia = 1e3 + (0.5**2 + 0.1**2) / 3.0 + 0.5**2
+    joint = f'range="-40 40" stiffness="{inertia * rate**2!r}" armature="1e3"'
+    text = SWING.format(gravity=0, joint=joint, more=f'<keyframe><key qvel="{rate!r}"/></keyframe>')
+    found = read(mjcf(tmp_path, text), duration=0.1, output_period=0.01)
+    report = watched(found.scene, found.report, simulate(found.scene))
+    (entry,) = (entry for entry in report.entries if entry.topic == "limits")
+    assert not report.unsettled
+    # the first of the moments between closer outputs after it: 16 to each 1/8 of 10 ms
+    assert 0.0 <= entry.since - np.arcsin(np.radians(40.0)) / rate < 0.01 / 8 / 16
+
+
+def limited(tmp_path, low, velocity, gravity=0):
+    """Read a bar that starts with a velocity, rad/s, its joint limited from `low` degrees on."""
+    text = SWING.format(
+        gravity=gravity,
+        joint=f'range="{low} 80"',
+        more=f'<keyframe><key qvel="{velocity}"/></keyframe>',
+    )
+    found = read(mjcf(tmp_path, text), duration=0.2, output_period=0.01)
+    report = watched(found.scene, found.report, simulate(found.scene))
+    return next(entry for entry in report.entries if entry.topic == "limits")
+
+
+@pytest.mark.parametrize("low", [0, 1e-5, -1e-5])
+def test_a_joint_that_starts_at_its_limit_and_moves_inwards_needs_no_force(low, tmp_path):
+    """1e-5 degrees is less than the sixth digit of 1 rad."""
+    entry = limited(tmp_path, low, 0.5)
+    assert (entry.fate, entry.since) == ("inactive", None)
+
+
+def test_a_joint_that_leaves_its_limit_outwards_acts_from_the_start(tmp_path):
+    entry = limited(tmp_path, 0, -0.5)
+    assert entry.fate == "left out"
+    assert 0.0 < entry.since <= 0.01 / 16
+
+
+def test_a_joint_that_starts_outside_of_its_limits_acts_from_the_start(tmp_path):
+    assert limited(tmp_path, 0.01, 0.5).since == 0.0
 
 
 @pytest.mark.parametrize(("limit", "fate"), [(2.9, "left out"), (3.1, "inactive")])
@@ -199,8 +244,11 @@ def test_limits_of_a_urdf(speed, upper, fate, tmp_path):
         <joint name="j" type="prismatic"><parent link="base"/><child link="m"/><axis xyz="0 0 -1"/>
         <limit lower="-1" upper="{upper - 0.25}" velocity="{speed}" effort="1"/></joint></robot>"""
     )
-    found, how = told(after(path, 0.12), "joint 'j': its limits")
-    assert found == fate
+    report = after(path, 0.12)
+    limits = [entry for entry in report.entries if entry.topic in ("limits", "limit of velocity")]
+    assert fate == ("left out" if any(entry.fate == "left out" for entry in limits) else "inactive")
+    passed, how = told(report, "joint 'j': its limits")
+    assert passed == ("left out" if upper == 0.3 else "inactive")  # that of velocity is one of its own
     if upper == 0.3:
         assert "passed from 0.1013 s on" in how  # 9.81 / 2 t^2 > 0.05
 

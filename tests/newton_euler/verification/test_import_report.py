@@ -7,6 +7,7 @@ from pathlib import Path
 
 from command_line import run
 
+from crosscheck.outcome import ExitStatus, Outcome
 from newton_euler.verification.import_report import ImportReport
 
 
@@ -47,10 +48,8 @@ def test_the_verdict_tells_how_much_of_the_file_is_not_in_it(capsys, tmp_path: P
         capsys, "run", tmp_path / "model.xml", "--set", "duration=0.1", "--engines", "newton_euler,mujoco",
         "--output", out,
     )  # fmt: skip
-    assert status == 0
-    (verdict,) = (
-        line for line in text.splitlines() if line.startswith("AGREE: newton_euler, mujoco agree on ")
-    )
+    assert status == ExitStatus.REDUCED
+    (verdict,) = (line for line in text.splitlines() if line.startswith(Outcome.AGREE_ON_A_REDUCED_MODEL))
     assert verdict.endswith(
         "; motion covers 7 of 7 elements; of what can act in the file 1 element is approximated, 1 left out"
     )
