@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from newton_euler.errors import OptionError, UnknownNameError, plain_number
+from newton_euler.free_memory import free_memory
 
 VARIABLE = "NEWTON_EULER_LIMITS"  # of the environment, `NAME=VALUE NAME=VALUE`; started processes inherit it
 
@@ -22,14 +23,17 @@ class Limit:
     """One limit.
 
     Attributes:
-        default: unless it is changed.
+        default: unless it is changed; None for a share of the memory that is free, see `memory_limit`.
         unit: of the number, or the things that are counted.
         meaning: for people.
     """
 
-    default: float
+    default: float | None
     unit: str
     meaning: str
+
+    def __str__(self) -> str:
+        return "half of what is free" if self.default is None else f"{self.default:g}"
 
 
 LIMITS = {
@@ -52,7 +56,7 @@ LIMITS = {
     "csv_size": Limit(20, "MB", "of a CSV of poses or measurements"),
     "result_size": Limit(20, "MB", "of a JSON file of results, baselines included"),
     "array_size": Limit(200, "MB", "of the arrays of a run when unpacked"),
-    "memory": Limit(900, "MB", "for MuJoCo to compile a file"),
+    "memory": Limit(None, "MB", "for a process that compiles a file or reads its meshes"),
     "compile_time": Limit(2, "s", "for MuJoCo to compile a file, beside 0.2 s for each MB of its assets"),
     "time": Limit(600, "s", "of processor time for the run of one engine, and for one comparison"),
 }
@@ -60,10 +64,26 @@ LIMITS = {
 
 MB = 1_000_000  # bytes
 
+MAX_MEMORY_MB = 4000
+"""Largest memory by default for a process that reads a file of others, which may be hostile. The largest
+public models known compile in 1400 MB."""
+
 
 def limit(name: str) -> float:
     """The limit of that name as it is now."""
-    return _changes(os.environ.get(VARIABLE, "")).get(name, LIMITS[name].default)
+    changes = _changes(os.environ.get(VARIABLE, ""))
+    if name in changes:
+        return changes[name]
+    default = LIMITS[name].default
+    return memory_limit() if default is None else default
+
+
+def memory_limit() -> float:
+    """Compute the MB of memory that a process may take which reads a file of others.
+
+    Half of what is free, so that the machine does not run out of it, and at most `MAX_MEMORY_MB`.
+    """
+    return float(min(MAX_MEMORY_MB, free_memory() // (2 * MB)))
 
 
 def exceeded(name: str, value: float) -> str:

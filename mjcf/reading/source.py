@@ -30,8 +30,12 @@ On a quiet machine it takes 0.4 s, with its imports, and 0.04 s for a megabyte o
 expands without end is given up after the former. The bytes of the XML add none: 8.5 MB of vertices take
 0.9 s, 1.2 MB of geoms 1 s; a file of twice as many geoms is given up."""
 
-OUT_OF_MEMORY = ("MemoryError", "llocate", "bad_alloc")
+OUT_OF_MEMORY = ("MemoryError", "llocat", "bad_alloc")
 """Words of errors about memory that is not to be had."""
+
+FULL = 0.5
+"""Share of its memory above which a process that crashed did so for lack of it: models that need more have
+used 85 % of it by then, those that MuJoCo crashes on a few MB."""
 
 UNKNOWN = "unknown exception"
 """Words of MuJoCo for an error of which it says nothing."""
@@ -185,7 +189,8 @@ def _compiled(path: str, asset_bytes: int) -> Any:
         result = Path(folder) / "model.mjb"
         # by its path, without the packages around it: nothing but MuJoCo has to be imported
         script = Path(__file__).with_name("compile.py")
-        limits = map(str, (seconds, size_in_bytes("memory")))
+        memory = size_in_bytes("memory")
+        limits = map(str, (seconds, memory))
         command = [sys.executable, "-P", str(script), str(Path(path).resolve()), str(result), *limits]
         try:
             done = subprocess.run(
@@ -203,11 +208,14 @@ def _compiled(path: str, asset_bytes: int) -> Any:
             problem = f"MuJoCo needs more than {seconds} s to compile it; {too_small('compile_time')}"
             raise SourceError(path, problem)
         if any(word in reason for word in OUT_OF_MEMORY):
-            most = f"{limit('memory'):g} MB of memory"
-            raise SourceError(path, f"MuJoCo needs more than {most} to compile it; {too_small('memory')}")
+            raise SourceError(path, _too_little(memory))
         if done.returncode < 0 or UNKNOWN in reason:  # as where a count of rows times columns overflows
             name = signal.Signals(-done.returncode).name if done.returncode < 0 else UNKNOWN
-            raise SourceError(path, f"MuJoCo crashes on it ({name}); if for memory, {too_small('memory')}")
+            used = _peak_memory()
+            if used > FULL * memory:
+                raise SourceError(path, _too_little(memory))
+            room = f"it used {used / MB:.0f} MB of memory and may have {memory / MB:.0f}"
+            raise SourceError(path, f"MuJoCo crashes on it ({name}), not for lack of memory: {room}")
         if done.returncode or not result.exists():
             raise SourceError(path, f"MuJoCo refuses it: {reason:.500}")
         try:
@@ -216,6 +224,20 @@ def _compiled(path: str, asset_bytes: int) -> Any:
             raise SourceError(path, f"MuJoCo cannot load what it compiled: {error}") from error
     _check_numbers(path, model)
     return model
+
+
+def _too_little(memory: int) -> str:
+    """Word that a memory in bytes is too small to compile a file, and what to do."""
+    return f"MuJoCo needs more than {memory / MB:.0f} MB of memory to compile it; {too_small('memory')}"
+
+
+def _peak_memory() -> float:
+    """Find the largest memory in bytes of any process that this one has started and that has ended."""
+    try:
+        import resource
+    except ImportError:  # not everywhere, and without it no process is limited either
+        return 0.0
+    return 1024.0 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
 
 
 def _check_counts(path: str, model: Any) -> None:

@@ -13,7 +13,7 @@ import mjcf
 import mjcf.reading.source as source
 import urdf
 from mjcf.reading.source import compiled
-from newton_euler.limits import VARIABLE
+from newton_euler.limits import VARIABLE, changed, size_in_bytes
 from newton_euler.model.source_file import SourceError
 
 MESH = model(
@@ -66,3 +66,17 @@ def test_what_is_no_path_is_refused(path: Any, read: Any) -> None:
         match=r"cannot be read; needed: a path of a file(, (a mujoco.MjSpec|a pinocchio.Model) or .+)?$",
     ):
         read(path)
+
+
+@pytest.mark.parametrize(("used", "lacks"), [(0.1, False), (0.8, True)])
+def test_lack_of_memory_is_told_from_a_crash_by_what_was_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, used: float, lacks: bool
+) -> None:
+    """Rows times columns of this height field overflow in MuJoCo, at any memory."""
+    field = '<asset><hfield name="h" nrow="60000" ncol="60000" size="1 1 1 1"/></asset>'
+    path = tmp_path / "model.xml"
+    path.write_text(model(PAIR, field))
+    monkeypatch.setattr(source, "_peak_memory", lambda: used * size_in_bytes("memory"))
+    with changed({"memory": 900}), pytest.raises(SourceError) as error:
+        compiled(str(path))
+    assert ("--set memory=3600" in str(error.value)) == lacks

@@ -1,7 +1,8 @@
 """Read mesh files in a process of its own, which may not use much time or memory.
 
-`python load_meshes.py FOLDER FILE...` writes the k-th file's vertices and triangles to FOLDER/k.npz; a
-file that cannot be read has none. Parsers of mesh formats are large, and what they are given may be hostile.
+`python load_meshes.py FOLDER BYTES FILE...` gets so much memory and writes the k-th file's vertices and
+triangles to FOLDER/k.npz; a file that cannot be read has none. Parsers of mesh formats are large, and what
+they are given may be hostile.
 """
 
 from __future__ import annotations
@@ -13,17 +14,14 @@ from pathlib import Path
 PROCESSOR_TIME = 3
 """s"""
 
-MEMORY = 900_000_000
-"""Bytes of data."""
-
 
 def main() -> None:
-    folder, *files = sys.argv[1:]
+    folder, memory, *files = sys.argv[1:]
     with suppress(ImportError):  # not everywhere
         import resource
 
         resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR_TIME, PROCESSOR_TIME))
-        resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
+        resource.setrlimit(resource.RLIMIT_DATA, (int(memory), int(memory)))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     import coal
     import numpy as np

@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.errors import NewtonEulerError
+from newton_euler.limits import size_in_bytes
 from newton_euler.model.geometry import Box, Cylinder, Mesh, Shape, Sphere
 from newton_euler.model.mechanism import Body
 from newton_euler.scalars import Array
@@ -208,7 +209,8 @@ def _loaded(files: list[Path]) -> dict[Path, Mesh | None]:
     with tempfile.TemporaryDirectory() as folder:
         # by its path, without the packages around it: nothing but coal has to be imported
         script = Path(__file__).with_name("load_meshes.py")
-        command = [sys.executable, "-P", str(script), folder, *map(str, files)]
+        memory = str(size_in_bytes("memory"))
+        command = [sys.executable, "-P", str(script), folder, memory, *map(str, files)]
         with suppress(subprocess.TimeoutExpired):
             subprocess.run(
                 command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=WALL_TIME, check=False
