@@ -36,10 +36,10 @@ def main() -> int:
     mujoco.set_mju_user_warning(lambda message: None)
     try:
         model = compile_spec(mujoco.MjSpec.from_file(path))
-    except (ValueError, MemoryError, mujoco.FatalError) as error:
+        mujoco.mj_saveModel(model, result, None)
+    except (ValueError, MemoryError, RuntimeError, mujoco.FatalError) as error:
         print(" ".join(str(error).split()) or type(error).__name__, file=sys.stderr)
         return 1
-    mujoco.mj_saveModel(model, result, None)
     return 0
 
 

@@ -80,3 +80,4 @@ def test_lack_of_memory_is_told_from_a_crash_by_what_was_used(
     with changed({"memory": 900}), pytest.raises(SourceError) as error:
         compiled(str(path))
     assert ("--set memory=3600" in str(error.value)) == lacks
+    assert ("unknown exception" in str(error.value)) != lacks
