@@ -35,6 +35,7 @@ from mjcf.reading.laws import Drive
 from mjcf.reading.laws import exercise as exercised
 from mjcf.reading.leftovers import report_leftovers
 from mjcf.reading.loops import Loops
+from mjcf.reading.plausibility import key_findings, mesh_findings
 from mjcf.reading.source import UNNAMED, SourceError, compiled, given, model_name
 from mjcf.reading.start import Start
 from newton_euler.assemble import assemble
@@ -48,6 +49,7 @@ from newton_euler.model.source_file import ReadOptions, Request, path_text
 from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
+from newton_euler.verification import plausibility
 from newton_euler.verification.import_report import ImportReport, unique_name
 from newton_euler.verification.original import Original
 from newton_euler.verification.verify import check
@@ -110,9 +112,9 @@ def read(
     with heard_warnings() as warnings:
         if isinstance(model, str | os.PathLike):
             where = path_text(model, SourceError)
-            made = compiled(where, root)
+            made, sizes = compiled(where, root)
         else:
-            where, made = given(model)
+            where, made, sizes = given(model)
             if root is not None:
                 raise OptionError("root", root, "none, as a model in memory refers to no files")
         found = _reading(where, copy.copy(made), key, request)
@@ -124,6 +126,9 @@ def read(
                 found = _exercised(where, made, key, request, found)
             report = found.report
             report.originals.extend(originals)
+            report.findings.extend(plausibility.findings(found.scene.mechanism))
+            found_of_file = [*mesh_findings(made), *key_findings(made, sizes)]
+            report.findings.extend(plausibility.grouped(found_of_file))
             if request.verified:
                 report.start.append(check(report))
         except SourceError:

@@ -32,6 +32,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import ReadOptions, Request, path_text, read_text
 from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.scalars import Array
+from newton_euler.verification import plausibility
 from newton_euler.verification.activity import Bounds, Rest, Watch
 from newton_euler.verification.import_report import (
     CONTACTS,
@@ -109,7 +110,7 @@ def read(
     base: BaseName = "fixed",
     gravity: Sequence[float] | None = None,
     q: Sequence[float] | Array | None = None,
-    ignore: Sequence[str] = (),
+    ignore: Sequence[str] | None = None,
     **options: Unpack[ReadOptions],
 ) -> Reading:
     """Read a URDF, or a model that Pinocchio has in memory.
@@ -124,7 +125,7 @@ def read(
         q: (nq,) Pinocchio's configuration that a model in memory starts from, or next to where its loops
             close; neutral if None.
         ignore: tags or names of elements of a URDF that are no link and no joint, such as "loop_joint": they
-            are left out, where they would be refused or simulated.
+            are left out, where they would be refused or simulated; none if None.
         options: see `newton_euler.model.source_file.Request`. What is verified is the file as it stands.
 
     Raises:
@@ -144,8 +145,9 @@ def read(
         if q is not None:
             raise OptionError("q", q, "none, as a URDF starts from coordinates 0")
         pull = GRAVITY if gravity is None else gravity
-        return _from_file(model, loops, base, pull, request, [ignore] if isinstance(ignore, str) else ignore)
-    for option, value, default in (("loops", loops, None), ("base", base, "fixed"), ("ignore", ignore, ())):
+        ignored = [ignore] if isinstance(ignore, str) else ignore or ()
+        return _from_file(model, loops, base, pull, request, ignored)
+    for option, value, default in (("loops", loops, None), ("base", base, "fixed"), ("ignore", ignore, None)):
         if value != default:
             raise OptionError(option, value, "none, as it is of URDF files")
     return _from_memory(model, gravity, q, request)
@@ -268,6 +270,7 @@ def _reading(
         report.originals.append((original(report, scene), scene))
     if request.verified:
         report.start.append(check(report))
+    report.findings.extend(plausibility.findings(scene.mechanism))
     if request.exercise:
         scene, fastest = exercised(scene)
         report.start.append(f"exercised: {fastest}")

@@ -223,7 +223,7 @@ def notes(result: Crosscheck) -> Iterator[str]:
         yield _rest_line(result)
     yield from redundancy_lines(scene)
     impossible = [body.name for body in scene.mechanism.bodies if body.allow_unrealisable_inertia]
-    if impossible:
+    if impossible and mapping is None:  # a finding of a file has the numbers
         broken = "two principal moments together less than the third"
         yield f"inertia that no mass has, {broken}: {', '.join(impossible)}"
     yield from not_compared(result.figures)

@@ -10,7 +10,7 @@ import sys
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -105,6 +105,9 @@ FREE_TEXT = frozenset(
 NAMED = ("body", "jnt", "site", "eq", "tendon", "actuator", "key")
 """Prefixes of elements that have names."""
 
+KEY_FIELDS = ("qpos", "qvel", "act", "ctrl")
+"""Attributes of keyframes that hold a number for each coordinate, velocity, activation or control."""
+
 CHECKED = ("body", "jnt", "dof", "site", "eq", "tendon", "actuator", "key", "qpos")
 """Prefixes of what a scene is made of."""
 
@@ -125,8 +128,12 @@ class SourceError(source_file.SourceError, MjcfError):
     """A file that is no usable model: names the file and what is wrong where."""
 
 
-def compiled(path: str, root: str | None = None) -> Any:
-    """The `MjModel` of an MJCF file.
+KeySizes: TypeAlias = dict[int, dict[str, int]]
+"""By number of a keyframe, how many numbers its fields have as they are written."""
+
+
+def compiled(path: str, root: str | None = None) -> tuple[Any, KeySizes]:
+    """The `MjModel` of an MJCF file, and the sizes of its keyframes as they are written.
 
     Args:
         path: of the file.
@@ -141,11 +148,12 @@ def compiled(path: str, root: str | None = None) -> Any:
     scan.run()
     model = _compiled(path, scan.asset_bytes)
     _check_counts(path, model)
-    return model
+    keys = scan.keys if len(scan.keys) == model.nkey else []  # others come from models that are attached
+    return model, dict(enumerate(keys))
 
 
-def given(model: object) -> tuple[str, Any]:
-    """A name for messages, and the `MjModel`, of a model that is given as an `MjSpec` or an `MjModel`.
+def given(model: object) -> tuple[str, Any, KeySizes]:
+    """A name for messages, the `MjModel`, and the sizes of keyframes, of an `MjSpec` or an `MjModel`.
 
     Neither is changed by what becomes of the result.
 
@@ -154,7 +162,11 @@ def given(model: object) -> tuple[str, Any]:
     """
     import mujoco
 
+    sizes: KeySizes = {}
     if isinstance(model, mujoco.MjSpec):
+        for number, key in enumerate(model.keys):
+            counts = {name: len(getattr(key, name)) for name in KEY_FIELDS}
+            sizes[number] = {name: count for name, count in counts.items() if count}
         where, made = _named("MjSpec", model.modelname), None
         try:
             made = compile_spec(model.copy())
@@ -167,7 +179,7 @@ def given(model: object) -> tuple[str, Any]:
         raise SourceError(f"{model!r:.200}", f"cannot be read; needed: {needed}")
     _check_numbers(where, made)
     _check_counts(where, made)
-    return where, made
+    return where, made, sizes
 
 
 def _named(kind: str, name: str) -> str:
@@ -287,6 +299,7 @@ class _Scan:
 
     Attributes:
         asset_bytes: of all files that MuJoCo may read and that are no XML.
+        keys: how many numbers the fields of each keyframe have.
     """
 
     def __init__(self, path: str, root: str | None) -> None:
@@ -300,6 +313,7 @@ class _Scan:
         self._homes = [self._home]
         self._folders: dict[str, list[str]] = {name: [] for name in FOLDERS}
         self._assets: list[_Reference] = []
+        self.keys: list[dict[str, int]] = []
         self._files = self._bytes = 0
         self._sizes: dict[str, int] = {}
 
@@ -324,6 +338,9 @@ class _Scan:
         inner: list[_Reference] = []
 
         def begin(tag: str, attributes: dict[str, str], line: int) -> None:
+            counts: dict[str, int] = {}
+            if tag == "key":
+                self.keys.append(counts)
             for name, value in attributes.items():
                 if name not in FREE_TEXT and any(
                     token.lower().lstrip("+-") in NOT_FINITE for token in value.split()
@@ -332,6 +349,8 @@ class _Scan:
                 if tag == "compiler" and name in FOLDERS:
                     _Reference(path, line, f"compiler {name}", value or ".").within(self._around, self._home)
                     self._folders[name].append(value)
+                if tag == "key" and name in KEY_FIELDS:
+                    counts[name] = len(value.split())
                 if name == "file" and tag in ("include", "model"):
                     inner.append(_Reference(path, line, tag, value))
                 elif name.startswith("file") and tag in ASSETS:

@@ -193,8 +193,8 @@ class _Reader:
                 self._read_gazebo_joint(element)
             case "gazebo", "springStiffness" | "springReference" | "dynamics" if place.get("reference"):
                 self._read_gazebo_spring(element, str(place.get("reference")), place)
-            case "gazebo", "gravity" | "turnGravityOff" if self._is_ordinary_gravity(element, tag):
-                pass
+            case "gazebo" | "link", "gravity" | "turnGravityOff" | "kinematic":
+                return self._is_ordinary(element, tag)
             case _, "loop_joint":
                 self._read_loop_joint(element)
             case _, "drake:ball_constraint":
@@ -209,7 +209,8 @@ class _Reader:
         return True
 
     @staticmethod
-    def _is_ordinary_gravity(element: ET.Element, tag: str) -> bool:
+    def _is_ordinary(element: ET.Element, tag: str) -> bool:
+        """True if a body falls and moves as every other one does."""
         text = (element.text or "").strip().lower()
         return text in (("true", "1") if tag == "gravity" else ("false", "0"))
 

@@ -55,6 +55,8 @@ UNMOVING = {
     ),
     "link": frozenset(
         [
+            "self_filter",
+            "origin",
             "contact",
             "collision_checking",
             "self_collision_checking",
@@ -133,6 +135,8 @@ UNMOVING = {
     ),
     "gazebo": frozenset(
         [
+            "canonicalBody",
+            "gazebo_ros_power_monitor",
             "static",
             "self_collide",
             "selfCollide",
@@ -148,37 +152,7 @@ UNMOVING = {
             "audio",
         ]
     ),
-    "transmission": frozenset(
-        [
-            "type",
-            "joint",
-            "actuator",
-            "hardwareInterface",
-            "mechanicalReduction",
-            "mechanicalreduction",
-            "compensator",
-            "simulated_reduction",
-            "simulated_actuated_joint",
-            "use_simulated_gripper_joint",
-            "role",
-            "offset",
-            "leftActuator",
-            "rightActuator",
-            "flexJoint",
-            "rollJoint",
-            "gap_joint",
-            "leadScrew",
-            "motorTorqueConstant",
-            "encoderResolution",
-            "pulsesPerRevolution",
-            "state_interface",
-            "command_interface",
-            "param",
-            "drake:gear_ratio",
-            "drake:rotor_inertia",
-            "robotNamespace",
-        ]
-    ),
+    "transmission": frozenset({"drake:gear_ratio", "drake:rotor_inertia"}),
     "mujoco": frozenset({"compiler", "size"}),
 }
 """Elements that exert no force and hold nothing, by the element that they are in."""
@@ -188,7 +162,20 @@ ATTRIBUTES = {
     "axis": frozenset({"xyz"}),
     "mass": frozenset({"value"}),
     "inertia": frozenset(["ixx", "ixy", "ixz", "iyy", "iyz", "izz", "iyx", "izx", "izy"]),
-    "limit": frozenset(["lower", "upper", "effort", "velocity", "acceleration", "deceleration", "jerk"]),
+    "limit": frozenset(
+        [
+            "command_effort",
+            "current",
+            "gear_velocity",
+            "lower",
+            "upper",
+            "effort",
+            "velocity",
+            "acceleration",
+            "deceleration",
+            "jerk",
+        ]
+    ),
     "dynamics": frozenset(["damping", "friction", "spring_stiffness", "spring_reference", "armature"]),
     "mimic": frozenset({"joint", "multiplier", "offset"}),
     "parent": frozenset({"link", "joint"}),
@@ -202,6 +189,9 @@ PASSIVE_PLUGIN = re.compile(
     re.IGNORECASE,
 )
 """File names of Gazebo's plugins that exert nothing unless something is commanded."""
+
+ACTING_IN_TRANSMISSION = re.compile(r"inertia|stiff|damp|friction|backlash|spring|elastic", re.IGNORECASE)
+"""Parts of transmissions that would exert forces; the others say how commands become forces."""
 
 CLOSING = re.compile(r"constraint|loop|closure|closing|weld|tendon|bushing|spring|coupl|equality", re.I)
 """Tags of elements that hold bodies together or push them, in whatever tool."""
@@ -253,27 +243,31 @@ def unknown(root: ET.Element) -> Iterator[tuple[ET.Element, str]]:
             yield from _inside(element, place, where if name else tag)
         elif tag in ("transmission", "mujoco"):
             for part in element.iter():
-                if part is not element and tag_of(part) not in UNMOVING[tag]:
-                    yield part, f"<{tag_of(part)}> of {where if name else tag}"
+                own = tag_of(part)
+                acts = ACTING_IN_TRANSMISSION.search(own) if tag == "transmission" else True
+                if part is not element and acts and own not in UNMOVING[tag]:
+                    yield part, f"<{own}> of {where if name else tag}"
         elif tag not in UNMOVING["robot"]:
             yield element, f"<{tag}>{f' {name!r:.100}' if name else ''}"
     for element in (*root.findall("link"), *root.findall("joint")):
         for part in (*element, *element.findall("inertial/*")):
-            for name in part.attrib:
-                if part.tag in ATTRIBUTES and name not in ATTRIBUTES[part.tag]:
-                    where = f"{element.tag} {element.get('name')!r:.100}"
-                    yield part, f"{name}={part.attrib[name]!r:.50} of <{part.tag}> of {where}"
+            others = [name for name in part.attrib if name not in ATTRIBUTES.get(part.tag, part.attrib)]
+            if others:
+                where = f"{element.tag} {element.get('name')!r:.100}"
+                yield part, f"{', '.join(others)} of <{part.tag}> of {where}"
 
 
 def _inside(element: ET.Element, place: str, where: str) -> Iterator[tuple[ET.Element, str]]:
     known = PARTS.get(place, frozenset()) | UNMOVING[place]
+    if place.startswith("gazebo"):  # flags of links and joints are found on either, and do nothing there
+        known |= UNMOVING["gazebo link"] | UNMOVING["gazebo joint"]
     for part in element:
         tag = tag_of(part)
-        passive = tag == "plugin" and PASSIVE_PLUGIN.search(
-            f"{part.get('filename', '')} {part.get('name', '')}"
-        )
+        text = f"{part.get('filename', '')} {part.get('name', '')}" if tag == "plugin" else tag
+        passive = place.startswith("gazebo") and PASSIVE_PLUGIN.search(text)
         if tag not in known and not passive:
-            yield part, f"<{tag}> of {where}"
+            file = f" {part.get('filename')!r:.100}" if part.get("filename") else ""
+            yield part, f"<{tag}>{file} of {where}"
 
 
 def report_unmoving(root: ET.Element, report: ImportReport) -> None:
