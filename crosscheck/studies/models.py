@@ -3,18 +3,18 @@
     python -m crosscheck.studies.models docs/results/models.yaml FOLDER --write docs/results/models.md
 
 FOLDER holds the repositories as OWNER/NAME. Each file is run by `crosscheck run` in a process of its own,
-which has a limit of time. What it found is kept in a JSON file beside the results; with `--only TEXT`, files
-whose path holds no such text keep what was found before. Who is right where models do not agree, and why, is
-for people to find out, and for the list to say.
+which has a limit of processor time. The findings are kept in a JSON file beside the results; with
+`--only TEXT`, files whose path holds no such text keep the findings of before. Who is right where models do
+not agree, and why, is for people to find out, and for the list to say.
 """
 
 from __future__ import annotations
 
 import json
+import resource
 import shutil
 import subprocess
 import sys
-import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -27,18 +27,28 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import write_files
 from crosscheck.model_files.read import is_urdf
+from crosscheck.outcome import ExitStatus, Outcome
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, texts
 from newton_euler.verification.import_report import FATES, ImportedElement, ImportReport
 
-LIMIT = 600.0
-"""s of wall time for one model."""
+MAX_WALL_TIME = 600.0
+"""s for one model."""
 
 BEGIN, END = "<!-- models: begin -->", "<!-- models: end -->"
 """Between them stands what is written."""
 
-VERDICTS = ("AGREE", "DISAGREE", "refused", "stopped", "too long")
-"""Of a model; `stopped` are those of which an engine's run did not come to its end."""
+REFUSED, TOO_LONG = "refused", "too long"
+"""Verdicts of models that no outcome is known of: a file is refused, a run lasts too long."""
+
+VERDICTS = (*(outcome.value for outcome in Outcome), REFUSED, TOO_LONG)
+"""Verdicts of a model, in the order in which they are counted."""
+
+JUDGED = (ExitStatus.AGREE, ExitStatus.DISAGREE, ExitStatus.UNFINISHED, ExitStatus.REDUCED)
+"""Exit statuses of runs that leave a summary."""
+
+MAX_REASON = 240
+"""Characters of a reason in the table."""
 
 
 class Entry(BaseModel):
@@ -47,7 +57,7 @@ class Entry(BaseModel):
     Attributes:
         file: path in its repository.
         options: of `crosscheck run`, see `crosscheck list`.
-        why: who is right and why, of a model that does not agree.
+        why: who is right and why, for a model that does not agree.
         ours: whether that is a fault or a lack of crosscheck.
     """
 
@@ -76,18 +86,20 @@ class Found(BaseModel):
     Attributes:
         verdict: one of `VERDICTS`.
         line: the verdict as `crosscheck run` has it, or the error.
+        reason: the part of the line that tells why the verdict is not AGREE.
         fates: how many elements became what, each as the worst that became of it.
         covered: how many of the scene's elements the motion covers, and of how many.
         lacks: what of the file the run lacks, in words.
-        seconds: wall time.
+        processor_time: s, of all processes of the command.
     """
 
     verdict: str
     line: str
+    reason: str = ""
     fates: dict[str, int] = Field(default_factory=dict)
     covered: str = ""
     lacks: str = ""
-    seconds: float
+    processor_time: float
 
 
 def read_list(path: Path) -> list[Repository]:
@@ -115,30 +127,49 @@ def run_model(folder: Path, repository: Repository, entry: Entry, output: Path) 
     settings = [part for name, value in options.items() for part in ("--set", f"{name}={value}")]
     shutil.rmtree(output, ignore_errors=True)
     command = [sys.executable, "-P", "-m", "crosscheck", "run", str(path), *settings, "--output", str(output)]
-    start = time.perf_counter()
+    before = _processor_time()
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=MAX_WALL_TIME, check=False)
     except subprocess.TimeoutExpired:
-        return Found(verdict="too long", line=f"more than {LIMIT:g} s", seconds=LIMIT)
-    seconds = time.perf_counter() - start
+        line = f"more than {MAX_WALL_TIME:g} s"
+        return Found(verdict=TOO_LONG, line=line, processor_time=_processor_time() - before)
+    used = _processor_time() - before
     summary = output / "summary.json"
-    if done.returncode not in (0, 1, 3) or not summary.exists():
+    if done.returncode not in JUDGED or not summary.exists():
         lines = [line for line in done.stderr.splitlines() if line.strip()] or [f"status {done.returncode}"]
-        return Found(verdict="refused", line=lines[-1].replace(f"{home}/", ""), seconds=seconds)
+        line = lines[-1].removeprefix("crosscheck: error: ").replace(f"{home}/", "")
+        return Found(verdict=REFUSED, line=line, reason=line, processor_time=used)
     content = json.loads(summary.read_text(encoding="utf-8"))
     report = ImportReport()
     report.entries = [ImportedElement(**each) for each in content["mapping"] or []]
     still = "nothing moves" if "nothing moves" in content["verdict"] else ""
     tested = [covered["tested"] for covered in content["coverage"] or []]
-    stopped = content["unfinished"] or content["left_out"]
     return Found(
-        verdict="AGREE" if content["agrees"] else "stopped" if stopped else "DISAGREE",
+        verdict=content["outcome"],
         line=content["verdict"],
+        reason=_reason(content),
         fates=_fates(report),
         covered=f"{sum(tested)} of {len(tested)}" if tested else "",
         lacks="; ".join(filter(None, [still, report.counts()])),
-        seconds=seconds,
+        processor_time=used,
     )
+
+
+def _processor_time() -> float:
+    """Sum the s of processor time of all processes that this one has started and that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def _reason(content: dict[str, Any]) -> str:
+    """Word why a summary does not say AGREE: what acted and was not simulated, or the rest of the verdict."""
+    if content["outcome"] == Outcome.AGREE:
+        return ""
+    if content["outcome"] != Outcome.AGREE_ON_A_REDUCED_MODEL:
+        return str(content["verdict"]).partition(": ")[2]
+    first, *others = content["not_simulated"]
+    more = f" and {len(others)} more" if others else ""
+    return f"without {first['element']}{more}, which act from {first['since']:.3g} s on"
 
 
 def _fates(report: ImportReport) -> dict[str, int]:
@@ -156,7 +187,7 @@ def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterat
     known = [(entry, each) for entry, each in pairs if each is not None]
     counts = Counter(each.verdict for _, each in known)
     verdicts = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
-    ours = sum(entry.ours for entry, each in known if each.verdict != "AGREE")
+    ours = sum(entry.ours for entry, each in known if each.verdict != Outcome.AGREE)
     total = Counter[str]()
     for _, each in known:
         total.update(each.fates)
@@ -174,11 +205,16 @@ def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterat
                 continue
             options = ", ".join(f"{k}={v}" for k, v in (repository.options | entry.options).items())
             verdict = model.verdict
-            if verdict != "AGREE":
-                verdict += f": {entry.why or model.line}"
-            rows.append([entry.file, options, verdict, model.covered, model.lacks, f"{model.seconds:.0f}"])
-    heads = texts("model", "options", "verdict", "covered", "of the file", "s")
+            if reason := _shortened(entry.why or model.reason):
+                verdict += f": {reason}"
+            time = f"{model.processor_time:.0f}"
+            rows.append([entry.file, options, verdict, model.covered, model.lacks, time])
+    heads = texts("model", "options", "verdict", "covered", "of the file", "processor time, s")
     yield from markdown_table(Table("", heads, rows))
+
+
+def _shortened(reason: str) -> str:
+    return reason if len(reason) <= MAX_REASON else f"{reason[: MAX_REASON - 4].rstrip()} ..."
 
 
 def write(path: Path, lines: Sequence[str]) -> None:
@@ -217,7 +253,7 @@ def main(models: Path, folder: Path, only: str, target: Path | None, output: Pat
                 if only not in name:
                     continue
                 found[name] = run_model(folder, repository, entry, output / "run")
-                click.echo(f"{name}: {found[name].seconds:.0f} s: {found[name].line}")
+                click.echo(f"{name}: {found[name].processor_time:.0f} s: {found[name].line}")
                 kept = {key: each.model_dump() for key, each in found.items()}
                 write_files({store: (json.dumps(kept, indent=1) + "\n").encode()})
         if target is not None:

@@ -21,6 +21,7 @@ LIST = """models:
         options: {base: free}
         why: one of the engines | is wrong
         ours: true
+      - file: floor.xml
       - file: not/run/yet.xml
 """
 
@@ -39,21 +40,31 @@ def test_the_table_has_counts_and_reasons(tmp_path: Path) -> None:
             fates=fates,
             covered="4 of 5",
             lacks="3 elements are left out",
-            seconds=3.2,
+            processor_time=3.2,
         ),
-        "some/robots/broken.xml": Found(verdict="refused", line="error", fates={}, seconds=1.0),
-        "some/robots/other.urdf": Found(verdict="DISAGREE", line="part", fates=fates, seconds=2.0),
+        "some/robots/broken.xml": Found(verdict="refused", line="error", fates={}, processor_time=1.0),
+        "some/robots/floor.xml": Found(
+            verdict="AGREE ON A REDUCED MODEL",
+            line="",
+            reason="without contact " + 300 * "x",
+            processor_time=4.0,
+        ),
+        "some/robots/other.urdf": Found(
+            verdict="DISAGREE", line="DISAGREE: part", reason="part", fates=fates, processor_time=2.0
+        ),
     }
     lines = list(table(repositories, found))
     counts = " ".join(lines[: lines.index("")])
     assert counts.startswith(
-        "3 models of 1 repositories: 1 AGREE, 1 DISAGREE, 1 refused; 1 of these for a reason that is "
+        "4 models of 1 repositories: 1 AGREE, 1 AGREE ON A REDUCED MODEL, 1 DISAGREE, 1 refused; 1 of these"
     )
     assert "10 are carried over exactly, 2 approximated, 4 left out and inactive in the run, 6" in counts
-    assert lines[-3:] == [
+    assert lines[-4:] == [
         "| arm.xml | duration=0.05 | AGREE | 4 of 5 | 3 elements are left out | 3 |",
         "| broken.xml | duration=0.05 | refused: it is no XML |  |  | 1 |",
         "| other.urdf | duration=0.05, base=free | DISAGREE: one of the engines \\| is wrong |  |  | 2 |",
+        f"| floor.xml | duration=0.05 | AGREE ON A REDUCED MODEL: without contact {220 * 'x'} ..."
+        " |  |  | 4 |",
     ]
     target = tmp_path / "models.md"
     target.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")
