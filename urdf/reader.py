@@ -402,6 +402,10 @@ def _report_joints(joints: list[JointProperties], start: Start, tree: Tree, repo
                 why = f"its limit of velocity, {speed:.4g} {joint.unit}/s"
                 watches = _speed_limit(joint, key) if key else []
                 report.left_out(element, why, topic=VELOCITY_LIMITS, watches=watches)
+        if joint.rotor:
+            why = f"its rotor, rotorInertia times rotorGearRatio^2 of {joint.rotor:g}"
+            remedy = "Pinocchio's dynamics have model.armature alone: add it there"
+            report.left_out(element, f"{why}: {remedy}", topic="rotor")
         if joint.has_safety:
             why = "its safety controller: a program that runs beside the mechanism"
             report.left_out(element, why, topic="safety controller", examined=False)

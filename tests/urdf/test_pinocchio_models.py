@@ -233,3 +233,28 @@ def test_constraints_with_offsets_and_broken_placements_are_named(four_bar):
     anchor = pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, model, 1, broken)
     with pytest.raises(NewtonEulerError, match="constraint 0 has a placement that is no rotation"):
         urdf.read((model, [anchor]))
+
+
+@pytest.mark.parametrize(
+    ("field", "topics"),
+    [
+        ("rotorInertia", {"rotor"}),
+        ("friction", {"dry friction"}),
+        ("upperDryFrictionLimit", {"dry friction"}),
+        ("damping", set()),
+        ("armature", set()),
+    ],
+)
+def test_every_number_of_a_joint_is_in_the_report(field: str, topics: set[str]) -> None:
+    model = pin.buildSampleModelManipulator()
+    values = np.zeros(model.nv)
+    values[2] = 0.3
+    setattr(model, field, values)
+    scene, report = (found := urdf.read(model)).scene, found.report
+    name = str(model.names[3])
+    own = [entry for entry in report.entries if entry.element == f"joint {name!r}"]
+    found_topics = {entry.topic for entry in own if entry.is_unsimulated}
+    assert {topic for topic in found_topics if not topic.startswith("limit")} == topics
+    if not topics:
+        element = scene.forces[0].damping if field == "damping" else scene.armatures[0].inertia
+        assert element == 0.3

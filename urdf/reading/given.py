@@ -163,6 +163,10 @@ class Given:
             max((float(x) for x in values[place]), key=abs, default=0.0)
             for values in (model.damping, model.friction, model.armature)
         )
+        dry = (model.lowerDryFrictionLimit[place], model.upperDryFrictionLimit[place])
+        friction = max([friction, *(float(x) for x in np.ravel(np.abs(dry)))], key=abs)
+        turned = model.rotorInertia[place] * model.rotorGearRatio[place] ** 2
+        rotor = float(np.max(turned, initial=0.0)) if not armature else 0.0
         limits = None
         if joint.nq == joint.nv == 1:
             low, high = (
@@ -172,7 +176,7 @@ class Given:
             if max(abs(low), abs(high)) < FARTHEST:
                 limits = low, high, speed if speed < FARTHEST else np.inf
         unit = "m" if joint.shortname().startswith("JointModelP") else "rad"
-        return JointProperties(name, damping, friction, armature, limits, unit)
+        return JointProperties(name, damping, friction, armature, limits, unit, rotor=rotor)
 
 
 def _add_frames(

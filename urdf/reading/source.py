@@ -47,6 +47,7 @@ class JointProperties(NamedTuple):
         has_safety: whether it has a safety controller.
         stiffness, rest: of its spring, N/m or N m/rad, and the coordinate, m or rad, where that
             exerts nothing.
+        rotor: kg m^2 or kg, of a rotor seen through its gear, where that is no part of the armature.
     """
 
     name: str
@@ -58,6 +59,7 @@ class JointProperties(NamedTuple):
     has_safety: bool = False
     stiffness: float = 0.0
     rest: float = 0.0
+    rotor: float = 0.0
 
 
 def joint_properties(root: ET.Element) -> list[JointProperties]:
