@@ -184,7 +184,7 @@ def _exercised(where: str, model: Any, key: str | None, request: Request, found:
         more = ", ..." if kept[MOST_NAMES:] else ""
         said.append(f"{_count(kept, 'actuator')} with the controls of the file ({names}{more})")
     if not np.any(start.data.qvel):
-        moved, fastest = moving(driven.scene)
+        moved, fastest = moving(driven.scene, driven.report.bounds)
         driven = replace(driven, scene=moved)
         said.append(fastest)
     words = ", ".join(said) or "the velocities of the start are enough"

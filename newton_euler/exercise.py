@@ -6,7 +6,7 @@ Everything here is a function of the scene alone, the same in every process.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -25,12 +25,15 @@ from newton_euler.model.control import PD
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
+from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
+from newton_euler.verification.activity import Bounds
 
 SPIN, SPEED = 0.5, 0.1  # rad/s and sizes/s, at most, of joints at the start
 SWING, SHIFT = 0.2, 0.05  # rad and sizes, about as far as a driven joint moves
+ROOM_SHARE = 0.5  # of the room that limits leave, at most, that start velocities use; the rest is for swings
 LOWEST, HIGHEST = 0.7, 1.9  # Hz, between which frequencies are spread
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # its multiples, less whole numbers, are spread evenly
 SEED = 0  # of the directions of start velocities
@@ -40,8 +43,13 @@ ATTEMPTS = 50
 AT_REST = 1e-9  # rad/s and sizes/s, below which a mechanism that is given velocities cannot move
 
 
-def moving(scene: Scene) -> tuple[Scene, str]:
+def moving(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[Scene, str]:
     """Give a scene consistent start velocities of all its joints.
+
+    Args:
+        scene: at its start.
+        bounds: limits of what the velocities change at once, such as the force of a servo with damping. The
+            velocities use at most `ROOM_SHARE` of the room that each limit leaves at the start.
 
     Returns:
         The scene, and how fast joints turn and slide, in words.
@@ -53,15 +61,18 @@ def moving(scene: Scene) -> tuple[Scene, str]:
     q, _ = system.coordinates(initial_state(scene))
     lengths = system.tree.is_length
     limits = np.where(lengths, SPEED * scene.mechanism.size, SPIN)
+    rows = _rate_rows(system, q, bounds)
+    for row in rows:
+        acting = row != 0.0
+        limits[acting] = np.minimum(limits[acting], 1.0 / (np.sum(acting) * np.abs(row[acting])))
     rng = np.random.default_rng(SEED)
     wanted = limits * rng.choice([-1.0, 1.0], system.nv) * rng.uniform(0.5, 1.0, system.nv)
     free = orthonormal_null(dimensionless_jacobian(system, q), constraint_rank(system))
     v = system.velocity_units * (free @ (free.T @ (wanted / system.velocity_units)))
     spins = _spins(scene, system, q, v)
-    fastest = max(np.max(np.abs(v) / limits, initial=0.0), np.max(spins, initial=0.0) / SPIN)
-    if fastest * SPIN < AT_REST:
+    if max(np.max(np.abs(v) / limits, initial=0.0), np.max(spins, initial=0.0) / SPIN) * SPIN < AT_REST:
         return scene, "no start velocities, as constraints leave none"
-    v /= fastest
+    v /= max(np.max(np.abs(v) / limits), np.max(spins, initial=0.0) / SPIN, *(abs(row @ v) for row in rows))
     state = assemble(scene, system.state(q, v))
     speeds = {
         "rad/s": float(np.max(_spins(scene, system, q, v), initial=0.0)),
@@ -69,6 +80,27 @@ def moving(scene: Scene) -> tuple[Scene, str]:
     }
     said = " and ".join(f"{speed:.2g} {unit}" for unit, speed in speeds.items() if speed > AT_REST)
     return replace(scene, initial_state=state), f"start velocities up to {said}"
+
+
+def _rate_rows(system: Relative, q: Array, bounds: Iterable[Bounds]) -> list[Array]:
+    """Rows (nv,) of the start's velocities, each of which uses `ROOM_SHARE` of a limit's room where it is 1.
+
+    A limit that the start has reached already leaves no room, and has no row.
+    """
+    measured, rows = system.measured(q, np.zeros(system.nv)), list[Array]()
+    for bound in bounds:
+        if not bound.by_rate or not all(key in measured for key, _ in bound.terms):
+            continue
+        value = bound.constant.value(0.0) if isinstance(bound.constant, TimeFunction) else bound.constant
+        room = min(value - bound.low, bound.high - value)
+        if not 0.0 < room < np.inf:
+            continue
+        row = np.zeros(system.nv)
+        for key, factor in bound.terms:
+            for k, x in measured[key].jacobian.items():
+                row[k] += factor * x * bound.by_rate / (ROOM_SHARE * room)
+        rows.append(row)
+    return rows
 
 
 def _spins(scene: Scene, system: Relative, q: Array, v: Array) -> Array:

@@ -272,7 +272,7 @@ def _reading(
         report.start.append(check(report))
     report.findings.extend(plausibility.findings(scene.mechanism))
     if request.exercise:
-        scene, fastest = exercised(scene)
+        scene, fastest = exercised(scene, report.bounds)
         report.start.append(f"exercised: {fastest}")
     return Reading(scene, report)
 

@@ -10,7 +10,7 @@ from typing import Literal
 
 from newton_euler.equations.loop_closure import MovedStart
 from newton_euler.model.scene import Scene
-from newton_euler.verification.activity import Course, Watch, judged
+from newton_euler.verification.activity import Bounds, Course, Watch, judged
 from newton_euler.verification.original import Original
 
 Fate = Literal["exactly", "approximated", "inactive", "left out"]
@@ -160,6 +160,11 @@ class ImportReport:
     def not_understood(self, element: str, why: str) -> None:
         """Report an element that no rule knows: it may act, so it counts as one that is not simulated."""
         self.entries.append(ImportedElement(element, "left out", why, is_understood=False))
+
+    @property
+    def bounds(self) -> list[Bounds]:
+        """The limits of joint coordinates and forces among what tells whether entries are active."""
+        return [each for watches in self.watches.values() for each in watches if isinstance(each, Bounds)]
 
     def unsimulated(self) -> list[ImportedElement]:
         """Return the entries of elements that acted, or can act, and are not simulated as they are."""

@@ -103,6 +103,20 @@ def test_controls_swing_within_half_of_their_ranges(tmp_path: Path) -> None:
     assert 0.0 < slow.amplitude <= 3.0 * 0.5 * 0.2 / np.hypot(1.0, 0.05 * 2.0 * np.pi * 1.9) * (1 + 1e-12)
 
 
+def test_start_velocities_leave_room_to_the_force_of_a_damped_servo(tmp_path: Path) -> None:
+    """At 0.5 rad/s its damping alone would take 200 N m, four times the range of its force."""
+    servo = '<position joint="p" kp="4000" kv="400" ctrlrange="-1 1" forcerange="-50 50"/>'
+    option = '<option gravity="0 0 0"/>'
+    found = reading(tmp_path, model(PAIR, f"<actuator>{servo}</actuator>", option), exercise=True)
+    (bound,) = (each for each in found.report.bounds if each.by_rate)
+    run = newton_euler.simulate(found.scene)
+    course = Course(found.scene, run)
+    rate = abs(course.coordinate(bound.terms[0][0])[1][0])
+    largest = 0.5 * 50.0 / 400.0
+    assert 0.5 * largest <= rate <= largest * (1.0 + 1e-12)  # drawn from the upper half
+    assert not bound.judge(course).active
+
+
 @pytest.mark.parametrize("dynamics", ["filter", "filterexact", "integrator"])
 def test_an_early_activation_is_read_as_that_of_the_state(tmp_path: Path, dynamics: str) -> None:
     """MuJoCo takes `actearly` activations from the end of its time step, which no motion in time has."""
