@@ -5,10 +5,14 @@ joint coordinate and x = q less its value at the start, the force on the joint i
 
     u = g (gain ctrl + b_0) + g^2 b_1 (q_start + x) + g^2 b_2 dx/dt,
 
-a PD law of stiffness -g^2 b_1, damping -g^2 b_2 and target 0, and the rest as its feedforward. Where l is
-a sum of coordinates that gears tie to each other, l - l_start = s x for each of them: a law on the first of
-them with s in the place of g does the same work. A control that swings about that of the start, by a function
-of time, adds g gain times that to the feedforward.
+a PD law of stiffness -g^2 b_1, damping -g^2 b_2 and target 0, and the rest as its feedforward. If l is a sum of
+coordinates that gears tie to each other, l - l_start = s x for each of them: a law on the first of them with s
+in the place of g does the same work. If l = sum_j g_j q_j of independent coordinates, each of them gets the
+state feedback
+
+    u_i = g_i (gain ctrl + b_0 + b_1 l_start) + g_i sum_j g_j (b_1 x_j + b_2 dx_j/dt).
+
+A control that swings about that of the start, by a function of time, adds g gain times that to the feedforward.
 """
 
 from __future__ import annotations
@@ -28,7 +32,7 @@ from mjcf.reading.joints import FREE, Joints, Ties
 from mjcf.reading.laws import Acting, Affine, Drive, control_for, swinging
 from mjcf.reading.loops import fixed
 from mjcf.reading.start import Start
-from newton_euler.model.control import PD
+from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.forces import Wrench
 from newton_euler.model.joint import Key
 from newton_euler.model.smooth_functions import Sine
@@ -106,7 +110,7 @@ class Actuators:
             each[:] = before
 
     @property
-    def laws(self) -> tuple[PD, ...]:
+    def laws(self) -> tuple[PD | StateFeedback, ...]:
         """One for each joint coordinate."""
         return tuple(acting.law(key) for key, acting in self._acting.items())
 
@@ -123,17 +127,17 @@ class Actuators:
         if law is None:
             return
         self._report_damping(actuator, element)
-        is_kept = True
         if moments is not None:
-            is_kept = self._add_to_joints(actuator, element, law, moments)
+            acts = self._add_to_joints(actuator, element, law, moments)
         elif law == Affine(0.0, 0.0, 0.0) and not model.actuator_armature[actuator]:
             self._tell(actuator, "no force at the controls of the start", CONTROL)
+            acts = True
         elif kind == TRANSMISSION.mjTRN_SITE:
-            is_kept = self._add_wrench(actuator, element, law, model.actuator_gear[actuator])
+            acts = self._add_wrench(actuator, element, law, model.actuator_gear[actuator])
         else:
             self._report.left_out(element, f"no control law acts {self._through(actuator, kind)}")
-            is_kept = False
-        if is_kept:
+            acts = False
+        if acts:
             self._report_limits(actuator, element, law, moments)
 
     def _moments(self, actuator: int, kind: mujoco.mjtTrn) -> dict[int, float] | None:
@@ -253,9 +257,8 @@ class Actuators:
         if others := self._others(joint):
             self._report.left_out(element, f"{why}, which counts {others}", topic=topic)
         elif key is not None and law is not None:
-            moving = swinging(law.constant, law.swings)
-            watch = Bounds(((key, 1.0),), low, high, "N or N m", moving, -law.stiffness, -law.damping)
-            self._report.left_out(element, why, topic=topic, watches=[watch])
+            watch = _watch(law, low, high)
+            self._report.left_out(element, why, topic=topic, watches=[watch] if watch else [])
         elif data.qfrc_actuator[model.jnt_dofadr[joint]]:
             self._report.left_out(element, why, topic=topic)
 
@@ -283,32 +286,32 @@ class Actuators:
             self._report.left_out(element, "damping of its own", topic="damping")
 
     def _add_to_joints(self, actuator: int, element: str, law: Affine, moments: dict[int, float]) -> bool:
-        """Add its force to the laws of joints; False if no laws exert it, which is reported."""
-        keys, inertia = self._joints.keys, float(self._model.actuator_armature[actuator])
+        """Add its force to the laws of joint coordinates; False if the scene is without the actuator."""
+        keys = self._joints.keys
         slopes = self._ties.slopes({keys[joint]: moment for joint, moment in moments.items()})
-        if slopes is None and (law.by_length or law.by_rate or inertia):
-            what = f"a sum of {len(moments)} joint coordinates that no gears tie"
-            self._report.left_out(element, f"its force depends on {what}")
-            return False
         constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
         self._add_rotor(actuator, element, moments)
         shares = {keys[joint]: moment for joint, moment in moments.items()}
-        rates = slopes or dict.fromkeys(shares, 0.0)
         # gains of shares are moments times slopes, negative for some; joints with limits need theirs
-        if (law.by_length or law.by_rate) and not any(self._model.jnt_actfrclimited[k] for k in moments):
-            key, slope = next(iter(rates.items()))
+        limited = any(self._model.jnt_actfrclimited[k] for k in moments)
+        if slopes and (law.by_length or law.by_rate) and not limited:
+            key, slope = next(iter(slopes.items()))
             if slope == 0.0:
                 why = "equalities keep its length, so that it does no work"
                 self._report.left_out(element, why, inert=True)
                 return False
             shares = {key: slope}
         for key, share in shares.items():
-            before = self._acting.get(key, Acting())
-            self._acting[key] = Acting(
-                before.stiffness - share * rates[key] * law.by_length,
-                before.damping - share * rates[key] * law.by_rate,
-                before.constant + share * constant,
-                (*before.swings, *self._of_control(actuator, share)),
+            # the change of the length, by the coordinate that tells it or by all of the sum
+            length = {key: slopes[key]} if slopes else shares
+            acting = self._acting.get(key, Acting())
+            for other, slope in length.items() if law.by_length or law.by_rate else ():
+                acting = acting.with_feedback(
+                    other, -share * slope * law.by_length, -share * slope * law.by_rate
+                )
+            self._acting[key] = acting._replace(
+                constant=acting.constant + share * constant,
+                swings=(*acting.swings, *self._of_control(actuator, share)),
             )
         self._note_drive(actuator, shares, moments)
         names = ", ".join(repr(joint) for joint, _ in shares)
@@ -378,7 +381,7 @@ class Actuators:
         rotor = reduced_inertia(self._start, self._joints, self._ties, moments or {}, inertia)
         if rotor is None:
             why = f"its armature {inertia:g}: no single joint coordinate tells its length"
-            self._report.left_out(element, why)
+            self._report.left_out(element, why, topic="armature")
             return
         self.armatures[rotor[0]] = self.armatures.get(rotor[0], 0.0) + rotor[1]
         self._report.exactly(element, f"its armature {inertia:g} at joint {rotor[0][0]!r}", ROTOR)
@@ -386,7 +389,7 @@ class Actuators:
     def _add_wrench(self, actuator: int, element: str, law: Affine, gear: Array) -> bool:
         """Add a constant force and torque at a site, in the site's frame or in that of a fixed one.
 
-        False if there is no such wrench, which is reported.
+        False if the scene is without the actuator.
         """
         model, data = self._model, self._data
         site, reference = (int(k) for k in model.actuator_trnid[actuator])
@@ -407,3 +410,21 @@ class Actuators:
         self._forces.forces.append(Wrench(name, body, data.site_xpos[site].copy(), force, torque, frame))
         self._tell(actuator, f"wrench {name!r}, constant in the {frame}", FORCE)
         return True
+
+
+def _watch(acting: Acting, low: float, high: float) -> Bounds | None:
+    """Watch a limit of the force of actuators on a joint coordinate.
+
+    None if the stiffnesses and the dampings of its feedback are of different sums of joint coordinates.
+    """
+    keys, gains = list(acting.feedback), np.array(list(acting.feedback.values())).reshape(-1, 2)
+    moving = swinging(acting.constant, acting.swings)
+    if not keys:
+        return Bounds((), low, high, "N or N m", moving)
+    first = int(np.argmax(np.abs(gains).max(axis=1)))
+    by_value, by_rate = gains[first]
+    factors = gains @ gains[first] / (gains[first] @ gains[first]) if np.any(gains) else np.ones(len(gains))
+    if not np.allclose(np.outer(factors, gains[first]), gains, rtol=1e-12, atol=0.0):
+        return None
+    terms = tuple(zip(keys, factors.tolist(), strict=True))
+    return Bounds(terms, low, high, "N or N m", moving, -float(by_value), -float(by_rate))

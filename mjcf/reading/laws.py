@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from newton_euler.exercise import HIGHEST, swings
-from newton_euler.model.control import PD
+from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import Sum
 from newton_euler.model.scene import Scene
@@ -66,19 +66,35 @@ class Affine(NamedTuple):
 
 
 class Acting(NamedTuple):
-    """Forces of all actuators on a joint coordinate: -(stiffness x + damping dx/dt) + constant + swings."""
+    """Forces of all actuators on a joint coordinate: constant + swings - sum_j (k_j x_j + d_j dx_j/dt).
 
-    stiffness: float = 0.0
-    damping: float = 0.0
+    Attributes:
+        feedback: (k_j, d_j) by the joint coordinate x_j that the force depends on, SI.
+        constant: N or N m.
+        swings: added to the constant.
+    """
+
+    feedback: Mapping[Key, tuple[float, float]] = {}
     constant: float = 0.0
     swings: tuple[Sine, ...] = ()
 
-    def law(self, key: Key) -> PD:
-        """One with a stiffness has its constant force as a target."""
+    def with_feedback(self, key: Key, stiffness: float, damping: float) -> Acting:
+        """Add gains on a joint coordinate."""
+        k, d = self.feedback.get(key, (0.0, 0.0))
+        return self._replace(feedback={**self.feedback, key: (k + stiffness, d + damping)})
+
+    def law(self, key: Key) -> PD | StateFeedback:
+        """Make the control law of joint coordinate `key`.
+
+        If the coordinate has a stiffness of its own, the constant force becomes the target.
+        """
         joint, coordinate = key
-        target = self.constant / self.stiffness if self.stiffness else 0.0
-        constant = 0.0 if self.stiffness else self.constant
-        return PD(joint, self.stiffness, self.damping, target, coordinate, swinging(constant, self.swings))
+        stiffness, damping = self.feedback.get(key, (0.0, 0.0))
+        target = self.constant / stiffness if stiffness else 0.0
+        feedforward = swinging(0.0 if stiffness else self.constant, self.swings)
+        if self.feedback.keys() <= {key}:
+            return PD(joint, stiffness, damping, target, coordinate, feedforward)
+        return StateFeedback(joint, {**self.feedback}, target, coordinate, feedforward)
 
 
 def swinging(constant: float, swings: tuple[Sine, ...]) -> float | Sine | Sum:

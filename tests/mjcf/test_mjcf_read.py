@@ -226,12 +226,55 @@ def test_springs_and_actuators_on_joints_that_a_gear_ties(tmp_path: Path) -> Non
     found = reading(tmp_path, TIED)
     assert verified(found)
     assert not [e for e in found.report.of("left out") if e.element.startswith(("tendon", "actuator"))]
-    untied = reading(tmp_path, TIED.replace("<equality>", "<!--").replace("</equality>", "-->"))
-    lines = [str(entry) for entry in untied.report.of("left out")]
-    assert (
-        "actuator 0: left out: its force depends on a sum of 2 joint coordinates that no gears tie" in lines
+
+
+def test_an_actuator_on_a_sum_of_independent_joint_coordinates_is_state_feedback(tmp_path: Path) -> None:
+    """Its length is 2 (2 p - 0.5 q): kp 40 and kv 3 act on p and q with the moments 4 and -1."""
+    found = reading(tmp_path, TIED.replace("<equality>", "<!--").replace("</equality>", "-->"))
+    assert verified(found)
+    laws = {(law.joint, law.coordinate): law.feedback for law in found.scene.control}
+    p, q = ("p", 0), ("two_joints", 1)
+    assert laws == {
+        p: {p: (640.0, 48.0), q: (-160.0, -12.0)},
+        q: {p: (-160.0, -12.0), q: (40.0, 3.0)},
+    }
+    # no engine has one rotor on two independent coordinates
+    topics = {entry.topic for entry in found.report.of("left out") if entry.element == "actuator 0"}
+    assert topics == {"armature"}
+
+
+def test_limits_of_an_actuator_on_independent_joint_coordinates(tmp_path: Path) -> None:
+    """The force of the actuator and that at each joint are watched as the file has them."""
+    servo = '<actuator><position name="pull" tendon="t" kp="40" kv="3" forcerange="-5 5"/></actuator>'
+    text = model(
+        PAIR.replace('name="q"', 'name="q" actuatorfrcrange="-1 1"'),
+        '<tendon><fixed name="t"><joint joint="p" coef="2"/><joint joint="q" coef="-0.5"/></fixed></tendon>'
+        + servo,
     )
-    assert verified(untied)
+    found = reading(tmp_path, text)
+    assert verified(found)
+    watched = {found.report.entries[n].element: watches for n, watches in found.report.watches.items()}
+    (of_joint,), (of_actuator,) = watched["joint 'q'"], watched["actuator 'pull'"]
+    assert (of_actuator.low, of_actuator.high, of_joint.low, of_joint.high) == (-5.0, 5.0, -1.0, 1.0)
+    # q gets -0.5 of the force -40 (2 p - 0.5 q)
+    gains = {key: of_joint.by_value * factor for key, factor in of_joint.terms}
+    assert gains == pytest.approx({("p", 0): 40.0, ("two_joints", 1): -10.0})
+
+
+@pytest.mark.parametrize(
+    "actuator",
+    [
+        '<motor name="pull" tendon="cord" forcerange="-1 1"/>',
+        '<position name="pull" site="s1" refsite="s2" gear="1 0 0 0 0 0" forcerange="-1 1"/>',
+    ],
+    ids=["spatial tendon", "servo at a site"],
+)
+def test_an_actuator_that_is_not_simulated_has_no_limit_to_watch(actuator: str, tmp_path: Path) -> None:
+    cord = '<tendon><spatial name="cord"><site site="s1"/><site site="s2"/></spatial></tendon>'
+    text = model(PAIR, f'{cord}<actuator>{actuator}</actuator><keyframe><key ctrl="3"/></keyframe>')
+    found = reading(tmp_path, text)
+    assert verified(found)
+    assert [e.topic for e in found.report.of("left out") if e.element == "actuator 'pull'"] == [""]
 
 
 def test_ties_through_several_gears() -> None:
