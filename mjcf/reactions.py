@@ -8,6 +8,7 @@ import numpy as np
 from mjcf.loops import closes, loops
 from mjcf.model import CompiledScene
 from newton_euler.model.hinge_angles import dual_axes
+from newton_euler.model.parallel_hinges import ParallelHinges, driving_wrench
 from newton_euler.scalars import Array
 
 
@@ -50,9 +51,12 @@ class Reactions:
             for count in set(counts[counts > 1].tolist())
         ]
         self._beyond_slides: list[tuple[int, Array]] = []
+        self._parallel: list[tuple[int, Array]] = []
         for number, child in enumerate(self._children):
             slides, hinges = (found[bodies[found] == child] for found in (self._slides, self._hinges))
-            if len(slides) and len(hinges) > 1:
+            if mechanism.joints[self._kept[number]].kind == ParallelHinges.kind:
+                self._parallel.append((number, hinges))
+            elif len(slides) and len(hinges) > 1:
                 self._beyond_slides.append((number, hinges))
 
     def now(self) -> tuple[Array, Array]:
@@ -109,6 +113,10 @@ class Reactions:
             )
             work = np.sum(np.cross(axes, arms) * wrenches[child, :3], axis=1)
             wrenches[child, 3:] -= work @ dual_axes(axes)
+        for number, hinges in self._parallel:
+            axes, arms = data.xaxis[hinges], points[number] - data.xanchor[hinges]
+            wrench = driving_wrench(axes, np.cross(axes, arms), forces[hinges])
+            wrenches[self._children[number]] = np.concatenate(wrench)
         return wrenches
 
     def _ball_torque(self, ball: int) -> Array:

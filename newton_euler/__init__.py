@@ -43,6 +43,7 @@ from newton_euler.model.joint_kinds import (
 )
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import PrescribedMotion, Sum
+from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Spline, Steps
@@ -85,6 +86,7 @@ __all__ = [
     "Modes",
     "NearlyRedundantWarning",
     "NewtonEulerError",
+    "ParallelHinges",
     "Planar",
     "PointOnLine",
     "PointSpring",

@@ -14,6 +14,7 @@ import pinocchio as pin
 from newton_euler.model.constraints import Frame
 from newton_euler.model.hinge_angles import dual_axes
 from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.parallel_hinges import ParallelHinges, driving_wrench
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree, WeldedMechanism, motion_names
 from newton_euler.scalars import Array
@@ -38,7 +39,13 @@ def driven(tree: SpanningTree, columns: Array, points: Array, forces: Array) -> 
             [on_v.start for motion, _, on_v in kept.places if motion.kind == kind]
             for kind in ("slide", "hinge")
         )
-        angular, duals = columns[3:, hinges].T, dual_axes(columns[3:, hinges].T)
+        angular = columns[3:, hinges].T
+        if tree.joint(kept.joint).kind == ParallelHinges.kind:
+            rates = columns[:3, hinges].T + np.cross(angular, points[kept.joint])
+            wrench = np.concatenate(driving_wrench(angular, rates, forces[hinges]))
+            found.append((kept.joint, wrench if kept.forward else -wrench))
+            continue
+        duals = dual_axes(angular)
         wrench = np.concatenate([np.zeros(3), forces[hinges] @ duals])
         if slides:
             wrench[:3] = forces[slides] @ dual_axes(columns[:3, slides].T)

@@ -18,7 +18,6 @@ import numpy as np
 from newton_euler.assemble import assemble, initial_state
 from newton_euler.equations.couplings import Coupling, couplings, residuals
 from newton_euler.equations.parameters import numbered, parameter_values, with_values
-from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.model.digital_control import HeldLaw
@@ -114,7 +113,7 @@ def _constraints(scene: Scene) -> Iterator[Element]:
 def _displaced(joint: Joint, distance: float) -> Joint:
     """A joint turned by `CHANGE` rad and moved by a distance, m, both along `SKEW` and on both bodies."""
     turn = rotation(from_rotation_vector(CHANGE * SKEW))
-    names = (*joint.axis_names, *(("slides", "hinges", "offsets") if isinstance(joint, Compound) else ()))
+    names = (*joint.axis_names, *joint.vector_names)
     fields: dict[str, Any] = {name: getattr(joint, name) @ turn.T for name in names}
     if isinstance(joint, Screw):
         fields["pitch"] = MORE * joint.pitch

@@ -200,6 +200,8 @@ def _joint(joint: Joint) -> dict[str, Any]:
         found["offsets"] = offsets
     if actuated:
         found["actuated"] = True
+    if found.get("opposed") is False:
+        del found["opposed"]
     return found
 
 

@@ -68,7 +68,10 @@ KINDS = (
     "rod",
     "free",
 )
-"""All joint kinds; another length or order makes other mechanisms of the same numbers."""
+"""Joint kinds; another length or order makes other mechanisms of the same numbers."""
+
+ROLLING = 0.25
+"""Fraction of revolute joints that become two parallel hinges."""
 
 FLAT_KINDS = ("revolute", "prismatic", "planar", "fixed")
 
@@ -79,8 +82,10 @@ ALONG = ("prismatic", "translational", "cylindrical", "screw", "point_on_line")
 class _Draft:
     """A mechanism that grows; lengths are of the order of `length`, m, and masses of `mass`, kg."""
 
-    def __init__(self, rng: np.random.Generator, of_offsets: np.random.Generator) -> None:
-        self.rng, self.of_offsets = rng, of_offsets
+    def __init__(
+        self, rng: np.random.Generator, of_offsets: np.random.Generator, of_links: np.random.Generator
+    ) -> None:
+        self.rng, self.of_offsets, self.of_links = rng, of_offsets, of_links
         self.length, self.mass = 10.0 ** rng.uniform(-1.0, 1.0, 2)
         self.normal = _direction(rng) if rng.random() < FLAT else None
         self.bodies = [Body.ground()]
@@ -124,6 +129,10 @@ class _Draft:
         if self.normal is not None:
             axis = _across(axis, self.normal) if kind.kind == "prismatic" else self.normal
         options: dict[str, Any] = dict.fromkeys(kind.axis_names, axis)
+        if kind.kind == "revolute" and self.of_links.random() < ROLLING:
+            kind = JOINT_KINDS["parallel_hinges"]
+            options["offset"] = 0.3 * self.length * _direction(self.of_links)
+            options["opposed"] = bool(self.of_links.random() < 0.5)
         if kind.kind == "universal":
             options["axis_on_second"] = _across(_direction(rng), axis)
         if kind.kind == "screw":
@@ -344,7 +353,7 @@ def random_scene(seed: int, number: int) -> Scene:
     """Random mechanism number `number` of a seed, in a random consistent state as its initial one."""
     rng = np.random.default_rng([seed, number])
     # streams of their own: what was there before them stays
-    draft = _Draft(rng, np.random.default_rng([seed, number, 2]))
+    draft = _Draft(rng, np.random.default_rng([seed, number, 2]), np.random.default_rng([seed, number, 4]))
     forces, control = draft.forces()
     springs, rotors = _of_balls(np.random.default_rng([seed, number, 1]), draft)
     mechanism = draft.mechanism

@@ -5,14 +5,15 @@ joint coordinate and x = q less its value at the start, the force on the joint i
 
     u = g (gain ctrl + b_0) + g^2 b_1 (q_start + x) + g^2 b_2 dx/dt,
 
-a PD law of stiffness -g^2 b_1, damping -g^2 b_2 and target 0, and the rest as its feedforward. If l is a sum of
-coordinates that gears tie to each other, l - l_start = s x for each of them: a law on the first of them with s
-in the place of g does the same work. If l = sum_j g_j q_j of independent coordinates, each of them gets the
-state feedback
+a PD law of stiffness -g^2 b_1, damping -g^2 b_2 and target 0, and the rest as its feedforward. If l is a
+sum of coordinates that gears tie to each other, l - l_start = s x for each of them: a law on the first of
+them with s in the place of g does the same work. If l = sum_j g_j q_j of independent coordinates, each of
+them gets the state feedback
 
     u_i = g_i (gain ctrl + b_0 + b_1 l_start) + g_i sum_j g_j (b_1 x_j + b_2 dx_j/dt).
 
-A control that swings about that of the start, by a function of time, adds g gain times that to the feedforward.
+A control that swings about that of the start, by a function of time, adds g gain times that to the
+feedforward.
 """
 
 from __future__ import annotations

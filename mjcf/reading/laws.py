@@ -94,7 +94,8 @@ class Acting(NamedTuple):
         feedforward = swinging(0.0 if stiffness else self.constant, self.swings)
         if self.feedback.keys() <= {key}:
             return PD(joint, stiffness, damping, target, coordinate, feedforward)
-        return StateFeedback(joint, {**self.feedback}, target, coordinate, feedforward)
+        gains: dict[str | Key, tuple[float, float]] = dict(self.feedback.items())
+        return StateFeedback(joint, gains, target, coordinate, feedforward)
 
 
 def swinging(constant: float, swings: tuple[Sine, ...]) -> float | Sine | Sum:

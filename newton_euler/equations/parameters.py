@@ -13,7 +13,8 @@ has there:
 - `JOINT.axis`, `JOINT.axis_on_first`, `JOINT.axis_on_second`, of any length, in the world at the initial
   pose, of both bodies as the description has them; `JOINT.1.axis` of a compound joint's second coordinate;
 - `JOINT.pitch` of a screw, `JOINT.length` of a rod, whose points stay on their bodies, `JOINT.offsets`
-  between the hinges of a compound joint, which stays closed at the initial pose;
+  between the hinges of a compound joint, `JOINT.offset` between parallel hinges: both kinds of joints stay
+  closed at the initial pose;
 - `GEAR.ratio`, and `COUPLING.terms`, the factors of a coupling's terms in their order;
 - `JOINT.motion.function` of a prescribed motion;
 - `JOINT.stiffness`, `JOINT.damping`, `JOINT.target`, `JOINT.feedforward` of the control law at a joint,

@@ -57,6 +57,7 @@ class Compound(Joint):
     offsets: DefaultArrayField = field(default=None, kw_only=True)  # type: ignore[assignment]
     ball: bool = field(default=False, kw_only=True)
     kind: ClassVar[str] = "compound"
+    vector_names: ClassVar[tuple[str, ...]] = ("slides", "hinges", "offsets")
 
     def __post_init__(self) -> None:
         beyond = self.point_on_second

@@ -25,6 +25,7 @@ from newton_euler.model.hinge_angles import HingeAngle
 from newton_euler.model.joint import Joint, JointEquations, Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction, shifted
+from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.wind import WindLoad
@@ -148,6 +149,8 @@ def _joint(equations: JointEquations, moves: list[Move], frames: list[Frame]) ->
     }
     for name in joint.axis_names:
         fields[name] = (second if name == "axis_on_second" else first).vector(getattr(joint, name))
+    if isinstance(joint, ParallelHinges):
+        fields["offset"] = joint.offset_between(fields["axis"], fields["point"], fields["point_on_second"])
     if isinstance(joint, Compound):
         fields["slides"] = first.vector(joint.slides)
         fields["hinges"] = axes = first.vector(joint.hinges)

@@ -35,6 +35,9 @@ from newton_euler.scalars import Array, Scalar, cross, sqrt
 POINTS = ("point", "point_on_first", "point_on_second")
 """Displacements of joint points: of both bodies' own, of the first's, and of the second's."""
 
+LEAST_LENGTH = 1e-6
+"""m: points of a joint that are closer coincide, and the line through them has no direction."""
+
 Key = tuple[str, int]
 """A joint coordinate: the name of its joint, and which of the joint's coordinates it is, from 0."""
 
@@ -161,6 +164,8 @@ class Joint(Variable):
 
     kind: ClassVar[str]
     axis_names: ClassVar[tuple[str, ...]] = ()
+    vector_names: ClassVar[tuple[str, ...]] = ()
+    """Attributes that are vectors (3,), or rows of them, beside those of `axis_names`."""
     only_closes: ClassVar[bool] = False
     """True for a joint that no `motions` describe, so that it can only close loops of a tree."""
     apart = np.zeros(3)
@@ -304,3 +309,38 @@ class Joint(Variable):
             first.vector_to_body(cross(axis, pointer)),
             second.vector_to_body(pointer),
         )
+
+
+@description
+class AxisJoint(Joint):
+    """A joint with one axis that is common to both bodies."""
+
+    axis: ArrayField = field(kw_only=True)
+    axis_names: ClassVar[tuple[str, ...]] = ("axis",)
+    along: ClassVar[tuple[MotionKind, ...]] = ()
+    """Motions along and about the axis, in their order."""
+
+    @property
+    def pair(self) -> tuple[Array, Array]:
+        """Unit vectors (3,) across the axis, see `perpendicular_pair`."""
+        return perpendicular_pair(self.axis, self.described.axis)
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        return tuple(Motion(kind, self.axis) for kind in self.along)
+
+    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        slides = super().coordinates(first, second)
+        if "hinge" not in self.coordinate_kinds:
+            return slides
+        return (*slides, self._turn(self.axis, self.pair[0], first, second))
+
+    def varied(self, values: Mapping[str, Any]) -> Self:
+        """See `Joint.varied`; the second body's point stays on the axis, or plane, of the first."""
+        changed, span = super().varied(values), self.span
+        if "axis" in values and np.any(span):
+            turned = np.column_stack([*changed.pair, changed.axis])
+            turned = turned @ (np.column_stack([*self.pair, self.axis]).T @ span)
+            object.__setattr__(changed, "point_on_second", changed.point_on_second + (turned - span))
+            object.__setattr__(changed, "_span", turned)
+        return changed

@@ -14,11 +14,18 @@ from newton_euler.errors import MechanismError, is_finite_number, quoted
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Constraint, Distance, Perpendicular, Reversed
 from newton_euler.model.description import ArrayField, description
-from newton_euler.model.joint import BALL_MOTION, Joint, Motion, MotionKind, Pose, perpendicular_pair
-from newton_euler.scalars import Array
+from newton_euler.model.joint import (
+    BALL_MOTION,
+    LEAST_LENGTH,
+    AxisJoint,
+    Joint,
+    Motion,
+    Pose,
+    perpendicular_pair,
+)
+from newton_euler.model.parallel_hinges import ParallelHinges
 
 AXIS_TOLERANCE = 1e-9  # rad, from perpendicular, of a universal joint's axes at the initial pose
-LEAST_LENGTH = 1e-6  # m; a shorter rod is a ball joint, and one of length 0 has no direction
 
 
 @description
@@ -84,42 +91,7 @@ class Universal(Joint):
 
 
 @description
-class _AxisJoint(Joint):
-    """A joint with one axis that is common to both bodies."""
-
-    axis: ArrayField = field(kw_only=True)
-    axis_names: ClassVar[tuple[str, ...]] = ("axis",)
-    along: ClassVar[tuple[MotionKind, ...]] = ()
-    """Motions along and about the axis, in their order."""
-
-    @property
-    def pair(self) -> tuple[Array, Array]:
-        """Unit vectors (3,) across the axis, see `perpendicular_pair`."""
-        return perpendicular_pair(self.axis, self.described.axis)
-
-    @property
-    def motions(self) -> tuple[Motion, ...]:
-        return tuple(Motion(kind, self.axis) for kind in self.along)
-
-    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        slides = super().coordinates(first, second)
-        if "hinge" not in self.coordinate_kinds:
-            return slides
-        return (*slides, self._turn(self.axis, self.pair[0], first, second))
-
-    def varied(self, values: Mapping[str, Any]) -> Self:
-        """See `Joint.varied`; the second body's point stays on the axis, or plane, of the first."""
-        changed, span = super().varied(values), self.span
-        if "axis" in values and np.any(span):
-            turned = np.column_stack([*changed.pair, changed.axis])
-            turned = turned @ (np.column_stack([*self.pair, self.axis]).T @ span)
-            object.__setattr__(changed, "point_on_second", changed.point_on_second + (turned - span))
-            object.__setattr__(changed, "_span", turned)
-        return changed
-
-
-@description
-class Revolute(_AxisJoint):
+class Revolute(AxisJoint):
     """Hinge, eq. (27): five equations.
 
     Examples:
@@ -135,7 +107,7 @@ class Revolute(_AxisJoint):
 
 
 @description
-class Cylindrical(_AxisJoint):
+class Cylindrical(AxisJoint):
     """Slide along and hinge about one axis: four equations, Phi^(p1,2) and Phi^(p2,2).
 
     Its coordinates are the displacement, then the angle.
@@ -154,7 +126,7 @@ class Cylindrical(_AxisJoint):
 
 
 @description
-class Translational(_AxisJoint):
+class Translational(AxisJoint):
     """Slide without rotation, eq. (28): five equations, h_i and h_j across the axis.
 
     Examples:
@@ -218,7 +190,7 @@ class Screw(Cylindrical):
 
 
 @description
-class Planar(_AxisJoint):
+class Planar(AxisJoint):
     """A plane face on another: three equations; `axis` is the normal of both.
 
     Its coordinates are the displacements along `perpendicular_pair(axis)`, vectors of the first
@@ -251,7 +223,7 @@ class Planar(_AxisJoint):
 
 
 @description
-class PointOnLine(_AxisJoint):
+class PointOnLine(AxisJoint):
     """The second body's point stays on a line of the first, along `axis`: two equations.
 
     Its coordinate is the displacement along the line.
@@ -372,6 +344,7 @@ JOINT_KINDS: dict[str, type[Joint]] = {
         Universal,
         Spherical,
         PointOnLine,
+        ParallelHinges,
         Compound,
         Rod,
         Free,

@@ -11,6 +11,7 @@ from newton_euler.errors import MechanismError
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Cylindrical, Prismatic, Revolute, Spherical, Universal
+from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.scalars import Array
 
 MEET = 1e-10  # m, by which hinges in a row may miss a common point
@@ -80,6 +81,16 @@ def combined(
         case ["hinge", "hinge"] if meeting is not None and abs(axes[0] @ axes[1]) < ALIGNED:
             a, b = axes
             joint = Universal(name, *ends, point, axis_on_first=a, axis_on_second=b, actuated=actuated)
+        case ["hinge", "hinge"] if np.linalg.norm(np.cross(axes[0], axes[1])) < ALIGNED and meeting is None:
+            joint = ParallelHinges(
+                name,
+                *ends,
+                point,
+                axis=axes[0],
+                offset=anchors[1] - anchors[0],
+                opposed=bool(axes[0] @ axes[1] < 0.0),
+                actuated=actuated,
+            )
         case ["slide", "hinge"] if np.linalg.norm(axes[0] - axes[1]) < ALIGNED:
             joint = Cylindrical(name, *ends, point, axis=axes[0], actuated=actuated)
         case _:

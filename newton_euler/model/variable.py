@@ -24,7 +24,7 @@ WHICH = "which coordinate it is"  # reason why an index does not vary
 
 UNITS = {
     **dict.fromkeys(("center_of_mass", "point", "point_on_first", "point_on_second"), "m"),
-    **dict.fromkeys(("length", "rest_length", "offsets", "first_side", "second_side"), "m"),
+    **dict.fromkeys(("length", "rest_length", "offset", "offsets", "first_side", "second_side"), "m"),
     "gravity": "m/s^2",
     "mass": "kg",
     "inertia": "kg m^2",

@@ -27,6 +27,7 @@ from newton_euler.model.joint_kinds import (
 )
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import PrescribedMotion, Sum
+from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.wind import WindLoad, wind_turbulence
@@ -83,6 +84,51 @@ def line_loop() -> Scene:
         Universal("at_d", "ground", "rocker", d, axis_on_first=[0, 1, 0], axis_on_second=[1, 0, 0]),
     ]
     return _scene("line_loop", bodies, joints)
+
+
+def rolling_chain(forward: bool = True) -> Scene:
+    """A finger on two parallel hinges, apart along their axes too, and a fingertip on two more."""
+    ends = ("ground", "finger") if forward else ("finger", "ground")
+    bodies = [
+        bar("finger", [0.2, 0.1, 0.1], [0.6, 0.2, 0.3]),
+        bar("tip", [0.65, 0.2, 0.35], [0.9, 0.3, 0.5]),
+    ]
+    offset = np.array([0.2, 0.1, 0.1]) if forward else np.array([-0.2, -0.1, -0.1])
+    joints: list[Joint] = [
+        ParallelHinges(
+            "root", *ends, np.zeros(3) if forward else -offset, axis=[0.3, 1.0, 0.2], offset=offset
+        ),
+        ParallelHinges(
+            "knuckle",
+            "finger",
+            "tip",
+            [0.6, 0.2, 0.3],
+            axis=[0.0, 1.0, 0.3],
+            offset=[0.05, 0.0, 0.05],
+            opposed=True,
+        ),
+    ]
+    return _scene("rolling_chain", bodies, joints)
+
+
+def rolling_loop() -> Scene:
+    """Two universal joints, a hinge and two parallel hinges, where the loop is cut: 7 - 6 = 1 freedom."""
+    points = [[0, 0, 0], [0.1, 0.1, 0.5], [0.9, 0.3, 0.8], [1.0, 0.2, 0.1]]
+    bodies = [
+        bar("crank", points[0], points[1]),
+        bar("coupler", points[1], points[2], 2.0),
+        bar("rocker", points[3], points[2], 1.5),
+    ]
+    across = {"axis_on_first": [0, 1, 0]}
+    joints: list[Joint] = [
+        Revolute("at_a", "ground", "crank", points[0], axis=[0.2, 1.0, 0.1]),
+        Universal("at_b", "coupler", "crank", points[1], **across, axis_on_second=[0.6, 0, 0.8]),
+        ParallelHinges(
+            "at_c", "rocker", "coupler", points[2], axis=[0.3, 0.2, 1.0], offset=[0.1, -0.1, 0.05]
+        ),
+        Universal("at_d", "ground", "rocker", points[3], **across, axis_on_second=[1, 0, 0]),
+    ]
+    return _scene("rolling_loop", bodies, joints)
 
 
 def screw_press() -> Scene:
@@ -389,6 +435,9 @@ JOINTS = {
     "point on line": line_chain(),
     "point on line, reversed": line_chain(forward=False),
     "point on line, cut": line_loop(),
+    "parallel hinges": rolling_chain(),
+    "parallel hinges, reversed": rolling_chain(forward=False),
+    "parallel hinges, cut": rolling_loop(),
     "screw": screw_press(),
     "screw, cut": screw_loop(),
     "rods": rod_loop(),
@@ -409,6 +458,9 @@ MOTIONS = {
 FORCED = (
     "planar, reversed",
     "point on line, cut",
+    "parallel hinges",
+    "parallel hinges, reversed",
+    "parallel hinges, cut",
     "screw, cut",
     "rods",
     "rods only",

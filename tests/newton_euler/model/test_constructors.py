@@ -45,6 +45,7 @@ AXES: dict[str, dict[str, Any]] = {
         for kind in ("revolute", "prismatic", "translational", "cylindrical", "planar", "point_on_line")
     },
     "screw": {"axis": Z, "pitch": 0.1},
+    "parallel_hinges": {"axis": Z, "offset": Y, "opposed": False},
     "universal": {"axis_on_first": Z, "axis_on_second": Y},
     "compound": {"slides": [Y], "hinges": [Z], "ball": False},
     "rod": {"point_on_second": Z},

@@ -20,6 +20,7 @@ from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Planar, PointOnLine, Revolute, Rod, Spherical
+from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.spanning_tree import SpanningTree
 
 ORIGIN = [0.0, 0.0, 0.0]
@@ -115,6 +116,49 @@ def test_a_spherical_pendulum_on_a_rod(formulation):
             assert np.abs(run.reaction_torque).max() < 1e-12  # a rod has none about its own point
             assert np.abs(run.angular_velocity[:, 1] - omega).max() < INTEGRATED
             assert run.constraint_violation.max() < 1e-13
+
+
+@pytest.mark.parametrize("opposed", [False, True])
+def test_a_bar_that_hangs_on_a_massless_link(formulation, opposed):
+    """A double pendulum whose first link has no mass, by Lagrange's equations in absolute angles a and b.
+
+    With link length l, distance c from the second axis to the center of mass, and moment J about the latter:
+    m l^2 a'' + m l c (cos(a - b) b'' + sin(a - b) b'^2) = -m g l sin a
+    m l c cos(a - b) a'' + (J + m c^2) b'' - m l c sin(a - b) a'^2 = -m g c sin b
+    """
+    m, length, c, moment, g = 1.5, 0.3, 0.25, 0.02, 9.81
+    start = np.array([0.4, -0.9])  # angles from the vertical, about y: (-sin, 0, -cos) points down the link
+    down = np.stack([-np.sin(start), np.zeros(2), -np.cos(start)], axis=1)
+    axis, elbow = np.array([0.0, 1.0, 0.0]), length * down[0] + [0.0, 0.1, 0.0]
+    rod = Body("rod", m, elbow + c * down[1], moment * np.eye(3))
+    joint = ParallelHinges("j", "ground", "rod", ORIGIN, axis=axis, offset=elbow, opposed=opposed)
+    scene = Scene("pendulum", Mechanism([Body.ground(), rod], [joint]), 2.0, 0.1, (0.0, 0.0, -g))
+    run = newton_euler.simulate(scene, formulation)
+
+    def rate(_, y):
+        (a, b), (u, v) = y[:2], y[2:]
+        mass = [[m * length**2, m * length * c * np.cos(a - b)], [0.0, moment + m * c**2]]
+        mass[1][0] = mass[0][1]
+        turning = m * length * c * np.sin(a - b)
+        force = [
+            -m * g * length * np.sin(a) - turning * v**2,
+            -m * g * c * np.sin(b) + turning * u**2,
+        ]
+        return np.concatenate([[u, v], np.linalg.solve(mass, force)])
+
+    angles = (
+        solve_ivp(rate, (0.0, 2.0), [*start, 0.0, 0.0], "DOP853", run.time, rtol=1e-12, atol=1e-13).y[:2].T
+    )
+    moved = angles - start
+    wanted = np.stack([moved[:, 0], (moved[:, 1] - moved[:, 0]) * (-1.0 if opposed else 1.0)], axis=1)
+    found = np.unwrap(run.joint("j").coordinates, axis=0)
+    assert np.abs(found - wanted).max() < INTEGRATED
+    assert run.constraint_violation.max() < 1e-12
+    # the massless link is a two-force member: at rest only its tension, along the link, acts on the rod
+    pull = run.reaction_force[0, 0]
+    assert np.abs(np.cross(pull, down[0])).max() < 1e-10
+    with pytest.raises(MechanismError, match="apart"):
+        ParallelHinges("j", "ground", "rod", ORIGIN, axis=axis, offset=[0.0, 0.3, 0.0])
 
 
 def hung(count: int, *more: Joint) -> Scene:

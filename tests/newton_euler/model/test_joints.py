@@ -28,6 +28,7 @@ COUNTS = {
     "screw": 4,
     "planar": 3,
     "point_on_line": 2,
+    "parallel_hinges": 4,
     "rod": 1,
     "translational": 5,
     "prismatic": 5,
@@ -68,6 +69,7 @@ def make(kind, rng):
     """A joint of that kind between two bodies at random reference poses."""
     cls = Compound if kind in SKEW else JOINT_KINDS[kind]
     more = {"screw": {"pitch": 0.3}, "rod": {"point_on_second": rng.standard_normal(3)}} | SKEW
+    more["parallel_hinges"] = {"offset": OFFSETS[0], "opposed": True}
     more = more.get(kind, {})
     joint = cls("j", "a", "b", rng.standard_normal(3), **{n: AXES[n] for n in cls.axis_names}, **more)
     first, second = (Pose(rng.standard_normal(3), turn(rng.standard_normal(3))) for _ in "ab")
@@ -226,6 +228,39 @@ def test_universal_coordinates_are_its_two_angles_and_their_rates():
         acceleration = derivative(lambda s: frames(s)[1].velocity)
         block = coordinate.jacobian(*frames(0.0))
         total = block.r_second @ acceleration + block.theta_second @ alpha - coordinate.gamma(*frames(0.0))
+        assert np.allclose(total, 0.0, atol=DIFFERENCE)
+
+
+def test_coordinates_of_parallel_hinges_are_their_two_angles_and_their_rates():
+    """The link turns by 2.5 about the first axis, the body by -0.6 about minus the second one."""
+    rng = np.random.default_rng(7)
+    equations, first, second = make("parallel_hinges", rng)
+    point, offset, rates = equations.joint.point, OFFSETS[0], np.array([0.8, -1.3])
+
+    def frames(s):
+        q = np.array([2.5, -0.6]) + s * rates
+        link, body = turn(q[0] * AXIS), turn((q[0] - q[1]) * AXIS)
+        elbow, beyond = link @ offset, body @ (second.position - point - offset)
+        omega = (rates[0] - rates[1]) * AXIS
+        return (
+            Frame(first.position, first.rotation, np.zeros(3), np.zeros(3)),
+            Frame(
+                point + elbow + beyond,
+                body @ second.rotation,
+                np.cross(rates[0] * AXIS, elbow) + np.cross(omega, beyond),
+                omega,
+            ),
+        )
+
+    assert np.allclose(equations.phi(*frames(0.0)), 0.0, atol=1e-14)
+    values = np.concatenate([c.phi(*frames(0.0)) for c in equations.coordinates])
+    assert np.allclose(values, [2.5, -0.6], atol=1e-14)
+    measured = [rate_by_jacobian(c.jacobian(*frames(0.0)), *frames(0.0))[0] for c in equations.coordinates]
+    assert np.allclose(measured, rates, atol=1e-13)
+    # rates are steady, so that gamma is what the body's acceleration gives
+    acceleration = derivative(lambda s: frames(s)[1].velocity)
+    for coordinate in equations.coordinates:
+        total = coordinate.jacobian(*frames(0.0)).r_second @ acceleration - coordinate.gamma(*frames(0.0))
         assert np.allclose(total, 0.0, atol=DIFFERENCE)
 
 

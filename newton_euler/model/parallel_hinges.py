@@ -1,0 +1,201 @@
+"""Two parallel hinges in a row: the rolling joints of feet, fingers and knees."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+
+from newton_euler.errors import MechanismError, check_flag, set_arrays
+from newton_euler.model.constraints import Angle, Constraint, Displacement, Distance, Frame, Jacobian, Span
+from newton_euler.model.description import DefaultArrayField, description
+from newton_euler.model.joint import LEAST_LENGTH, AxisJoint, Motion, Pose, perpendicular_pair
+from newton_euler.scalars import Array, arctan2, cross, sqrt
+
+
+@dataclass(frozen=True, eq=False)
+class LinkAngle:
+    """The angle, in (-pi, pi], of one of two parallel hinges that a massless link joins.
+
+    With n the axis in body i and d from point s_first on the first axis to point s_second on the second one,
+    d perpendicular to n, the link turns against body i by x_1 and body j against the link by x_2:
+
+        x_1 = angle about n from u to d,    x_2 = angle about n from d to p,
+
+    u a vector of body i and p one of body j, both along d at the initial pose. With t = n x d / (d . d) and v
+    the rate of d as seen in body i, x_1' = t . v. The sum x_1 + x_2 is the `Angle` between the bodies.
+
+    Attributes:
+        hinge: 0 for x_1, 1 for x_2.
+        sense: -1 if the angle counts about -n.
+        turn: the angle x_1 + x_2, whose triad in body i is (u, n x u, n) and whose pointer is p.
+        s_first, s_second: (3,) m.
+    """
+
+    hinge: Literal[0, 1]
+    sense: float
+    turn: Angle
+    s_first: Array
+    s_second: Array
+    is_length = False
+    count = 1
+
+    def _link(self, first: Frame, second: Frame) -> tuple[Array, Span, Array]:
+        """Compute n, the span and t, world frame."""
+        span = Span.of(first, second, self.s_first, self.s_second)
+        axis = first.rotation @ cross(self.turn.u_first, self.turn.w_first)
+        across = span.d - (axis @ span.d) * axis
+        return axis, span, cross(axis, across) / (across @ across)
+
+    def phi(self, first: Frame, second: Frame) -> Array:
+        axis, span, _ = self._link(first, second)
+        if self.hinge == 0:
+            start, end = first.rotation @ self.turn.u_first, span.d
+        else:
+            start, end = span.d, second.rotation @ self.turn.pointer_second
+        sine, cosine = axis @ cross(start, end), start @ end - (axis @ start) * (axis @ end)
+        return np.array([arctan2(self.sense * sine, cosine)])
+
+    def jacobian(self, first: Frame, second: Frame) -> Jacobian:
+        _, (s_i, s_j, d), t = self._link(first, second)
+        link = Jacobian(-t[None], -cross(s_i + d, t)[None], t[None], cross(s_j, t)[None])
+        if self.hinge == 0:
+            return link
+        turn = self.turn.jacobian(first, second)
+        return Jacobian(*(self.sense * (one - two) for one, two in zip(turn, link, strict=True)))
+
+    def gamma(self, first: Frame, second: Frame) -> Array:
+        axis, span, t = self._link(first, second)
+        w, rate = first.angular_velocity, span.rate(first, second)
+        seen = rate - cross(w, span.d)
+        change = span.drift(first, second) - 2.0 * cross(w, rate) + cross(w, cross(w, span.d))
+        across = span.d - (axis @ span.d) * axis
+        link = np.array([2.0 * (across @ seen) * (t @ seen) / (across @ across) - t @ change])
+        return link if self.hinge == 0 else self.sense * (self.turn.gamma(first, second) - link)
+
+
+def driving_wrench(axes: Array, rates: Array, forces: Array) -> tuple[Array, Array]:
+    """Compute the force and the torque, (3,) each, by which torques at two parallel hinges drive a body.
+
+    The force acts at the joint point, which lies on one of the two axes, and across the link. With the
+    velocity u_i that a rate of 1 rad/s at hinge i gives the joint point, F . u_i + T . a_i = f_i.
+
+    Args:
+        axes: (2, 3) a_i, unit, world frame.
+        rates: (2, 3) u_i, m/rad; one of them is zero.
+        forces: (2,) f_i, N m.
+    """
+    across = rates.sum(axis=0)
+    along = axes[0]
+    force, torque = np.linalg.solve(np.stack([rates @ across, axes @ along], axis=1), forces)
+    return force * across, torque * along
+
+
+@description
+class ParallelHinges(AxisJoint):
+    """A hinge about `axis`, a massless link, and a hinge about a parallel axis: four equations.
+
+    The first axis passes through `point`, the second one through `point_on_second`. Its coordinates are the
+    angle of the link against the first body, and that of the second body against the link.
+
+    Attributes:
+        offset: (3,) m from the first axis to the second, world at the initial pose, at least 1 micrometer
+            across the axis. `point_on_second` is `point` + `offset` unless it is given.
+        opposed: True if the second angle counts about -`axis`.
+
+    Raises:
+        MechanismError: also for axes that coincide.
+
+    Examples:
+        >>> joint = ParallelHinges("toe", "ground", "body", [0, 0, 0], axis=[0, 1, 0], offset=[0.02, 0, 0])
+        >>> joint.coordinate_kinds
+        ('hinge', 'hinge')
+    """
+
+    offset: DefaultArrayField = field(kw_only=True)
+    opposed: bool = field(default=False, kw_only=True)
+    kind: ClassVar[str] = "parallel_hinges"
+    vector_names: ClassVar[tuple[str, ...]] = ("offset",)
+
+    def __post_init__(self) -> None:
+        beyond, where = self.point_on_second, f"joint {self.name!r}"
+        super().__post_init__()
+        set_arrays(self, where, offset=(3,))
+        check_flag(where, self, "opposed")
+        with np.errstate(all="ignore"):  # lengths that overflow are refused
+            across = float(np.linalg.norm(self._across(self.offset)))
+        if not LEAST_LENGTH <= across < np.inf:
+            problem = f"offset {self.offset.tolist()} puts its axes {across:.3g} m apart"
+            raise MechanismError(where, problem, f"at least {LEAST_LENGTH:g} m, a revolute joint otherwise")
+        if beyond is None:
+            object.__setattr__(self, "point_on_second", self.point + self.offset)
+
+    def offset_between(self, axis: Array, point: Array, point_on_second: Array) -> Array:
+        """Compute the offset (3,) where the axis and the points, all (3,) in the world, have moved to.
+
+        The distances of the axes across and along stay what they are, whatever round-off the points have.
+        """
+        own, link = self._across(self.offset), point_on_second - point
+        across = link - (axis @ link) * axis
+        return np.asarray(
+            (self.axis @ self.offset) * axis + np.sqrt((own @ own) / (across @ across)) * across
+        )
+
+    def _across(self, vector: Array) -> Array:
+        """Return the part of a vector (3,) that is perpendicular to the axis."""
+        return np.asarray(vector - (self.axis @ vector) * self.axis)
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        return (*super().variables, "offset")
+
+    def varied(self, values: Mapping[str, Any]) -> Self:
+        """See `Joint.varied`; the offset turns with the axis, and is counted at the initial pose."""
+        changed = super().varied({name: value for name, value in values.items() if name != "offset"})
+        offset = np.asarray(values.get("offset", self.offset))
+        moved = offset - self.offset
+        if "axis" in values:
+            # the base class turns the point on the second axis; the offset turns alike
+            own = np.column_stack([*perpendicular_pair(self.axis, self.described.axis), self.axis])
+            other = np.column_stack([*changed.pair, changed.axis])
+            offset, moved = other @ (own.T @ offset), other @ (own.T @ moved)
+        object.__setattr__(changed, "offset", offset)
+        if "offset" in values:
+            object.__setattr__(changed, "point_on_second", changed.point_on_second + moved)
+            object.__setattr__(changed, "_span", changed.span + moved)
+        return changed
+
+    def rebuilt(self, values: Mapping[str, Any]) -> Self:
+        changed = self.varied(values)
+        fields: dict[str, Any] = {name: getattr(changed, name) for name in ("axis", "offset")}
+        return replace(self, point=changed.point, point_on_second=changed.point_on_second, **fields)
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        return Motion("hinge", self.axis), Motion("hinge", -self.axis if self.opposed else self.axis)
+
+    @property
+    def motion_points(self) -> tuple[Array, ...]:
+        return self.reaction_point - self.offset, self.reaction_point
+
+    def _ends(self, first: Pose, second: Pose) -> tuple[Array, Array]:
+        """Return points on both axes, in their bodies' frames, that the link joins at a right angle."""
+        along = (self.axis @ self.offset) * self.axis
+        return first.point_to_body(self.point + along), second.point_to_body(self.reaction_point)
+
+    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        ends, across = self._ends(first, second), self._across(self.offset)
+        return (
+            *self._parallel(self.axis, self.pair, first, second),
+            Displacement(first.vector_to_body(self.axis), *ends),
+            Distance(*ends, sqrt(across @ across)),
+        )
+
+    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        across = self._across(self.offset)
+        turn = self._turn(self.axis, across / sqrt(across @ across), first, second)
+        assert isinstance(turn, Angle)
+        ends = self._ends(first, second)
+        return LinkAngle(0, 1.0, turn, *ends), LinkAngle(1, -1.0 if self.opposed else 1.0, turn, *ends)
