@@ -148,7 +148,7 @@ def test_names_that_are_not_for_scenes(tmp_path: Path) -> None:
     [
         (model(""), "no body can move"),
         (
-            model(arm('<joint name="x" axis="1 0 0"/><joint name="y" axis="1 0 0" pos="0 0 0.1"/>')),
+            model(arm('<joint name="x" axis="1 0 0"/><joint name="y" axis="1 0 0" pos="0.1 0 0"/>')),
             "joint 'lower_joints': its hinges",
         ),
         (

@@ -77,18 +77,3 @@ def test_a_motor_of_two_inputs_is_left_out(tmp_path: Path) -> None:
     assert (
         next(entry.element for entry in read(path).report.of("left out") if not entry.inert) == "actuator 'm'"
     )
-
-
-def test_the_force_limit_of_an_actuator_that_is_left_out_is_not_watched(tmp_path: Path) -> None:
-    path = tmp_path / "split.xml"
-    bodies = "".join(
-        f'<body pos="0 {y} 0"><joint name="{name}" type="slide" axis="1 0 0"/><geom size="0.1"/></body>'
-        for y, name in enumerate("ab")
-    )
-    path.write_text(
-        f'<mujoco><worldbody>{bodies}</worldbody><tendon><fixed name="t"><joint joint="a" coef="0.3"/>'
-        '<joint joint="b" coef="0.6"/></fixed></tendon><actuator><general name="m" tendon="t" gainprm="9" '
-        'biastype="affine" biasprm="0 -9 -1" forcerange="-2 2"/></actuator></mujoco>'
-    )
-    report = read(path).report
-    assert {entry.topic for entry in report.entries if entry.element == "actuator 'm'"} == {""}
