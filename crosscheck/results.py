@@ -13,11 +13,12 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from crosscheck.errors import CrosscheckError
+from newton_euler.errors import DISTRIBUTION
 from newton_euler.model.source_file import SourceError, read_content
 
 Kind = TypeVar("Kind", bound=BaseModel)
 
-PACKAGES = ("numpy", "scipy", "llvmlite", "mujoco", "pin", "crosscheck")
+PACKAGES = ("numpy", "scipy", "llvmlite", "mujoco", "pin")
 """What figures depend on."""
 
 
@@ -37,8 +38,9 @@ def read_json(path: Path, kind: type[Kind]) -> Kind:
 
 
 def versions(packages: Iterable[str] = PACKAGES) -> dict[str, str]:
-    """Versions of Python and of packages that results are made with."""
-    return {"python": platform.python_version()} | {package: version(package) for package in packages}
+    """Return the versions of Python, of packages that results depend on, and of crosscheck."""
+    found = {package: version(package) for package in packages}
+    return {"python": platform.python_version(), **found, "crosscheck": version(DISTRIBUTION)}
 
 
 def digest(path: Path) -> str:

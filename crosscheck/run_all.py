@@ -20,6 +20,10 @@ from crosscheck.run import Crosscheck, Progress, crosscheck
 from crosscheck.scenes import SCENES, load
 from crosscheck.workers import LostError, in_processes
 from newton_euler.batch import thread_count
+from newton_euler.errors import MissingPackageError
+
+LEFT_OUT = Cell("left out", "doubtful")
+"""The word of a scene whose optional packages are not installed."""
 
 NOT_RUN = Cell("FAILS", "fails")
 """The word on a scene that did not run."""
@@ -36,6 +40,7 @@ class Outcome:
         verdict: one line.
         nearest: the figure that is nearest its tolerance or exceeds it most, in words.
         word: the verdict in one word.
+        left_out: whether an optional package that the scene needs is not installed.
     """
 
     scene: str
@@ -44,6 +49,7 @@ class Outcome:
     verdict: str
     nearest: Cell | str = ""
     word: Cell = NOT_RUN
+    left_out: bool = False
 
 
 def run_all(engines: Sequence[str], folder: Path, progress: Progress) -> list[Outcome]:
@@ -77,6 +83,9 @@ def outcome(name: str, engines: Sequence[str], folder: Path) -> Outcome:
             warnings.simplefilter("ignore")  # results are checked where they are used
             result = crosscheck(load(name), choose(list(engines)), lambda _: None, name, {})
             write(result, report(result), folder / name, folder / name / f"{name}.rrd", name)
+    except MissingPackageError as error:
+        wall_time = time.perf_counter() - start
+        return Outcome(name, wall_time, False, str(error), word=LEFT_OUT, left_out=True)
     except Exception as error:  # what goes wrong with one scene is a line, like the others' results
         return Outcome(name, time.perf_counter() - start, False, f"did not run: {reason_of(error)}")
     return _outcome(name, result, time.perf_counter() - start)
@@ -98,12 +107,17 @@ def outcomes_table(outcomes: Sequence[Outcome]) -> Table:
 
 
 def outcome_lines(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    """Scenes that fail, and why; the sum last."""
-    failing = [found for found in outcomes if not found.agrees]
+    """Name the scenes that fail or are left out, and why; the sum last."""
+    left_out = [found for found in outcomes if found.left_out]
+    failing = [found for found in outcomes if not (found.agrees or found.left_out)]
+    for found in left_out:
+        yield f"{found.scene}: left out: {found.verdict}"
     for found in failing:
         yield f"{found.scene}: {found.verdict}"
+    without = f"; left out: {', '.join(found.scene for found in left_out)}" if left_out else ""
+    count = len(outcomes) - len(left_out)
     if failing:
         names = ", ".join(found.scene for found in failing)
-        yield f"FAILS: {len(failing)} of {len(outcomes)} scenes: {names}"
+        yield f"FAILS: {len(failing)} of {count} scenes: {names}{without}"
     else:
-        yield f"AGREE: all {len(outcomes)} scenes"
+        yield f"AGREE: all {count} scenes{without}"

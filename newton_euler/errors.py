@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 
 T = TypeVar("T")
 
+DISTRIBUTION = "crosscheck-dynamics"
+"""The name under which pip knows this project; another project has the name `crosscheck` on PyPI."""
+
 NEAR = 0.8
 """Similarity of two names, of which one may be meant by the other: a letter exchanged or left out of six."""
 
@@ -36,6 +39,24 @@ class NewtonEulerError(Exception):
 
     def __init__(self, message: str) -> None:
         super().__init__(" ".join(message.split()))
+
+
+class MissingPackageError(NewtonEulerError):
+    """An optional package is not installed.
+
+    Attributes:
+        package: its import name.
+        extra: the extra of this distribution that installs it.
+    """
+
+    def __init__(self, package: str, extra: str) -> None:
+        self.package, self.extra = package, extra
+        super().__init__(
+            f"{package} is not installed; install it by: python -m pip install '{DISTRIBUTION}[{extra}]'"
+        )
+
+    def __reduce__(self) -> tuple[type[MissingPackageError], tuple[str, str]]:
+        return type(self), (self.package, self.extra)
 
 
 class MechanismError(NewtonEulerError):

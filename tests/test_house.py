@@ -32,7 +32,12 @@ ROOMS: dict[str, set[str]] = {
 }
 """Rooms of newton_euler, and those that each may import; what stands above them all may import any."""
 
-GROUND = {"newton_euler.errors", "newton_euler.limits", "newton_euler.scalars"}
+GROUND = {
+    "newton_euler.errors",
+    "newton_euler.limits",
+    "newton_euler.optional_packages",
+    "newton_euler.scalars",
+}
 """Modules below all rooms."""
 
 HEAVY = {"coal", "control", "dask", "llvmlite", "matplotlib", "mujoco", "pinocchio", "rerun", "scipy"}

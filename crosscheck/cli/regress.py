@@ -55,18 +55,20 @@ def regress_command(
 ) -> int:
     """Compare figures with stored baselines.
 
-    SCENEs are names or model files, the library if none is given. Exit status 1 if a figure moved by more
-    than its tolerance, 4 if elements of a file act that are not simulated. A cost (operations, steps,
-    evaluations) that fell is an improvement and never fails. What `crosscheck report` makes a page of is in
-    OUTPUT.
+    SCENEs are names or model files. If none is given, the library is compared, without the scenes whose
+    optional packages are not installed. Exit status 1 if a figure moved by more than its tolerance, 4 if
+    elements of a file act that are not simulated. A cost (operations, steps, evaluations) that fell is an
+    improvement and never fails. What `crosscheck report` makes a page of is in OUTPUT.
     """
     from crosscheck.regress.report import outcome, report, tables, verdict
     from crosscheck.regress.run import check, update
 
     if len(sources) != 1 and (settings or baseline):
         raise CrosscheckError("--set and --baseline are of one SCENE; name it")
-    guarded = _guarded(sources, scene_options(settings), baseline)
+    guarded, left_out = _guarded(sources, scene_options(settings), baseline)
     if reason is not None:
+        if left_out:
+            raise CrosscheckError(f"--update: {'; '.join(f'{n}: {why}' for n, why in left_out.items())}")
         with progress_shown() as progress:
             made = update(guarded, reason, progress)
         for each, found in zip(guarded, made, strict=True):
@@ -76,32 +78,45 @@ def regress_command(
                 say(f"  {group} left out: {why}")
         return AGREE
     with progress_shown() as progress:
-        compared, recordings, written = check(guarded, output, progress, allow_reduced)
-    parts = everything(report(compared, recordings))[1:]  # the first are the verdicts, which follow
+        compared, recordings, written = check(guarded, output, progress, left_out, allow_reduced)
+    parts = everything(report(compared, recordings, left_out))[1:]  # the first are the verdicts, which follow
     click.echo(terminal(parts or tables(compared)), nl=False)
     for comparison in compared:
         say(comparison.verdict)
         if comparison.scene in recordings:
             say(f"  recording: {recordings[comparison.scene]}")
+    for name, why in left_out.items():
+        say(f"{name}: left out: {why}")
     say("wrote " + ", ".join(str(path) for path in written))
-    say(verdict(compared), bold=True)
+    say(verdict(compared, left_out), bold=True)
     return outcome(compared).exit_status(allow_reduced)
 
 
-def _guarded(sources: tuple[str, ...], options: dict[str, str], baseline: Path | None) -> list[Guarded]:
+def _guarded(
+    sources: tuple[str, ...], options: dict[str, str], baseline: Path | None
+) -> tuple[list[Guarded], dict[str, str]]:
+    """Load what is compared, and name the scenes of the library whose optional packages are not installed."""
     from crosscheck.regress.run import guard
     from crosscheck.scenes import SCENES
+    from newton_euler.errors import MissingPackageError
 
     found: list[Guarded] = []
+    left_out: dict[str, str] = {}
     for source in sources or tuple(SCENES):
         if source in SCENES and options and baseline is None:
             raise CrosscheckError(
                 f"the baseline of {source!r} is of its defaults; --set needs --baseline FILE"
             )
-        one = guard(source, options, baseline)
+        try:
+            one = guard(source, options, baseline)
+        except MissingPackageError as error:
+            if sources:
+                raise
+            left_out[source] = str(error)
+            continue
         tell(source, one.mapping)
         for other in found:
             if other.scene.name == one.scene.name:
                 raise CrosscheckError(f"{other.source} and {source} are both named {one.scene.name!r}")
         found.append(one)
-    return found
+    return found, left_out

@@ -135,7 +135,7 @@ def _run_all(engines: list[str], output: Path | None) -> int:
     click.echo(terminal([outcomes_table(outcomes)]), nl=False)
     for line in outcome_lines(outcomes):
         say(line)
-    return AGREE if all(outcome.agrees for outcome in outcomes) else DISAGREE
+    return AGREE if all(outcome.agrees or outcome.left_out for outcome in outcomes) else DISAGREE
 
 
 def _run(
@@ -264,10 +264,14 @@ def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
     from crosscheck.model_files.read import MJCF_OPTIONS, URDF_OPTIONS
     from crosscheck.scenes import SCENES
     from crosscheck.scenes.options import options_of
+    from newton_euler.errors import MissingPackageError
     from newton_euler.limits import LIMITS
 
     for name, make in SCENES.items():
-        say(f"{name}: {make().description}")
+        try:
+            say(f"{name}: {make().description}")
+        except MissingPackageError as error:
+            say(f"{name}: not available: {error}")
         for key, option in options_of(make).items():
             default = f"{option.default:g}" if isinstance(option.default, float) else str(option.default)
             say(f"    --set {key}={option}  [default: {default or 'none'}]")

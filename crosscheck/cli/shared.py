@@ -54,7 +54,7 @@ class Commands(click.Group):
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(package_name="crosscheck", prog_name="crosscheck")
+@click.version_option(package_name="crosscheck-dynamics", prog_name="crosscheck")
 def cli() -> None:
     """Compare closed-loop mechanism dynamics between engines."""
 

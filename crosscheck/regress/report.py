@@ -55,12 +55,13 @@ def outcome(found: Sequence[Comparison]) -> Outcome:
     return Outcome.QUIET
 
 
-def verdict(found: Sequence[Comparison]) -> str:
+def verdict(found: Sequence[Comparison], left_out: Mapping[str, str]) -> str:
     """Word the result of all scenes in one line."""
     moved = [comparison.scene for comparison in found if comparison.moved]
     cheaper = [comparison.scene for comparison in found if comparison.cheaper]
     count = sum(len(comparison.checked) for comparison in found)
     improved = f"; cheaper: {', '.join(cheaper)}" if cheaper else ""
+    improved += f"; left out: {', '.join(left_out)}" if left_out else ""
     if moved:
         return f"{Outcome.MOVED}: {len(moved)} of {len(found)} scenes: {', '.join(moved)}{improved}"
     scenes = "1 scene" if len(found) == 1 else f"{len(found)} scenes"
@@ -68,13 +69,17 @@ def verdict(found: Sequence[Comparison]) -> str:
 
 
 def report(
-    found: Sequence[Comparison], recordings: Mapping[str, Path], allow_reduced: bool = False
+    found: Sequence[Comparison],
+    recordings: Mapping[str, Path],
+    left_out: Mapping[str, str],
+    allow_reduced: bool = False,
 ) -> Report:
-    """Make the report: verdicts, the figures that moved, and all figures.
+    """Report verdicts, scenes that are left out and why, what moved or became cheaper, and all figures.
 
     Args:
         found: the comparisons.
         recordings: files by scene.
+        left_out: reasons by the name of the scene that is not compared.
         allow_reduced: whether elements that act and are not simulated are no failures.
     """
     acts: Verdict = "doubtful" if allow_reduced else "fails"
@@ -91,13 +96,20 @@ def report(
             rows.append("acts in the file, and is not simulated")
             rows += [[what_acted(entry), Cell(f"from {entry.since:.4g} s on", acts)] for entry in each.acting]
         every.append(Table(each.scene, COLUMNS, rows, folded=True))
+    lines += [f"{name}: left out: {why}" for name, why in left_out.items()]
     word = Cell(outcome(found).value, outcome(found).judged)
     parts = [Lines("", lines), *tables(found), *every]
-    return Report("crosscheck regress", verdict(found), word, parts, sum(each.wall_time for each in found))
+    return Report(
+        "crosscheck regress", verdict(found, left_out), word, parts, sum(each.wall_time for each in found)
+    )
 
 
 def as_json(
-    found: Sequence[Comparison], recordings: Mapping[str, Path], files: Mapping[Path, bytes], whole: Report
+    found: Sequence[Comparison],
+    recordings: Mapping[str, Path],
+    files: Mapping[Path, bytes],
+    left_out: Mapping[str, str],
+    whole: Report,
 ) -> bytes:
     """Everything that was compared, with SHA-256 of the files beside it."""
     scenes = [
@@ -110,7 +122,8 @@ def as_json(
         "quiet": quiet,
         "outcome": outcome(found).value,
         "cheaper": cheaper,
-        "verdict": verdict(found),
+        "left_out": dict(left_out),
+        "verdict": verdict(found, left_out),
         "scenes": scenes,
     }
     return render.as_json(content, whole, files)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -137,12 +137,20 @@ def update(guarded: Sequence[Guarded], reason: str, progress: Progress) -> list[
 
 
 def check(
-    guarded: Sequence[Guarded], folder: Path, progress: Progress, allow_reduced: bool = False
+    guarded: Sequence[Guarded],
+    folder: Path,
+    progress: Progress,
+    left_out: Mapping[str, str],
+    allow_reduced: bool = False,
 ) -> tuple[list[Comparison], dict[str, Path], list[Path]]:
     """Compare scenes with their baselines; write `REPORTS` and recordings of those that moved to a folder.
 
-    Elements of a file that act and are not simulated are failures in the reports unless `allow_reduced` is
-    set.
+    Args:
+        guarded: what is compared.
+        folder: where the files are written.
+        progress: is told each stage.
+        left_out: reasons by the name of the scene that is not compared.
+        allow_reduced: whether elements of a file that act and are not simulated are no failures.
 
     Returns:
         What was found, the recordings by scene, and all files that were written.
@@ -165,12 +173,12 @@ def check(
         if comparison.moved and (runs := both_runs(each.scene, baseline)):
             progress(f"{each.scene.name}: recording")
             path, title = folder / f"{each.scene.name}.rrd", f"{each.scene.name} against its baseline"
-            text = markdown(report([comparison], {}))
+            text = markdown(report([comparison], {}, {}))
             recordings[each.scene.name] = path
             contents[path] = recorded(log_run, regress_scene(each.scene), runs, text, title)
-    whole = report(found, recordings, allow_reduced)
+    whole = report(found, recordings, left_out, allow_reduced)
     texts = (
-        as_json(found, recordings, contents, whole),
+        as_json(found, recordings, contents, left_out, whole),
         junit(whole).encode(),
         markdown(whole).encode(),
     )

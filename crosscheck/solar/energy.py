@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.solar.place import Place, Sun, solar_library, tilted
+from crosscheck.solar.place import SUN, Place, Sun, tilted
+from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array
 
 ALBEDO = 0.2
@@ -34,7 +35,7 @@ class ClearSky:
 
     def __init__(self, place: Place, sun: Sun) -> None:
         self.place, self.sun = place, sun
-        self._pvlib = solar_library()
+        self._pvlib = optional_package("pvlib", SUN)
         location = self._pvlib.location.Location(place.latitude, place.longitude, altitude=place.altitude)
         self._light: Any = location.get_clearsky(sun.times, model="ineichen")
         self._beyond = self._pvlib.irradiance.get_extra_radiation(sun.times)

@@ -6,12 +6,13 @@ Directions are in the world frame of a scene whose x is east, y north and z up.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
 from newton_euler.errors import is_finite_number
+from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array
 
 if TYPE_CHECKING:
@@ -55,13 +56,8 @@ class Place:
         return f"UTC{round(self.longitude / 15.0):+03d}:00"
 
 
-def solar_library() -> Any:
-    """Import pvlib; raises `CrosscheckError` where it is not installed."""
-    try:
-        import pvlib
-    except ImportError as error:
-        raise CrosscheckError("pvlib is not installed: pip install 'crosscheck[sun]'") from error
-    return pvlib
+SUN = "sun"
+"""The extra of this distribution that installs pvlib and pandas."""
 
 
 def day_times(date: str, zone: str, period: float) -> pd.DatetimeIndex:
@@ -74,8 +70,9 @@ def day_times(date: str, zone: str, period: float) -> pd.DatetimeIndex:
 
     Raises:
         CrosscheckError: for what is no date or no time zone.
+        MissingPackageError: if pandas is not installed.
     """
-    import pandas as pd
+    pd = optional_package("pandas", SUN)
 
     try:
         start = pd.Timestamp(date)
@@ -135,10 +132,11 @@ def sun_over(place: Place, times: pd.DatetimeIndex) -> Sun:
 
     Raises:
         CrosscheckError: for times without a zone.
+        MissingPackageError: if pvlib is not installed.
     """
     if times.tz is None:
         raise CrosscheckError(f"times from {times[0]} on have no time zone")
-    found = solar_library().solarposition.get_solarposition(
+    found = optional_package("pvlib", SUN).solarposition.get_solarposition(
         times, place.latitude, place.longitude, place.altitude, method="nrel_numpy"
     )
     return Sun(

@@ -8,8 +8,10 @@ import os
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.solar.place import SUN
 from newton_euler.errors import plain_number
 from newton_euler.model.source_file import read_text
+from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array
 
 COLUMNS = ("time", "speed")
@@ -40,8 +42,7 @@ def wind_over_day(given: str, seconds: Array) -> Array:
 
 
 def _read(path: str, seconds: Array) -> Array:
-    import pandas as pd
-
+    pd = optional_package("pandas", SUN)
     text = read_text(os.fspath(path), "csv_size")
     try:
         table = pd.read_csv(io.StringIO(text), skipinitialspace=True, skip_blank_lines=False)

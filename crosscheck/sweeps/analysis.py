@@ -13,7 +13,8 @@ import numpy as np
 from crosscheck.sweeps.plan import Parameters
 from crosscheck.sweeps.results import Results
 from crosscheck.sweeps.sampling import Samples
-from crosscheck.sweeps.store import not_installed
+from crosscheck.sweeps.store import SWEEP
+from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array
 
 MOST_NUMBERS = 2**25
@@ -286,10 +287,7 @@ class Analysis:
 
         The runs of a base sample are of use together alone.
         """
-        try:
-            from SALib.analyze import sobol
-        except ImportError as error:
-            raise not_installed(error) from error
+        sobol = optional_package("SALib.analyze.sobol", SWEEP)
         whole = np.isfinite(y).reshape(-1, self._samples.block).all(axis=1)
         y = y[np.repeat(whole, self._samples.block)]
         if whole.sum() < LEAST_BASE or np.ptp(y) == 0.0:

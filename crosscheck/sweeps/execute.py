@@ -21,10 +21,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.limit import span
-from crosscheck.sweeps.store import KEPT_GOES_ON, not_installed
+from crosscheck.sweeps.store import KEPT_GOES_ON, SWEEP
 from crosscheck.workers import safe_path
 from newton_euler.batch import thread_count
 from newton_euler.errors import OptionError
+from newton_euler.optional_packages import optional_package
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -105,10 +106,7 @@ def workers(
 @contextmanager
 def _client(cluster: Client | str) -> Iterator[Client]:
     """Return the client itself, or connect one to an address and close it in the end."""
-    try:
-        import distributed
-    except ImportError as error:
-        raise not_installed(error) from error
+    distributed = optional_package("distributed", SWEEP)
     if isinstance(cluster, distributed.Client):
         yield cluster
         return

@@ -23,7 +23,7 @@ from newton_euler.batch import Batch, make_batch
 from newton_euler.codegen.compile import lane_count, llvm_binding
 from newton_euler.codegen.fingerprint import SOURCE, fingerprint
 from newton_euler.equations.parameters import parameter_values, with_values
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import DISTRIBUTION, NewtonEulerError
 from newton_euler.integrators.options import Options
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -160,7 +160,7 @@ class Plan:
         """Conditions of this process on which results depend beside the plan."""
         return {
             "solver": SOURCE.hex(),
-            "crosscheck": version("crosscheck"),
+            "crosscheck": version(DISTRIBUTION),
             "processor": processor(),
             "samples": self.samples.digest(self.samples.runs),
         }

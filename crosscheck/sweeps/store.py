@@ -26,6 +26,7 @@ from crosscheck.files import remove_abandoned
 from crosscheck.sweeps.plan import CONDITIONS, DONE, STOPPED, Chunk, Plan, make_runs
 from crosscheck.sweeps.sampling import EXTENDED, UNEXTENDED
 from crosscheck.sweeps.store_files import PARTIAL, check_files, chunk_file, stored_chunks
+from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array
 from newton_euler.variation import units_of
 
@@ -36,6 +37,9 @@ STATUS, ERROR = "status", "error"
 
 BLOCK = 2**20
 """Runs whose status is read at a time."""
+
+SWEEP = "sweep"
+"""The extra of this distribution that installs what sweeps need."""
 
 OF_TASKS = "tasks"
 """Attribute by which tasks know the store that they are for: one of a worker that outlives its client does
@@ -52,22 +56,12 @@ KEPT_GOES_ON = f"what is stored is kept, {GOES_ON}"
 
 
 def libraries() -> tuple[Any, Any]:
-    """Import xarray and zarr, which are in the optional group `sweep`.
+    """Import xarray and zarr.
 
     Raises:
-        CrosscheckError: if they are not installed.
+        MissingPackageError: if they are not installed.
     """
-    try:
-        import xarray
-        import zarr
-    except ImportError as error:
-        raise not_installed(error) from error
-    return xarray, zarr
-
-
-def not_installed(error: ImportError) -> CrosscheckError:
-    """Return the error about a package of the optional group."""
-    return CrosscheckError(f'{error.name} is not installed; pip install "crosscheck[sweep]"')
+    return optional_package("xarray", SWEEP), optional_package("zarr", SWEEP)
 
 
 class Store:

@@ -10,6 +10,7 @@ import numpy as np
 
 from newton_euler.model.joint import Key
 from newton_euler.model.state import State
+from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array, Floats
 
 RIGID = 1e-7  # share of the largest eigenvalue below which one is zero: the root of round-off
@@ -141,10 +142,13 @@ class LinearModel:
         return StateSpace(self.A, self.B, self.C, self.D)
 
     def to_control(self) -> Any:
-        """Return a `control.StateSpace` of the package control; in its names all but letters is `_`."""
-        from control import StateSpace  # type: ignore[import-not-found, unused-ignore]
+        """Return a `control.StateSpace` of the package control; in its names all but letters is `_`.
 
+        Raises:
+            MissingPackageError: if the package control is not installed.
+        """
+        control = optional_package("control", "control")
         named = self.coordinates, self.inputs, self.outputs
         x, u, y = ([re.sub(r"\W+", "_", label(name)).strip("_") for name in each] for each in named)
         states = [*x, *(f"{name}_rate" for name in x)]
-        return StateSpace(self.A, self.B, self.C, self.D, states=states, inputs=u, outputs=y)
+        return control.StateSpace(self.A, self.B, self.C, self.D, states=states, inputs=u, outputs=y)

@@ -108,7 +108,9 @@ class Spline(Piecewise):
         from scipy.interpolate import PPoly, make_interp_spline
 
         degree = min(DEGREE, len(self.times) - 1)
-        found = PPoly.from_spline(make_interp_spline(self.times, self.values, degree))
+        # one polynomial through all samples has no inner knot; SciPy 1.14 fails to place none for degree 4
+        ends = np.repeat([self.times[0], self.times[-1]], degree + 1) if degree < DEGREE else None
+        found = PPoly.from_spline(make_interp_spline(self.times, self.values, degree, t=ends))
         pieces = zip(found.x[:-1].tolist(), found.x[1:].tolist(), found.c[::-1].T.tolist(), strict=True)
         missing = [0.0] * (DEGREE + 1 - len(found.c))
         return [(start, *coefficients, *missing) for start, end, coefficients in pieces if end > start]

@@ -7,7 +7,6 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 from zipfile import BadZipFile, ZipFile
@@ -15,13 +14,14 @@ from zlib import error as ZlibError
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, NewtonEulerError
+from newton_euler.errors import MechanismError, MissingPackageError, NewtonEulerError
 from newton_euler.limits import MB, exceeded
 from newton_euler.model.joint import Joint, JointEquations
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import OutputName
 from newton_euler.model.source_file import SourceError, read_content
 from newton_euler.model.state import stacked_frames
+from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array, Floats, unstacked
 
 
@@ -62,7 +62,6 @@ UNREADABLE = (OSError, EOFError, KeyError, RuntimeError, MemoryError, BadZipFile
 """What broken archives raise, beside ValueError."""
 
 COMPONENTS = {"3": "xyz", "4": "wxyz"}  # names of the components of vectors and quaternions
-DATA_FRAMES = ("pandas", "polars")  # libraries that make tables of trajectories, the first that is installed
 NEEDED = ("time", "body_names", "joint_names", "position", "quaternion")  # arrays that every run has
 
 
@@ -198,17 +197,18 @@ class Trajectory:
         for example; actuators go by number.
 
         Raises:
-            NewtonEulerError: if neither is installed.
+            MissingPackageError: if neither is installed.
         """
         columns: dict[str, Array] = {}
         for name, array in self.arrays().items():
             if array.dtype.kind == "f":
                 names = column_names(name, array.shape[1:], self.body_names, self.joint_names)
                 columns |= zip(names, array.reshape(len(array), -1).T, strict=True)
-        for library in DATA_FRAMES:
-            with suppress(ImportError):
-                return import_module(library).DataFrame(columns)
-        raise NewtonEulerError("tables of trajectories need pandas or polars; install one of them")
+        with suppress(MissingPackageError):
+            return optional_package("pandas", "tables").DataFrame(columns)
+        with suppress(MissingPackageError):
+            return optional_package("polars", "tables").DataFrame(columns)
+        raise MissingPackageError("pandas", "tables")
 
     def arrays(self) -> dict[str, Array]:
         """The arrays of the run by name, names as arrays of text."""

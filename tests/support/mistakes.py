@@ -394,8 +394,8 @@ MISTAKES = {
     ),
     "an element left out that is reported as carried over": (
         "newton_euler/verification/import_report.py",
-        'self.entries.append(ImportedElement(element, "left out", why, "", topic, inert))',
-        'self.entries.append(ImportedElement(element, "exactly", why, "", topic, inert))',
+        'self.entries.append(ImportedElement(element, "left out", why, "", topic, inert, is_off=off))',
+        'self.entries.append(ImportedElement(element, "exactly", why, "", topic, inert, is_off=off))',
         "mjcf/test_mjcf_read.py::test_what_is_left_out_and_what_is_approximated",
     ),
     "a file that is written in its place": (

@@ -11,7 +11,7 @@ import pytest
 from mechanisms import Y, bar, inertia
 
 from newton_euler import Body, Cylindrical, Mechanism, Planar, Revolute, Scene, Spherical, State, Trajectory
-from newton_euler.errors import MechanismError, NewtonEulerError, UnknownNameError
+from newton_euler.errors import MechanismError, MissingPackageError, UnknownNameError
 from newton_euler.model.euler_parameters import from_rotation_vector, product
 from newton_euler.model.joint import Joint
 
@@ -115,5 +115,6 @@ def test_tables_have_a_column_per_component(installed, monkeypatch):
 def test_tables_without_a_library_say_what_to_install(monkeypatch):
     for library in ("pandas", "polars"):
         monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(NewtonEulerError, match="need pandas or polars"):
+    with pytest.raises(MissingPackageError) as caught:
         screwing(Revolute, 0.5).to_dataframe()
+    assert (caught.value.package, caught.value.extra) == ("pandas", "tables")
