@@ -394,8 +394,8 @@ MISTAKES = {
     ),
     "an element left out that is reported as carried over": (
         "newton_euler/verification/import_report.py",
-        'self.entries.append(ImportedElement(element, "left out", why, "", topic, inert, is_off=off))',
-        'self.entries.append(ImportedElement(element, "exactly", why, "", topic, inert, is_off=off))',
+        'entry = ImportedElement(element, "left out", why, "", topic, inert,',
+        'entry = ImportedElement(element, "exactly", why, "", topic, inert,',
         "mjcf/test_mjcf_read.py::test_what_is_left_out_and_what_is_approximated",
     ),
     "a file that is written in its place": (
@@ -411,9 +411,9 @@ MISTAKES = {
         "urdf/test_urdf_read.py::test_mimics_start_at_their_offsets_with_their_drivers_at_zero",
     ),
     "a run that is not finished and counts as agreement": (
-        "crosscheck/cli/run.py",
-        "return UNFINISHED  #",
-        "return AGREE  #",
+        "crosscheck/outcome.py",
+        "return ExitStatus.UNFINISHED",
+        "return ExitStatus.AGREE",
         "newton_euler/integrators/test_stopped.py::test_crosscheck_run_compares_what_each_engine_computed",
     ),
     "a tolerance of trajectories without the mechanism's reach": (
