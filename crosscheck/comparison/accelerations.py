@@ -13,7 +13,7 @@ import numpy as np
 
 from crosscheck.comparison.blame import SHARE, Cause, dynamic_cause
 from crosscheck.comparison.figure import EPSILON, Figure, round_off
-from crosscheck.comparison.samples import Samples
+from crosscheck.comparison.samples import RATE_ERROR, Samples
 from newton_euler.equations.system import Evaluation
 from newton_euler.equations.undetermined import determined
 from newton_euler.scalars import Array
@@ -27,7 +27,7 @@ shown beside the rigid ones."""
 
 
 def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:
-    """Accelerations of bodies and reactions of joints.
+    """Accelerations of bodies and joints, and reactions of joints.
 
     Tolerances are round-off magnified by the condition of the constraints and of the mass matrix; reactions
     lose the constraints' condition once more. What fails is blamed on the body or term whose equations of
@@ -59,12 +59,28 @@ def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) ->
     yield row("linear acceleration, rel", linear, tolerance, mechanism.body_names)
     yield row("angular acceleration, rel", angular, tolerance, mechanism.body_names)
     names = mechanism.joint_names
+    yield row("joint acceleration, rel", _joint_gap(first, second), tolerance + RATE_ERROR, names)
     force, torque = (first.stack(name) - second.stack(name) for name in ("reaction_force", "reaction_torque"))
     force, torque = determined(force, torque, states.undetermined, scales.size)
     yield row("reaction force, rel", np.linalg.norm(force, axis=2) / scales.force, looser, names)
     gap = np.linalg.norm(torque, axis=2) / (scales.force * scales.size)
     moved = _is_another_point(torque, first.stack("reaction_force"))
     yield row("reaction torque, rel", gap, looser, names, moved)
+
+
+def _joint_gap(first: Samples, second: Samples) -> Array:
+    """Differences (n, j) of the accelerations of joints: of the second body relative to the first.
+
+    They follow from the accelerations of each system's own coordinates. An angular one counts at the size.
+    """
+    mechanism, scales = first.states.scene.mechanism, first.scales
+    ends = np.array([[mechanism.body_index(name) for name in (j.first, j.second)] for j in mechanism.joints])
+    gaps = []
+    pairs = zip(first.coordinate_accelerations, second.coordinate_accelerations, strict=True)
+    for (one, two), unit in zip(pairs, (1.0, scales.size), strict=True):
+        difference = (one - two)[:, ends[:, 1]] - (one - two)[:, ends[:, 0]]
+        gaps.append(np.linalg.norm(difference, axis=2) * unit / scales.acceleration)
+    return np.asarray(np.maximum(*gaps))
 
 
 def _is_another_point(torque: Array, force: Array) -> bool:

@@ -31,6 +31,12 @@ MISTAKES = {
         "acceleration = acceleration + 0.0 * coriolis",
         "newton_euler/equations/test_systems.py",
     ),
+    "a hinge's acceleration without its velocity term": (
+        "newton_euler/equations/kinematics.py",
+        "alpha = alpha + cross(omega, axis * v[iv]) + axis * vdot[iv]",
+        "alpha = alpha + 0.0 * cross(omega, axis * v[iv]) + axis * vdot[iv]",
+        "crosscheck/comparison/test_joint_accelerations.py",
+    ),
     "accelerations of coordinates without their velocity terms": (
         "newton_euler/equations/formulation.py",
         "gamma + np.array(accelerations)",
