@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from crosscheck.errors import CrosscheckError
+    from crosscheck.outcome import Outcome
     from crosscheck.sweeps.sweep import Sweep, sweep
     from crosscheck.verdict import Verdict, check
 else:
@@ -19,10 +20,12 @@ else:
             from crosscheck.sweeps import sweep as module
         elif name == "CrosscheckError":
             from crosscheck import errors as module
+        elif name == "Outcome":
+            from crosscheck import outcome as module
         else:
             from crosscheck import verdict as module
 
         return getattr(module, name)
 
 
-__all__ = ["CrosscheckError", "Sweep", "Verdict", "check", "sweep"]
+__all__ = ["CrosscheckError", "Outcome", "Sweep", "Verdict", "check", "sweep"]

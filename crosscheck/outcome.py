@@ -19,7 +19,14 @@ class ExitStatus(IntEnum):
 
 
 class Outcome(StrEnum):
-    """Outcome of a crosscheck; the value is the word that its verdict begins with."""
+    """Outcome of a crosscheck; the value is the word that its verdict begins with.
+
+    Examples:
+        >>> check("pendulum").outcome is Outcome.AGREE
+        True
+        >>> Outcome.AGREE_ON_A_REDUCED_MODEL.exit_status(), Outcome.AGREE_ON_A_REDUCED_MODEL.passes(True)
+        (<ExitStatus.REDUCED: 4>, True)
+    """
 
     AGREE = "AGREE"
     """All checks passed, and everything in the file that acted was simulated."""
