@@ -277,6 +277,7 @@ class Crosscheck:
             "engines": {engine.name: self._ran(engine.name) for engine in self.engines},
             "left_out": self.left_out,
             "mapping": [asdict(entry) for entry in self.mapping.entries] if self.mapping else None,
+            "findings": [asdict(each) for each in self.mapping.findings] if self.mapping else None,
             "start": self.mapping.start if self.mapping else None,
             "moved_start": asdict(moved) if self.mapping and (moved := self.mapping.moved) else None,
             "settings_of_the_file": self.mapping.settings if self.mapping else None,

@@ -343,7 +343,7 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int
     scene, report = load_scene(source, options)
     report = report or scene_report(scene)
     written = write_as(scene, target, report)
-    for line in report_lines(report, exact=is_verbose()):
+    for line in (*map(str, report.findings), *report_lines(report, exact=is_verbose())):
         say(line)
     say("wrote " + ", ".join(str(path) for path in written))
     return AGREE

@@ -179,7 +179,7 @@ def load_and_tell(scene: str, options: dict[str, str]) -> Scene:
 
 
 def tell(scene: str, mapping: ImportReport | None) -> None:
-    """Write a line to standard error for each element that acts and is not in the scene as it was.
+    """Write a line to standard error for each finding and each element that is not in the scene as it was.
 
     Of many the first ones, and how many more there are.
     """
@@ -188,7 +188,7 @@ def tell(scene: str, mapping: ImportReport | None) -> None:
     if len(lines) > MOST_LINES + 1:
         more = len(lines) - MOST_LINES
         lines[MOST_LINES:] = [f"{more} more elements are not as in the file; crosscheck run -v names all"]
-    for line in lines:
+    for line in (*map(str, mapping.findings if mapping else ()), *lines):
         click.echo(wrapped(f"{scene}: {line}", sys.stderr), err=True)
 
 
