@@ -55,6 +55,7 @@ LIMITS = {
     "asset_size": Limit(100, "MB", "of a mesh, texture or height field"),
     "csv_size": Limit(20, "MB", "of a CSV of poses or measurements"),
     "result_size": Limit(20, "MB", "of a JSON file of results, baselines included"),
+    "recording_size": Limit(50, "MB", "of the meshes in a recording; bars are drawn instead of others"),
     "array_size": Limit(200, "MB", "of the arrays of a run when unpacked"),
     "memory": Limit(None, "MB", "for a process that compiles a file or reads its meshes"),
     "compile_time": Limit(2, "s", "for MuJoCo to compile a file, beside 0.2 s for each MB of its assets"),

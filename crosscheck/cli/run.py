@@ -225,6 +225,7 @@ def _carry_out(
     from crosscheck.against.compare import Against
     from crosscheck.files import check_writable
     from crosscheck.load import told_options
+    from crosscheck.recording.mesh_budget import meshes_left_out
     from crosscheck.report.output import write
     from crosscheck.report.run import report
 
@@ -237,11 +238,14 @@ def _carry_out(
         found = report(result)
         write(result, found, folder, recording, name)
     more = ["-v", next_step("report", folder)]
+    look = f"look  {next_step('view', recording)}"
     if not isinstance(result, Against):
+        if unseen := meshes_left_out(result.scene.mechanism, list(result.trajectories)):
+            look = f"{unseen}\n{look}"
         told = told_options(result.options)
         settings = [word for key, value in told.items() for word in ("--set", f"{key}={value}")]
         more.append(next_step("bench", result.source, *settings))
-    show(found, f"look  {next_step('view', recording)}", f"more  {'; '.join(more)}")
+    show(found, look, f"more  {'; '.join(more)}")
     return result.outcome.exit_status(allow_reduced)
 
 

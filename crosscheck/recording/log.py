@@ -36,6 +36,7 @@ from rerun import bindings
 
 from crosscheck.palette import palette, rgb
 from crosscheck.recording.blueprint import TIME, blueprint, send_layout
+from crosscheck.recording.mesh_budget import engines_with_meshes, without_meshes
 from crosscheck.recording.plots import Plot, Tolerances, platforms, plots, rotated
 from crosscheck.recording.shapes import Style, log_shapes, paths, xyzw
 from newton_euler.model.mechanism import Mechanism
@@ -137,9 +138,11 @@ def log_run(
     if moments:
         times, lines = zip(*moments, strict=True)
         send_columns(recording, "/worst", np.array(times), rr.TextLog.columns, text=lines)
-    log_ground(recording, mechanism, first)
+    meshed, bare = engines_with_meshes(mechanism, engines), without_meshes(mechanism)
+    log_ground(recording, mechanism if meshed or not engines else bare, first)
     for engine, run in trajectories.items():
-        log_bodies(recording, ["mechanism", engine], mechanism, run, styles[engine])
+        drawn = mechanism if engine in meshed else bare
+        log_bodies(recording, ["mechanism", engine], drawn, run, styles[engine])
         _log_joints(recording, mechanism, engine, run, arrow_scale)
     _log_labels(recording, mechanism, first)
     if any(plot.path[0] == "tilt" for plot in shown):

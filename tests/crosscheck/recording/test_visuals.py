@@ -213,3 +213,15 @@ def test_meshes_in_a_recording_stand_where_the_mechanism_has_them(tmp_path):
 def test_a_mesh_says_what_is_wrong_with_it(arguments, message):
     with pytest.raises(MechanismError, match=message):
         Mesh(*arguments)
+
+
+def test_meshes_beyond_the_limit_are_named_beside_the_recording(folder, capsys):
+    (folder / "m.xml").write_text(MJCF)
+    sizes = {}
+    for limit in ("50", "0.0001"):
+        out = folder / f"out_{limit}"
+        options = ("--set", "duration=0.05", "--set", f"recording_size={limit}", "--output", out)
+        _, text, _ = run(capsys, "run", folder / "m.xml", *options)
+        assert ("--set recording_size=1" in text) == (limit != "50")
+        sizes[limit] = (out / "m.rrd").stat().st_size
+    assert sizes["0.0001"] < sizes["50"]
