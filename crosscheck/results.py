@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import platform
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -22,10 +23,34 @@ PACKAGES = ("numpy", "scipy", "llvmlite", "mujoco", "pin")
 """What figures depend on."""
 
 
+CHECKSUM = "sha256"
+"""Field of a file of results: the SHA-256 of all other fields."""
+
+
+def checksum(content: Mapping[str, Any]) -> str:
+    """The SHA-256 of all fields of results but `CHECKSUM`, whatever their order and layout in the file."""
+    rest = {name: value for name, value in content.items() if name != CHECKSUM}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+
+
+def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Results with their checksum."""
+    return {**content, CHECKSUM: checksum(content)}
+
+
 def read_json(path: Path, kind: type[Kind]) -> Kind:
-    """The content of a JSON file; raises `CrosscheckError` naming the file and the field at fault."""
+    """The content of a JSON file, whose checksum is compared if the kind of file has one.
+
+    Raises:
+        CrosscheckError: naming the file and the field at fault.
+    """
     try:
-        return kind.model_validate_json(read_content(path, "result_size"))
+        text = read_content(path, "result_size")
+        content = kind.model_validate_json(text)
+        if CHECKSUM in kind.model_fields and checksum(json.loads(text)) != getattr(content, CHECKSUM):
+            problem = "does not fit the other fields, the file is damaged or was edited"
+            raise CrosscheckError(f"{path}: {CHECKSUM}: {problem}; run the command again that wrote it")
+        return content
     except SourceError as error:
         raise CrosscheckError(str(error)) from error
     except ValidationError as error:

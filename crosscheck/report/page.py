@@ -71,10 +71,12 @@ class Results(BaseModel):
     Attributes:
         report: tables and sentences.
         files: SHA-256 by name of the runs (.npz), recordings (.rrd) and pictures (.png) beside it.
+        sha256: of all other fields.
     """
 
     report: Report
     files: dict[str, str]
+    sha256: str
 
     @field_validator("report")
     @classmethod

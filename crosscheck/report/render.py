@@ -21,6 +21,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table
+from crosscheck.results import sealed
 
 NARROWEST = 40
 """Characters of lines, however narrow a terminal is said to be."""
@@ -241,13 +242,15 @@ def _escaped(text: str) -> str:
 
 
 def as_json(content: Mapping[str, Any], report: Report, files: Mapping[Path, bytes] | None = None) -> bytes:
-    """Results as JSON: their data, the report on them, and SHA-256 of files beside them that pages show."""
+    """Results as JSON: data, the report on them, SHA-256 of files beside them that pages show, a checksum."""
     digests = {path.name: hashlib.sha256(held).hexdigest() for path, held in (files or {}).items()}
-    whole = {**content, "report": asdict(report), "files": digests}
-    return (json.dumps(_finite(whole), indent=1, allow_nan=False) + "\n").encode()
+    whole = _finite({**content, "report": asdict(report), "files": digests})
+    # as a reader finds it: keys that are numbers here are texts there
+    whole = json.loads(json.dumps(whole, allow_nan=False))
+    return (json.dumps(sealed(whole), indent=1) + "\n").encode()
 
 
-def _finite(value: object) -> object:
+def _finite(value: object) -> Any:
     """JSON has no numbers that are not finite; such a figure is its text."""
     if isinstance(value, float):
         return value if abs(value) < float("inf") else repr(value)

@@ -20,7 +20,7 @@ from command_line import short_example
 from hostile_files import MJCF, SEED, TEXTS, URDF, sparse
 
 from crosscheck.report.page import RESULTS
-from crosscheck.results import digest
+from crosscheck.results import digest, sealed
 from newton_euler.model.trajectory import NEEDED, SHAPES, load_arrays
 
 Prepare = Callable[[Path], None]
@@ -55,6 +55,7 @@ class Refused:
 CONTENT: dict[str, Any] = {
     "report": {"title": "", "verdict": "", "judged": {"text": ""}, "parts": []},
     "files": {},
+    "sha256": "",
 }
 """Results with nothing wrong."""
 
@@ -155,7 +156,7 @@ def rewritten(run: Path, change: Callable[[dict[str, Any]], dict[str, Any]], vou
 def vouch(out: Path, path: Path) -> None:
     summary = json.loads((out / "summary.json").read_text())
     summary["files"][path.name] = digest(path)
-    (out / "summary.json").write_text(json.dumps(summary))
+    (out / "summary.json").write_text(json.dumps(sealed(summary)))
 
 
 def array_cases(run: Path) -> Iterator[Refused]:

@@ -20,7 +20,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.report.page import MOST_IN_FULL, PAGE, telling, write_report
 from crosscheck.report.plots import SPEED, pictures
 from crosscheck.report.table import Column, Table, judged
-from crosscheck.results import digest
+from crosscheck.results import digest, sealed
 from crosscheck.scenes import SCENES
 from newton_euler.model.trajectory import load_arrays
 
@@ -115,7 +115,7 @@ def change(folder: Path, **changes: object) -> dict:
     """Rewrite entries of a folder's summary."""
     path = folder / "summary.json"
     summary = json.loads(path.read_text()) | changes
-    path.write_text(json.dumps(summary))
+    path.write_text(json.dumps(sealed(summary)))
     return summary
 
 
@@ -129,7 +129,7 @@ def write(path: Path, **changes: object) -> None:
     """Write a file of results whose report has these entries."""
     whole = {"title": "a study", "verdict": "", "judged": {"text": ""}, "parts": []} | changes
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps({"report": whole, "files": {}}))
+    path.write_text(json.dumps(sealed({"report": whole, "files": {}})))
 
 
 def report(folder: Path) -> Page:
@@ -311,13 +311,13 @@ def timed(seconds: str) -> bytes:
     return (
         b'{"report": {"title": "", "verdict": "", "judged": {"text": ""}, "parts": [], "wall_time": %s}, '
         % (seconds.encode())
-        + b'"files": {}}'
+        + b'"files": {}, "sha256": ""}'
     )
 
 
 def listed(name: str) -> bytes:
     """Results with a file of this name beside them."""
-    return timed("1").replace(b'"files": {}', b'"files": {"%s": "00"}' % name.encode())
+    return json.dumps(sealed(json.loads(timed("1")) | {"files": {name: "00"}})).encode()
 
 
 @pytest.mark.parametrize(
@@ -337,6 +337,8 @@ def listed(name: str) -> bytes:
         ("rhs.json", timed("1e999"), "rhs.json: report: wall_time is no time in seconds"),
         ("rhs.json", listed("../x.npz"), "rhs.json: files: '../x.npz' is no name of a file"),
         ("rhs.json", listed("x.npz"), "x.npz: missing, rhs.json beside it"),
+        ("rhs.json", timed("1"), "rhs.json: sha256: does not fit the other fields"),
+        ("rhs.json", timed("1").replace(b', "sha256": ""', b""), "rhs.json: sha256: Field required"),
     ],
 )
 def test_what_cannot_be_read_is_one_line(bare, capsys, name, content, message):
