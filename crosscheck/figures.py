@@ -15,7 +15,7 @@ import numpy as np
 from crosscheck.engines import ENGINES
 from crosscheck.files import check_writable, write_files
 from crosscheck.palette import palette
-from crosscheck.report.plots import curve, png
+from crosscheck.report.plots import curve, own_style, png
 from crosscheck.scenes import load
 from crosscheck.scenes.tracker import TARGET_HEIGHT
 from newton_euler import simulate
@@ -47,7 +47,9 @@ def draw(folder: Path, progress: Callable[[str], None]) -> list[Path]:
             if name == "newton_euler"
             else engine.simulate(scene)
         )
-    write_files({path: png(FIGURES[number](scene, runs), dpi=120) for number, path in paths.items()})
+    with own_style():
+        pictures = {path: png(FIGURES[number](scene, runs), dpi=120) for number, path in paths.items()}
+    write_files(pictures)
     return list(paths.values())
 
 

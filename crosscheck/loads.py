@@ -14,7 +14,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable, write_files
 from crosscheck.limit import limited
 from crosscheck.palette import palette
-from crosscheck.report.plots import png
+from crosscheck.report.plots import own_style, png
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.run import undetermined_lines
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
@@ -184,6 +184,7 @@ def _of_actuators(envelope: LoadEnvelope) -> Table:
     return Table("", columns, rows)
 
 
+@own_style()
 def _figure(scene: Scene, runs: Mapping[str, Trajectory]) -> Figure:
     """Forces and torques of joints over time, a line a case."""
     from matplotlib.figure import Figure

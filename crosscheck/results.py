@@ -6,13 +6,14 @@ import hashlib
 import json
 import platform
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from crosscheck.checksum import CHECKSUM, checksum
 from crosscheck.errors import CrosscheckError
 from newton_euler.errors import DISTRIBUTION
 from newton_euler.model.source_file import SourceError, read_content
@@ -21,21 +22,6 @@ Kind = TypeVar("Kind", bound=BaseModel)
 
 PACKAGES = ("numpy", "scipy", "llvmlite", "mujoco", "pin")
 """What figures depend on."""
-
-
-CHECKSUM = "sha256"
-"""Field of a file of results: the SHA-256 of all other fields."""
-
-
-def checksum(content: Mapping[str, Any]) -> str:
-    """The SHA-256 of all fields of results but `CHECKSUM`, whatever their order and layout in the file."""
-    rest = {name: value for name, value in content.items() if name != CHECKSUM}
-    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
-
-
-def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Results with their checksum."""
-    return {**content, CHECKSUM: checksum(content)}
 
 
 def read_json(path: Path, kind: type[Kind]) -> Kind:

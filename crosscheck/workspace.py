@@ -13,7 +13,7 @@ import numpy as np
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import write_files
 from crosscheck.palette import ENGINE_COLORS
-from crosscheck.report.plots import png
+from crosscheck.report.plots import own_style, png
 from crosscheck.report.table import Cell, Column, Rows, Table, figures
 from mjcf.clearance import clearances
 from newton_euler import Axis, Poses, Scene, Workspace, singular_poses, workspace
@@ -166,6 +166,7 @@ def _csv(found: Mapped) -> str:
     return text.getvalue()
 
 
+@own_style()
 def _picture(found: Mapped) -> bytes:
     """Draw the distance from singular configurations and their curves, beside the elevation of the axis."""
     from matplotlib.figure import Figure

@@ -9,18 +9,48 @@ from __future__ import annotations
 import gc
 import io
 import os
+import signal
 import sys
+import threading
 import warnings
-from contextlib import suppress
-from difflib import get_close_matches
-from typing import NoReturn, TextIO
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
-import click
+INTERRUPTED = "crosscheck: error: interrupted\n"
 
-from crosscheck.cli import identify, measure, regress, run, sun, sweep
-from crosscheck.cli.shared import BAD_INPUT, cli
-from crosscheck.errors import CrosscheckError, reason_of, short_of_memory
-from crosscheck.report.render import wrapped
+
+def _end(*_: object) -> None:
+    """End the process at an interrupt while packages are loaded, before there is anything to tidy up."""
+    os.write(2, INTERRUPTED.encode())
+    os._exit(2)
+
+
+@contextmanager
+def _interrupt_calls(handler: signal.Handlers | object) -> Iterator[None]:
+    """Call a handler at interrupts in the block, where Python would raise `KeyboardInterrupt`."""
+    if (
+        threading.current_thread() is not threading.main_thread()
+        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    ):
+        yield
+        return
+    signal.signal(signal.SIGINT, handler)  # type: ignore[arg-type]
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+with _interrupt_calls(_end):
+    from difflib import get_close_matches
+    from typing import NoReturn, TextIO
+
+    import click
+
+    from crosscheck.cli import identify, measure, regress, run, sun, sweep
+    from crosscheck.cli.shared import BAD_INPUT, cli
+    from crosscheck.errors import CrosscheckError, reason_of, short_of_memory
+    from crosscheck.report.render import shortened_values, wrapped
 
 NOT_READ = 128 + 13
 """Exit status, as shells have it, of what ends by SIGPIPE."""
@@ -28,8 +58,12 @@ NOT_READ = 128 + 13
 NEAR = 0.8
 """Similarity, at most 1, from which another option may be meant; Click's 0.6 takes `--city` for `--pitch`."""
 
-LEAST_MEMORY = 2_000_000_000
-"""Bytes of addresses; most of them are of libraries, and never used."""
+MIN_ADDRESS_BYTES, MIN_ADDRESS_BYTES_PER_PROCESSOR = 3_000_000_000, 250_000_000
+"""Bytes of addresses that packages take, and that threads for each processor take; most are never used.
+With 2,500 MB and two processors some runs end in an abort of LLVM or a panic of Rerun."""
+
+MIN_OPEN_FILES = 128
+"""Files that a process may have open. With 12 or fewer Rerun panics, with 16 pictures have no fonts."""
 
 COLLECT_AFTER = 20_000
 """New objects after which Python looks for cycles. Packages make many as they are loaded, and no garbage: by
@@ -53,9 +87,15 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold what is no text
     hook = sys.unraisablehook
     sys.unraisablehook = lambda _: None  # what objects say that go away half made would be a second voice
+    interrupts = list[int]()
+
+    def raise_interrupt(number: int, _: object) -> None:
+        interrupts.append(number)
+        raise KeyboardInterrupt
+
     try:
         # results are checked where they are used; NumPy's warnings would be another
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _interrupt_calls(raise_interrupt):
             warnings.simplefilter("ignore")
             status = _invoke(arguments)
     except KeyboardInterrupt as interrupt:
@@ -66,7 +106,10 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         if isinstance(error, OSError) and nameless:
             status = _complain_of_stream(error)
         else:
-            status = _complain(_reason(error), heard)
+            reason = _reason(error)
+            # native modules that are interrupted while they are loaded raise errors of their own
+            lost = bool(interrupts) and reason.startswith("internal error")
+            status = _complain("interrupted" if lost else reason, heard)
     finally:
         sys.unraisablehook = hook
     sys.exit(status)
@@ -93,7 +136,7 @@ def _invoke(arguments: list[str] | None) -> int:
     """Click's own `main` would add a line of its own to an interrupt."""
     given = sys.argv[1:] if arguments is None else arguments
     _check_no_empty(given)
-    _check_memory()
+    _check_resources()
     _check_cache()
     try:
         with cli.make_context("crosscheck", given) as context:
@@ -117,15 +160,20 @@ def _check_no_empty(arguments: list[str]) -> None:
             raise CrosscheckError(f"{option:.200} is empty; give a value or leave it out")
 
 
-def _check_memory() -> None:
-    """Raise `CrosscheckError` where so little memory is allowed that packages hang when they are loaded."""
+def _check_resources() -> None:
+    """Raise `CrosscheckError` where few files or little memory are allowed: native code would abort."""
     with suppress(ImportError):  # not everywhere
         import resource
 
-        allowed = resource.getrlimit(resource.RLIMIT_AS)[0]
-        if 0 <= allowed < LEAST_MEMORY:
-            problem = f"the limit of memory is {allowed // 1_000_000} MB (ulimit -v)"
-            raise CrosscheckError(f"{problem}; needed: {LEAST_MEMORY // 1_000_000} MB")
+        memory = resource.getrlimit(resource.RLIMIT_AS)[0]
+        needed = MIN_ADDRESS_BYTES + MIN_ADDRESS_BYTES_PER_PROCESSOR * (os.cpu_count() or 1)
+        if 0 <= memory < needed:
+            problem = f"the limit of memory is {memory // 1_000_000} MB (ulimit -v)"
+            raise CrosscheckError(f"{problem}; needed: {needed // 1_000_000} MB")
+        files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        if 0 <= files < MIN_OPEN_FILES:
+            problem = f"the limit of open files is {files} (ulimit -n)"
+            raise CrosscheckError(f"{problem}; needed: {MIN_OPEN_FILES}")
 
 
 def _check_cache() -> None:
@@ -153,11 +201,8 @@ def _discard_output() -> None:
 
 
 def _complain(message: str, streams: list[TextIO]) -> int:
-    """Say one line on the first of the streams that can be written.
-
-    What cannot be shown in it is escaped.
-    """
-    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(message.split()))
+    """Print one line on the first of the streams that can be written."""
+    line = shortened_values(" ".join(message.split()))
     for stream in streams:
         with suppress(OSError):
             click.echo(wrapped(f"crosscheck: error: {line}", stream), file=stream)

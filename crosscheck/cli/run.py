@@ -31,7 +31,7 @@ from crosscheck.cli.shared import (
     without_exercise,
 )
 from crosscheck.errors import CrosscheckError
-from crosscheck.report.render import terminal
+from crosscheck.report.render import printable, terminal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -260,7 +260,7 @@ def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
     """
     if scene is not None:
         for line in _parameters(load_and_tell(scene, scene_options(settings))):
-            click.echo(line)
+            click.echo(printable(line))
         return AGREE
     if settings:
         raise CrosscheckError("--set has no effect here: it is of a scene")

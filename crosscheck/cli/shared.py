@@ -18,7 +18,7 @@ import click
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.outcome import ExitStatus
-from crosscheck.report.render import terminal, wrapped
+from crosscheck.report.render import printable, terminal, wrapped
 
 if TYPE_CHECKING:
     from crosscheck.report.table import Part, Report
@@ -211,7 +211,7 @@ def progress_shown() -> Iterator[Callable[[str], None]]:
     from rich.text import Text
 
     with Console(stderr=True).status("") as status:
-        yield lambda message: status.update(Text(message))
+        yield lambda message: status.update(Text(printable(message)))
 
 
 class _LongStages:
@@ -239,4 +239,4 @@ class _LongStages:
 
     def _tell(self) -> None:
         self._timer = None
-        click.echo(f"{self._stage} ...", err=True)
+        click.echo(f"{printable(self._stage)} ...", err=True)

@@ -17,6 +17,7 @@ from pydantic import BaseModel, field_validator
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable, write_files
 from crosscheck.report import plots
+from crosscheck.report.render import printable
 from crosscheck.report.table import Part, Report
 from crosscheck.results import digest, read_json
 from newton_euler.model.source_file import SourceError, read_content
@@ -192,6 +193,7 @@ def rendered(template: str, **content: object) -> str:
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
         undefined=StrictUndefined,
+        finalize=lambda value: printable(value) if type(value) is str else value,
         keep_trailing_newline=True,
     )
     return environment.get_template(template).render(**content)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,10 +43,17 @@ Line = tuple[str, str, Array, Array]
 """Label of its panel, engine, times and values."""
 
 
+@contextmanager
+def own_style() -> Iterator[None]:
+    """Draw with the defaults of matplotlib, whatever the user's or the folder's `matplotlibrc` has."""
+    from matplotlib import style
+
+    with style.context("default"):
+        yield
+
+
 def speed(costs: Mapping[str, tuple[float | None, float | None]]) -> Iterator[tuple[bytes, str]]:
     """Draw bars of the run time, s, of each engine that has one, beside its error, m and rad."""
-    from matplotlib.figure import Figure
-
     names = [name for name, (time, _) in costs.items() if time]
     if not names:
         return
@@ -54,15 +62,26 @@ def speed(costs: Mapping[str, tuple[float | None, float | None]]) -> Iterator[tu
         seconds(time) + (f", off by {error:.0e}" if error else "")
         for time, error in zip(times, errors, strict=True)
     ]
+    colors = [palette(list(costs))[name] for name in names]
+    yield png(_bars(names, times, labels, colors)), SPEED
+
+
+@own_style()
+def _bars(
+    names: Sequence[str], times: Sequence[float], labels: Sequence[str], colors: Sequence[str]
+) -> Figure:
+    """Draw a bar with a label for each run time, s."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(4.8, 0.9 + 0.45 * len(names)), layout="constrained")
     ax = figure.add_subplot()
-    bars = ax.barh(names, times, color=[palette(list(costs))[name] for name in names], height=0.6)
+    bars = ax.barh(names, times, color=colors, height=0.6)
     ax.bar_label(bars, labels, padding=4)
     # a logarithmic axis has no zero that bars could begin at
     ax.set(xscale="log", xlim=(min(times) / SHORTEST_BAR, max(times) * ROOM), xlabel="run time, s")
     ax.invert_yaxis()
     ax.spines[["top", "right"]].set_visible(False)
-    yield png(figure), SPEED
+    return figure
 
 
 def pictures(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
@@ -72,6 +91,7 @@ def pictures(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
     yield from _energy(runs)
 
 
+@own_style()
 def png(figure: Figure, dpi: int = 100) -> bytes:
     """A figure as a PNG."""
     content = io.BytesIO()
@@ -101,21 +121,34 @@ def _drawn(
     tolerances: Mapping[tuple[str, str], float | None] | None = None,
 ) -> Iterator[tuple[bytes, str]]:
     """A picture over time for each label, with tolerances by label and engine; none without lines."""
+    for label in dict.fromkeys(label for label, *_ in lines):
+        of_label = [line for line in lines if line[0] == label]
+        figure = _curves(label, of_label, colors, tolerances or {}, "log" if logarithmic else "linear")
+        yield png(figure), f"{label}: {caption}"
+
+
+@own_style()
+def _curves(
+    label: str,
+    lines: Sequence[Line],
+    colors: Mapping[str, str],
+    tolerances: Mapping[tuple[str, str], float | None],
+    scale: str,
+) -> Figure:
+    """Draw a quantity over time, a curve and a tolerance for each engine."""
     from matplotlib.figure import Figure
 
-    for label in dict.fromkeys(label for label, *_ in lines):
-        figure = Figure(figsize=(4.8, 3.2), layout="constrained")
-        ax = figure.add_subplot()
-        for _, engine, time, values in (line for line in lines if line[0] == label):
-            curve(ax, engine, colors[engine], time, values)
-            if bound := (tolerances or {}).get((label, engine)):
-                ax.axhline(bound, color=colors[engine], linewidth=0.8)
-        if logarithmic:
-            ax.set_yscale("log")
-        ax.set(xlabel="time, s", ylabel=label)
-        ax.grid(alpha=0.3)
-        ax.legend(loc="best", fontsize="small")
-        yield png(figure), f"{label}: {caption}"
+    figure = Figure(figsize=(4.8, 3.2), layout="constrained")
+    ax = figure.add_subplot()
+    for _, engine, time, values in lines:
+        curve(ax, engine, colors[engine], time, values)
+        if bound := tolerances.get((label, engine)):
+            ax.axhline(bound, color=colors[engine], linewidth=0.8)
+    ax.set_yscale(scale)
+    ax.set(xlabel="time, s", ylabel=label)
+    ax.grid(alpha=0.3)
+    ax.legend(loc="best", fontsize="small")
+    return figure
 
 
 def _differences(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:

@@ -20,8 +20,8 @@ from rich.padding import Padding
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from crosscheck.checksum import sealed
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table
-from crosscheck.results import sealed
 
 NARROWEST = 40
 """Characters of lines, however narrow a terminal is said to be."""
@@ -47,8 +47,32 @@ STYLES = {"": "", "holds": "green", "improved": "bold green", "doubtful": "yello
 MARKED = re.compile(r"[\\`*\[\]<|]|(?<!\w)_|_(?!\w)")
 """Characters that Markdown would take for its own; underscores within a word it does not."""
 
-ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""Characters that XML cannot hold in any form."""
+
+MAX_VALUE, VALUE_END = 120, 30
+"""Characters of a value in an error line without blanks, and of its end that is shown if it is longer."""
+
+MAX_LINE = 1200
+"""Characters of an error line."""
+
+
+def printable(text: str) -> str:
+    """Escape all characters but line breaks that are not shown as themselves.
+
+    A name in a file may hold escape sequences of terminals, or characters that turn others round.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in "\n\u00a0" else repr(c)[1:-1] for c in text)
+
+
+def shortened_values(line: str) -> str:
+    """Cut long values in the middle, as names of thousands of letters, and then what is too long a line."""
+    words = [
+        word if len(word) <= MAX_VALUE + VALUE_END else f"{word[:MAX_VALUE]}...{word[-VALUE_END:]}"
+        for word in printable(line).split(" ")
+    ]
+    whole = " ".join(words)
+    return whole if len(whole) <= MAX_LINE else f"{whole[: MAX_LINE // 2]} ... {whole[-MAX_LINE // 2 :]}"
 
 
 def terminal(parts: Iterable[Part]) -> str:
@@ -86,7 +110,7 @@ def wrapped(line: str, stream: TextIO | None = None) -> str:
         stream: what it is written to; standard output if None. One that is no terminal, as a file that is
             searched later, gets the sentence as it is, unless COLUMNS is set.
     """
-    console = Console(file=stream)
+    line, console = printable(line), Console(file=stream)
     if not _has_width(console):
         return line
     indent = " " * (len(line) - len(line.lstrip()) + 2)
@@ -168,7 +192,7 @@ def _rich_table(table: Table, width: int) -> RichTable:
     room = width - sum(least) - GUTTER * (len(least) - 1)
     for number, column in enumerate(table.columns):
         drawn.add_column(
-            Text(_heading(table, number)),
+            Text(printable(_heading(table, number))),
             justify="right" if column.numeric else "left",
             no_wrap=column.numeric or column.brief,
             overflow="ellipsis" if column.brief else "fold",
@@ -177,10 +201,10 @@ def _rich_table(table: Table, width: int) -> RichTable:
     for row in table.rows:
         if isinstance(row, str):
             drawn.add_section()
-            drawn.add_row(Text(row, style="bold"))
+            drawn.add_row(Text(printable(row), style="bold"))
         else:
             cells = [cell if isinstance(cell, Cell) else Cell(cell) for cell in row]
-            shown = [Text(cell.text, style=STYLES[cell.verdict]) for cell in cells]
+            shown = [Text(printable(cell.text), style=STYLES[cell.verdict]) for cell in cells]
             for number, (column, text) in enumerate(zip(table.columns, shown, strict=False)):
                 if column.brief:
                     taken = least[number] - (0 if number else INDENT)
@@ -238,7 +262,7 @@ def _markdown_row(cells: Iterable[str | Cell], links: Mapping[str, str]) -> str:
 
 def _escaped(text: str) -> str:
     """Text that Markdown shows as it is."""
-    return MARKED.sub(r"\\\g<0>", text).replace("\n", ", ")
+    return MARKED.sub(r"\\\g<0>", printable(text)).replace("\n", ", ")
 
 
 def as_json(content: Mapping[str, Any], report: Report, files: Mapping[Path, bytes] | None = None) -> bytes:
@@ -266,7 +290,9 @@ def junit(report: Report) -> str:
 
     A row that fails has its cells as the failure's message, a row that improved has them as its output.
     """
-    root = ElementTree.Element("testsuites", name=_legal(report.title), time=f"{report.wall_time or 0.0:.3f}")
+    root = ElementTree.Element(
+        "testsuites", name=printable(report.title), time=f"{report.wall_time or 0.0:.3f}"
+    )
     for part in report.parts:
         if isinstance(part, Lines):
             continue
@@ -277,7 +303,7 @@ def junit(report: Report) -> str:
         suite = ElementTree.SubElement(
             root,
             "testsuite",
-            name=_legal(part.title),
+            name=printable(part.title),
             tests=str(len(rows)),
             failures=str(failed),
             errors="0",
@@ -286,15 +312,15 @@ def junit(report: Report) -> str:
         for heading, row in rows:
             owner = f"{part.title}.{heading}" if heading else part.title
             case = ElementTree.SubElement(
-                suite, "testcase", classname=_legal(owner), name=_legal(row[0].text), time="0"
+                suite, "testcase", classname=printable(owner), name=printable(row[0].text), time="0"
             )
-            message = _legal(f"{heading}: {row[0].text}: {_worded(part, row)}".removeprefix(": "))
+            message = printable(f"{heading}: {row[0].text}: {_worded(part, row)}".removeprefix(": "))
             verdicts = {cell.verdict for cell in row}
             if "improved" in verdicts:
                 ElementTree.SubElement(case, "system-out").text = message
             if "fails" in verdicts:
                 failure = ElementTree.SubElement(case, "failure", message=message)
-                failure.text = _legal(report.verdict)
+                failure.text = printable(report.verdict)
     ElementTree.indent(root, " ")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
@@ -303,7 +329,3 @@ def _worded(table: Table, row: Sequence[Cell]) -> str:
     """The cells of a row but the first, each with its heading."""
     named = zip(table.columns[1:], row[1:], strict=False)
     return ", ".join(f"{column.heading} {cell.text}".strip() for column, cell in named if cell.text)
-
-
-def _legal(text: str) -> str:
-    return ILLEGAL.sub("?", text)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from crosscheck.files import check_writable, write_files
-from crosscheck.report.plots import png
+from crosscheck.report.plots import own_style, png
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
 from crosscheck.solar.day import Day
 from crosscheck.solar.energy import FACING, FIXED, ONE_AXIS, THIS
@@ -191,6 +191,7 @@ def write_survey(report: Report, folder: Path) -> list[Path]:
     return [path]
 
 
+@own_style()
 def picture(day: Day) -> Figure:
     """Draw the sun and the panel, the set-points, and the light over the day."""
     from matplotlib.figure import Figure

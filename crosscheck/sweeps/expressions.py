@@ -215,11 +215,14 @@ class Expression:
             CrosscheckError: saying what is wrong with it.
         """
         self.text, self.signed, self.elements = text.strip(), False, dict[str, set[str]]()
+        self._timed = False
         self._labels, self._works = labels(scene), bool(scene.control or scene.forces or scene.motions)
         try:
             if len(text) > LONGEST:
                 raise ValueError(f"the expression is longer than {LONGEST} characters")
             self.evaluate = self._look_up(self.text) or self._node(ast.parse(self.text, mode="eval").body)
+            if not (self.elements or self._timed):
+                raise ValueError("it names no output of a run, so that it is the same in all")
             with np.errstate(all="ignore"):
                 zeros = Outputs(scene, np.array([0.0, 1.0]), self._zeros, partial(_resting, scene.mechanism))
                 self.example = self.evaluate(zeros)
@@ -280,6 +283,7 @@ class Expression:
 
     def _output(self, text: str) -> Node:
         if text == "time":
+            self._timed = True
             return lambda outputs: Value(outputs.times[None, :, None, None], unit="s")
         found = self._quantity(text, signed=True)
         if found is None:

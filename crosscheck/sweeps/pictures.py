@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from crosscheck.palette import ENGINE_COLORS
-from crosscheck.report.plots import png
+from crosscheck.report.plots import own_style, png
 from crosscheck.sweeps.analysis import Effect, Scalar, with_unit
 from newton_euler.scalars import Array
 
@@ -63,6 +63,7 @@ def pictures(
     }
 
 
+@own_style()
 def _rows(rows: int, columns: int, draw: Callable[[Array], None], height: float) -> bytes:
     from matplotlib.figure import Figure
 

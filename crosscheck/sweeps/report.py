@@ -261,8 +261,13 @@ def _quantiles(found: Findings, rows: Sequence[Scalar], title: str) -> Table:
         for each in of_variable:
             name = each.heading if len(of_variable) == 1 else f"  {' '.join(each.names)}"
             values = [found.nominal[each.label], *each.quantiles[wanted]]
-            content.append([name, *(f"{value:.{_digits(each)}g}" for value in values)])
+            content.append([name, *(_number(value, _digits(each)) for value in values)])
     return Table(title, columns, content)
+
+
+def _number(value: float, digits: int) -> str:
+    """Word a number of a run; a dash where there is none, as of an event that does not happen."""
+    return f"{value:.{digits}g}" if np.isfinite(value) else "-"
 
 
 def _digits(scalar: Scalar) -> int:

@@ -52,7 +52,7 @@ def viewer(tmp_path, monkeypatch):
 def test_view_opens_recordings_side_by_side(capsys, viewer):
     """In one viewer that listens to this machine only."""
     assert run(capsys, "view", "one.rrd", "two.rrd") == (0, "", "")
-    assert viewer.read_text() == "-m rerun --bind 127.0.0.1 one.rrd two.rrd\n"
+    assert viewer.read_text() == "-P -m rerun --bind 127.0.0.1 one.rrd two.rrd\n"
 
 
 def test_view_in_a_browser_says_where_and_takes_ports_that_are_free(capsys, viewer):
@@ -66,10 +66,10 @@ def test_view_in_a_browser_says_where_and_takes_ports_that_are_free(capsys, view
     address, ports = said.groups()
     arguments = viewer.read_text().split()
     assert (status, err) == (0, "")
-    assert arguments[:5] == ["-m", "rerun", "--bind", "127.0.0.1", "--serve-web"]
-    assert arguments[5::2] == ["--web-viewer-port", "--port", "one.rrd"]
-    assert address == arguments[6] != "9090"
-    assert ports == f"rerun%2Bhttp%3A%2F%2Flocalhost%3A{arguments[8]}%2Fproxy"
+    assert arguments[:6] == ["-P", "-m", "rerun", "--bind", "127.0.0.1", "--serve-web"]
+    assert arguments[6::2] == ["--web-viewer-port", "--port", "one.rrd"]
+    assert address == arguments[7] != "9090"
+    assert ports == f"rerun%2Bhttp%3A%2F%2Flocalhost%3A{arguments[9]}%2Fproxy"
 
 
 def test_figures_draws_five_pictures(tmp_path, capsys):

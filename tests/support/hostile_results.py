@@ -19,8 +19,9 @@ import numpy as np
 from command_line import short_example
 from hostile_files import MJCF, SEED, TEXTS, URDF, sparse
 
+from crosscheck.checksum import sealed
 from crosscheck.report.page import RESULTS
-from crosscheck.results import digest, sealed
+from crosscheck.results import digest
 from newton_euler.model.trajectory import NEEDED, SHAPES, load_arrays
 
 Prepare = Callable[[Path], None]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.palette import ENGINE_COLORS
-from crosscheck.report.plots import png
+from crosscheck.report.plots import own_style, png
 from crosscheck.report.table import Cell, Lines, Part, Rows, Table, figures, texts
 from crosscheck.studies.benchmark.ladders import ENGINES, JUDGED
 from crosscheck.studies.benchmark.reference import Reference
@@ -180,6 +180,7 @@ def data(result: Benchmark) -> dict[str, Any]:
     }
 
 
+@own_style()
 def picture(result: Benchmark) -> bytes:
     """Draw run time (s) over error (m and rad), a line through the settings that none beats, as a PNG."""
     from matplotlib.figure import Figure

@@ -6,9 +6,12 @@ import json
 from pathlib import Path
 from xml.etree import ElementTree
 
+import matplotlib
 import pytest
 
-from crosscheck.report.render import as_json, junit, markdown, terminal
+from crosscheck.report.page import Entry, rendered
+from crosscheck.report.plots import speed
+from crosscheck.report.render import as_json, junit, markdown, shortened_values, terminal
 from crosscheck.report.table import Cell, Column, Lines, Report, Table, entries, figures, judged, texts
 
 ODD = "a|b <c> & \x00 `d`_"
@@ -112,10 +115,10 @@ def test_junit_has_a_case_per_judged_row():
 def test_any_text_is_shown_as_it_is():
     odd = Report(ODD, ODD, Cell(ODD), [Table(ODD, texts(ODD, ODD), [ODD, [ODD, Cell(ODD, "fails")]])])
     root = ElementTree.fromstring(junit(odd))
-    assert root[0][0].get("name") == ODD.replace("\x00", "?")
+    assert root[0][0].get("name") == ODD.replace("\x00", "\\x00")
     (line,) = [line for line in markdown(odd).splitlines() if line.startswith("| a") and "**" in line]
     assert line.replace("\\|", "").count("|") == 3
-    assert ODD.replace("\x00", "") in terminal(odd.parts).replace("\x00", "")
+    assert ODD.replace("\x00", "\\x00") in terminal(odd.parts)
 
 
 def test_units_follow_the_last_comma():
@@ -135,3 +138,42 @@ def test_long_texts_are_cut_where_they_may_be():
 def test_entries_of_any_value():
     table = entries("settings", {"a": [1, 2.5, None, "<"], "b": {"c": True, "d": 1.23456789}})
     assert table.rows == [["a", "1, 2.5, , <"], ["b", "c: True\nd: 1.23457"]]
+
+
+ESCAPE = "a\x1b[31mb\u202ec\x07"
+"""A name that would color what follows, turn it round, and ring."""
+
+
+def terminal_of(report):
+    return terminal([Table(report.title, [Column("")], []), *report.parts])
+
+
+def page_of(report):
+    return rendered("page.html", title=report.title, index=[], entries=[Entry(report)], most=30)
+
+
+@pytest.mark.parametrize("written", [terminal_of, markdown, junit, page_of], ids=lambda f: f.__name__)
+def test_names_cannot_steer_a_terminal(written):
+    table = Table(ESCAPE, [Column(ESCAPE), Column("x", numeric=True)], [ESCAPE, [ESCAPE, Cell("1", "fails")]])
+    text = written(Report(ESCAPE, ESCAPE, Cell("DISAGREE", "fails"), [table, Lines(ESCAPE, [ESCAPE])]))
+    assert not any(letter in text for letter in "\x1b\u202e\x07")
+    shown = text.replace("\\\\", "\\").replace("\\[", "[").replace("&#39;", "'")
+    assert "a\\x1b[31mb\\u202ec\\x07" in shown
+
+
+def test_long_values_of_an_error_are_cut():
+    line = shortened_values(f"--keep '{'x' * 5000}': no; {' '.join(['choice'] * 500)}; give another")
+    assert len(line) < 1250
+    assert line.startswith("--keep 'xxx")
+    assert line.endswith("give another")
+    assert shortened_values(f"{'y' * 300}") == f"{'y' * 120}...{'y' * 30}"
+    assert shortened_values("short: a b") == "short: a b"
+
+
+def test_a_style_of_the_user_does_not_reach_pictures():
+    costs = {"newton_euler": (0.1, 1e-9), "mujoco": (0.2, None)}
+    (plain,) = speed(costs)
+    changes = {"text.usetex": True, "font.size": 30, "axes.facecolor": "red", "savefig.dpi": 500}
+    with matplotlib.rc_context(changes):
+        (styled,) = speed(costs)
+    assert styled[0] == plain[0]

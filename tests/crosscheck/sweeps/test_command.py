@@ -237,6 +237,13 @@ def test_numbers_that_no_run_has_are_named():
     short = replace(load("pendulum"), duration=0.1)
     swept = sweep(short, {"dumbbell.mass": "uniform(1, 2)"}, 3, "up=when:dumbbell.position.y > 0.1")
     assert "up: a number in no run" in str(swept).splitlines()
+    assert "nan" not in str(swept)
+
+
+@pytest.mark.parametrize("keep", ["w=when:0/0 > 1", "w=final:0/0", "w=final:1", "w=peak:[1, 2, 3]"])
+def test_expressions_without_an_output_are_refused(keep):
+    with pytest.raises(CrosscheckError, match="it names no output of a run"):
+        sweep("pendulum", {"dumbbell.mass": "uniform(1, 2)"}, 3, keep)
 
 
 def test_base_samples_that_shares_are_of_are_counted():

@@ -146,7 +146,7 @@ def test_little_memory_is_told(tmp_path: Path) -> None:
     limits = lambda: resource.setrlimit(resource.RLIMIT_AS, (500_000_000, 500_000_000))  # noqa: E731
     done = command(tmp_path, "run", "pendulum", preexec_fn=limits)
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "crosscheck: error: the limit of memory is 500 MB (ulimit -v); needed: 2000 MB\n"
+    assert done.stderr.startswith("crosscheck: error: the limit of memory is 500 MB (ulimit -v); needed: ")
     assert not list(tmp_path.iterdir())
 
 
