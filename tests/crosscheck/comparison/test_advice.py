@@ -19,6 +19,7 @@ from crosscheck.advice import WANTED, Advice, distance, fitting, redundancy_advi
 from crosscheck.comparison.figure import Figure
 from crosscheck.comparison.runs import rests
 from crosscheck.engines import ENGINES, choose
+from crosscheck.outcome import Outcome
 from crosscheck.report.render import terminal
 from crosscheck.report.table import Lines
 from crosscheck.run import crosscheck
@@ -226,7 +227,7 @@ def test_a_run_in_which_nothing_moves_is_called_so_and_teaches_nothing() -> None
     resting = replace(loop, gravity=np.zeros(3), initial_state=None)
     result = crosscheck(resting, engines, lambda _: None, "a_scene", {}, advised=True)
     assert result.rests
-    assert result.agrees
+    assert result.outcome.passes()
     assert result.verdict.endswith("figures; nothing moves; motion covers 0 of 10 elements")
     assert [advice.topic for advice in result.advice] == ["redundancy"]  # of the equations, not the run
     (line,) = (line for line in notes(result) if line.startswith("nothing moves"))
@@ -281,8 +282,9 @@ def test_an_engine_that_others_deserted_agrees_with_nobody() -> None:
     assert "; its own figures hold" in result.verdict
     assert "; mujoco left out: not in this world; pinocchio left out: not in this world; " in result.verdict
     asked = crosscheck(scene, [ENGINES["newton_euler"]], lambda _: None, "a_scene", {})
-    assert asked.agrees
-    assert asked.verdict.startswith("ran newton_euler alone")
+    assert asked.outcome is Outcome.ONE_ENGINE_ALONE
+    assert asked.outcome.passes()
+    assert not asked.agrees
 
 
 def test_advice_is_in_reports(loop: Scene) -> None:

@@ -104,7 +104,10 @@ def test_tracker_is_held_to_what_it_can_meet(tracker, tracker_run):
     assert_agrees(rows)
     for row in rows:
         if row.level in OF_EQUATIONS and not row.informs:
-            assert row.value < 1e-13, row  # round-off at condition 1e4, relative to the mechanism's motion
+            # round-off at condition 1e4, relative to the mechanism's motion. In differences over 1e-3 rad
+            # the round-off of velocities, 1e-16, counts 1e3 times
+            bound = 1e-12 if row.quantity == "joint acceleration, rel" else 1e-13
+            assert row.value < bound, row
     # errors of order 2 in a step of 1 ms: 7.3e-9 m, and a bound three times that
     assert 1e-8 < figure(rows, "trajectories", "positions, m", "newton_euler", "mujoco").tolerance < 5e-8
     # a spline through points 10 ms apart misses 1e-6 where the dampers act within 9 ms
