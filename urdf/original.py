@@ -19,8 +19,8 @@ from newton_euler.scalars import Array, cross, tilde
 from newton_euler.verification.import_report import ImportReport, left_out, unique_name
 from newton_euler.verification.original import SEVERAL_HINGES, Original, Sample, wholes
 from newton_euler.verification.quantities import Constraints, Forces, Kinematics
+from urdf.extensions import Extensions
 from urdf.loops import NO_LOOPS, REVOLUTE, UNIVERSAL, Loops, closure_names, parse_loops
-from urdf.reading.extensions import Extensions
 
 HINGES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 

@@ -45,11 +45,12 @@ from newton_euler.verification.import_report import (
 from newton_euler.verification.original import Original
 from newton_euler.verification.verify import check
 from urdf.errors import UrdfError
+from urdf.extensions import Extensions, PointSpringElement
 from urdf.loops import NO_LOOPS, REVOLUTE, Loops
 from urdf.model import BASES, BaseName, ClosedLoopModel, build
 from urdf.original import ModelOriginal, UrdfOriginal
 from urdf.reading.bodies import Tree
-from urdf.reading.extensions import Extensions, PointSpringElement, read_extensions
+from urdf.reading.extensions import read_extensions
 from urdf.reading.forces import armatures, joint_springs, point_springs
 from urdf.reading.given import Given, PinocchioModel
 from urdf.reading.parser_messages import overheard, report_complaints

@@ -18,7 +18,6 @@ import math
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
@@ -29,6 +28,7 @@ from newton_euler.errors import choices
 from newton_euler.model.source_file import LARGEST, scan
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import ImportReport, unique_name
+from urdf.extensions import Extensions, PointSpringElement
 from urdf.loops import REVOLUTE, Loops
 from urdf.reading.source import SourceError
 from urdf.reading.vocabulary import CLOSING, DRAKE, report_unmoving, tag_of, unknown
@@ -51,44 +51,6 @@ class End(NamedTuple):
 
     link: str
     placement: Any
-
-
-class PointSpringElement(NamedTuple):
-    """A spring and damper between two points: names of frames, N/m, m and N s/m."""
-
-    name: str
-    frames: tuple[str, str]
-    stiffness: float
-    rest_length: float
-    damping: float
-
-
-@dataclass
-class Extensions:
-    """Elements of a URDF that act beyond its links and joints.
-
-    Attributes:
-        text: the URDF with a frame for each end of a loop and of a spring.
-        closed_loop, kinds: pairs of those frames, and what closes them: kinds of `urdf.loops`.
-        springs: stiffness, N m/rad or N/m, and rest, rad or m, by the name of a joint.
-        dampings: N m s/rad or N s/m beside those of `<dynamics>`, by the name of a joint.
-        armatures: kg m^2 or kg, by the name of a joint.
-        point_springs: between points of two links.
-    """
-
-    text: str
-    closed_loop: list[tuple[str, str]] = field(default_factory=list)
-    kinds: list[str] = field(default_factory=list)
-    springs: dict[str, tuple[float, float]] = field(default_factory=dict)
-    dampings: dict[str, float] = field(default_factory=dict)
-    armatures: dict[str, float] = field(default_factory=dict)
-    point_springs: list[PointSpringElement] = field(default_factory=list)
-
-    def added_to(self, loops: Loops) -> Loops:
-        """A loop file's loops, and those of the URDF after them."""
-        return replace(
-            loops, closed_loop=(*loops.closed_loop, *self.closed_loop), type=(*loops.type, *self.kinds)
-        )
 
 
 def read_extensions(

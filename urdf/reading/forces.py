@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 
 from newton_euler.model.forces import Armature, JointSpring, PointSpring
 from newton_euler.verification.import_report import FORCE, ImportReport
+from urdf.extensions import PointSpringElement
 from urdf.original import ARMATURE, STIFFNESS
 from urdf.reading.bodies import Tree
-from urdf.reading.extensions import PointSpringElement
 from urdf.reading.source import JointProperties
 from urdf.reading.start import Start
 
