@@ -46,15 +46,15 @@ def watched(scene: Scene, mapping: ImportReport, run: Trajectory) -> ImportRepor
 
 
 def watched_in_own_run(scene: Scene, mapping: ImportReport) -> ImportReport:
-    """Return an import report with what newton_euler's run of the scene shows; unchanged without a run."""
+    """Return an import report with what newton_euler's run of the scene shows of it."""
     try:
         run = simulate(scene, **native_method(scene, refined=False))
     except StoppedError as error:
         if error.partial is None:
-            return mapping
+            return mapping.unwatched()
         run = error.partial
     except NewtonEulerError:
-        return mapping
+        return mapping.unwatched()
     return watched(scene, mapping, run)
 
 

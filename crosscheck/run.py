@@ -338,8 +338,9 @@ def crosscheck(
     beside: list[Stop] = []
     if mapping and runs:
         what = "watching what was left out"
+        unseen, mapping = mapping, mapping.unwatched()  # which counts if watching stops
         with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
-            mapping = watched(scene, mapping, next(iter(runs.values())))
+            mapping = watched(scene, unseen, next(iter(runs.values())))
     until = mapping.acting[0].since if mapping and mapping.acting else None
     for what, stage in stages(scene, able, runs, _random_states(scene), until).items():
         with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):

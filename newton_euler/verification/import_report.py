@@ -193,6 +193,17 @@ class ImportReport:
         found.unsettled = frozenset(unsettled)
         return found
 
+    def unwatched(self) -> ImportReport:
+        """Return the report if no run shows anything: whatever can act counts as acting from the start on."""
+        found = copy(self)
+        found.entries = [
+            replace(entry, since=0.0, seen="not watched in a run")
+            if entry.is_unsimulated and entry.examined
+            else entry
+            for entry in self.entries
+        ]
+        return found
+
     @property
     def acting(self) -> list[ImportedElement]:
         """Elements that act in the run and are not simulated as the file has them, the first to act first."""

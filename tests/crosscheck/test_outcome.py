@@ -13,6 +13,7 @@ import crosscheck
 import mjcf
 from crosscheck.comparison.figure import READING
 from crosscheck.engines import ENGINES
+from crosscheck.errors import CrosscheckError
 from crosscheck.load import load_scene
 from crosscheck.outcome import ExitStatus, Outcome
 from crosscheck.report.run import limiting
@@ -90,6 +91,19 @@ def test_a_cube_that_does_not_arrive_agrees(tmp_path):
     assert (verdict.crosscheck.acting, verdict.crosscheck.until) == ([], None)
     assert verdict.outcome is not Outcome.AGREE_ON_A_REDUCED_MODEL
     assert verdict.outcome.passes()
+
+
+def test_elements_that_could_not_be_watched_count_as_acting(tmp_path, monkeypatch):
+    """As if the time limit interrupted it."""
+
+    def stops(*_):
+        raise CrosscheckError("not finished")
+
+    monkeypatch.setattr("crosscheck.run.watched", stops)
+    verdict = crosscheck.check(file(tmp_path, DROP.format(height=9.0)), FAST)
+    assert verdict.outcome is Outcome.AGREE_ON_A_REDUCED_MODEL
+    assert verdict.crosscheck.until == 0.0
+    assert any("not finished" in note for note in verdict.crosscheck.notes)
 
 
 def test_python_states_the_outcome(tmp_path):
