@@ -21,6 +21,7 @@ import pytest
 import xarray
 import zarr
 from command_line import run
+from hostile_stores import damaged
 from small_sweep import ARGUMENTS, assert_equal
 
 import crosscheck.sweeps.results
@@ -445,6 +446,35 @@ def test_a_folder_of_other_files_is_one_line(copied, file, harm):
     assert file.partition("/")[0] in str(caught.value)
     assert "name another folder" in str(caught.value)
     assert len(str(caught.value)) < 700
+
+
+def check_damaged(finished, reference, folder, seed):
+    """A damaged store gives the numbers that it had, or is refused in one line."""
+    shutil.copytree(finished, folder)
+    done = damaged(folder / NAME, Random(seed))
+    refusal = ""
+    try:
+        found = sweep(*ARGUMENTS, output=folder)
+    except CrosscheckError as error:
+        refusal = str(error)
+    if refusal:
+        assert len(refusal) < 900, done
+        assert refusal.isprintable(), done
+        return
+    assert_equal(found, reference)
+    for name, values in reference.dataset.items():
+        assert found.dataset[name].attrs == values.attrs, done
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_store_is_mended_or_refused(finished, reference, tmp_path, seed):
+    check_damaged(finished, reference, tmp_path / "copy", seed)
+
+
+@pytest.mark.slow  # minutes: a sweep for each
+@pytest.mark.parametrize("seed", range(8, 300))
+def test_more_stores_are_mended_or_refused(finished, reference, tmp_path, seed):
+    check_damaged(finished, reference, tmp_path / "copy", seed)
 
 
 def test_another_variable_is_refused(copied):

@@ -142,6 +142,15 @@ def test_a_recording_is_made_whatever_logging_is_set_to(monkeypatch: pytest.Monk
     assert os.environ["RERUN"] == switch
 
 
+def test_few_open_files_are_told(tmp_path: Path) -> None:
+    """Native code of Rerun would end the process."""
+    limits = lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40))  # noqa: E731
+    done = command(tmp_path, "run", "pendulum", preexec_fn=limits)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("crosscheck: error: the limit of open files is 40 (ulimit -n); needed: ")
+    assert not list(tmp_path.iterdir())
+
+
 def test_little_memory_is_told(tmp_path: Path) -> None:
     limits = lambda: resource.setrlimit(resource.RLIMIT_AS, (500_000_000, 500_000_000))  # noqa: E731
     done = command(tmp_path, "run", "pendulum", preexec_fn=limits)
