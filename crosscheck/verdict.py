@@ -158,5 +158,5 @@ def check(
 
 def _text(value: str | float | Sequence[float] | Floats) -> str:
     """Return an option as a command takes it, numbers with all their digits."""
-    several = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
+    several = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str | bytes)
     return ",".join(map(str, np.asarray(value).tolist())) if several else str(value)

@@ -175,7 +175,8 @@ class Digital(HeldLaw):
         set_numbers(self, where, ["resolution"], least=0.0)
         for name in ("force_limit", "slew_limit"):
             value = getattr(self, name)
-            if value != np.inf and not (is_finite_number(value) and value > 0.0):
+            is_infinite = isinstance(value, float) and value == np.inf
+            if not is_infinite and not (is_finite_number(value) and value > 0.0):
                 raise MechanismError(where, f"{name} is {quoted(value)}", "a positive number, or infinity")
         try:
             low, high = map(float, self.stroke)

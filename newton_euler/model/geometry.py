@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, is_finite_number, quoted, set_arrays
+from newton_euler.errors import MechanismError, finite_array, is_finite_number, quoted, real_array, set_arrays
 from newton_euler.model.description import ArrayField, IndexField, description
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.scalars import Floats
@@ -251,19 +251,32 @@ class Mesh(Homogeneous):
     color: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        vertices, triangles = np.array(self.vertices, dtype=float), np.array(self.triangles, dtype=np.int32)
+        vertices, triangles = self._array("vertices"), self._array("triangles")
         if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.all(np.isfinite(vertices)):
             raise MechanismError("mesh", f"vertices of shape {vertices.shape}", "(n, 3) finite numbers")
         if triangles.ndim != 2 or triangles.shape[1] != 3:
             raise MechanismError("mesh", f"triangles of shape {triangles.shape}", "(m, 3) rows of vertices")
+        if np.any(triangles != np.floor(triangles)):
+            raise MechanismError("mesh", "triangles has fractions", "whole numbers, rows of vertices")
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(vertices):
             found = f"triangles name vertices {triangles.min()} to {triangles.max()}"
             raise MechanismError("mesh", found, f"0 to {len(vertices) - 1}")
-        if self.color is not None and not all(0.0 <= part <= 1.0 for part in self.color):
-            raise MechanismError("mesh", f"color is {self.color}", "four numbers from 0 to 1")
-        for name, value in (("vertices", vertices), ("triangles", triangles)):
+        if self.color is not None:
+            color = finite_array("mesh", "color", self.color, (4,))
+            if np.any((color < 0.0) | (color > 1.0)):
+                raise MechanismError("mesh", f"color is {self.color}", "four numbers from 0 to 1")
+            object.__setattr__(self, "color", tuple(color.tolist()))
+        for name, value in (("vertices", vertices), ("triangles", triangles.astype(np.int32))):
             value.flags.writeable = False
             object.__setattr__(self, name, value)
+
+    def _array(self, name: str) -> Floats:
+        """Return an attribute as an array of numbers; raises `MechanismError`."""
+        value = getattr(self, name)
+        try:
+            return real_array(value)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise MechanismError("mesh", f"{name} is {quoted(value)}", "rows of three numbers") from error
 
     def _of_density(self, density: float) -> Inertia:
         """Compute the mass properties of the solid that the triangles enclose.

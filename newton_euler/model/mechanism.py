@@ -101,6 +101,8 @@ class Body(Variable):
         where = f"body {self.name!r}"
         set_arrays(self, where, mass=(), center_of_mass=(3,), inertia=(3, 3), quaternion=(4,))
         check_flag(where, self, "allow_unrealisable_inertia")
+        for field, kinds in (("shapes", get_args(Shape)), ("meshes", (Mesh,))):
+            object.__setattr__(self, field, elements_of(where, field, getattr(self, field), *kinds))
 
     @classmethod
     def ground(
