@@ -390,8 +390,16 @@ class InverseDynamics:
             for array in (found.linear_acceleration, found.angular_acceleration)
         )
         left = np.atleast_2d(mass * linear + inertia * angular / size)
+        # what round-off is measured against, N: torques act at arms of the mechanism's size
         weight = float(np.sum(mass) * np.linalg.norm(self.scene.gravity))
-        forces = np.abs(found.loads.reaction_force).max(initial=weight)
+        loads = found.loads
+        arms = np.array([1.0 if mechanism.is_slide(*key) else size for key in self.servos.actuators])
+        forces = max(
+            weight,
+            float(np.abs(loads.reaction_force).max(initial=0.0)),
+            float(np.abs(loads.reaction_torque).max(initial=0.0)) / size,
+            float(np.abs(loads.actuator_force / arms).max(initial=0.0)),
+        )
         if np.any(left > AT_REST * forces):
             row, body = np.unravel_index(np.argmax(left), left.shape)
             problem = f"is left with a force of {left[row, body]:.3g} N at state {row}"

@@ -426,3 +426,14 @@ def test_states_that_cannot_be(tracker):
         NewtonEulerError, match=r"singular at joint 'guide': at state 0 the coordinate depends"
     ):
         inverse_dynamics(crank, initial_state(dead), {"guide": 1.0})
+
+
+@pytest.mark.parametrize("angle", [-2.9, 0.5, 1.7])
+def test_actuator_holds_balanced_wheel_against_its_spring(angle: float) -> None:
+    """Torques alone act: no reaction force and no weight, which round-off could be measured against."""
+    wheel = Body("wheel", 2.0, [0.0, 0.0, 0.0], np.diag([0.03, 0.02, 0.05]))
+    hinge = Revolute("axle", "ground", "wheel", [0.0, 0.0, 0.0], axis=Z)
+    mechanism = Mechanism([Body.ground(), wheel], [hinge])
+    scene = Scene("wheel", mechanism, 1.0, 0.5, forces=[JointSpring("axle", stiffness=0.7)])
+    held = statics(start(scene, axle=(angle, 0.0)), actuators=["axle"])
+    assert held.actuator_force == pytest.approx([0.7 * angle], rel=1e-12)  # some roundings
