@@ -65,7 +65,7 @@ def test_the_second_time_comes_from_the_cache(cache):
     assert len(list(cache.iterdir())) == 1
 
 
-@pytest.mark.parametrize("harm", [b"", b"short", os.urandom(5000)])
+@pytest.mark.parametrize("harm", [b"", b"short", os.urandom(5000)], ids=["empty", "short", "random"])
 def test_a_corrupt_cache_is_compiled_over(cache, harm):
     compiled(SOURCE)
     (path,) = cache.iterdir()
