@@ -7,6 +7,8 @@ import signal
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import one_thread  # noqa: F401  # before NumPy
@@ -19,6 +21,7 @@ import mjcf.reading.source
 import newton_euler
 from crosscheck.cli import shared
 from crosscheck.scenes import load
+from newton_euler.errors import MissingPackageError
 from newton_euler.exercise import random_states
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
@@ -34,6 +37,41 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # lines of output would wrap there; GNU readline, which pytest loads, sets it without Python's knowledge
 os.environ.pop("COLUMNS", None)
 os.unsetenv("COLUMNS")
+
+
+EXTRAS = {
+    "sweeps": ("sweep", ("distributed", "SALib", "xarray", "zarr")),
+    "solar": ("sun", ("pandas", "pvlib")),
+}
+"""Folders of tests that need an extra: its name, and the packages without which they are skipped."""
+
+
+class SkippedModule(pytest.Module):
+    """A module of tests whose extra is not installed."""
+
+    extra = ""
+
+    def collect(self) -> list[pytest.Item]:
+        pytest.skip(f"the extra {self.extra!r} is not installed", allow_module_level=True)
+
+
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.Module | None:
+    """Skip tests of an extra in a base environment."""
+    extra, packages = EXTRAS.get(module_path.parent.name, ("", ()))
+    if all(find_spec(package) for package in packages):
+        return None
+    module = SkippedModule.from_parent(parent, path=module_path)
+    module.extra = extra
+    return module
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Iterator[None]:
+    """Skip a test that meets an optional package that is not installed."""
+    try:
+        return (yield)
+    except MissingPackageError as error:
+        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="session", autouse=True)
