@@ -20,8 +20,10 @@ from newton_euler.equations.redundancy import inherit_mobility, mobility
 from newton_euler.equations.sparse import to_array
 from newton_euler.integrators.formulations import formulate
 from newton_euler.model.compound_joint import Compound
+from newton_euler.model.joint import perpendicular_pair
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import PrescribedMotion, Sum
+from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Spline
 from newton_euler.model.state import State
@@ -34,7 +36,7 @@ GEOMETRY = {
     "center_of_mass",
     *("point", "point_on_first", "point_on_second"),
     *("axis", "axis_on_first", "axis_on_second"),
-    *("pitch", "ratio", "terms", "function", *OF_FUNCTIONS, "quaternion", "offsets"),
+    *("pitch", "ratio", "terms", "function", *OF_FUNCTIONS, "quaternion", "offset", "offsets"),
 }
 
 
@@ -55,6 +57,15 @@ def remade(scene, element, attribute, value):
             elif part.name == element and attribute == "offsets":
                 beyond = part.point_on_second + (value - part.offsets).sum(axis=0)
                 each[k] = replace(part, offsets=value, point_on_second=beyond)
+            elif part.name == element and attribute == "offset":
+                each[k] = replace(
+                    part, offset=value, point_on_second=part.point_on_second + value - part.offset
+                )
+            elif isinstance(part, ParallelHinges) and part.name == element and attribute == "axis":
+                axis = np.array(value) / np.linalg.norm(value)
+                turn = triad(axis, part.axis) @ triad(part.axis, part.axis).T
+                offset = turn @ part.offset
+                each[k] = replace(part, axis=axis, offset=offset, point_on_second=part.point + offset)
             elif part.name == element and attribute == "quaternion":
                 each[k] = replace(part, quaternion=np.array(value) / np.linalg.norm(value))
             elif part.name == element and attribute == "terms":
@@ -80,6 +91,11 @@ def remade(scene, element, attribute, value):
         if f"{motion.prefix}.function" == element:
             motions[k] = replace(motion, function=with_sine(motion.function, **{attribute: value}))
     return replace(scene, mechanism=Mechanism(**parts), forces=tuple(forces), motions=tuple(motions))
+
+
+def triad(axis, described):
+    """Return the axis (3,) with the two vectors across it that a joint chooses, as columns (3, 3)."""
+    return np.column_stack([*perpendicular_pair(axis, described), axis])
 
 
 def with_sine(function, **fields):
