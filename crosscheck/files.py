@@ -35,6 +35,11 @@ def check_writable(*paths: Path) -> None:
                 pass
         except OSError as error:
             raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
+        except RecursionError as error:  # of pathlib, which makes a folder after that around it
+            problem = f"{len(path.parts)} folders inside of each other"
+            raise CrosscheckError(
+                f"cannot write {str(path)[:100]}...: {problem}; name a shorter path"
+            ) from error
         unfinished = re.compile(rf"\.+{re.escape(path.stem)}(-[0-9a-f]{{8}})+{re.escape(path.suffix)}")
         remove_abandoned(each for each in path.parent.iterdir() if unfinished.fullmatch(each.name))
 

@@ -124,10 +124,14 @@ def update(guarded: Sequence[Guarded], reason: str, progress: Progress) -> list[
     """Make baselines anew and write them, all of them or none.
 
     Raises:
-        CrosscheckError: for a reason that says nothing, a scene that cannot be run, and a file that cannot be
-            written or that holds no baseline.
+        CrosscheckError: for a reason that is empty or no text, a scene that cannot be run, and a file that
+            cannot be written or that holds no baseline.
     """
     reason = " ".join(reason.split())
+    try:
+        reason.encode()
+    except UnicodeEncodeError as error:
+        raise CrosscheckError(f"--update: the reason {reason!r:.100} is not text in UTF-8") from error
     if not reason:
         raise CrosscheckError("--update: the reason is empty; it is kept with the baseline")
     check_writable(*(each.path for each in guarded))

@@ -5,6 +5,7 @@ Directions are in the world frame of a scene whose x is east, y north and z up.
 
 from __future__ import annotations
 
+import datetime
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -75,13 +76,11 @@ def day_times(date: str, zone: str, period: float) -> pd.DatetimeIndex:
     pd = optional_package("pandas", SUN)
 
     try:
-        start = pd.Timestamp(date)
+        start = datetime.date.fromisoformat(date)
     except (ValueError, TypeError) as error:
-        raise CrosscheckError(f"date {date!r:.100} is none: YYYY-MM-DD") from error
-    if start is pd.NaT or start != start.normalize() or start.tz is not None:
-        raise CrosscheckError(f"date {date!r:.100} is no day: YYYY-MM-DD, its time zone apart")
+        raise CrosscheckError(f"date {date!r:.100} is not a day of the form YYYY-MM-DD") from error
     try:
-        begin = start.tz_localize(zone)
+        begin = pd.Timestamp(start).tz_localize(zone)
     except Exception as error:  # of zoneinfo, dateutil or pandas, by the kind of mistake
         raise CrosscheckError(
             f"time zone {zone!r:.100} is unknown: as Asia/Phnom_Penh or UTC+07:00"

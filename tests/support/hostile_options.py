@@ -76,6 +76,8 @@ def option_cases() -> Iterator[Refused]:
             "scene.json: scene: ",
         ),
         (("run", "new/summary.json", "--output", "new"), "new/summary.json: cannot be read"),
+        (("regress", "scene.json", "--update", "\udcff"), "--update: the reason '\\udcff' is not text"),
+        (("run", "scene.json", "--output", "x/" * 2000 + "y"), "folders inside of each other"),
     ):
         name = " ".join(f"{argument[:40]}{argument[40:][-5:]}" for argument in arguments)
         yield Refused(f"options {name}", arguments, message, nothing)
