@@ -13,6 +13,7 @@ from newton_euler.errors import choices
 from newton_euler.limits import exceeded
 from newton_euler.model import source_file
 from newton_euler.model.source_file import LARGEST, scan
+from newton_euler.scalars import Array
 from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import Loops, parse_loops
 from urdf.reading.vocabulary import check_expanded
@@ -136,16 +137,22 @@ def parsed(path: str, text: str) -> ET.Element:
 
 
 def check_inertias(path: str, root: ET.Element) -> None:
-    """Raise `SourceError` for the first negative moment of inertia; Pinocchio's own error has no name."""
+    """Raise `SourceError` for the first negative moment of inertia; Pinocchio's own error has no name.
+
+    Moments that the round-off of the largest one in the file covers are zero.
+    """
+    found: dict[str, Array] = {}
     for link in root.findall("link"):
         element = link.find("inertial/inertia")
-        if element is None:
-            continue
-        xx, xy, xz, yy, yz, zz = (float(element.get(name, "0")) for name in NUMBERS["inertia"])
-        moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        if moments[0] < 0.0:
+        if element is not None:
+            xx, xy, xz, yy, yz, zz = (float(element.get(name, "0")) for name in NUMBERS["inertia"])
+            moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            found[str(link.get("name"))] = moments
+    round_off = 4.0 * np.finfo(float).eps * max((moments[-1] for moments in found.values()), default=0.0)
+    for name, moments in found.items():
+        if moments[0] < -round_off:
             text = ", ".join(f"{moment:.6g}" for moment in moments)
-            problem = f"link {link.get('name')!r}: principal moments of inertia are {text} kg m^2"
+            problem = f"link {name!r:.100}: principal moments of inertia are {text} kg m^2"
             raise SourceError(path, f"{problem}; needed: none below 0")
 
 
