@@ -36,12 +36,11 @@ def test_the_inertia_of_a_fixed_link_may_be_singular_to_round_off(tmp_path: Path
     """All six numbers are equal, so that two principal moments are zero one of them computed as -2e-22."""
     row = " ".join(f'{name}="1e-6"' for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
     plate = f'<link name="plate"><inertial><mass value="1e-3"/><inertia {row}/></inertial></link>'
-    fixed = joint("weld", "fixed", "a", "plate")
-    found = reading(tmp_path, robot(link("a"), plate, joint("first", "revolute", "base", "a"), fixed))
-    (body,) = found.scene.mechanism.bodies[1:]
+    joints = joint("first", "revolute", "base", "a") + joint("weld", "fixed", "a", "plate")
+    (body,) = reading(tmp_path, robot(link("a"), plate, joints)).scene.mechanism.bodies[1:]
     assert body.mass == pytest.approx(1.001)
     with pytest.raises(UrdfError, match="link 'plate': principal moments of inertia are -"):
-        reading(tmp_path, robot(link("a"), plate.replace('ixx="1e-6"', 'ixx="-1e-6"'), fixed))
+        reading(tmp_path, robot(link("a"), plate.replace('ixx="1e-6"', 'ixx="-1e-6"'), joints))
 
 
 def test_free_and_planar_joints_and_mimics(tmp_path: Path) -> None:
