@@ -165,6 +165,6 @@ def test_summary_tells_what_was_run(tmp_path, capsys, monkeypatch, good):
     summary = json.loads((tmp_path / "summary.json").read_text())
     told = {name: summary[name] for name in ("scene", "source", "options")}
     assert told == {"scene": "tracker", "source": "tracker", "options": {"panel_inertia": "literal"}}
-    assert set(summary["versions"]) == {"python", "numpy", "scipy", "rerun-sdk", "pin"}
+    assert set(summary["versions"]) == {"python", "numpy", "scipy", "rerun-sdk", "pin", "crosscheck"}
     assert summary["verdict"] == verdict_of(out)
     assert "ran pinocchio on tracker (panel_inertia=literal)" in summary["verdict"]
