@@ -174,6 +174,12 @@ class Samples:
             return [self.system.evaluate(q, v) for q, v in self.coordinates]
 
     @cached_property
+    def accelerations(self) -> list[Array]:
+        """Accelerations (nv,) of the system's velocities at each state."""
+        with solved(self.system, "accelerations"):
+            return [np.asarray(self.system.acceleration(q, v)) for q, v in self.coordinates]
+
+    @cached_property
     def coordinate_accelerations(self) -> tuple[Array, Array]:
         """Linear and angular accelerations (n, b, 3) of all bodies by the accelerations of the coordinates.
 
@@ -182,12 +188,10 @@ class Samples:
         equations of bodies and hold whatever the accelerations of the coordinates are.
         """
         found = []
-        for (q, v), state in zip(self.coordinates, self.motions, strict=True):
+        for (q, v), state, vdot in zip(self.coordinates, self.motions, self.accelerations, strict=True):
             size = self.states.scene.mechanism.size
             speeds = [np.abs(state.linear_velocity).max() / size, np.abs(state.angular_velocity).max()]
             step = RATE_STEP / max(RANDOM_RATE, *speeds)
-            with solved(self.system, "accelerations"):
-                vdot = np.asarray(self.system.acceleration(q, v))
             rates = np.zeros((2, len(state.linear_velocity), 3))
             for factor, weight in RATE_STENCIL:
                 at = factor * step
@@ -215,11 +219,11 @@ class Samples:
     @cached_property
     def free_motions(self) -> list[tuple[Array, Array]]:
         """Inertia (d, d) and force (d,) at each state, see `free_motion`, for the bases of the states."""
-        found = zip(self.coordinates, self.evaluations, self.states.bases, strict=True)
+        found = zip(self.coordinates, self.evaluations, self.accelerations, self.states.bases, strict=True)
         with solved(self.system, "effective inertia and force"):
             return [
-                free_motion(self.system, q, v, evaluation, basis, self.states.units)
-                for (q, v), evaluation, basis in found
+                free_motion(self.system, q, v, evaluation, vdot, basis, self.states.units)
+                for (q, v), evaluation, vdot, basis in found
             ]
 
     def stack(self, name: str) -> Array:
@@ -275,7 +279,7 @@ def admissible_basis(system: System, q: Array, units: Array) -> tuple[Array, flo
 
 
 def free_motion(
-    system: System, q: Array, v: Array, evaluation: Evaluation, basis: Array, units: Array
+    system: System, q: Array, v: Array, evaluation: Evaluation, vdot: Array, basis: Array, units: Array
 ) -> tuple[Array, Array]:
     """Inertia (d, d), kg m^2, and force (d,), N m, that independent velocities see.
 
@@ -303,7 +307,7 @@ def free_motion(
         rows = np.concatenate([transformation, jacobian])  # T is silent on halves of bodies
         right = np.concatenate([basis, np.zeros((len(jacobian), basis.shape[1]))])
         velocities = _least_squares(rows, right)
-        acceleration = system.acceleration(q, v) / system.velocity_units
+        acceleration = vdot / system.velocity_units
         onto = system.velocity_units[:, None] * velocities
     across = acceleration - velocities @ along
     return onto.T @ mass @ velocities, onto.T @ (force - mass @ across)

@@ -115,7 +115,7 @@ def paths(mechanism: Mechanism, body: int, run: Trajectory) -> Array:
     # the ground's center is nowhere in particular
     points = [] if body == 0 and (drawn or mechanism.bodies[body].meshes) else [pose.position[None]]
     for mesh in mechanism.bodies[body].meshes:
-        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        low, high = mesh.bounds
         points.append(0.5 * (low + high) + signs * 0.5 * (high - low))
     for shape in drawn:
         if isinstance(shape, Sphere):
@@ -146,9 +146,8 @@ def _normals(vertices: Array, triangles: Array) -> Array:
     """(n, 3) unit vectors out of a mesh at its vertices: means over the triangles there, by area."""
     corners = vertices[triangles]
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    total = np.zeros_like(vertices)
-    for corner in range(3):
-        np.add.at(total, triangles[:, corner], areas)
+    sums = [np.bincount(triangles.ravel(), np.repeat(part, 3), len(vertices)) for part in areas.T]
+    total = np.column_stack(sums)
     lengths = np.linalg.norm(total, axis=1, keepdims=True)
     return np.asarray(total / np.where(lengths > 0.0, lengths, 1.0))
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -155,10 +156,8 @@ class Poses:
     """A compiled model, as its file has it, whose bodies are put where a run has them."""
 
     def __init__(self, start: Start, bodies: Bodies) -> None:
-        self.model: Any = copy.copy(start.model)
-        for bit in ("CONTACT", "CONSTRAINT"):
-            self.model.opt.disableflags &= ~int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{bit}"))
-        model, data = self.model, start.data
+        self._read = start.model
+        model, data = start.model, start.data
         numbers = {name: k for k, name in enumerate(body.name for body in bodies.bodies)}
         of_bodies = np.array([numbers[name] for name in bodies.names])
         self._owners = {
@@ -175,6 +174,14 @@ class Poses:
             arms = getattr(data, points) - centers[self._owners[points]]
             local = into @ arms[:, :, None], into @ getattr(data, axes).reshape(-1, 3, 3)
             self._local[points] = local[0][:, :, 0], local[1]
+
+    @cached_property
+    def model(self) -> Any:
+        """A copy of the model that has its contacts and constraints, made when the first run is judged."""
+        model = copy.copy(self._read)
+        for bit in ("CONTACT", "CONSTRAINT"):
+            model.opt.disableflags &= ~int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{bit}"))
+        return model
 
     def along(self, course: Course) -> Iterator[tuple[float, Any]]:
         """Go through the moments of a run with MuJoCo's data there, collisions and tendons not worked out."""

@@ -79,9 +79,10 @@ def _mesh(model: Any, number: int) -> tuple[Array, Array]:
 
 def _is_closed(triangles: Array) -> bool:
     """True if each edge belongs to two triangles that run along it in opposite directions."""
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    forward = {tuple(edge) for edge in edges.tolist()}
-    return len(forward) == len(edges) and all((b, a) in forward for a, b in forward)
+    begin, end = triangles, np.roll(triangles, -1, axis=1)
+    count = triangles.max(initial=0) + 1
+    forward, backward = (np.sort(edges, axis=None) for edges in (begin * count + end, end * count + begin))
+    return bool(np.all(forward[1:] != forward[:-1])) and np.array_equal(forward, backward)
 
 
 def _solid(points: Array, triangles: Array, signed: bool) -> Solid:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -259,7 +260,7 @@ class Mesh(Homogeneous):
         if np.any(triangles != np.floor(triangles)):
             raise MechanismError("mesh", "triangles has fractions", "whole numbers, rows of vertices")
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(vertices):
-            found = f"triangles name vertices {triangles.min()} to {triangles.max()}"
+            found = f"triangles name vertices {triangles.min():.12g} to {triangles.max():.12g}"
             raise MechanismError("mesh", found, f"0 to {len(vertices) - 1}")
         if self.color is not None:
             color = finite_array("mesh", "color", self.color, (4,))
@@ -269,6 +270,11 @@ class Mesh(Homogeneous):
         for name, value in (("vertices", vertices), ("triangles", triangles.astype(np.int32))):
             value.flags.writeable = False
             object.__setattr__(self, name, value)
+
+    @cached_property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Lowest and highest coordinates (3,) of the vertices, m."""
+        return self.vertices.min(axis=0), self.vertices.max(axis=0)
 
     def _array(self, name: str) -> Floats:
         """Return an attribute as an array of numbers; raises `MechanismError`."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mjcf import read as read_mjcf
+from mjcf.reading.plausibility import _is_closed
 from newton_euler.verification.plausibility import twin_name
 from urdf import read as read_urdf
 
@@ -137,6 +138,14 @@ def test_inertia_of_meshes(kind: str, found: list[str], tmp_path: Path) -> None:
     )
     findings = read_mjcf(path).report.findings
     assert [finding.name for finding in findings] == found
+
+
+@pytest.mark.parametrize(("added", "closed"), [([], True), ([[0, 2, 1]], False), ([[0, 1, 2]], False)])
+def test_a_closed_mesh_passes_each_edge_once_each_way(added: list[list[int]], closed: bool) -> None:
+    faces = np.array(L_SHAPE[1].split(), dtype=int).reshape(-1, 3)
+    assert _is_closed(np.concatenate([faces, np.reshape(added, (-1, 3)).astype(int)])) is closed
+    assert not _is_closed(faces[:-1])  # a hole
+    assert not _is_closed(np.concatenate([faces[:-1], faces[-1:, ::-1]]))  # a triangle inside out
 
 
 @pytest.mark.parametrize(("numbers", "found"), [("0.2 0.1", ["short-keyframe"]), ("0.2 0.1 0", [])])
