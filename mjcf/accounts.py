@@ -88,16 +88,6 @@ def switch_off(model: Any, kind: str, k: int, topic: str) -> None:
                 getattr(model, f"flex_{field}")[:] = 0.0
 
 
-def straighten(model: Any, equality: int, start: Array) -> None:
-    """Replace a polynomial of joint coordinates by its tangent at a start (nq,)."""
-    driver = int(model.eq_obj2id[equality])
-    place = model.jnt_qposadr[driver]
-    x = float(start[place] - model.qpos0[place])
-    whole = np.polynomial.Polynomial(model.eq_data[equality, :5])
-    slope = float(whole.deriv()(x))
-    model.eq_data[equality, :5] = [float(whole(x)) - slope * x, slope, 0.0, 0.0, 0.0]
-
-
 class Equalities:
     """All equalities of a compiled file.
 

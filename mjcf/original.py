@@ -2,8 +2,7 @@
 
 See `newton_euler.verification`. Shares nothing with `mjcf.reading` but the compiled model and the names of
 elements: where loops close, what is rigid and what acts is worked out here with MuJoCo's own functions. What
-the report of a reading says was left out or approximated is switched off or replaced in a copy, by the names
-of elements and nothing else.
+the report of a reading says was left out is switched off in a copy, by the names of elements alone.
 """
 
 from __future__ import annotations
@@ -14,13 +13,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjcf.accounts import Equalities, straighten, switch_off, unaccounted, without_force
+from mjcf.accounts import Equalities, switch_off, unaccounted, without_force
 from mjcf.layout import element_name
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, cross
 from newton_euler.verification.activity import Bounds
-from newton_euler.verification.import_report import ImportReport, approximated, left_out, unique_name
+from newton_euler.verification.import_report import ImportReport, left_out, unique_name
 from newton_euler.verification.original import SEVERAL_HINGES, Original, Sample, wholes
 from newton_euler.verification.quantities import Constraints, ForceLimit, Forces, Kinematics
 
@@ -146,8 +145,8 @@ class MjcfOriginal(Original):
                 yield f"{name}: its activation, which does not rest"
 
     def _leave_out(self, report: ImportReport) -> None:
-        """Switch off or replace what a report says is not in the scene as it is, at the start."""
-        model, without, near = self._model, left_out(report), approximated(report)
+        """Switch off what a report says is not in the scene, at the start."""
+        model, without = self._model, left_out(report)
         counts = {
             "joint": model.njnt,
             "equality": model.neq,
@@ -162,10 +161,6 @@ class MjcfOriginal(Original):
                     self._equalities.active[k] = 0
                 else:
                     switch_off(model, kind, k, topic)
-        for element in near:
-            kind, k = numbers[element]
-            assert kind == "equality"
-            straighten(model, k, self.start)
 
     # What MuJoCo says
 

@@ -99,10 +99,23 @@ class RigidMuJoCo(EvaluatedScene):
         self.move(q, v)
         self.data.qacc[:] = 0.0
         mujoco.mj_rnePostConstraint(self.model, self.data)
-        product = np.zeros(len(self._constraint))  # and so it stays for joints, whose J is constant
+        product = np.zeros(len(self._constraint))  # and so it stays for sums of joints, whose J is constant
+        for index in np.flatnonzero(self.model.eq_type == mujoco.mjtEq.mjEQ_JOINT).tolist():
+            product[self._constraint == index] = self._polynomial_product(index)
         for loop in loops(self.model, self.data):
             product[self._constraint == loop.index] = loop.velocity_product()
         return product
+
+    def _polynomial_product(self, equality: int) -> float:
+        """Jdot v of an equality of joints, y - y0 - p(x - x0): -p''(x - x0) (dx/dt)^2."""
+        model, data = self.model, self.data
+        driver = int(model.eq_obj2id[equality])
+        if driver < 0:
+            return 0.0
+        place = model.jnt_qposadr[driver]
+        x = data.qpos[place] - model.qpos0[place]
+        bend = np.polynomial.Polynomial(model.eq_data[equality, :5]).deriv(2)
+        return float(-bend(x) * data.qvel[model.jnt_dofadr[driver]] ** 2)
 
     def acceleration(self, q: Array, v: Array) -> Array:
         """vdot (nv,)."""

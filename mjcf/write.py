@@ -303,7 +303,7 @@ def _equalities(root: ET.Element, scene: Scene, welded: WeldedMechanism) -> None
 
 
 def _add_coupling(equality: ET.Element, scene: Scene, coupling: Coupling) -> None:
-    """x_1 = constant + factor x_2; the constant is where a prescribed motion begins."""
+    """x_1 = constant + p(x_2); the constant is where a prescribed motion begins."""
     names = [_coordinate(scene, key) for key in coupling.factors]
     if len(names) > 2:
         attributes = {"name": f"coupling {coupling.name}", "tendon1": f"coupling {coupling.name}"}
@@ -311,11 +311,13 @@ def _add_coupling(equality: ET.Element, scene: Scene, coupling: Coupling) -> Non
         return
     first, *second = coupling.factors.values()
     constant = coupling.function.value(0.0) / first if coupling.function else 0.0
-    factor = -second[0] / first if second else 0.0
+    driver = list(coupling.factors)[1] if second else None
+    powers = coupling.powers.get(driver, ()) if driver else ()
+    coefficients = [constant, *(-c / first for c in (*second, *powers)), 0.0, 0.0, 0.0, 0.0]
     attributes = {f"joint{k}": name for k, name in enumerate(names, start=1)}
     # a joint may have a motion for each of its coordinates
     attributes["name"] = f"{coupling.what} {coupling.name if second else names[0]}"
-    attributes["polycoef"] = numbers([constant, factor, 0.0, 0.0, 0.0])
+    attributes["polycoef"] = numbers(coefficients[:5])
     ET.SubElement(equality, "joint", attributes)
 
 

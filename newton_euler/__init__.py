@@ -23,7 +23,7 @@ from newton_euler.batch import simulate_batch
 from newton_euler.errors import IdentificationWarning, NearlyRedundantWarning, NewtonEulerError
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
-from newton_euler.model.couplings import Gear, LinearCoupling
+from newton_euler.model.couplings import Gear, LinearCoupling, PolynomialCoupling
 from newton_euler.model.digital_control import Digital, Sampled
 from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.geometry import Box, Capsule, Cylinder, Mesh, Sphere
@@ -91,6 +91,7 @@ __all__ = [
     "PointOnLine",
     "PointSpring",
     "Polynomial",
+    "PolynomialCoupling",
     "Poses",
     "PrescribedMotion",
     "Prismatic",

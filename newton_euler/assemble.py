@@ -209,12 +209,13 @@ def _is_closed_but_for_noise(scene: Scene, state: State) -> bool:
 def _check_couplings(scene: Scene, state: State) -> None:
     """Raise `MechanismError` for the first coupling or motion that the state does not follow."""
     found = couplings(scene)
-    phi, rates = residuals(scene.mechanism, found, state.frames(), 0.0)
+    seen = residuals(scene.mechanism, found, state.frames(), 0.0)
     speed, size = _speed(scene, state), scene.mechanism.size
-    for coupling, gap, opening in zip(found, phi, rates, strict=True):
+    of_couplings = zip(found, seen.phi, seen.rate, seen.sensitivity, strict=True)
+    for coupling, gap, opening, sensitivity in of_couplings:
         unit = "m" if coupling.is_length else "rad"
         allowed = VELOCITY_TOLERANCE * speed * (1.0 if coupling.is_length else 1.0 / size)
-        allowed *= sum(abs(factor) for factor in coupling.factors.values())
+        allowed *= sensitivity
         if abs(gap) > CLOSURE_TOLERANCE:
             problem, needed = f"is off by {gap:.3g} {unit}", f"at most {CLOSURE_TOLERANCE:g} {unit}"
         elif abs(opening) > allowed:

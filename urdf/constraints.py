@@ -6,7 +6,10 @@ With points p1 and p2 of a rod, d = p2 - p1 and l = |d|,
     Phi = l - L,    Phi_q = d^T (J2 - J1) / l
     Phi_q qddot + (d . (a2 - a1) + |dd/dt|^2 - (dl/dt)^2) / l = 0
 
-with a1 and a2 the accelerations of the points at qddot = 0. Couplings and motions are linear in q.
+with a1 and a2 the accelerations of the points at qddot = 0. Motions are linear in q, couplings are sums of
+polynomials p(x) of joint coordinates,
+
+    Phi = sum p(x),    Phi_x = p'(x),    Phi_q qddot + sum p''(x) (dx/dt)^2 = 0
 """
 
 from __future__ import annotations
@@ -95,6 +98,21 @@ def frame_jacobian(model: Any, data: Any, frame: int) -> Array:
     return np.reshape(jacobian, (6, model.nv))  # a single column comes as a vector
 
 
+def power_sums(powers: Array, x: Array, derivative: int) -> Array:
+    """Compute polynomials (c, n) of coordinates x (n,), or a derivative of them, by it.
+
+    Args:
+        powers: (c, d, n) factors of the powers 1 to d.
+        x: coordinates, m or rad.
+        derivative: 0, 1 or 2.
+    """
+    total = np.zeros((len(powers), len(x)))
+    for k in range(max(derivative, 1), powers.shape[1] + 1):
+        factor = float(np.prod(np.arange(k - derivative + 1, k + 1)))
+        total += factor * powers[:, k - 1] * x ** (k - derivative)
+    return total
+
+
 class Rows:
     """The rows of a model: rods, prescribed motions, screws, gears.
 
@@ -114,8 +132,8 @@ class Rows:
         pin.framesForwardKinematics(self._model, data, pin.neutral(self._model))
         self._lengths = [float(np.linalg.norm(self._line(data, rod))) for rod in self._rods]
         # the loop file knows what is coupled, and the scene what is moved
-        motions = len(couplings.couplings) - len(closed.couplings)
-        self._coupled = np.vstack([couplings.jacobian[:motions], map.v_from_pinocchio(closed.couplings)])
+        self._motions = len(couplings.couplings) - len(closed.couplings)
+        self._powers = map.v_from_pinocchio(closed.couplings)  # (c, d, nv)
         self.units = np.concatenate([np.full(len(self._rods), length), couplings.units])
 
     def phi(self, data: Any, q: Array, time: float) -> Array:
@@ -130,16 +148,19 @@ class Rows:
         """Partial derivative (r,) of `phi` by time."""
         return np.concatenate([np.zeros(len(self._rods)), -self._couplings.rate(time)])
 
-    def jacobian(self, data: Any) -> Array:
-        """(r, nv) in tree velocities; of data after `computeJointJacobians` and `updateFramePlacements`."""
+    def jacobian(self, data: Any, q: Array) -> Array:
+        """(r, nv) in tree velocities; of data after `computeJointJacobians` and `updateFramePlacements` at
+        tree coordinates q."""
         rows = [np.zeros((0, self._model.nv))]
         for rod in self._rods:
             first, second = (frame_jacobian(self._model, data, frame) for frame in rod)
             rows.append(self._direction(data, rod)[None] @ (second - first)[:3])
-        return np.concatenate([self._map.v_from_pinocchio(np.concatenate(rows)), self._coupled])
+        moved = self._couplings.jacobian(q)[: self._motions]
+        coupled = power_sums(self._powers, self._map.displacements(q), 1)
+        return np.concatenate([self._map.v_from_pinocchio(np.concatenate(rows)), moved, coupled])
 
-    def gamma(self, data: Any, time: float) -> Array:
-        """(r,) right side of Phi_q qddot = gamma; of data after `forwardKinematics` at qddot = 0."""
+    def gamma(self, data: Any, q: Array, v: Array, time: float) -> Array:
+        """(r,) right side of Phi_q qddot = gamma; of data after `forwardKinematics` at q, v and qddot = 0."""
         model, aligned = self._model, pin.LOCAL_WORLD_ALIGNED
         products = []
         for rod in self._rods:
@@ -148,7 +169,9 @@ class Rows:
             length, rate = np.linalg.norm(self._line(data, rod)), v2 - v1
             u = self._direction(data, rod)
             products.append(u @ (a2 - a1) + (rate @ rate - (u @ rate) ** 2) / length)
-        return np.concatenate([-np.array(products), self._couplings.acceleration(time)])
+        asked = self._couplings.acceleration(time)
+        asked[self._motions :] -= power_sums(self._powers, self._map.displacements(q), 2) @ v**2
+        return np.concatenate([-np.array(products), asked])
 
     def rod_wrenches(self, data: Any, multipliers: Array) -> list[Any]:
         """Compute wrenches of rods on their second bodies, about the world's origin."""

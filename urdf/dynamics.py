@@ -196,8 +196,10 @@ class PinocchioSystem:
         """Forces on joint coordinates, N or N m, for their accelerations, by Pinocchio's own matrices."""
         terms = self.mass_and_force(q, v)
         self._move(q, v)
-        gamma = np.concatenate([self._closures.gamma(self._data), self._rows.gamma(self._data, self.time)])
-        return servo_forces(self, self._tree, terms, (self._jacobian(), gamma), keys, accelerations)
+        gamma = np.concatenate(
+            [self._closures.gamma(self._data), self._rows.gamma(self._data, q, v, self.time)]
+        )
+        return servo_forces(self, self._tree, terms, (self._jacobian(q), gamma), keys, accelerations)
 
     def _move(self, q: Array, v: Array) -> None:
         """Give Pinocchio's joints, Jacobians and frames a state, at accelerations of joints of zero."""
@@ -239,9 +241,9 @@ class PinocchioSystem:
     def _eliminated(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
         """Solve with all constraints eliminated; see `_solve`."""
         mass, force = self.mass_and_force(q, v)
-        data, jacobian = self._data, self._jacobian()
+        data, jacobian = self._data, self._jacobian(q)
         drift = 2.0 * self._alpha * (jacobian @ v + self.phi_t()) + self._alpha**2 * self._phi(q)
-        gamma = np.concatenate([self._closures.gamma(data), self._rows.gamma(data, self.time)]) - drift
+        gamma = np.concatenate([self._closures.gamma(data), self._rows.gamma(data, q, v, self.time)]) - drift
         try:
             found, multipliers = solve_constrained(
                 mass,
@@ -297,11 +299,11 @@ class PinocchioSystem:
     def phi_jacobian(self, q: Array) -> Array:
         """Derivative (k, nv) of `phi` along `retract`, and of its rate by v."""
         self._place(q)
-        return self._jacobian()
+        return self._jacobian(q)
 
-    def _jacobian(self) -> Array:
-        """The same where frames and Jacobians are."""
-        return np.concatenate([self._closures.jacobian(self._data), self._rows.jacobian(self._data)])
+    def _jacobian(self, q: Array) -> Array:
+        """The same where frames and Jacobians are at q."""
+        return np.concatenate([self._closures.jacobian(self._data), self._rows.jacobian(self._data, q)])
 
     def _place(self, q: Array) -> None:
         """Joint Jacobians and frame placements at q."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from newton_euler.errors import choices
+from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.model.source_file import LARGEST, SourceError
 from newton_euler.model.yaml_source import parse_yaml
 from newton_euler.verification.import_report import unique_name
@@ -44,8 +45,8 @@ class Loops:
         joint_name: joints whose type is not the one in the URDF.
         joint_type: for each of them one of `JOINT_TYPES`. FIXED ones are held at 0; what the URDF says of
             the axis of the others does not matter.
-        coupled: for each coupling, names of joints and factors; the products with their coordinates add
-            up to zero.
+        coupled: for each coupling, names of joints and factors of the first, second, ... powers of their
+            coordinates; the products add up to zero.
     """
 
     source: str
@@ -54,7 +55,7 @@ class Loops:
     name_mot: tuple[str, ...]
     joint_name: tuple[str, ...]
     joint_type: tuple[str, ...]
-    coupled: tuple[dict[str, float], ...]
+    coupled: tuple[dict[str, tuple[float, ...]], ...]
 
 
 NO_LOOPS = Loops("", (), (), (), (), (), ())
@@ -121,12 +122,19 @@ def parse_loops(text: str, source: str) -> Loops:
     return Loops(source, **{key: tuple(document[key]) for key in KEYS})
 
 
-def _coupling(entry: Any, source: str) -> dict[str, float]:
+def _coupling(entry: Any, source: str) -> dict[str, tuple[float, ...]]:
     try:
-        factors = {name: float(factor) for name, factor in entry.items()}
+        lists = {name: given if isinstance(given, list) else [given] for name, given in entry.items()}
+        factors = {name: tuple(map(float, given)) for name, given in lists.items()}
     except (AttributeError, TypeError, ValueError):
-        factors = {"": math.nan}
-    if not all(abs(factor) <= LARGEST for factor in factors.values()):
-        needed = f"is not a mapping from joints to numbers of at most {LARGEST:g} in magnitude"
+        factors = {"": (math.nan,)}
+    if not all(
+        1 <= len(of_joint) <= MAX_DEGREE and all(abs(factor) <= LARGEST for factor in of_joint)
+        for of_joint in factors.values()
+    ):
+        needed = (
+            f"is not a mapping from joints to numbers of at most {LARGEST:g} in magnitude, "
+            f"or to lists of 1 to {MAX_DEGREE} of them"
+        )
         raise LoopFileError(source, "coupled", f"{entry!r:.200} {needed}")
     return factors

@@ -14,6 +14,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import pinocchio as pin
 
+from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.model.spanning_tree import WeldedMechanism, motion_names
 from newton_euler.scalars import Array
 from urdf.errors import LoopFileError, UrdfError
@@ -43,7 +44,8 @@ class ClosedLoopModel:
             rod; two for a hinge, of which Pinocchio has none: points on its axis, 1 m apart.
         frames: indices of the pairs of frames of the constraints.
         rods: indices of the pairs of frames that are rods.
-        couplings: (c, nv) the equations couplings @ v = 0.
+        couplings: (c, d, nv) factors of the powers 1 to d of the coordinates of hinges and slides, by the
+            places of their velocities; the products add up to zero.
         urdf_joints: the joint of the URDF that each of Pinocchio's is, or is a part of.
     """
 
@@ -118,11 +120,11 @@ def build(
             constraints.append(constraint)
             frames.append((one, two))
     single = {str(n): j.idx_v for n, j in zip(model.names, model.joints, strict=True) if j.nv == 1}
-    couplings = np.zeros((len(loops.coupled), model.nv))
-    for row, coupling in zip(couplings, loops.coupled, strict=True):
+    couplings = np.zeros((len(loops.coupled), MAX_DEGREE, model.nv))
+    for rows, coupling in zip(couplings, loops.coupled, strict=True):
         _check_joints(loops, "coupled", coupling, single)
-        for name, factor in coupling.items():
-            row[single[name]] = factor
+        for name, factors in coupling.items():
+            rows[: len(factors), single[name]] = factors
     return ClosedLoopModel(model, constraints, tuple(frames), tuple(rods), couplings, urdf_joints)
 
 
@@ -248,9 +250,17 @@ class CoordinateMap:
                 columns = np.roll(columns, -1)
             order_q[joint.idx_q : joint.idx_q + joint.nq] = columns
             order_v[joint.idx_v : joint.idx_v + joint.nv] = np.arange(on_v.start, on_v.stop)
+        single = [(on_q.start, on_v.start) for motion, on_q, on_v in tree.motions if motion.kind != "ball"]
+        self._single_q, self._single_v = np.array(single, dtype=int).reshape(-1, 2).T
         self._order_q, self._order_v = order_q, order_v
         self._place_q, self._place_v = np.argsort(order_q), np.argsort(order_v)
         self.below = np.tril_indices(model.nv, -1)
+
+    def displacements(self, q: Array) -> Array:
+        """Coordinates (nv,) of hinges and slides at the places of their velocities; those of balls are 0."""
+        found = np.zeros(len(self._order_v))
+        found[self._single_v] = q[self._single_q]
+        return found
 
     def q_to_pinocchio(self, q: Array) -> Array:
         """Pinocchio's coordinates (nq,) of the tree's."""

@@ -14,11 +14,13 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.equations.system import MassProperties
+from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, cross, tilde
 from newton_euler.verification.import_report import ImportReport, left_out, unique_name
 from newton_euler.verification.original import SEVERAL_HINGES, Original, Sample, wholes
 from newton_euler.verification.quantities import Constraints, Forces, Kinematics
+from urdf.constraints import power_sums
 from urdf.extensions import Extensions
 from urdf.loops import NO_LOOPS, REVOLUTE, UNIVERSAL, Loops, closure_names, parse_loops
 
@@ -69,6 +71,7 @@ class PinocchioOriginal(Original):
         self._damping, self._stiffness, self._rests = np.zeros((3, model.nv))
         self._springs: list[tuple[str, tuple[int, int], float, float, float]] = []
         self._rows, self._offsets, self._owners = np.zeros((0, model.nv)), np.zeros(0), list[str]()
+        self._bent = np.zeros((0, MAX_DEGREE, model.nv))  # factors of second and higher powers
         self._name(scene)
 
     def _begin(self, q: Array, opened: Array, scene: Scene) -> None:
@@ -171,8 +174,10 @@ class PinocchioOriginal(Original):
                 residuals.append(pin.log3(turn))
                 rows.append(-pin.Jlog3(turn) @ b.rotation.T @ apart[3:])
             owners += [element] * sum(map(len, rows[before:]))
-        residuals.append(self._rows @ pin.difference(model, self._from, q) + self._open)
-        jacobian = np.concatenate([*rows, self._rows]) * self.units
+        x = pin.difference(model, pin.neutral(model), q)
+        bent = np.sum(power_sums(self._bent, x, 0), axis=1)
+        residuals.append(self._rows @ pin.difference(model, self._from, q) + self._open + bent)
+        jacobian = np.concatenate([*rows, self._rows + power_sums(self._bent, x, 1)]) * self.units
         return Constraints(np.concatenate(residuals), jacobian, [*owners, *self._owners])
 
     def keep_offsets(self) -> None:
@@ -335,6 +340,7 @@ class UrdfOriginal(PinocchioOriginal):
     def _couple(self) -> None:
         """Rows of mimics and of coupled joints: factors (c, nv), offsets (c,), owners."""
         model, rows, offsets, owners = self._model, [], [], []
+        bent: list[tuple[int, int, int, float]] = []
         self._followers: list[tuple[int, int, float, float]] = []
         places = {str(model.names[k]): model.joints[k].idx_v for k in range(1, model.njoints)}
         for joint in self._root.findall("joint"):
@@ -355,14 +361,19 @@ class UrdfOriginal(PinocchioOriginal):
             element = f"coupled {', '.join(coupling)}"
             if not self._topics(element):
                 row = np.zeros(model.nv)
-                for name, factor in coupling.items():
-                    row[places[name]] = factor
+                for name, factors in coupling.items():
+                    row[places[name]] = factors[0]
+                    for k, factor in enumerate(factors[1:], start=1):
+                        bent.append((len(rows), k, places[name], factor))
                 rows.append(row)
                 offsets.append(0.0)
                 owners.append(element)
         self._rows, self._owners = np.reshape(rows, (-1, model.nv)), owners
         scale = np.max(np.abs(self._rows * self.units), axis=1, initial=0.0)
         self._rows, self._offsets = self._rows / scale[:, None], np.array(offsets) / scale
+        self._bent = np.zeros((len(rows), MAX_DEGREE, model.nv))
+        for number, k, place, factor in bent:
+            self._bent[number, k, place] = factor / scale[number]
 
     def _unaccounted(self, report: ImportReport) -> Iterator[str]:
         """Joints, mimics and closures that a report says nothing of."""

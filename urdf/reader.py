@@ -23,7 +23,7 @@ import numpy as np
 
 from newton_euler.errors import NewtonEulerError, OptionError, check_choice
 from newton_euler.exercise import moving as exercised
-from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
+from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling, PolynomialCoupling
 from newton_euler.model.forces import Force
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Fixed, Revolute, Rod, Spherical
@@ -345,6 +345,7 @@ def _gears(start: Start, tree: Tree, taken: list[str], report: ImportReport) -> 
     """Gears of mimics, and those and other couplings of coupled joints."""
     pairs: list[tuple[str, Key, Key, float]] = []
     sums: list[LinearCoupling] = []
+    bent: list[PolynomialCoupling] = []
     for mimic in start.mimics:
         element = f"mimic of joint {mimic.follower!r}"
         if mimic.follower in tree.keys and mimic.driver in tree.keys:
@@ -353,8 +354,16 @@ def _gears(start: Start, tree: Tree, taken: list[str], report: ImportReport) -> 
         else:
             report.left_out(element, "one of its joints moves nothing")
     for coupling in start.loops.coupled:
-        terms = [(tree.keys[name], c) for name, c in coupling.items() if c and name in tree.keys]
         element = f"coupled {', '.join(coupling)}"
+        if any(len(factors) > 1 for factors in coupling.values()):
+            if polynomial := _polynomial(start, tree, coupling, f"polynomial_{len(bent) + 1}", taken):
+                bent.append(polynomial)
+                report.exactly(element, f"polynomial coupling {polynomial.name!r}")
+            else:
+                why = "couples joints by polynomials; needed: two joints, one with its first power alone"
+                report.left_out(element, why)
+            continue
+        terms = [(tree.keys[name], c) for name, (c,) in coupling.items() if c and name in tree.keys]
         if len(terms) > 2:
             name = unique_name(f"coupling_{len(sums) + 1}", "coupling", taken)
             sums.append(LinearCoupling(name, tuple((*key, factor) for key, factor in terms)))
@@ -370,6 +379,25 @@ def _gears(start: Start, tree: Tree, taken: list[str], report: ImportReport) -> 
         yield Gear(name, driver[0], follower[0], ratio, driver[1], follower[1])
         report.exactly(element, f"gear {name!r} of ratio {ratio:.6g}")
     yield from sums
+    yield from bent
+
+
+def _polynomial(
+    start: Start, tree: Tree, coupling: dict[str, tuple[float, ...]], own: str, taken: list[str]
+) -> PolynomialCoupling | None:
+    """Return the coupling of two joints of which one has a first power only, from the start on; else None."""
+    moving = {name: factors for name, factors in coupling.items() if name in tree.keys and any(factors)}
+    linear = [name for name, factors in moving.items() if not any(factors[1:])]
+    if len(moving) != 2 or not linear:
+        return None
+    follower = linear[0]
+    (driver,) = moving.keys() - {follower}
+    coefficients = tuple(-factor / moving[follower][0] for factor in moving[driver])
+    ends = (tree.keys[driver], tree.keys[follower])
+    found = PolynomialCoupling(
+        unique_name(own, "polynomial", taken), ends[0][0], ends[1][0], coefficients, ends[0][1], ends[1][1]
+    )
+    return found.from_zero(start.displacement(driver))
 
 
 def _limits(start: Start, joint: JointProperties, key: Key) -> list[Watch]:

@@ -138,7 +138,11 @@ def to_loops(scene: Scene, keep_bodies: bool = False) -> str:
     cuts = [joints[k] for k in welded.tree.cuts]
     coupled = [
         {
-            coordinate_name(scene.mechanism.joint(joint), coordinate): factor
+            coordinate_name(scene.mechanism.joint(joint), coordinate): (
+                [factor, *coupling.powers[joint, coordinate]]
+                if coupling.powers.get((joint, coordinate))
+                else factor
+            )
             for (joint, coordinate), factor in coupling.factors.items()
         }
         for coupling in couplings(scene)

@@ -19,7 +19,7 @@ from newton_euler.assemble import assemble, initial_state
 from newton_euler.equations.couplings import Coupling, couplings, residuals
 from newton_euler.equations.parameters import numbered, parameter_values, with_values
 from newton_euler.model.constraints import Frame, Jacobian
-from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
+from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling, PolynomialCoupling
 from newton_euler.model.digital_control import HeldLaw
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint import Joint, JointEquations
@@ -160,6 +160,8 @@ def _with_other_factors(coupling: JointCoupling) -> JointCoupling:
     """A coupling with all of its factors but the first one `MORE` times themselves."""
     if isinstance(coupling, Gear):
         return replace(coupling, ratio=MORE * coupling.ratio)
+    if isinstance(coupling, PolynomialCoupling):
+        return replace(coupling, coefficients=tuple(MORE * c for c in coupling.coefficients))
     assert isinstance(coupling, LinearCoupling)
     first, *others = coupling.terms
     return replace(coupling, terms=(first, *((joint, k, MORE * factor) for joint, k, factor in others)))
@@ -174,7 +176,7 @@ def _of_coupling(scene: Scene, number: int, other: JointCoupling) -> Element:
 
     coupled = list(couplings(scene))
     index = len(coupled) - len(others) + number
-    coupled[index] = replace(coupled[index], factors=other.factors())
+    coupled[index] = replace(coupled[index], factors=other.factors(), powers=other.powers())
     violated = partial(_uncoupled, scene.mechanism, coupled, index)
     return Element(f"{other.kind} {other.name!r}", changed, violated=violated)
 
@@ -205,13 +207,13 @@ def _uncoupled(
     """See `Element.violated`: of one of some couplings."""
     found = 0.0
     for time, frames in moments:
+        seen = residuals(mechanism, coupled, frames, time)
         allowed = 0.0
-        for (joint, coordinate), factor in coupled[index].factors.items():
+        for (joint, coordinate), slope in seen.slopes[index].items():
             ends = mechanism.joint_equations(joint)
             jacobian = ends.coordinates[coordinate].jacobian(frames[ends.first], frames[ends.second])
-            allowed += abs(factor) * float(_allowed(ends, jacobian, length, angle)[0])
-        phi, _ = residuals(mechanism, coupled, frames, time)
-        found = max(found, abs(float(phi[index])) / allowed)
+            allowed += abs(slope) * float(_allowed(ends, jacobian, length, angle)[0])
+        found = max(found, abs(float(seen.phi[index])) / allowed)
     return found
 
 

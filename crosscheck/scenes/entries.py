@@ -26,7 +26,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.scenes.size import check_counts, check_functions, check_mechanism
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
-from newton_euler.model.couplings import Gear, LinearCoupling
+from newton_euler.model.couplings import Gear, LinearCoupling, PolynomialCoupling
 from newton_euler.model.digital_control import Digital
 from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.geometry import Box, Capsule, Cylinder, Sphere
@@ -145,7 +145,8 @@ SHAPE = _one_of([_entry(Box, "box", **QUATERNION), *BARS])
 BODY = _entry(Body, inertia=tuple[Vector, Vector, Vector], shapes=_several(SHAPE), meshes=None, **QUATERNION)
 ROWS: dict[str, Any] = dict.fromkeys(("slides", "hinges", "offsets"), list[Vector])
 JOINT = _one_of(_entry(made, kind, **ROWS) for kind, made in JOINT_KINDS.items())
-COUPLING = _one_of([_entry(Gear, "gear"), _entry(LinearCoupling, "linear")])
+COUPLINGS = {"gear": Gear, "polynomial": PolynomialCoupling, "linear": LinearCoupling}
+COUPLING = _one_of(_entry(made, kind) for kind, made in COUPLINGS.items())
 SPRINGS = {"joint_spring": JointSpring, "ball_spring": BallSpring, "point_spring": PointSpring}
 SUM = _entry(Sum, "sum", terms=_several(ForwardRef("FUNCTION")))
 FUNCTIONS = {"polynomial": Polynomial, "sine": Sine}

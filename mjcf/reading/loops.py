@@ -9,13 +9,12 @@ from mjcf.loops import ends
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.joints import Joints
 from mjcf.reading.start import TORQUE_SCALE, Start
-from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
+from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling, PolynomialCoupling
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Fixed, Rod, Spherical
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.scalars import Array
-from newton_euler.verification.activity import Tangent
 from newton_euler.verification.import_report import ImportReport, unique_name
 
 RIGID = "held rigidly, where MuJoCo's solref and solimp let it give way"
@@ -26,7 +25,7 @@ class Loops:
 
     Attributes:
         joints: of connects, welds and tendons of constant length.
-        gears: of equalities of two joint coordinates.
+        gears: couplings, of equalities of joint coordinates.
         held: motions of joints that an equality holds.
     """
 
@@ -96,25 +95,17 @@ class Loops:
         driver = self._joints.keys[second]
         place = int(model.jnt_qposadr[second])
         x = float(self._data.qpos[place] - model.qpos0[place])
-        slope = float(sum(k * polynomial[k] * x ** (k - 1) for k in range(1, 5)))
-        if np.any(polynomial[2:]):
-            why = f"its polynomial replaced by its slope {slope:.6g} at the start"
-            unit = "m" if model.jnt_type[first] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
-            about_start = np.polynomial.Polynomial(polynomial)(np.polynomial.Polynomial([x, 1.0]))
-            self._couple(index, follower, driver, slope, why, Tangent(driver, tuple(about_start.coef), unit))
-        else:
-            self._couple(index, follower, driver, slope, RIGID)
+        coefficients = tuple(polynomial[1:].tolist())
+        if not any(coefficients[1:]):
+            self._couple(index, follower, driver, coefficients[0], RIGID)
+            return
+        name = self._name(index)
+        file = PolynomialCoupling(name, driver[0], follower[0], coefficients, driver[1], follower[1])
+        self.gears.append(file.from_zero(x))
+        self._report.exactly(self._start.equality(index), f"polynomial coupling {name!r}, {RIGID}")
 
-    def _couple(
-        self,
-        index: int,
-        follower: Key,
-        driver: Key | None,
-        ratio: float,
-        how: str,
-        tangent: Tangent | None = None,
-    ) -> None:
-        """Add a gear or a held joint, which replaces a polynomial by a `tangent` unless that is None."""
+    def _couple(self, index: int, follower: Key, driver: Key | None, ratio: float, how: str) -> None:
+        """Add a gear or a held joint."""
         if driver is None or ratio == 0.0:
             self.held.append(PrescribedMotion(follower[0], Polynomial((0.0,)), follower[1]))
             how_kept = f"joint {follower[0]!r} held, {how}"
@@ -122,10 +113,7 @@ class Loops:
             name = self._name(index)
             self.gears.append(Gear(name, driver[0], follower[0], ratio, driver[1], follower[1]))
             how_kept = f"gear {name!r} of ratio {ratio:.6g}, {how}"
-        if tangent is None:
-            self._report.exactly(self._start.equality(index), how_kept)
-        else:
-            self._report.approximated(self._start.equality(index), how_kept, watches=[tangent])
+        self._report.exactly(self._start.equality(index), how_kept)
 
     def _add_tendon(self, index: int) -> None:
         """A rod, if it is straight and keeps its length; a gear or coupling, if a sum of coordinates."""

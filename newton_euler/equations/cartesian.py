@@ -137,9 +137,9 @@ class Cartesian(Formulation):
         measured = self.measured(q, qdot)
         for coupling in self.couplings:
             totals: Rows = [{}, {}]
-            for key, factor in coupling.factors.items():
+            for key, slope in coupling.seen_slopes(measured).items():
                 first, second = self.between[key].first, self.between[key].second
-                blocks = Jacobian(*(factor * block for block in measured[key].jacobian))
+                blocks = Jacobian(*(slope * block for block in measured[key].jacobian))
                 for total, (share,) in zip(totals, self._rows(q, frames, first, second, blocks), strict=True):
                     for k, entry in share.items():
                         add(total, k, entry)
@@ -357,7 +357,7 @@ class Cartesian(Formulation):
             start += e.count
         of_joints = multipliers[: self.rows].copy()
         of_joints[start:] = 0.0
-        for push in pushes(self, frames, of_joints):
+        for push in pushes(self, frames, self.measured(q, v), of_joints):
             for k, wrench in ((push.first, push.on_first), (push.second, push.on_second)):
                 if k > 0:
                     turned = np.concatenate([wrench[:3], frames[k].rotation.T @ wrench[3:]])
@@ -459,4 +459,4 @@ class Cartesian(Formulation):
     ) -> tuple[Array, Array]:
         """Compute forces and torques (j, 3) of joints from eq. (17)."""
         frames = self.frames(q, v)
-        return at_joint_points(self, frames, pushes(self, frames, multipliers))
+        return at_joint_points(self, frames, pushes(self, frames, self.measured(q, v), multipliers))

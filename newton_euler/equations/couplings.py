@@ -2,11 +2,11 @@
 
 A slide is measured from the poses of its two bodies. They determine an angle only within a revolution; the
 number of revolutions follows from the integral of its rate, which is carried along in q and starts within
-half a revolution. Coordinates that depend on each other or on time are one thing, a linear combination
-that equals a function of time,
+half a revolution. Coordinates that depend on each other or on time are one thing, a sum of polynomials of
+the coordinates, most of them linear, that equals a function of time,
 
-    Phi = sum_i c_i x_i - f(t),    Phi_q = sum_i c_i dx_i/dq,    Phi_t = -f'(t)
-    gamma = sum_i c_i gamma_i + f''(t)
+    Phi = sum_i p_i(x_i) - f(t),    Phi_q = sum_i p_i'(x_i) dx_i/dq,    Phi_t = -f'(t)
+    gamma = sum_i p_i'(x_i) gamma_i - p_i''(x_i) (dx_i/dt)^2 + f''(t)
 
 with d2x_i/dt2 = dx_i/dq . qddot - gamma_i (Haug, Computer Aided Kinematics and Dynamics of
 Mechanical Systems, 1989, chapters 3 and 9).
@@ -15,7 +15,7 @@ Mechanical Systems, 1989, chapters 3 and 9).
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,27 +104,29 @@ def carried_rates(measured: dict[Key, Coordinate], frames: Sequence[Frame]) -> A
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """One equation, sum of factor * x = f(t).
+    """One equation: the sum of polynomials, each of one joint coordinate x, equals f(t).
 
     Attributes:
-        what: "motion of joint", "joint", "gear" or "coupling".
+        what: "motion of joint", "joint", or the `kind` of a `JointCoupling`.
         name: of the joint, gear or coupling that it belongs to.
         joint: name of the joint that errors blame for its residual.
-        factors: of the joint coordinates.
+        factors: of the first powers of all joint coordinates.
         function: f; None for 0.
         is_length: True for an equation in meters, False for one in radians.
+        powers: factors of the second and higher powers of the coordinates that have them.
     """
 
     what: str
     name: str
     joint: str
-    factors: Mapping[Key, float]
+    factors: Mapping[Key, Scalar]
     function: TimeFunction | None
     is_length: bool
+    powers: Mapping[Key, tuple[Scalar, ...]] = field(default_factory=dict)
 
     def phi(self, seen: Mapping[Key, Measured], time: Scalar) -> Scalar:
         """Compute the residual, m or rad."""
-        return self.combine({key: seen[key].x for key in self.factors}) - (
+        return self.value({key: seen[key].x for key in self.factors}) - (
             self.function.value(time) if self.function else 0.0
         )
 
@@ -134,21 +136,55 @@ class Coupling:
 
     def rate(self, seen: Mapping[Key, Measured], time: Scalar) -> Scalar:
         """Compute the rate of the residual, m/s or rad/s."""
-        return self.combine({key: seen[key].rate for key in self.factors}) + self.phi_t(time)
+        slopes = self.seen_slopes(seen)
+        return sum(slope * seen[key].rate for key, slope in slopes.items()) + self.phi_t(time)
 
     def gamma(self, seen: Mapping[Key, Measured], time: Scalar) -> Scalar:
         """Compute the right side of Phi_q qddot = gamma."""
-        return self.combine({key: seen[key].gamma for key in self.factors}) + (
-            self.function.acceleration(time) if self.function else 0.0
-        )
+        x, rates = ({key: getattr(seen[key], name) for key in self.factors} for name in ("x", "rate"))
+        products = sum(slope * seen[key].gamma for key, slope in self.slopes(x).items())
+        return products - self.bend(x, rates) + (self.function.acceleration(time) if self.function else 0.0)
 
-    def combine(self, parts: Mapping[Key, Scalar]) -> Scalar:
-        """Compute the sum of factor * part."""
-        return sum(factor * parts[key] for key, factor in self.factors.items())
+    def value(self, x: Mapping[Key, Scalar]) -> Scalar:
+        """Compute the sum of the polynomials p(x), m or rad."""
+        return sum(self.term(key, x[key]) for key in self.factors)
+
+    def term(self, key: Key, x: Scalar) -> Scalar:
+        """Compute the polynomial p of one coordinate."""
+        return x * _polynomial((self.factors[key], *self.powers.get(key, ())), x)
+
+    def slopes(self, x: Mapping[Key, Scalar]) -> dict[Key, Scalar]:
+        """Compute the derivative p'(x) of each coordinate's polynomial; those of linear ones need no x."""
+        slopes = dict(self.factors)
+        for key, powers in self.powers.items():
+            derivative = (self.factors[key], *(k * c for k, c in enumerate(powers, start=2)))
+            slopes[key] = _polynomial(derivative, x[key])
+        return slopes
+
+    def seen_slopes(self, seen: Mapping[Key, Measured]) -> dict[Key, Scalar]:
+        """Compute the slopes at measured coordinates."""
+        return self.slopes({key: seen[key].x for key in self.factors})
+
+    def bend(self, x: Mapping[Key, Scalar], rates: Mapping[Key, Scalar]) -> Scalar:
+        """Compute the sum of p''(x) (dx/dt)^2: the second rate of `value` at constant rates."""
+        total: Scalar = 0.0
+        for key, powers in self.powers.items():
+            derivative = [k * (k - 1) * c for k, c in enumerate(powers, start=2)]
+            if derivative:
+                total = total + _polynomial(derivative, x[key]) * (rates[key] * rates[key])
+        return total
+
+
+def _polynomial(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
+    """Compute the sum of coefficients times the powers 0, 1, ... of x, by Horner's method."""
+    total = coefficients[-1]
+    for coefficient in reversed(coefficients[:-1]):
+        total = total * x + coefficient
+    return total
 
 
 def couplings(scene: Scene) -> tuple[Coupling, ...]:
-    """List all couplings of a scene: motions, screws, gears and other linear ones."""
+    """List all couplings of a scene: motions, screws, then those of the mechanism."""
     mechanism = scene.mechanism
     found = []
     for motion in scene.motions:
@@ -164,7 +200,9 @@ def couplings(scene: Scene) -> tuple[Coupling, ...]:
         factors = coupling.factors()
         first = next(iter(factors))
         slides = mechanism.is_slide(*first)
-        found.append(Coupling(coupling.kind, coupling.name, first[0], factors, None, slides))
+        found.append(
+            Coupling(coupling.kind, coupling.name, first[0], factors, None, slides, coupling.powers())
+        )
     return tuple(found)
 
 
@@ -193,8 +231,9 @@ def revolutions(
     """Compute multiples of 2 pi to add to angles so that their couplings hold.
 
     Poses determine angles within half a revolution only. Prescribed motions and slides determine the rest,
-    directly or through couplings. Angles that are only coupled to each other get the fewest revolutions that
-    agree with all poses. The order of the couplings does not matter.
+    directly or through couplings. Angles that are only coupled to each other, or that others follow by
+    polynomials, get the fewest revolutions that agree with all poses. The order of the couplings does not
+    matter.
 
     Args:
         couplings: those of several coordinates without a function of time.
@@ -213,9 +252,10 @@ def revolutions(
     wanted |= {key: x[key] for key in coupled if key not in angles and key not in wanted}
     _follow(linked, wanted)
     while coupled - wanted.keys():
-        ratios = {min(coupled - wanted.keys()): 1.0}
-        _follow(linked, ratios)
-        wanted |= _fewest_revolutions(ratios, x)
+        ratios = {_first_to_turn(linked, wanted, coupled - wanted.keys()): 1.0}
+        _follow([c for c in linked if not c.powers], ratios)
+        wanted |= _fewest_revolutions(ratios, linked, wanted, x)
+        _follow(linked, wanted)
     return {
         key: 2.0 * np.pi * float(np.round((wanted[key] - x[key]) / (2.0 * np.pi)))
         for key in coupled
@@ -223,38 +263,84 @@ def revolutions(
     }
 
 
-def _follow(couplings: Sequence[Coupling], wanted: dict[Key, float]) -> None:
-    """Add the coordinates that follow from the wanted ones by couplings."""
+def _follow(couplings: Sequence[Coupling], wanted: dict[Key, Any]) -> None:
+    """Add the coordinates, numbers or arrays, that follow from the wanted ones by couplings."""
     before = -1
     while before < len(wanted):
         before = len(wanted)
         for coupling in couplings:
             missing = [key for key in coupling.factors if key not in wanted]
-            if len(missing) == 1:
-                known = sum(f * wanted[key] for key, f in coupling.factors.items() if key in wanted)
+            if len(missing) == 1 and missing[0] not in coupling.powers:
+                known = sum(coupling.term(key, wanted[key]) for key in coupling.factors if key in wanted)
                 wanted[missing[0]] = -known / coupling.factors[missing[0]]
 
 
-def _fewest_revolutions(ratios: Mapping[Key, float], x: Mapping[Key, float]) -> dict[Key, float]:
+def _first_to_turn(couplings: Sequence[Coupling], wanted: Mapping[Key, float], among: Collection[Key]) -> Key:
+    """Choose the angle whose revolutions are looked for first: one that most others follow."""
+    bent = [key for coupling in couplings for key in coupling.powers if key in among]
+    if not bent:
+        return min(among)
+    reached = {}
+    for key in bent:
+        followers = {**wanted, key: 0.0}
+        _follow(couplings, followers)
+        reached[key] = len(followers)
+    return min(bent, key=lambda key: (-reached[key], key))
+
+
+def _fewest_revolutions(
+    ratios: Mapping[Key, float],
+    couplings: Sequence[Coupling],
+    wanted: Mapping[Key, float],
+    x: Mapping[Key, float],
+) -> dict[Key, float]:
     """Find the smallest angles of these ratios that agree with their poses x, up to `MOST_REVOLUTIONS`.
 
-    If there are none, those of the slowest one within half a revolution.
+    What follows from them and the wanted coordinates by the couplings has to agree, too. If there are no such
+    angles, those of the slowest one within half a revolution.
     """
     slowest = min(ratios, key=lambda key: (abs(ratios[key]), key))
-    share = np.array([ratios[key] / ratios[slowest] for key in ratios])
     count = np.arange(MOST_REVOLUTIONS + 1)
     count = np.stack([count, -count], axis=1).ravel()
     angle = x[slowest] + 2.0 * np.pi * count
     angle = angle[np.argsort(np.abs(angle), kind="stable")]
-    turned = (np.outer(angle, share) - [x[key] for key in ratios]) / (2.0 * np.pi)
-    agree = np.all(np.abs(turned - np.round(turned)) < SAME_POSE / (2.0 * np.pi), axis=1)
-    return dict(zip(ratios, float(angle[np.argmax(agree)]) * share, strict=True))
+    angles = {key: angle * (ratio / ratios[slowest]) for key, ratio in ratios.items()}
+    known: dict[Key, Any] = {**wanted, **angles}
+    bent = [coupling for coupling in couplings if coupling.powers]
+    if bent:
+        _follow(couplings, known)
+    away = [known[key] - x[key] for key in known.keys() - wanted.keys()]
+    turned = np.array(away) / (2.0 * np.pi)
+    near = SAME_POSE / (2.0 * np.pi)
+    # angles of so many revolutions that their fractions are rounded off agree with nothing
+    agree = np.all((np.abs(turned - np.round(turned)) < near) & (np.spacing(np.abs(turned)) < near), axis=0)
+    for coupling in bent:
+        if coupling.factors.keys() <= known.keys():
+            agree = agree & (np.abs(coupling.value(known)) < SAME_POSE)
+    best = int(np.argmax(agree))
+    return {key: float(values[best]) for key, values in angles.items()}
+
+
+class Residuals(NamedTuple):
+    """Residuals of couplings where bodies have some frames."""
+
+    phi: Array
+    """(c,) m or rad."""
+    rate: Array
+    """(c,) m/s or rad/s."""
+    slopes: list[dict[Key, float]]
+    """For each coupling the derivative of its residual by each of its coordinates."""
+
+    @property
+    def sensitivity(self) -> Array:
+        """Return the sums (c,) of the slopes' magnitudes: how far a residual moves with its coordinates."""
+        return np.array([sum(map(abs, slopes.values())) for slopes in self.slopes])
 
 
 def residuals(
     mechanism: Mechanism, couplings: Sequence[Coupling], frames: Sequence[Frame], time: float
-) -> tuple[Array, Array]:
-    """Compute residuals (c,) of couplings where bodies have these frames, and their rates.
+) -> Residuals:
+    """Compute residuals of couplings where bodies have these frames.
 
     The frames are those of the bodies of the mechanism. Angles are in the revolution of `revolutions`.
     """
@@ -264,19 +350,21 @@ def residuals(
     angles = {key for key in x if not mechanism.is_slide(*key)}
     for key, angle in revolutions(couplings, x, angles, time).items():
         x[key] += angle
-    phi = [c.combine(x) - (c.function.value(time) if c.function else 0.0) for c in couplings]
-    return np.array(phi), np.array([c.combine(rates) + c.phi_t(time) for c in couplings])
+    phi = [c.value(x) - (c.function.value(time) if c.function else 0.0) for c in couplings]
+    slopes = [c.slopes(x) for c in couplings]
+    moved = (sum(slope * rates[key] for key, slope in of_one.items()) for of_one in slopes)
+    opening = [rate + c.phi_t(time) for rate, c in zip(moved, couplings, strict=True)]
+    return Residuals(np.array(phi), np.array(opening), slopes)
 
 
 class TreeCouplings:
-    """The couplings of a scene, in order: jacobian @ v + phi_t = 0 with a constant Jacobian.
+    """The couplings of a scene, in order: jacobian(q) @ v + phi_t = 0.
 
     The coordinates are those of a tree that keeps all the joints they couple, as that of a welded mechanism
     does: only balls, rods and welds are cut there, which have no coordinates.
 
     Attributes:
         couplings: as of `couplings`.
-        jacobian: (c, nv).
         units: (c,) of the equations: the mechanism's size (m) for lengths, else 1.
     """
 
@@ -284,21 +372,32 @@ class TreeCouplings:
         self.couplings = couplings(scene)
         self._angles: set[Key] = set()
         self._on_q: dict[Key, int] = {}
-        self.jacobian = np.zeros((len(self.couplings), tree.nv))
-        for row, coupling in zip(self.jacobian, self.couplings, strict=True):
-            for key, factor in coupling.factors.items():
-                place = tree.place(*key)
-                assert place is not None
-                self._on_q[key], on_v = place
-                row[on_v] = factor
-                if not scene.mechanism.is_slide(*key):
-                    self._angles.add(key)
+        self._on_v: dict[Key, int] = {}
+        self._nv = tree.nv
+        for key in {key for coupling in self.couplings for key in coupling.factors}:
+            place = tree.place(*key)
+            assert place is not None
+            self._on_q[key], self._on_v[key] = place
+            if not scene.mechanism.is_slide(*key):
+                self._angles.add(key)
         self.units = row_units((), self.couplings, scene.mechanism.size)
+
+    def _x(self, q: Array) -> dict[Key, Any]:
+        """Return the coupled coordinates, m or rad, at q (nq,)."""
+        return {key: q[place] for key, place in self._on_q.items()}
 
     def phi(self, q: Array, time: float) -> Array:
         """Compute residuals (c,), m or rad."""
-        x = {key: q[place] for key, place in self._on_q.items()}
-        return np.array([coupling.combine(x) for coupling in self.couplings]) - self.value(time)
+        x = self._x(q)
+        return np.array([coupling.value(x) for coupling in self.couplings]) - self.value(time)
+
+    def jacobian(self, q: Array) -> Array:
+        """Compute the derivative (c, nv) of the residuals along tree velocities."""
+        rows, x = np.zeros((len(self.couplings), self._nv)), self._x(q)
+        for row, coupling in zip(rows, self.couplings, strict=True):
+            for key, slope in coupling.slopes(x).items():
+                row[self._on_v[key]] = slope
+        return rows
 
     def value(self, time: float) -> Array:
         """Compute the prescribed values (c,) of the combinations of coordinates, m or rad."""
@@ -314,7 +413,7 @@ class TreeCouplings:
 
     def turned(self, q: Array, time: float) -> Array:
         """Add revolutions to the angles of coordinates that poses gave, so that couplings hold."""
-        x = {key: float(q[place]) for key, place in self._on_q.items()}
+        x = {key: float(value) for key, value in self._x(q).items()}
         q = q.copy()
         for key, angle in revolutions(self.couplings, x, self._angles, time).items():
             q[self._on_q[key]] += angle

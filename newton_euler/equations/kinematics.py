@@ -252,9 +252,9 @@ class TreeKinematics(Formulation):
     def coupled_row(self, coupling: Coupling, measured: Mapping[Key, Measured]) -> dict[int, Any]:
         """Compute the nonzeros of a coupling's row of J."""
         row: dict[int, Any] = {}
-        for key, factor in coupling.factors.items():
+        for key, slope in coupling.seen_slopes(measured).items():
             for k, entry in measured[key].jacobian.items():
-                add(row, k, factor * entry)
+                add(row, k, slope * entry)
         return row
 
     def rows_of(self, relative: Collection[int]) -> list[int]:

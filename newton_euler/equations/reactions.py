@@ -11,11 +11,12 @@ alone, and the reactions of the tree's joints follow from those. Both are right,
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from newton_euler.equations.couplings import Measured
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.kinematics import TreeKinematics
 from newton_euler.model.constraints import Frame, Jacobian
@@ -39,7 +40,9 @@ def _push(joint: int, first: int, second: int, jacobian: Jacobian, multipliers: 
     return Push(joint, first, second, np.concatenate([r_i, theta_i]), np.concatenate([r_j, theta_j]))
 
 
-def pushes(system: Formulation, frames: Sequence[Frame], multipliers: Array) -> Iterator[Push]:
+def pushes(
+    system: Formulation, frames: Sequence[Frame], measured: Mapping[Key, Measured], multipliers: Array
+) -> Iterator[Push]:
     """Compute the wrenches of all multipliers (rows,): joints, then couplings of measured coordinates."""
     row, index = 0, system.mechanism.joint_index
     for e in system.constrained:
@@ -48,11 +51,11 @@ def pushes(system: Formulation, frames: Sequence[Frame], multipliers: Array) -> 
         blocks = e.jacobian(frames[e.first], frames[e.second])
         yield _push(index(e.joint.name), e.first, e.second, blocks, share)
     for number, coupling in enumerate(system.couplings, start=row):
-        for key, factor in coupling.factors.items():
+        for key, slope in coupling.seen_slopes(measured).items():
             if key in system.between:
                 between = system.between[key]
                 blocks = between.constraint.jacobian(frames[between.first], frames[between.second])
-                share = np.array([factor * multipliers[number]])
+                share = np.array([slope * multipliers[number]])
                 yield _push(index(key[0]), between.first, between.second, blocks, share)
 
 
@@ -81,6 +84,7 @@ def at_joint_points(
 def tree_reactions(
     system: TreeKinematics,
     frames: Sequence[Frame],
+    measured: Mapping[Key, Measured],
     needed: Sequence[Array],
     multipliers: Array,
     joint_forces: Iterable[tuple[Key, Scalar]],
@@ -94,13 +98,14 @@ def tree_reactions(
     Args:
         system: the equations of motion.
         frames: of all bodies.
+        measured: the coordinates that couplings act on.
         needed: (6,) for each body, force and torque about its center of mass that joints supply.
         multipliers: (k,) of the loop closures and couplings.
         joint_forces: N or N m on joint coordinates, of control laws, springs and rotors.
         couples: of rotors of balls, their first and second bodies and (3,) N m on the second, world frame.
     """
     mechanism, tree, need = system.mechanism, system.tree, list(needed)
-    found = list(pushes(system, frames, multipliers))
+    found = list(pushes(system, frames, measured, multipliers))
     for push in found:
         need[push.first] = need[push.first] - push.on_first
         need[push.second] = need[push.second] - push.on_second

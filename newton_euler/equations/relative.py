@@ -217,7 +217,7 @@ class Relative(TreeKinematics):
                 force[place] = force[place] - entry * multipliers[k]
         moving = [k.acceleration for k in links], [k.angular_acceleration for k in links]
         needed = self.needed_wrenches(q, v, *moving)
-        for push in pushes(self, self.frames(q, v), of_joints):
+        for push in pushes(self, self.frames(q, v), self.measured(q, v), of_joints):
             needed[push.first] = needed[push.first] - push.on_first
             needed[push.second] = needed[push.second] - push.on_second
         force = force + self._projected(links, needed)
@@ -328,4 +328,4 @@ class Relative(TreeKinematics):
                 acceleration = sum(x_rates, start=0.0) - seen.gamma
                 joint_forces.append((armature.key, -(armature.inertia * acceleration)))
         needed = self.needed_wrenches(q, v, linear, angular)
-        return tree_reactions(self, frames, needed, multipliers, joint_forces, couples)
+        return tree_reactions(self, frames, measured, needed, multipliers, joint_forces, couples)

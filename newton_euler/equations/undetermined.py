@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.equations.cartesian import Cartesian
-from newton_euler.equations.couplings import couplings
+from newton_euler.equations.couplings import couplings, residuals
 from newton_euler.equations.dense import RANK_TOLERANCE, orthonormal_null, orthonormal_range
 from newton_euler.equations.redundancy import mobility
 from newton_euler.model.constraints import Jacobian
@@ -127,12 +127,14 @@ def _columns(scene: Scene, state: State, places: Mapping[str, Place], count: int
         blocks = equations.jacobian(frames[i], frames[j])
         add([(equations.joint.name, i, j, blocks)], equations.units(size))
     measured = Cartesian(scene).between
-    for coupling in couplings(scene):
+    coupled = couplings(scene)
+    all_slopes = residuals(mechanism, coupled, frames, 0.0).slopes
+    for coupling, slopes in zip(coupled, all_slopes, strict=True):
         parts = []
-        for key, factor in coupling.factors.items():
+        for key, slope in slopes.items():
             i, j = measured[key].first, measured[key].second
             blocks = measured[key].constraint.jacobian(frames[i], frames[j])
-            parts.append((key[0], i, j, Jacobian(*(factor * block for block in blocks))))
+            parts.append((key[0], i, j, Jacobian(*(slope * block for block in blocks))))
         add(parts, np.array([size if coupling.is_length else 1.0]))
     return _Columns(np.concatenate(rows), np.concatenate(wrenches, axis=2))
 

@@ -1,9 +1,9 @@
-"""Couplings of joint coordinates: gears, and sums of several coordinates that stay 0."""
+"""Couplings of joint coordinates: gears, polynomials, and sums of several coordinates that stay 0."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,7 +14,9 @@ from newton_euler.scalars import Array
 
 
 class JointCoupling(Variable):
-    """A sum of joint coordinates, each times a factor, that stays 0.
+    """A sum of polynomials, each of one joint coordinate, that stays 0.
+
+    The polynomials have no constant terms: the coupling holds at the initial pose, where coordinates are 0.
 
     Attributes:
         name: unique among the joints and couplings of a mechanism.
@@ -25,8 +27,12 @@ class JointCoupling(Variable):
     kind: ClassVar[str]
 
     def factors(self) -> dict[tuple[str, int], float]:
-        """The factor of each coordinate; violations are those of the first, m or rad."""
+        """Return the factor of each coordinate's first power; violations are in the first's unit."""
         raise NotImplementedError
+
+    def powers(self) -> dict[tuple[str, int], tuple[float, ...]]:
+        """Return the factors of the second and higher powers of each coordinate that has them."""
+        return {}
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,76 @@ class Gear(JointCoupling):
         if not is_finite_number(self.ratio) or self.ratio == 0.0:
             raise MechanismError(where, f"ratio is {quoted(self.ratio)}", "a finite number, not 0")
         object.__setattr__(self, "ratio", float(self.ratio))
+        check_key(where, self.driver, self.driver_coordinate)
+        check_key(where, self.follower, self.follower_coordinate)
+        if (self.driver, self.driver_coordinate) == (self.follower, self.follower_coordinate):
+            raise MechanismError(where, f"couples joint {self.driver!r} to itself", "two joint coordinates")
+
+
+MAX_DEGREE = 4
+"""Highest power of a polynomial coupling, which is that of MuJoCo's `polycoef`."""
+
+
+@dataclass(frozen=True)
+class PolynomialCoupling(JointCoupling):
+    """One joint coordinate that is a polynomial of another: x_follower = c_1 x_driver + c_2 x_driver^2 + ...
+
+    A cam and its follower, or a bead on a curve: a slide along z that is a polynomial of a slide along x.
+
+    Attributes:
+        name: unique among the joints and couplings of a mechanism.
+        driver, follower: names of the two joints.
+        coefficients: c_1, c_2, ..., at most `MAX_DEGREE`, not all 0. Both coordinates are in m or rad from
+            the initial pose. If that is at x_0, y_0 of a curve y - y_0 = p(x) - p(x_0), they are the
+            derivatives of p at x_0, the k-th divided by k!.
+        driver_coordinate, follower_coordinate: which of the joints' coordinates, from 0.
+
+    Raises:
+        MechanismError: naming the coupling and the value at fault.
+
+    Examples:
+        >>> cam = PolynomialCoupling("cam", "shaft", "tappet", (0.0, 0.02, 0.0, -0.001))
+        >>> cam.factors()[("tappet", 0)], cam.powers()
+        (1.0, {('shaft', 0): (-0.02, -0.0, 0.001)})
+    """
+
+    name: str
+    driver: str
+    follower: str
+    coefficients: tuple[float, ...]
+    driver_coordinate: int = 0
+    follower_coordinate: int = 0
+    kind: ClassVar[str] = "polynomial coupling"
+    parameters = ("coefficients",)
+    constant: ClassVar = {"driver_coordinate": WHICH, "follower_coordinate": WHICH}
+
+    def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:
+        return {name: tuple(value) for name, value in values.items()}
+
+    def factors(self) -> dict[tuple[str, int], float]:
+        follower = self.follower, self.follower_coordinate
+        return {follower: 1.0, (self.driver, self.driver_coordinate): -self.coefficients[0]}
+
+    def powers(self) -> dict[tuple[str, int], tuple[float, ...]]:
+        return {(self.driver, self.driver_coordinate): tuple(-c for c in self.coefficients[1:])}
+
+    def from_zero(self, zero: float) -> PolynomialCoupling:
+        """Return the same curve with the driver's coordinate counted from `zero`, m or rad, on the curve."""
+        moved = np.polynomial.Polynomial((0.0, *self.coefficients))(np.polynomial.Polynomial((zero, 1.0)))
+        count = len(self.coefficients)
+        shifted = np.concatenate([moved.coef, np.zeros(count)])[1 : count + 1]
+        return replace(self, coefficients=tuple(shifted.tolist()))
+
+    def __post_init__(self) -> None:
+        where = f"polynomial coupling {self.name!r:.100}"
+        check_texts(where, self, "name")
+        given: Any = self.coefficients
+        coefficients = tuple(given) if isinstance(given, Iterable) and not isinstance(given, str) else ()
+        known = all(is_finite_number(c) for c in coefficients)
+        if not (known and 1 <= len(coefficients) <= MAX_DEGREE and any(c != 0.0 for c in coefficients)):
+            needed = f"1 to {MAX_DEGREE} finite numbers, not all 0, for the powers 1, 2, ..."
+            raise MechanismError(where, f"coefficients is {quoted(given)}", needed)
+        object.__setattr__(self, "coefficients", tuple(map(float, coefficients)))
         check_key(where, self.driver, self.driver_coordinate)
         check_key(where, self.follower, self.follower_coordinate)
         if (self.driver, self.driver_coordinate) == (self.follower, self.follower_coordinate):

@@ -17,6 +17,7 @@ from newton_euler.model import balls
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Frame
 from newton_euler.model.control import ComputedTorque, StateFeedback
+from newton_euler.model.couplings import JointCoupling, PolynomialCoupling
 from newton_euler.model.digital_control import Controller, Digital, Law, Sampled
 from newton_euler.model.elements import OnPoint
 from newton_euler.model.euler_parameters import from_rotation, product
@@ -105,7 +106,7 @@ def described_at(scene: Scene, state: State) -> Scene:
         moved = replace(body, center_of_mass=move.end, quaternion=p, shapes=shapes, meshes=meshes)
         bodies.append(moved)
     joints = [_joint(equations, moves, frames) for equations in mechanism.equations]
-    made = Mechanism(bodies, joints, mechanism.couplings)
+    made = Mechanism(bodies, joints, [_coupling(coupling, zeros) for coupling in mechanism.couplings])
     motions = [replace(m, function=shifted(m.function, -zeros[m.key])) for m in scene.motions]
     return replace(
         scene,
@@ -163,6 +164,13 @@ def _joint(equations: JointEquations, moves: list[Move], frames: list[Frame]) ->
         shares = zip(before, after, joint.offsets, strict=True)
         fields["offsets"] = [new @ np.linalg.solve(old, offset) for old, new, offset in shares]
     return replace(joint, **fields)
+
+
+def _coupling(coupling: JointCoupling, zeros: dict[Key, float]) -> JointCoupling:
+    """Return a coupling whose coordinates are counted from other zeros, which meet it."""
+    if isinstance(coupling, PolynomialCoupling):
+        return coupling.from_zero(zeros[coupling.driver, coupling.driver_coordinate])
+    return coupling
 
 
 def _links(axes: Array) -> list[Array]:

@@ -270,30 +270,6 @@ class Rest:
         return Judged(f"moves from {first:.4g} s on", first)
 
 
-@dataclass(frozen=True)
-class Tangent:
-    """A polynomial of a joint coordinate whose tangent at the start a scene has in its place.
-
-    Attributes:
-        key: the coordinate.
-        coefficients: of rising powers of the coordinate, which is zero at the start.
-        unit: of the polynomial.
-    """
-
-    key: Key
-    coefficients: tuple[float, ...]
-    unit: str
-
-    def judge(self, course: Course) -> Judged:
-        x, *_ = course.coordinate(self.key)
-        if not np.all(np.isfinite(x)):
-            return Judged("not judged: the poses do not determine its coordinate", 0.0)
-        away = np.abs(np.polynomial.Polynomial((0.0, 0.0, *self.coefficients[2:]))(x))
-        most = int(np.argmax(away))
-        how = f"they are apart by up to {away[most]:.3g} {self.unit}, at {course.time[most]:.4g} s"
-        return Judged(how, float(course.time[int(np.argmax(away > 0.0))]) if away[most] > 0.0 else None)
-
-
 def judged(watches: Sequence[Watch], course: Course) -> Judged:
     """Judge an element by all its watches: it acts from the first time on at which any of them does."""
     found = [watch.judge(course) for watch in watches]

@@ -9,7 +9,7 @@ import numpy as np
 from mechanisms import GRAVITY, REGULAR, ball_loop, bar, planar_four_bar, wheel
 
 from newton_euler.model.control import PD
-from newton_euler.model.couplings import Gear
+from newton_euler.model.couplings import Gear, JointCoupling, PolynomialCoupling
 from newton_euler.model.forces import Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import (
@@ -33,8 +33,10 @@ from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.wind import WindLoad, wind_turbulence
 
 
-def _scene(name: str, bodies: list[Body], joints: list[Joint], gears: tuple[Gear, ...] = ()) -> Scene:
-    mechanism = Mechanism([Body.ground(), *bodies], joints, gears)
+def _scene(
+    name: str, bodies: list[Body], joints: list[Joint], couplings: tuple[JointCoupling, ...] = ()
+) -> Scene:
+    mechanism = Mechanism([Body.ground(), *bodies], joints, couplings)
     return Scene(name, mechanism, duration=0.2, output_period=0.05, gravity=GRAVITY)
 
 
@@ -214,6 +216,29 @@ def geared_loop() -> Scene:
     joints[0] = Cylindrical("at_a", "ground", "crank", joints[0].point, axis=[0.2, 1.0, 0.1])
     gear = Gear("chain", "at_a", "at_c", 0.7, driver_coordinate=1, follower_coordinate=1)
     return _scene("geared_loop", list(scene.mechanism.bodies[1:]), joints, (gear,))
+
+
+def _coupled(scene: Scene, *couplings: JointCoupling) -> Scene:
+    """The scene with other couplings."""
+    mechanism = scene.mechanism
+    return replace(scene, mechanism=Mechanism(mechanism.bodies, mechanism.joints, couplings))
+
+
+def cam_train() -> Scene:
+    """The gear train with curves in place of its gears: between hinges, and between hinge and slide."""
+    rolling = PolynomialCoupling("mesh", "axle", "shaft", (-1.5, 0.4, 0.0, 0.3))
+    return _coupled(gear_train(), rolling, PolynomialCoupling("cam", "shaft", "guide", (0.0, 0.2, -0.1)))
+
+
+def cam_loop() -> Scene:
+    """The geared loop with a curve in place of its gear, its follower at the cut."""
+    curve = PolynomialCoupling("cam", "at_a", "at_c", (0.5, 0.6, -0.2), 1, 1)
+    return _coupled(geared_loop(), curve)
+
+
+def cam_loop_reversed() -> Scene:
+    """The same driven from the cut."""
+    return _coupled(geared_loop(), PolynomialCoupling("cam", "at_c", "at_a", (0.5, 0.6, -0.2), 1, 1))
 
 
 def moved(scene: Scene, *motions: PrescribedMotion) -> Scene:
@@ -444,6 +469,9 @@ JOINTS = {
     "rods only": hanging_plate(),
     "gears": gear_train(),
     "gear, cut": geared_loop(),
+    "polynomials": cam_train(),
+    "polynomial, follower cut": cam_loop(),
+    "polynomial, driver cut": cam_loop_reversed(),
 }
 """Joints and couplings."""
 
@@ -465,6 +493,8 @@ FORCED = (
     "rods",
     "rods only",
     "gear, cut",
+    "polynomials",
+    "polynomial, driver cut",
     "motion, cut",
     "motions of a tree",
 )

@@ -27,7 +27,7 @@ from newton_euler.assemble import assemble, initial_state
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
-from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
+from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling, PolynomialCoupling
 from newton_euler.model.joint import Joint
 from newton_euler.model.motions import Sum, TimeFunction
 from newton_euler.model.scene import Scene
@@ -163,6 +163,8 @@ def _regeared(own: JointCoupling) -> JointCoupling:
     """A gear or coupling whose factors but the first are larger."""
     if isinstance(own, Gear):
         return replace(own, ratio=(1.0 + SIZE) * own.ratio)
+    if isinstance(own, PolynomialCoupling):
+        return replace(own, coefficients=tuple((1.0 + SIZE) * c for c in own.coefficients))
     assert isinstance(own, LinearCoupling)
     first, *others = own.terms
     return replace(own, terms=(first, *((a, k, (1.0 + SIZE) * x) for a, k, x in others)))

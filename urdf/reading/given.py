@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from newton_euler.errors import quoted, real_array
 from newton_euler.limits import exceeded
+from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.scalars import Array
 from urdf.loops import NO_LOOPS, closure_names
 from urdf.model import GROUND, ClosedLoopModel
@@ -82,7 +83,7 @@ class Given:
             pin.StdVec_RigidConstraintModel(self.constraints),
             tuple(pairs),
             (),
-            np.zeros((0, own.nv)),
+            np.zeros((0, MAX_DEGREE, own.nv)),
             (GROUND, *(str(name) for name in list(own.names)[1:])),
         )
         self.q, self.called = pin.neutral(model), "coordinates 0"

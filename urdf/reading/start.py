@@ -12,7 +12,7 @@ from newton_euler.equations.loop_closure import FileStart, Units, reach
 from newton_euler.model.mechanism import spread
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import ImportReport
-from urdf.constraints import Closures
+from urdf.constraints import Closures, power_sums
 from urdf.loops import Loops
 from urdf.model import ClosedLoopModel
 from urdf.reading.source import SourceError
@@ -68,7 +68,7 @@ class Start(FileStart):
         rows = [3 if kind == "3d" else 6 for kind in loops.type if kind != "rod"]
         self.owners = [f"loop of {n}" for n, count in zip(names, rows, strict=True) for _ in range(count)]
         self.owners += ["a coupling"] * len(closed.couplings) + [f"mimic of {m.follower}" for m in mimics]
-        self._linear = np.array([*closed.couplings, *(self._row(path, m) for m in mimics)])
+        self._linear = np.array([*closed.couplings[:, 0], *(self._row(path, m) for m in mimics)])
         self._linear = self._linear.reshape(-1, self.model.nv)
         moved = self._mimicked(mimics)
         if not np.all(np.isfinite(moved)):
@@ -76,6 +76,8 @@ class Start(FileStart):
         self._first = pin.integrate(self.model, pin.neutral(self.model), moved)
         offsets = np.array([0.0] * len(closed.couplings) + [m.offset for m in mimics])
         self._open = self._linear @ moved - offsets
+        self._moved, self._bent = moved, closed.couplings.copy()
+        self._bent[:, 0] = 0.0  # the linear part is in `_linear`
         called = "coordinates 0"
         if followers := [f"{m.follower!r} {x:.6g}" for m in mimics if (x := moved[self.place(m.follower)])]:
             called += " and mimics at their offsets"
@@ -134,8 +136,11 @@ class Start(FileStart):
         pin.computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
         x = pin.difference(self.model, self._first, q)
-        phi = np.concatenate([self._closures.phi(self.data), self._linear @ x + self._open])
-        return phi, np.vstack([self._closures.jacobian(self.data), self._linear])
+        coupled, slopes, count = self._linear @ x + self._open, self._linear.copy(), len(self._bent)
+        coupled[:count] += np.sum(power_sums(self._bent, self._moved + x, 0), axis=1)
+        slopes[:count] += power_sums(self._bent, self._moved + x, 1)
+        phi = np.concatenate([self._closures.phi(self.data), coupled])
+        return phi, np.vstack([self._closures.jacobian(self.data), slopes])
 
     def units(self) -> Units:
         model, data = self.model, self.data

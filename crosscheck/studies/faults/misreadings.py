@@ -20,7 +20,7 @@ from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
-from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
+from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling, PolynomialCoupling
 from newton_euler.model.digital_control import Law
 from newton_euler.model.elements import OnBodies, OnCoordinate
 from newton_euler.model.forces import BallSpring, Force, JointSpring, Wrench
@@ -204,9 +204,16 @@ def _other_couplings(scene: Scene, coupling: JointCoupling) -> Iterator[tuple[st
     """A coupling with each of its factors but the first changed, on other coordinates, and none."""
     yield "dropped", None
     factors = {what: factor for what, factor in FACTORS.items() if factor}
+    if isinstance(coupling, PolynomialCoupling):
+        for power, own in enumerate(coupling.coefficients, start=1):
+            for what, factor in factors.items() if own else ():
+                coefficients = [*coupling.coefficients]
+                coefficients[power - 1] = factor * own
+                yield f"power {power} {what}", replace(coupling, coefficients=tuple(coefficients))
     if isinstance(coupling, Gear):
         for what, factor in factors.items():
             yield what, replace(coupling, ratio=factor * coupling.ratio)
+    if isinstance(coupling, Gear | PolynomialCoupling):
         for k in _others(scene, coupling.driver, coupling.driver_coordinate):
             if (coupling.driver, k) != (coupling.follower, coupling.follower_coordinate):
                 yield f"driven by coordinate {k}", replace(coupling, driver_coordinate=k)
