@@ -66,8 +66,6 @@ def acted(entry: ImportedElement) -> str:
 
 def what_acted(entry: ImportedElement) -> str:
     """Word which element acted."""
-    if entry.fate == "approximated":
-        return f"{entry.element}, approximated"
     if entry.topic == CONTACTS:
         return CONTACTS
     return f"{entry.topic} of {entry.element}" if entry.topic else entry.element

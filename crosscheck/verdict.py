@@ -94,7 +94,7 @@ class Verdict:
 
         Args:
             allow_reduced: whether the model may be reduced: elements of its file may act without being
-                simulated (contacts, limits of joints, dry friction, approximations).
+                simulated (contacts, limits of joints, dry friction).
         """
         if not self.outcome.passes(allow_reduced):
             raise AssertionError(str(self))

@@ -37,6 +37,7 @@ from newton_euler.equations.dense import orthonormal_range
 from newton_euler.equations.undetermined import undetermined_in_both
 from newton_euler.model.constraints import Frame
 from newton_euler.model.control import ControlLaw
+from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.model.digital_control import Law
 from newton_euler.model.elements import OnBall, OnCoordinate
 from newton_euler.model.euler_parameters import angle_between, rotation, rotations
@@ -264,13 +265,40 @@ def _couplings_apart(aligned: Aligned) -> Iterator[tuple[str, float]]:
             yield coupling.name, 1.0
             continue
         there.remove(other)
-        one = np.array([coupling.factors[key] for key, _ in pairs])
-        two = np.array([partner.sense * other.factors[partner.key] for _, partner in pairs])
+        here, there_at = _coordinates_at_start(aligned, pairs)
+        one = _expanded(coupling, [(key, here[key], 1.0) for key, _ in pairs])
+        two = _expanded(other, [(p.key, there_at[p.key], p.sense) for _, p in pairs])
         scale = float(one @ two / (two @ two))
         apart = float(np.max(np.abs(one - scale * two)) / np.max(np.abs(one)))
         yield coupling.name, max(apart, functions_apart(first, coupling, other, scale))
     for coupling in there:
         yield coupling.name, 1.0
+
+
+def _coordinates_at_start(
+    aligned: Aligned, pairs: Sequence[tuple[Key, Partner]]
+) -> tuple[dict[Key, float], dict[Key, float]]:
+    """Coordinates of both models, m or rad, at the first one's start, each from its own initial pose."""
+    first, second = aligned.both
+    state = initial_state(first)
+    arms = [rotation(p) @ center for p, center in zip(state.quaternion, aligned.centers, strict=True)]
+    frames = state.frames(), replace(state, position=state.position + arms).frames()
+    here = {key: float(first.mechanism.measure(key, frames[0])[0]) for key, _ in pairs}
+    return here, {p.key: float(second.mechanism.measure(p.key, frames[1])[0]) for _, p in pairs}
+
+
+def _expanded(coupling: Coupling, places: Sequence[tuple[Key, float, float]]) -> Array:
+    """Coefficients of a coupling in displacements u of its coordinates from zero + sense u.
+
+    Those of the powers 1 to `MAX_DEGREE` of each coordinate, one coordinate after the other; constants are
+    left out.
+    """
+    found = np.zeros((len(places), MAX_DEGREE + 1))
+    for row, (key, zero, sense) in zip(found, places, strict=True):
+        own = np.polynomial.Polynomial((0.0, coupling.factors[key], *coupling.powers.get(key, ())))
+        moved = own(np.polynomial.Polynomial((zero, sense))).coef
+        row[: len(moved)] = moved
+    return found[:, 1:].ravel()
 
 
 def functions_apart(scene: Scene, one: Coupling, two: Coupling, scale: float) -> float:

@@ -192,8 +192,7 @@ def limiting(result: Crosscheck) -> Iterator[str]:
     yield from moved_start_lines(mapping, result.scene)
     acting = mapping.acting
     for entry in acting[:MOST_ACTING_LINES]:
-        kind = "approximated" if entry.fate == "approximated" else "active, and left out"
-        yield f"{kind}: {entry.element}: {'; '.join(filter(None, [entry.seen, entry.how]))}"
+        yield f"active, and left out: {entry.element}: {'; '.join(filter(None, [entry.seen, entry.how]))}"
     if more := [acted(entry) for entry in acting[MOST_ACTING_LINES:]]:
         yield f"active, and left out, too: {_named(more)}"
     if unknown := [entry for entry in mapping.entries if not entry.examined]:
@@ -271,10 +270,9 @@ def undetermined_lines(scene: Scene) -> Iterator[str]:
 def _inactive_lines(mapping: ImportReport) -> Iterator[str]:
     """Word which elements were left out and watched, and did nothing in the run."""
     entries = [mapping.entries[number] for number in mapping.watches]
-    watched = [entry for entry in entries if entry.fate != "approximated"]
-    idle = [f"{entry.element}: {entry.account}" for entry in watched if entry.fate == "inactive"]
+    idle = [f"{entry.element}: {entry.account}" for entry in entries if entry.fate == "inactive"]
     if idle:
-        yield f"inactive in this run, {len(idle)} of {len(watched)} watched: {'; '.join(idle)}"
+        yield f"inactive in this run, {len(idle)} of {len(entries)} watched: {'; '.join(idle)}"
 
 
 def _start_line(result: Crosscheck) -> str:

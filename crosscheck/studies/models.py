@@ -193,7 +193,7 @@ def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterat
         total.update(each.fates)
     yield f"{len(known)} models of {len(repositories)} repositories: {verdicts}; {ours} of these for a reason"
     yield f"that is crosscheck's own. Of their elements {total['exactly']} are carried over exactly,"
-    yield f"{total['approximated']} approximated, {total['inactive']} left out and inactive in the run,"
+    yield f"{total['inactive']} left out and inactive in the run,"
     yield f"{total['left out']} left out and active or not watched."
     yield ""
     rows: Rows = []

@@ -15,7 +15,8 @@ has there:
 - `JOINT.pitch` of a screw, `JOINT.length` of a rod, whose points stay on their bodies, `JOINT.offsets`
   between the hinges of a compound joint, `JOINT.offset` between parallel hinges: both kinds of joints stay
   closed at the initial pose;
-- `GEAR.ratio`, and `COUPLING.terms`, the factors of a coupling's terms in their order;
+- `GEAR.ratio`, `COUPLING.terms`, the factors of a coupling's terms in their order, and
+  `COUPLING.coefficients` of a polynomial coupling, of the powers 1, 2, ...;
 - `JOINT.motion.function` of a prescribed motion;
 - `JOINT.stiffness`, `JOINT.damping`, `JOINT.target`, `JOINT.feedforward` of the control law at a joint,
   `JOINT.1.target` for its second coordinate;

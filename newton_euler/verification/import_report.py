@@ -13,9 +13,9 @@ from newton_euler.model.scene import Scene
 from newton_euler.verification.activity import Bounds, Course, Watch, judged
 from newton_euler.verification.original import Original
 
-Fate = Literal["exactly", "approximated", "inactive", "left out"]
+Fate = Literal["exactly", "inactive", "left out"]
 
-FATES: tuple[Fate, ...] = ("exactly", "approximated", "inactive", "left out")
+FATES: tuple[Fate, ...] = ("exactly", "inactive", "left out")
 CONTACTS, LIMITS, VELOCITY_LIMITS, FRICTION = "contacts", "limits", "limit of velocity", "dry friction"
 """Topics of files."""
 
@@ -32,9 +32,9 @@ class ImportedElement:
 
     Attributes:
         element: its kind and name, such as "equality 'close'".
-        fate: carried over exactly, approximated, or left out; inactive if it is left out and a run has shown
-            that it did nothing there.
-        how: what it became, how it was approximated, or why it was left out.
+        fate: carried over exactly, or left out; inactive if it is left out and a run has shown that it did
+            nothing there.
+        how: what it became, or why it was left out.
         became: `CONTROL`, `FORCE`, `ROTOR`, or "" for anything else.
         topic: which of the things that a file can say of the element it is about, "" for all that it says.
         inert: whether nothing would move otherwise with the element as the file has it.
@@ -64,7 +64,7 @@ class ImportedElement:
         Elements that move nothing, that the file switches off, or that a run has shown to be inactive do not
         count.
         """
-        return self.fate in ("approximated", "left out") and not self.inert
+        return self.fate == "left out" and not self.inert
 
     @property
     def account(self) -> str:
@@ -127,12 +127,6 @@ class ImportReport:
         """`inert` is what moves nothing as the file has it, such as an idle motor."""
         self.entries.append(ImportedElement(element, "exactly", how, became, inert=inert))
 
-    def approximated(self, element: str, how: str, watches: Sequence[Watch] = ()) -> None:
-        """`watches` tell how far it is off in a run."""
-        if watches:
-            self.watches[len(self.entries)] = watches
-        self.entries.append(ImportedElement(element, "approximated", how))
-
     def left_out(
         self,
         element: str,
@@ -171,7 +165,7 @@ class ImportReport:
         return [entry for entry in self.entries if entry.is_unsimulated]
 
     def after(self, course: Course) -> ImportReport:
-        """Return the report with what a run shows of elements that are approximated or left out.
+        """Return the report with what a run shows of elements that are left out.
 
         After a report that is partly unsettled only the unsettled entries are judged again.
         """
@@ -184,9 +178,7 @@ class ImportReport:
                 seen = judged(self.watches[number], course)
                 if not seen.settled:
                     unsettled.add(number)
-                fate: Fate = entry.fate
-                if fate != "approximated":
-                    fate = "left out" if seen.active else "inactive"
+                fate: Fate = "left out" if seen.active else "inactive"
                 found.entries[number] = replace(entry, fate=fate, seen=seen.words, since=seen.since)
             elif entry.is_unsimulated and entry.examined:
                 found.entries[number] = replace(entry, since=0.0)
@@ -215,7 +207,7 @@ class ImportReport:
         return [entry for entry in self.entries if entry.fate == fate]
 
     def counts(self) -> str:
-        """Count the elements approximated, inactive and left out that could move something, in words.
+        """Count the elements inactive and left out that could move something, in words.
 
         Each element counts once, as the worst that became of it; "" if there are none. Those of `ACTING` that
         are left out are named: without them a model moves otherwise from the start. So is the number of
@@ -243,14 +235,9 @@ def left_out(report: ImportReport) -> dict[str, set[str]]:
     """Topics of what is not in the scene of each element; what moves nothing as the file has it stays on."""
     found: dict[str, set[str]] = {}
     for entry in report.entries:
-        if entry.fate not in ("exactly", "approximated") and not entry.inert:
+        if entry.fate != "exactly" and not entry.inert:
             found.setdefault(entry.element, set()).add(entry.topic)
     return found
-
-
-def approximated(report: ImportReport) -> set[str]:
-    """Elements that a report says were approximated."""
-    return {entry.element for entry in report.of("approximated")}
 
 
 def unique_name(wanted: str, fallback: str, taken: Iterable[str]) -> str:

@@ -35,7 +35,6 @@ from newton_euler.model.joint_kinds import (
 def test_readings_are_verified(name: str, tmp_path: Path) -> None:
     found = reading(tmp_path, ELEMENTS[name])
     assert verified(found)
-    assert not found.report.of("approximated")
     for formulation in FORMULATIONS:
         system = formulate(found.scene, formulation)
         evaluation = system.evaluate(*system.coordinates(initial_state(found.scene)))
@@ -112,19 +111,18 @@ def test_velocities_of_a_keyframe(tmp_path: Path) -> None:
     assert initial_state(scene).angular_velocity[1:] == pytest.approx(np.array([[0, 1, 0], [0, 2, 0]]))
 
 
-def test_what_is_left_out_and_what_is_approximated(tmp_path: Path) -> None:
+def test_what_is_left_out(tmp_path: Path) -> None:
     text = model(
         PAIR.replace('name="p"', 'name="p" range="-1 1" limited="true" frictionloss="0.2"'),
-        '<equality><joint name="bent" joint1="p" joint2="q" polycoef="0 1 0.5 0 0"/>'
+        "<equality>"
         '<connect name="off" active="false" body1="one" body2="two" anchor="0 0 0"/></equality>'
         '<tendon><fixed name="sum" stiffness="2"><joint joint="p" coef="1"/><joint joint="r" coef="1"/>'
         '</fixed></tendon><actuator><muscle name="pull" joint="p" lengthrange="0 1"/></actuator>'
         "<sensor><clock/></sensor>",
     )
     report = reading(tmp_path, text).report
-    lines = [str(entry) for entry in (*report.of("left out"), *report.of("approximated"))]
+    lines = [str(entry) for entry in report.of("left out")]
     for expected in (
-        "equality 'bent': approximated: gear 'bent' of ratio 1, its polynomial replaced by its slope",
         "equality 'off': left out: active=",
         "joint 'p': left out: its limits",
         "joint 'p': left out: its dry friction 0.2",

@@ -36,7 +36,8 @@ GEOMETRY = {
     "center_of_mass",
     *("point", "point_on_first", "point_on_second"),
     *("axis", "axis_on_first", "axis_on_second"),
-    *("pitch", "ratio", "terms", "function", *OF_FUNCTIONS, "quaternion", "offset", "offsets"),
+    *("pitch", "ratio", "terms", "coefficients", "function", *OF_FUNCTIONS),
+    *("quaternion", "offset", "offsets"),
 }
 
 

@@ -42,13 +42,6 @@ def test_what_is_left_out_of_one_model_only_is_a_difference(capsys, tmp_path) ->
     assert note == f"both are {other}: one model against itself"
 
 
-GEARED = """<mujoco><compiler angle="radian"/>
-<default><geom size="0.1" contype="0" conaffinity="0"/></default>
-<worldbody><body name="left"><joint name="a" axis="0 1 0"/><geom pos="0 0 0.2"/></body>
-<body name="right"><joint name="d" axis="0 1 0"/><geom pos="1 0 1"/></body></worldbody>
-<equality><joint name="je" joint1="a" joint2="d" polycoef="0 1 {} 0 0"/></equality></mujoco>"""
-
-
 LIMITED = """<robot name="arm"><link name="base"/><link name="rod"><inertial><origin xyz="0.1 0 0"/>
 <mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
 <collision><origin xyz="0.1 0 0"/><geometry><sphere radius="0.1"/></geometry></collision></link>
@@ -121,12 +114,6 @@ DRIVEN = SINGLE.replace("</mujoco>", '<actuator><motor name="m" joint="a" gear="
     [
         # a motor whose control is 0: no figure sees it, and nothing would move otherwise
         (DRIVEN, SINGLE, "only here: actuator 'm': exactly: control law of joint", False),
-        (
-            GEARED.format("0"),
-            GEARED.format("0.01"),
-            "only there: equality 'je': approximated",
-            True,
-        ),
     ],
 )
 def test_what_only_one_file_has_is_told_with_whether_it_moves(tmp_path: Path, one, two, told, wanted) -> None:

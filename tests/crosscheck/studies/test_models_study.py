@@ -32,7 +32,7 @@ ARM = """<mujoco><worldbody><body><joint name="j" axis="0 1 0" range="-90 90"/>
 def test_the_table_has_counts_and_reasons(tmp_path: Path) -> None:
     (tmp_path / "list.yaml").write_text(LIST)
     repositories = read_list(tmp_path / "list.yaml")
-    fates = {"exactly": 5, "approximated": 1, "inactive": 2, "left out": 3}
+    fates = {"exactly": 5, "inactive": 2, "left out": 3}
     found = {
         "some/robots/arm.xml": Found(
             verdict="AGREE",
@@ -58,7 +58,7 @@ def test_the_table_has_counts_and_reasons(tmp_path: Path) -> None:
     assert counts.startswith(
         "4 models of 1 repositories: 1 AGREE, 1 AGREE ON A REDUCED MODEL, 1 DISAGREE, 1 refused; 1 of these"
     )
-    assert "10 are carried over exactly, 2 approximated, 4 left out and inactive in the run, 6" in counts
+    assert "10 are carried over exactly, 4 left out and inactive in the run, 6" in counts
     assert lines[-4:] == [
         "| arm.xml | duration=0.05 | AGREE | 4 of 5 | 3 elements are left out | 3 |",
         "| broken.xml | duration=0.05 | refused: it is no XML |  |  | 1 |",

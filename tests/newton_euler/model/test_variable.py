@@ -119,7 +119,7 @@ def _has(element, name):
 
 
 MIXED = {"axis", "axis_on_first", "axis_on_second", "direction", "quaternion", "ratio", "terms"}
-MIXED |= {"gains", "targets", "function", "stroke", "held"}
+MIXED |= {"coefficients", "gains", "targets", "function", "stroke", "held"}
 """Numbers without a unit, and with several."""
 
 

@@ -110,20 +110,6 @@ def test_limits_of_tendons_through_sites(limit, fate, tmp_path):
     assert ("0.0411 m at 1 s" if fate == "inactive" else "passed from 0.9338 s on, by up to 0.0589 m") in how
 
 
-def test_how_far_a_run_leaves_a_tangent_is_told(tmp_path):
-    """x of a heavy wheel of constant rate 1 is 0.2 + t: 3 + 5 x^2 and its tangent are 5 t^2 apart."""
-    text = SWING.format(
-        gravity=0,
-        joint='armature="1e9"',
-        more='<equality><joint name="e" joint1="k" joint2="j" polycoef="3 0 5 0 0"/></equality>'
-        '<keyframe><key qpos="0.2 3.2" qvel="1 2"/></keyframe>',
-    )
-    follower = '<body><joint name="k" axis="0 1 0"/><geom size="0.1" contype="0" conaffinity="0"/></body>'
-    path = mjcf(tmp_path, text.replace("</worldbody>", f"{follower}</worldbody>"))
-    fate, how = told(after(path, 0.4), "equality 'e'")
-    assert (fate, how.split("; ")[-1]) == ("approximated", "they are apart by up to 0.8 rad, at 0.4 s")
-
-
 SHOT = """<mujoco><option gravity="0 0 0"/><worldbody><geom type="box" size="1 1 0.001" pos="0 0 {plate}"/>
 <body pos="{x} 0 1.5"><freejoint/><geom type="sphere" size="0.02" mass="1"/></body></worldbody>
 <keyframe><key qpos="{x} 0 1.5 1 0 0 0" qvel="0 0 -100 0 0 0"/></keyframe></mujoco>"""

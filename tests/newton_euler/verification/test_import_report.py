@@ -21,8 +21,6 @@ def test_elements_that_move_something_are_counted_once() -> None:
     assert report.counts() == "1 element is left out"
     report.left_out("joint 'b'", "its limits", topic="limits")
     assert report.counts() == "2 elements are left out"
-    report.approximated("equality 'e'", "by its slope")
-    assert report.counts() == "1 element is approximated, 2 left out"
 
 
 def test_what_acts_wherever_a_model_is_is_named_where_it_is_left_out() -> None:
@@ -51,7 +49,7 @@ def test_the_verdict_tells_how_much_of_the_file_is_not_in_it(capsys, tmp_path: P
     assert status == ExitStatus.REDUCED
     (verdict,) = (line for line in text.splitlines() if line.startswith(Outcome.AGREE_ON_A_REDUCED_MODEL))
     assert verdict.endswith(
-        "; motion covers 7 of 7 elements; of what can act in the file 1 element is approximated, 1 left out"
+        "; motion covers 7 of 7 elements; of what can act in the file 1 element is left out"
     )
     assert json.loads((out / "summary.json").read_text())["verdict"] == verdict
 
@@ -62,9 +60,8 @@ def test_unsimulated_elements_are_those_that_can_act() -> None:
     report.left_out("2 cameras", "they move nothing", inert=True)
     report.left_out("equality 'open'", "inactive", off=True)
     report.left_out("joint 'a'", "its limits", topic="limits")
-    report.approximated("equality 'bent'", "by its slope")
     report.not_understood("<muscle>", "no rule knows it")
-    assert [entry.element for entry in report.unsimulated()] == ["joint 'a'", "equality 'bent'", "<muscle>"]
+    assert [entry.element for entry in report.unsimulated()] == ["joint 'a'", "<muscle>"]
     assert [entry.element for entry in report.entries if entry.is_off] == ["equality 'open'"]
     assert "1 not understood" in report.counts()
     assert "1 switched off" in report.counts()
