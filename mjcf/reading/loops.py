@@ -48,7 +48,9 @@ class Loops:
                 self._add(index)
 
     def _name(self, index: int) -> str:
-        own = self._model.equality(index).name.removeprefix("gear ")
+        own = self._model.equality(index).name
+        for kind in (Gear, PolynomialCoupling):  # as `mjcf.write` names them
+            own = own.removeprefix(f"{kind.kind} ")
         name = unique_name(own, f"equality_{index}", self._taken)
         self._taken.append(name)
         return name
@@ -95,10 +97,10 @@ class Loops:
         driver = self._joints.keys[second]
         place = int(model.jnt_qposadr[second])
         x = float(self._data.qpos[place] - model.qpos0[place])
-        coefficients = tuple(polynomial[1:].tolist())
-        if not any(coefficients[1:]):
-            self._couple(index, follower, driver, coefficients[0], RIGID)
+        if not np.any(polynomial[2:]):
+            self._couple(index, follower, driver, float(polynomial[1]), RIGID)
             return
+        coefficients = tuple(np.trim_zeros(polynomial[1:], "b").tolist())
         name = self._name(index)
         file = PolynomialCoupling(name, driver[0], follower[0], coefficients, driver[1], follower[1])
         self.gears.append(file.from_zero(x))

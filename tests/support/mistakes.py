@@ -182,6 +182,18 @@ MISTAKES = {
         "-self.function.acceleration(time) if self.function else 0.0",
         "newton_euler/equations/test_couplings.py",
     ),
+    "a polynomial coupling without its second derivative": (
+        "newton_euler/equations/couplings.py",
+        "return products - self.bend(x, rates) + (",
+        "return products + (",
+        "newton_euler/equations/test_polynomial_couplings.py",
+    ),
+    "MuJoCo's polynomial without its second derivative": (
+        "mjcf/rigid.py",
+        "return float(-bend(x) * data.qvel[model.jnt_dofadr[driver]] ** 2)",
+        "return 0.0",
+        "newton_euler/equations/test_polynomial_couplings.py",
+    ),
     "a point spring that pushes when it is long": (
         "newton_euler/model/forces.py",
         "tension = self.stiffness * (length - self.rest_length)",
