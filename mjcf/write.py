@@ -311,9 +311,8 @@ def _add_coupling(equality: ET.Element, scene: Scene, coupling: Coupling) -> Non
         return
     first, *second = coupling.factors.values()
     constant = coupling.function.value(0.0) / first if coupling.function else 0.0
-    driver = list(coupling.factors)[1] if second else None
-    powers = coupling.powers.get(driver, ()) if driver else ()
-    coefficients = [constant, *(-c / first for c in (*second, *powers)), 0.0, 0.0, 0.0, 0.0]
+    higher = [factor for powers in coupling.powers.values() for factor in powers]  # of the driver alone
+    coefficients = [constant, *(-factor / first for factor in (*second, *higher)), 0.0, 0.0, 0.0, 0.0]
     attributes = {f"joint{k}": name for k, name in enumerate(names, start=1)}
     # a joint may have a motion for each of its coordinates
     attributes["name"] = f"{coupling.what} {coupling.name if second else names[0]}"

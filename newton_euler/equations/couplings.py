@@ -170,8 +170,7 @@ class Coupling:
         total: Scalar = 0.0
         for key, powers in self.powers.items():
             derivative = [k * (k - 1) * c for k, c in enumerate(powers, start=2)]
-            if derivative:
-                total = total + _polynomial(derivative, x[key]) * (rates[key] * rates[key])
+            total = total + _polynomial(derivative, x[key]) * (rates[key] * rates[key])
         return total
 
 

@@ -127,7 +127,8 @@ class PolynomialCoupling(JointCoupling):
         return {follower: 1.0, (self.driver, self.driver_coordinate): -self.coefficients[0]}
 
     def powers(self) -> dict[tuple[str, int], tuple[float, ...]]:
-        return {(self.driver, self.driver_coordinate): tuple(-c for c in self.coefficients[1:])}
+        higher = tuple(-c for c in self.coefficients[1:])
+        return {(self.driver, self.driver_coordinate): higher} if higher else {}
 
     def from_zero(self, zero: float) -> PolynomialCoupling:
         """Return the same curve with the driver's coordinate counted from `zero`, m or rad, on the curve."""
