@@ -38,6 +38,7 @@ from newton_euler.errors import UnknownNameError
 from newton_euler.integrators.formulations import cheaper_formulation, formulate
 from newton_euler.integrators.options import baumgarte_alpha
 from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array, Scalar, minimum
 
 SIDE_BY_SIDE = (("output",), ("position", "velocity"))
@@ -134,6 +135,11 @@ class Code:
         """True if runs are projected onto the constraints, or quaternions at least onto norm 1."""
         closes = len(self.system.phi_units) > 0 or len(self.system.quaternions) > 0
         return self.stabilization == "projection" and closes
+
+    @cached_property
+    def loses_rank(self) -> bool:
+        """True if constraints, those of loops and couplings, may become dependent in some configuration."""
+        return len(SpanningTree(self.scene.mechanism).cuts) > 0 or len(self.system.couplings) > 0
 
     @cached_property
     def kept(self) -> int:

@@ -257,6 +257,7 @@ def equations(
         inputs=code.inputs,
         derivative=derivative,
         dense=python.derivative,
+        loses_rank=int(code.loses_rank),
         projecting=int(code.projects),
         tolerance=ROUND_OFF,
         open_tolerance=OPEN_TOLERANCE,
@@ -405,7 +406,7 @@ def failure(
 
 def _reason(code: Code, integrator: str, most: int, status: int, x: Array) -> str:
     known = status in (m.STRAYING, m.UNDETERMINED, m.UNPROJECTED)
-    near = known or code.function("derivative")(x)[-1] < NEAR
+    near = known or (code.loses_rank and code.function("derivative")(x)[-1] < NEAR)
     advice = {True: "", False: "; for stiff equations use Radau"}[near or integrator != "DOP853"]
     here = f"a singular configuration, where joint {singular_joint(code, x)!r} loses rank" if near else ""
     larger = f"; round-off near {here}, is larger than rtol allows" if near else ""

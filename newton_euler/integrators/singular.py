@@ -5,6 +5,10 @@ ratio*, falls with the square of the distance to the singular configuration, and
 grows with the cube of the inverse of that distance. Without more, error control would shorten steps without
 end, and what passes may have gone over to another branch of the mechanism's motion. The algorithm:
 
+Masses that differ by large factors make pivots small too. `evaluate` does not take these for singular
+configurations if the mechanism is an open chain without couplings, whose constraints are independent in every
+configuration.
+
 1. `evaluate`: where the pivot ratio is not positive, accelerations come from the dense, rank-revealing form.
 2. A run may begin in a singular configuration if its velocities say which branch it takes, or if it stays at
    rest (`leaving`).
@@ -100,8 +104,12 @@ are not looked at: without projection they open joints, and
 
 @native
 def evaluate(system: Equations, x: Vector, y: Vector) -> int:
-    """y = derivative(x), by the dense form where the pivot ratio of the sparse one is not positive; a
-    status."""
+    """Evaluate y = derivative(x); return a status.
+
+    The dense form evaluates where the pivot ratio of the sparse form is not positive. If constraints cannot
+    lose rank, a small pivot ratio comes from the masses alone. The pivot ratio is 1 then: no step has to be
+    placed, shortened or refused for it.
+    """
     system.derivative(x, y)
     system.counts[EVALUATIONS] += 1.0
     if not y[system.n] > 0.0:
@@ -110,6 +118,8 @@ def evaluate(system: Equations, x: Vector, y: Vector) -> int:
         if not y[system.n] > 0.0:
             return SINGULAR
         y[system.n] = DENSE_PIVOT_RATIO
+    if system.loses_rank == 0:
+        y[system.n] = 1.0
     size = 0.0
     for i in range(system.n):
         size += abs(y[i])

@@ -63,6 +63,7 @@ class Equations(Record):
         n, nq: lengths of a state (q, v) and of q.
         inputs: length of a state with time and parameters.
         derivative, dense: rates and pivot ratio of a state, compiled, and by the dense form.
+        loses_rank: 1 if constraints may become dependent in some configuration, else 0.
         projecting: 1 if states are kept on the constraints, else 0.
         tolerance: dimensionless residual below which projection has nothing to do.
         open_tolerance: dimensionless residual that a constraint may have after projection.
@@ -80,6 +81,7 @@ class Equations(Record):
     inputs: int
     derivative: Callback
     dense: Callback
+    loses_rank: int
     projecting: int
     tolerance: float
     open_tolerance: float

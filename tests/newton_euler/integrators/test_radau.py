@@ -161,6 +161,7 @@ def test_outputs_between_steps_are_as_exact_as_the_steps():
         inputs=n + 1,
         derivative=derivative,
         dense=derivative,
+        loses_rank=1,
         projecting=0,
         tolerance=1e-12,
         open_tolerance=1e-12,

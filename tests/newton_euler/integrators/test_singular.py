@@ -218,6 +218,7 @@ def test_what_the_last_newton_step_leaves_counts(steps, status):
         inputs=2,
         derivative=None,
         dense=None,
+        loses_rank=1,
         projecting=1,
         tolerance=1e-16,
         open_tolerance=OPEN_TOLERANCE,

@@ -1,0 +1,115 @@
+"""Open chains whose masses differ by large factors: no constraint can lose rank, whatever the pivots are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from newton_euler.errors import NewtonEulerError
+from newton_euler.integrators.compiled import Code
+from newton_euler.integrators.options import Options
+from newton_euler.integrators.run import Integrator
+from newton_euler.model.forces import JointSpring
+from newton_euler.model.joint_kinds import Prismatic, Revolute
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.simulate import simulate
+from newton_euler.variation import start
+
+Y = np.array([0.0, 1.0, 0.0])
+G = 9.81
+
+
+def hanging_chain(masses, length, angle, duration):
+    """Return links of equal length, m, in a row at an angle from the vertical, on hinges about y."""
+    along = length * np.array([np.sin(angle), 0.0, -np.cos(angle)])
+    bodies, joints = [Body.ground()], []
+    for k, mass in enumerate(masses):
+        inertia = mass * length**2 / 12.0 * np.diag([1.0, 1.1, 0.9])
+        bodies.append(Body(f"link_{k}", mass, (k + 0.5) * along, inertia))
+        parent = bodies[k].name
+        joints.append(Revolute(f"hinge_{k}", parent, f"link_{k}", k * along, axis=Y))
+    return Scene("chain", Mechanism(bodies, joints), duration, 0.1 * duration, gravity=[0.0, 0.0, -G])
+
+
+def lagrange(masses, length, angle, times):
+    """Integrate Lagrange's equations of the angles from the vertical: centers (n, 2, links), m."""
+    count = len(masses)
+    reach = np.tril(np.ones((count, count)), -1) + 0.5 * np.eye(count)  # of angles on centers, in lengths
+    weights = length**2 * reach.T @ np.diag(masses) @ reach
+    inertias = 1.1 * np.array(masses) * length**2 / 12.0
+    moments = G * length * (np.array(masses) @ reach)
+
+    def rates(_, y):
+        angles, speeds = y[:count], y[count:]
+        between = angles[:, None] - angles
+        matrix = weights * np.cos(between) + np.diag(inertias)
+        return [
+            *speeds,
+            *np.linalg.solve(matrix, -weights * np.sin(between) @ speeds**2 - moments * np.sin(angles)),
+        ]
+
+    begun = np.concatenate([np.full(count, angle), np.zeros(count)])
+    found = solve_ivp(rates, times[[0, -1]], begun, "DOP853", times, rtol=1e-12, atol=1e-12)
+    angles = found.y[:count].T
+    return length * np.stack([np.sin(angles), -np.cos(angles)], axis=-1).transpose(0, 2, 1) @ reach.T
+
+
+@pytest.mark.parametrize("integrator", ["DOP853", "Radau"])
+@pytest.mark.parametrize("light", [1e-4, 1e-8])
+def test_light_links_around_a_heavy_one_move_by_lagrange(light, integrator):
+    masses = [light, 1.0, light]
+    scene = hanging_chain(masses, 0.4, 1.0, 1.0)
+    run = simulate(scene, "cartesian", integrator, rtol=1e-9, atol=1e-11)
+    centers = run.position[:, 1:, [0, 2]].transpose(0, 2, 1)
+    # 300 rtol: errors of the last link's angle grow as it swings over; the sparse elimination loses digits
+    assert np.abs(centers - lagrange(masses, 0.4, 1.0, run.time)).max() < 3e-7
+
+
+@pytest.mark.parametrize("integrator", ["DOP853", "Radau"])
+def test_a_spatial_chain_with_light_ends_moves_as_in_joint_coordinates(integrator):
+    """Joint coordinates have no constraints that could lose rank."""
+    points = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.3, 0.4, 0.0], [0.5, 0.4, 0.2]])
+    axes = ([0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.3])
+    bodies, joints = [Body.ground()], []
+    for k, mass in enumerate([1e-7, 10.0, 1e-7]):
+        center = 0.5 * (points[k] + points[k + 1])
+        bodies.append(Body(f"b{k}", mass, center, mass * np.diag([7e-4, 8e-4, 9e-4])))
+        joints.append(Revolute(f"j{k}", bodies[k].name, f"b{k}", points[k], axis=np.array(axes[k])))
+    scene = Scene("three", Mechanism(bodies, joints), 1.0, 0.1, gravity=[0.0, 0.0, -G])
+    expected = simulate(scene, "relative", rtol=1e-12, atol=1e-13)
+    run = simulate(scene, "cartesian", integrator, rtol=1e-9, atol=1e-11)
+    # 1000 rtol: the light end swings on at many times the speed of the heavy link
+    assert np.abs(run.position - expected.position).max() < 1e-6
+
+
+def test_a_cable_with_a_heavy_load_needs_no_dense_projection():
+    """Dense projection costs a thousand times as much; the function that it calls is not even compiled."""
+    masses = [0.01] * 30 + [1000.0]
+    scene = hanging_chain(masses, 0.03, 0.3, 0.02)
+    code, times = Code(scene, "cartesian"), scene.times
+    integrator = Integrator(code, times, Options())
+    integrator(code.packed(*code.system.coordinates(State.initial(scene.mechanism))))
+    assert "surface" not in code.functions
+    q = integrator.table[:, : code.system.nq].reshape(len(times), -1, 7)
+    # errors of steps, rtol = 1e-10 of 1 m
+    assert np.abs(q[:, :, [0, 2]].transpose(0, 2, 1) - lagrange(masses, 0.03, 0.3, times)).max() < 1e-10
+
+
+@pytest.mark.parametrize("formulation", ["relative", "cartesian"])
+def test_a_step_that_is_too_long_is_no_singular_configuration(formulation):
+    """RK4 is unstable for h sqrt(2 k / m) > 2.83, here 14."""
+    bodies = [Body(name, 1.0, [x, 0.0, 0.0], 0.01 * np.eye(3)) for name, x in (("a", 0.0), ("b", 0.3))]
+    along = {"axis": np.array([1.0, 0.0, 0.0])}
+    slides = [
+        Prismatic("p", "ground", "a", np.zeros(3), **along),
+        Prismatic("q", "a", "b", np.array([0.3, 0.0, 0.0]), **along),
+    ]
+    springs = [JointSpring("p", stiffness=50.0), JointSpring("q", stiffness=1e8)]
+    scene = Scene("slides", Mechanism([Body.ground(), *bodies], slides), 1.0, 0.02, forces=springs)
+    with pytest.raises(NewtonEulerError) as caught:
+        simulate(start(scene, p=(0.1, 0.0), q=(1e-6, 0.0)), formulation, "RK4", step=1e-3)
+    assert "singular" not in str(caught.value)
+    assert "'q'" in str(caught.value)
