@@ -39,7 +39,7 @@ SIX_BAR = """<mujoco model="six_bar">
       <joint name="anchor"/><geom fromto="0 0 0 -0.2 0 1.1"/><site name="f" pos="-0.2 0 1.1"/>
     </body>
   </worldbody>
-  <equality><connect site1="c" site2="d"/><connect site1="e" site2="f"/></equality>
+  <equality><connect name="cd" site1="c" site2="d"/><connect name="ef" site1="e" site2="f"/></equality>
 </mujoco>"""
 """Two loops."""
 
