@@ -108,7 +108,7 @@ def test_an_executor_of_a_sweep_imports_nothing_from_the_current_folder(foreign:
 def test_the_module_imports_nothing_from_the_current_folder(foreign: Path) -> None:
     command = [sys.executable, "-m", "crosscheck", "--version"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert version("crosscheck") in done.stdout
+    assert version("crosscheck-dynamics") in done.stdout
     assert not foreign.exists()
 
 
