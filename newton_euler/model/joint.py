@@ -339,8 +339,12 @@ class AxisJoint(Joint):
         """See `Joint.varied`; the second body's point stays on the axis, or plane, of the first."""
         changed, span = super().varied(values), self.span
         if "axis" in values and np.any(span):
-            turned = np.column_stack([*changed.pair, changed.axis])
-            turned = turned @ (np.column_stack([*self.pair, self.axis]).T @ span)
+            turned = self._turned(changed, span)
             object.__setattr__(changed, "point_on_second", changed.point_on_second + (turned - span))
             object.__setattr__(changed, "_span", turned)
         return changed
+
+    def _turned(self, changed: AxisJoint, vector: Array) -> Array:
+        """Return a vector (3,) that turns as the axis and pair turn into those of the changed joint."""
+        own = np.column_stack([*self.pair, self.axis])
+        return np.asarray(np.column_stack([*changed.pair, changed.axis]) @ (own.T @ vector))

@@ -11,7 +11,7 @@ import numpy as np
 from newton_euler.errors import MechanismError, check_flag, set_arrays
 from newton_euler.model.constraints import Angle, Constraint, Displacement, Distance, Frame, Jacobian, Span
 from newton_euler.model.description import DefaultArrayField, description
-from newton_euler.model.joint import LEAST_LENGTH, AxisJoint, Motion, Pose, perpendicular_pair
+from newton_euler.model.joint import LEAST_LENGTH, AxisJoint, Motion, Pose
 from newton_euler.scalars import Array, arctan2, cross, sqrt
 
 
@@ -158,9 +158,7 @@ class ParallelHinges(AxisJoint):
         moved = offset - self.offset
         if "axis" in values:
             # the base class turns the point on the second axis; the offset turns alike
-            own = np.column_stack([*perpendicular_pair(self.axis, self.described.axis), self.axis])
-            other = np.column_stack([*changed.pair, changed.axis])
-            offset, moved = other @ (own.T @ offset), other @ (own.T @ moved)
+            offset, moved = self._turned(changed, offset), self._turned(changed, moved)
         object.__setattr__(changed, "offset", offset)
         if "offset" in values:
             object.__setattr__(changed, "point_on_second", changed.point_on_second + moved)

@@ -113,24 +113,32 @@ def rolling_chain(forward: bool = True) -> Scene:
     return _scene("rolling_chain", bodies, joints)
 
 
-def rolling_loop() -> Scene:
-    """Two universal joints, a hinge and two parallel hinges, where the loop is cut: 7 - 6 = 1 freedom."""
-    points = [[0, 0, 0], [0.1, 0.1, 0.5], [0.9, 0.3, 0.8], [1.0, 0.2, 0.1]]
+CORNERS = ([0, 0, 0], [0.1, 0.1, 0.5], [0.9, 0.3, 0.8], [1.0, 0.2, 0.1])
+"""m, ends of the bars of a four-bar linkage in space."""
+
+
+def _spatial_loop(name: str, at_a: Joint, at_c: Joint) -> Scene:
+    """A crank on joint `at_a`, a coupler and a rocker on universal joints, closed by joint `at_c`."""
     bodies = [
-        bar("crank", points[0], points[1]),
-        bar("coupler", points[1], points[2], 2.0),
-        bar("rocker", points[3], points[2], 1.5),
+        bar("crank", CORNERS[0], CORNERS[1]),
+        bar("coupler", CORNERS[1], CORNERS[2], 2.0),
+        bar("rocker", CORNERS[3], CORNERS[2], 1.5),
     ]
     across = {"axis_on_first": [0, 1, 0]}
-    joints: list[Joint] = [
-        Revolute("at_a", "ground", "crank", points[0], axis=[0.2, 1.0, 0.1]),
-        Universal("at_b", "coupler", "crank", points[1], **across, axis_on_second=[0.6, 0, 0.8]),
+    at_b = Universal("at_b", "coupler", "crank", CORNERS[1], **across, axis_on_second=[0.6, 0, 0.8])
+    at_d = Universal("at_d", "ground", "rocker", CORNERS[3], **across, axis_on_second=[1, 0, 0])
+    return _scene(name, bodies, [at_a, at_b, at_c, at_d])
+
+
+def rolling_loop() -> Scene:
+    """Two universal joints, a hinge and two parallel hinges, where the loop is cut: 7 - 6 = 1 freedom."""
+    return _spatial_loop(
+        "rolling_loop",
+        Revolute("at_a", "ground", "crank", CORNERS[0], axis=[0.2, 1.0, 0.1]),
         ParallelHinges(
-            "at_c", "rocker", "coupler", points[2], axis=[0.3, 0.2, 1.0], offset=[0.1, -0.1, 0.05]
+            "at_c", "rocker", "coupler", CORNERS[2], axis=[0.3, 0.2, 1.0], offset=[0.1, -0.1, 0.05]
         ),
-        Universal("at_d", "ground", "rocker", points[3], **across, axis_on_second=[1, 0, 0]),
-    ]
-    return _scene("rolling_loop", bodies, joints)
+    )
 
 
 def screw_press() -> Scene:
@@ -150,20 +158,11 @@ def screw_press() -> Scene:
 
 def screw_loop() -> Scene:
     """Three joints of two freedoms and a screw, which is where the loop is cut: 6 + 1 - 6 = 1."""
-    points = [[0, 0, 0], [0.1, 0.1, 0.5], [0.9, 0.3, 0.8], [1.0, 0.2, 0.1]]
-    bodies = [
-        bar("crank", points[0], points[1]),
-        bar("coupler", points[1], points[2], 2.0),
-        bar("rocker", points[3], points[2], 1.5),
-    ]
-    across = {"axis_on_first": [0, 1, 0]}
-    joints: list[Joint] = [
-        Cylindrical("at_a", "ground", "crank", points[0], axis=[0.2, 1.0, 0.1]),
-        Universal("at_b", "coupler", "crank", points[1], **across, axis_on_second=[0.6, 0, 0.8]),
-        Screw("at_c", "rocker", "coupler", points[2], axis=[0.3, 0.2, 1.0], pitch=0.2),
-        Universal("at_d", "ground", "rocker", points[3], **across, axis_on_second=[1, 0, 0]),
-    ]
-    return _scene("screw_loop", bodies, joints)
+    return _spatial_loop(
+        "screw_loop",
+        Cylindrical("at_a", "ground", "crank", CORNERS[0], axis=[0.2, 1.0, 0.1]),
+        Screw("at_c", "rocker", "coupler", CORNERS[2], axis=[0.3, 0.2, 1.0], pitch=0.2),
+    )
 
 
 def rod_loop() -> Scene:
