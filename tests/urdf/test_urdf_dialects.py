@@ -213,6 +213,8 @@ def test_rotors(name: str, tmp_path: Path) -> None:
     ("more", "inner"),
     [
         ("<muscle/>", ""),
+        ("<gazebo><static>true</static></gazebo>", ""),
+        ("", '<dynamics damping="0"/><dynamics damping="3"/>'),
         ('<mujoco><option gravity="0 0 0"/></mujoco>', ""),
         ('<gazebo reference="rocker"><gravity>false</gravity></gazebo>', ""),
         ('<gazebo reference="rocker"><dampingFactor>0.1</dampingFactor></gazebo>', ""),
@@ -233,6 +235,7 @@ def test_what_no_rule_knows_counts_as_not_understood(more: str, inner: str, tmp_
     "more",
     [
         '<gazebo reference="rocker"><mu1>0.2</mu1><material>Red</material><gravity>true</gravity></gazebo>',
+        "<gazebo><static>false</static></gazebo>",
         '<gazebo><plugin filename="libgazebo_ros2_control.so" name="control"/></gazebo>',
         '<transmission name="t"><type>x</type><joint name="c"/><actuator name="m"><mechanicalReduction>9'
         "</mechanicalReduction></actuator></transmission>",

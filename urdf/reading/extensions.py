@@ -155,7 +155,7 @@ class _Reader:
                 self._read_gazebo_joint(element)
             case "gazebo", "springStiffness" | "springReference" | "dynamics" if place.get("reference"):
                 self._read_gazebo_spring(element, str(place.get("reference")), place)
-            case "gazebo" | "link", "gravity" | "turnGravityOff" | "kinematic":
+            case "gazebo" | "link", "gravity" | "turnGravityOff" | "kinematic" | "static":
                 return self._is_ordinary(element, tag)
             case _, "loop_joint":
                 self._read_loop_joint(element)

@@ -26,6 +26,9 @@ PARTS = {
 }
 """Elements that are read, by the element that they are in."""
 
+MANY = frozenset({"visual", "collision"})
+"""Elements of links of which each one counts; of all other elements parsers read the first."""
+
 UNMOVING = {
     "robot": frozenset(
         [
@@ -110,7 +113,6 @@ UNMOVING = {
             "light",
             "enable_wind",
             "frame",
-            "static",
             "canonical_link",
         ]
     ),
@@ -137,7 +139,6 @@ UNMOVING = {
         [
             "canonicalBody",
             "gazebo_ros_power_monitor",
-            "static",
             "self_collide",
             "selfCollide",
             "allow_auto_disable",
@@ -250,11 +251,21 @@ def unknown(root: ET.Element) -> Iterator[tuple[ET.Element, str]]:
         elif tag not in UNMOVING["robot"]:
             yield element, f"<{tag}>{f' {name!r:.100}' if name else ''}"
     for element in (*root.findall("link"), *root.findall("joint")):
+        yield from _repeated(element)
         for part in (*element, *element.findall("inertial/*")):
             others = [name for name in part.attrib if name not in ATTRIBUTES.get(part.tag, part.attrib)]
             if others:
                 where = f"{element.tag} {element.get('name')!r:.100}"
                 yield part, f"{', '.join(others)} of <{part.tag}> of {where}"
+
+
+def _repeated(element: ET.Element) -> Iterator[tuple[ET.Element, str]]:
+    """Elements of a link or joint that parsers ignore, because they read only the first with the same tag."""
+    where = f"{element.tag} {element.get('name')!r:.100}"
+    for parent in (element, *element.findall("inertial")):
+        for tag in sorted(PARTS[parent.tag] - MANY):
+            for part in parent.findall(tag)[1:]:
+                yield part, f"another <{tag}> of {where}"
 
 
 def _inside(element: ET.Element, place: str, where: str) -> Iterator[tuple[ET.Element, str]]:
