@@ -7,7 +7,8 @@ engine ends up; the one thing that is wrong does not:
   that is wrong, or all joints of a body whose frame is wrong;
 - accelerations and reactions of an engine violate Newton's and Euler's equations, with the scene's masses
   and forces, of the body whose mass or inertia is wrong, of all bodies as another gravity would, or of the
-  two bodies of a joint as another spring or control law there would.
+  two bodies of a joint as another spring or control law there would;
+- accelerations that satisfy these equations open the joint whose velocity term is wrong.
 """
 
 from __future__ import annotations
@@ -40,6 +41,9 @@ ForceAtJoint = Law | JointSpring | BallSpring
 
 OPEN = 1e-11
 """Sizes of the mechanism, rad, and as many a second: what is more is not round-off, see `kinematics`."""
+
+OPENING = 1e-9
+"""Share of the largest acceleration: round-off of ill-conditioned masses opens joints by less."""
 
 SHARE = 1e-2
 """Of the largest residual: what is less comes along with it, such as products of a small error and itself."""
@@ -130,6 +134,34 @@ def _open_closure(samples: Samples) -> str | None:
     return name if name and gaps[name] > OPEN * samples.states.scene.mechanism.size else None
 
 
+def accelerated_joint(first: Samples, second: Samples) -> str | None:
+    """Find the joint whose constraints the body accelerations of one of two systems violate.
+
+    Accelerations with a wrong velocity term satisfy the equations of motion of bodies and open the joint that
+    the term belongs to. None if all joints stay closed.
+    """
+    mechanism = first.states.scene.mechanism
+    for samples in (second, first):
+        gaps = np.max([_acceleration_gaps(mechanism, found) for found in samples.evaluations], axis=0)
+        if np.max(gaps, initial=0.0) > OPENING * samples.scales.acceleration:
+            return mechanism.joint_names[int(np.argmax(gaps))]
+    return None
+
+
+def _acceleration_gaps(mechanism: Mechanism, found: Evaluation) -> Array:
+    """Compute the violation (j,) of joints by accelerations, m/s^2; angular ones count at the size."""
+    frames, linear, angular = found.state.frames(), found.linear_acceleration, found.angular_acceleration
+    gaps = []
+    for equations in mechanism.equations:
+        i, j = equations.first, equations.second
+        blocks = equations.jacobian(frames[i], frames[j])
+        rate = blocks.r_first @ linear[i] + blocks.r_second @ linear[j]
+        rate = rate + blocks.theta_first @ angular[i] + blocks.theta_second @ angular[j]
+        gap = (rate - equations.gamma(frames[i], frames[j])) / equations.units(mechanism.size)
+        gaps.append(mechanism.size * float(np.max(np.abs(gap), initial=0.0)))
+    return np.array(gaps)
+
+
 class Cause(NamedTuple):
     """Source of a difference.
 
@@ -145,8 +177,9 @@ class Cause(NamedTuple):
 def dynamic_cause(first: Samples, second: Samples, forces: bool = True) -> Cause | None:
     """The body, joint or "gravity" that one of two systems gets wrong in Newton's and Euler's equations.
 
-    A joint if it is what a control law or spring does there. None if the equations hold: then what differs
-    is no force on a body. Without `forces` the bodies alone come into question, as where inertia differs.
+    A joint if it is what a control law or spring does there, or if accelerations open it while these
+    equations hold. None if all joints stay closed, too: then what differs is no force on a body. Without
+    `forces` the bodies alone come into question, as where inertia differs.
     """
     scene = first.states.scene
     for samples in (second, first):
@@ -159,7 +192,8 @@ def dynamic_cause(first: Samples, second: Samples, forces: bool = True) -> Cause
         if forces and (found := _at_joint(samples, residuals)):
             return found
         return Cause(scene.mechanism.body_names[1 + int(np.argmax(largest))])
-    return None
+    opened = accelerated_joint(first, second)
+    return None if opened is None else Cause(opened)
 
 
 def _other_gravity(scene: Scene, residuals: Array) -> Array | None:

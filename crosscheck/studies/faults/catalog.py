@@ -51,6 +51,8 @@ class Fault:
         right: names of bodies, joints and terms that it may be blamed on.
         near: names that a joint's fault may be blamed on by motion alone: the bodies it connects.
         shift: (3,) m, of the point that MuJoCo's model holds on a closure's second body.
+        hinge: name of the hinge whose velocity term is dropped from an engine's equations, see `turning`;
+            `plant` changes nothing then.
     """
 
     kind: str
@@ -61,6 +63,7 @@ class Fault:
     right: frozenset[str]
     near: frozenset[str] = frozenset()
     shift: Array | None = None
+    hinge: str | None = None
 
     @property
     def alike(self) -> tuple[str, str, str]:
@@ -78,7 +81,7 @@ def catalog(scene: Scene, sizes: Sequence[float] = SIZES) -> list[Fault]:
     """All faults of a scene: those with a size at each of the sizes, then those without; `MOST` of a kind."""
     most = most_of(len(scene.mechanism.bodies))
     of_sizes = [[*of_numbers(scene, size), *_of_forces(scene, size)] for size in sizes]
-    mistakes = list(mistaken(scene))
+    mistakes = [*mistaken(scene), *_dropped_terms(scene)]
     return [fault for faults in (*of_sizes, mistakes) for fault in _spread(faults, most)]
 
 
@@ -208,6 +211,16 @@ def _joint_mistakes(scene: Scene) -> Iterator[Fault]:
             yield replace(fault, kind="joint type", detail=f"{joint.kind} as {kind}", plant=other)
         if index in cuts:
             yield replace(fault, kind="missing closure")
+
+
+def _dropped_terms(scene: Scene) -> Iterator[Fault]:
+    tree = SpanningTree(scene.mechanism)
+    for kept in tree.joints:
+        joint = tree.joint(kept.joint)
+        if kept.motions and kept.motions[-1].kind == "hinge":
+            right = frozenset({joint.name})
+            term = Fault("velocity term", joint.name, "", None, plant.nothing, right, bodies_at(joint))
+            yield replace(term, hinge=joint.name)
 
 
 def other_kinds(scene: Scene, joint: Joint) -> dict[str, dict[str, Array]]:

@@ -24,6 +24,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.studies.faults import PLANTED_IN
 from crosscheck.studies.faults.catalog import SIZES, Fault, catalog
 from crosscheck.studies.faults.misreadings import EVERYTHING, misreadings
+from crosscheck.studies.faults.turning import without_turning
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System
@@ -252,7 +253,7 @@ def find(fault: Fault, engine: Engine, sound: Sound) -> Found:
     if moves is not None:
         return Found(fault, name, seen, moves, True, alone=alone)
     # the same equations of motion with the fault and without it
-    faulty = Samples(Relative(fault.plant(sound.scene)), own.states)
+    faulty = Samples(_with_dropped_term(fault, Relative(fault.plant(sound.scene))), own.states)
     observable = _first_failing(own, faulty, MOTION) is not None
     lost = None if seen else _first_failing(faulty, samples, EQUATION_LEVELS[:1])
     return Found(fault, name, seen, moves, observable, lost, alone)
@@ -317,15 +318,20 @@ def _is_named(element: str, where: str, report: ImportReport) -> bool:
 
 
 def _planted(fault: Fault, engine: Engine, scene: Scene) -> System:
-    """The engine's rigid system with the fault.
+    """Return the engine's rigid system with the fault.
 
     A loop that does not close is refused by the mechanism, before an engine sees it. In MuJoCo it is planted
     in the compiled model, where nothing refuses it.
     """
     if fault.shift is None or engine.name != "mujoco":
-        return engine.systems(fault.plant(scene))[0]
+        return _with_dropped_term(fault, engine.systems(fault.plant(scene))[0])
     from mjcf.rigid import RigidMuJoCo
 
     system = RigidMuJoCo(scene)
     system.move_anchor(fault.element, fault.shift)
     return system
+
+
+def _with_dropped_term(fault: Fault, system: System) -> System:
+    """Return equations without the velocity term that a fault drops, if it drops one."""
+    return system if fault.hinge is None else without_turning(system, fault.hinge)

@@ -23,6 +23,11 @@ REMAINS = 1e-6
 """Share of a body's mass and inertia that is left of it where it is missing; no engine takes none."""
 
 
+def nothing(scene: Scene) -> Scene:
+    """The scene itself, where the fault is one of the equations."""
+    return scene
+
+
 def with_mechanism(scene: Scene, bodies: Iterable[Body], joints: Iterable[Joint]) -> Scene:
     """Other bodies and joints; the start, which is for the right ones, is forgotten."""
     mechanism = Mechanism(bodies, joints, scene.mechanism.couplings)

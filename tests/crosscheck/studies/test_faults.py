@@ -51,6 +51,7 @@ KINDS = {
     "axis sign",
     "joint type",
     "missing closure",
+    "velocity term",
 }
 
 
@@ -137,6 +138,22 @@ def test_springs_and_armatures_are_told_from_bodies(kind):
         assert result.seen.level == "dynamics"
         assert result.blamed
         assert not replace(result, fault=replace(fault, right=frozenset({"ground"}))).blamed
+
+
+@pytest.mark.parametrize("name", PLANTED_IN)
+def test_a_dropped_velocity_term_is_found_at_its_hinge(name):
+    """omega x axis v turns the axis of all hinges but the first, before which nothing turns."""
+    scene = load("chain")
+    found = {
+        fault.element: find(fault, ENGINES[name], Sound(scene))
+        for fault in catalog(scene, ())
+        if fault.kind == "velocity term" and fault.element in ("hinge_0", "hinge_2")
+    }
+    assert not found["hinge_0"].counts
+    assert found["hinge_2"].blamed
+    assert found["hinge_2"].blamed_by_motion
+    assert found["hinge_2"].seen.level == "dynamics"
+    assert found["hinge_2"].seen.value > 1e-3  # of the largest force: as much as the term itself does
 
 
 def test_what_a_smaller_fault_does_is_not_unobservable(monkeypatch, example):
