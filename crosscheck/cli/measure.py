@@ -137,7 +137,7 @@ def loads_command(
         options = scene_options(settings) | scene_options(own, f"--case {name}:")
         scenes[name], mapping = load_scene(scene, options)
         if len(scenes) == 1:
-            tell(scene, mapping)
+            tell(scene, mapping, scenes[name])
     folder = output or Path("output/loads") / next(iter(scenes.values())).name
     with progress_shown() as progress:
         found, written = loads(scenes, at_rest, folder, progress)
@@ -300,7 +300,7 @@ def faults_command(
         if reading and mapping is not None:
             search = find_in_reading(mapping, progress)
         else:
-            tell(scene, mapping)
+            tell(scene, mapping, loaded)
             search = find_faults(loaded, progress, names=tuple(dict.fromkeys(names)))
     wall_time = time.perf_counter() - start
     found = report(loaded.name, search, wall_time)

@@ -114,7 +114,7 @@ def _guarded(
                 raise
             left_out[source] = str(error)
             continue
-        tell(source, one.mapping)
+        tell(source, one.mapping, one.scene)
         for other in found:
             if other.scene.name == one.scene.name:
                 raise CrosscheckError(f"{other.source} and {source} are both named {one.scene.name!r}")

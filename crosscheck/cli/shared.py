@@ -174,22 +174,27 @@ def load_and_tell(scene: str, options: dict[str, str]) -> Scene:
     from crosscheck.load import load_scene
 
     loaded, mapping = load_scene(scene, options)
-    tell(scene, mapping)
+    tell(scene, mapping, loaded)
     return loaded
 
 
-def tell(scene: str, mapping: ImportReport | None) -> None:
-    """Write a line to standard error for each finding and each element that is not in the scene as it was.
+def tell(source: str, mapping: ImportReport | None, scene: Scene) -> None:
+    """Write what a scene has otherwise than its file to standard error.
 
-    Of many the first ones, and how many more there are.
+    A line for each finding, for a start that is not the file's, and for each element that is not in the scene
+    as it was; of many elements the first ones, and how many more there are.
     """
-    entries = mapping.entries if mapping else ()
+    if mapping is None:
+        return
+    from crosscheck.report.run import moved_start_lines
+
+    entries = mapping.entries
     lines = [str(entry) for entry in entries if entry.fate != "exactly" and not entry.inert]
     if len(lines) > MOST_LINES + 1:
         more = len(lines) - MOST_LINES
         lines[MOST_LINES:] = [f"{more} more elements are not as in the file; crosscheck run -v names all"]
-    for line in (*map(str, mapping.findings if mapping else ()), *lines):
-        click.echo(wrapped(f"{scene}: {line}", sys.stderr), err=True)
+    for line in (*map(str, mapping.findings), *moved_start_lines(mapping, scene), *lines):
+        click.echo(wrapped(f"{source}: {line}", sys.stderr), err=True)
 
 
 def next_step(*words: object) -> str:

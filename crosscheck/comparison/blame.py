@@ -42,7 +42,7 @@ ForceAtJoint = Law | JointSpring | BallSpring
 OPEN = 1e-11
 """Sizes of the mechanism, rad, and as many a second: what is more is not round-off, see `kinematics`."""
 
-OPENING = 1e-9
+OPEN_ACCELERATION = 1e-9
 """Share of the largest acceleration: round-off of ill-conditioned masses opens joints by less."""
 
 SHARE = 1e-2
@@ -143,7 +143,7 @@ def accelerated_joint(first: Samples, second: Samples) -> str | None:
     mechanism = first.states.scene.mechanism
     for samples in (second, first):
         gaps = np.max([_acceleration_gaps(mechanism, found) for found in samples.evaluations], axis=0)
-        if np.max(gaps, initial=0.0) > OPENING * samples.scales.acceleration:
+        if np.max(gaps, initial=0.0) > OPEN_ACCELERATION * samples.scales.acceleration:
             return mechanism.joint_names[int(np.argmax(gaps))]
     return None
 

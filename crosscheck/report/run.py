@@ -186,8 +186,13 @@ def limiting(result: Crosscheck) -> Iterator[str]:
     yield from result.notes
     for _, read in _mappings(result):
         yield from (f"finding, {finding}" for finding in read.findings)
+    if isinstance(result, Against):
+        for model in result.models:
+            lines = moved_start_lines(model.mapping, model.scene) if model.mapping else ()
+            yield from (f"{model.name}: {line}" for line in lines)
+        return
     mapping = result.mapping
-    if mapping is None or isinstance(result, Against):
+    if mapping is None:
         return
     yield from moved_start_lines(mapping, result.scene)
     acting = mapping.acting

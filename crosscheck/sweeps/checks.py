@@ -28,6 +28,7 @@ from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
+from newton_euler.verification.import_report import ImportedElement, ImportReport
 
 RUNS_PER_CHECK, DEFAULT_CHECKS = 1_000, (2, 6)
 """Runs that take about as long as a check of one does, and the fewest and the most checks by default."""
@@ -59,6 +60,7 @@ class Checked:
         moves: whether anything does.
         untested: whether the motion tests none of the elements.
         engines: that made it.
+        acting: elements of the model file that acted and were not simulated as the file has them.
     """
 
     run: int
@@ -70,6 +72,7 @@ class Checked:
     moves: bool = True
     untested: bool = False
     engines: tuple[str, ...] = ()
+    acting: tuple[ImportedElement, ...] = ()
 
     @property
     def differs(self) -> bool:
@@ -106,8 +109,19 @@ def check_runs(
     runs: Mapping[int, str],
     engines: Sequence[Engine],
     progress: Callable[[str], None],
+    mapping: ImportReport | None = None,
 ) -> list[Checked]:
-    """Crosscheck runs, and compare what is kept of them; `found` are all numbers that are kept."""
+    """Crosscheck runs, and compare what is kept of them.
+
+    Args:
+        swept: the sweep.
+        found: all numbers that are kept.
+        runs: why each run was chosen, by its number.
+        engines: engines that make the runs.
+        progress: is told how far it is.
+        mapping: what became of the elements of a model file; None for a scene of this package's own.
+    """
+    unverified = mapping.unverified() if mapping else None  # the file has other parameters than a run
     said = [""]
 
     def tell(message: str) -> None:
@@ -117,7 +131,7 @@ def check_runs(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NearlyRedundantWarning)  # told of the sweep
         return [
-            _check(swept, found, run, why, engines, lambda stage: progress(f"{said[0]}: {stage}"))
+            _check(swept, found, run, why, engines, lambda stage: progress(f"{said[0]}: {stage}"), unverified)
             for run, why in paced(list(runs.items()), tell, "cross-check")
         ]
 
@@ -129,16 +143,27 @@ def _check(
     why: str,
     engines: Sequence[Engine],
     progress: Callable[[str], None],
+    mapping: ImportReport | None,
 ) -> Checked:
     names = tuple(each.name for each in engines)
     try:
-        result = crosscheck(swept.plan.scene_of(run), engines, progress, "", {})
+        result = crosscheck(swept.plan.scene_of(run), engines, progress, "", {}, mapping)
         kept = tuple(_compared(swept, found, run, result, engines))
     except (CrosscheckError, NewtonEulerError) as error:
         return Checked(run, why, False, True, str(error), engines=names)
     complete = not (result.left_out or result.unfinished)
-    moves, untested = not result.rests, result.untested
-    return Checked(run, why, complete, not result.differs, result.verdict, kept, moves, untested, names)
+    return Checked(
+        run,
+        why,
+        complete,
+        not result.differs,
+        result.verdict,
+        kept,
+        not result.rests,
+        result.untested,
+        names,
+        tuple(result.acting),
+    )
 
 
 def worded(checked: Sequence[Checked], extremes: Collection[int]) -> str:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from crosscheck.activity import what_acted
 from crosscheck.files import check_writable, write_files
 from crosscheck.outcome import Outcome
 from crosscheck.report.render import as_json, markdown
@@ -25,11 +26,11 @@ from crosscheck.report.table import (
     Report,
     Rows,
     Table,
-    Verdict,
     figures,
     judged,
     texts,
 )
+from crosscheck.run import MOST_ACTING
 from crosscheck.sweeps.analysis import (
     LEVELS,
     Analysis,
@@ -96,7 +97,7 @@ class Findings:
         checked: crosschecks of some runs.
         too_few: why there are no shares of variance; empty if there are.
         options: of the scene or the file.
-        start: lines about how a file is exercised.
+        start: lines about how a file is exercised, and how far the start is from the file's.
     """
 
     swept: Results
@@ -118,17 +119,35 @@ class Findings:
         if self.checked:
             extremes = {scalar.extreme(largest) for scalar, _ in self.effects for largest in (True, False)}
             found = f"{worded(self.checked, extremes)}; {ended}"
-        return f"{self._word}: {found}" if self._word else found
+        found = "; ".join(filter(None, [self._reduced, found]))
+        return f"{self.outcome}: {found}" if self.outcome else found
 
     @property
-    def _word(self) -> str:
+    def outcome(self) -> Outcome | None:
+        """The outcome of the crosschecks; None if all runs came to their end and none was cross-checked."""
         if any(each.differs for each in self.checked):
-            return "DISAGREE"
+            return Outcome.DISAGREE
         if len(self.swept.stopped) or not all(each.complete for each in self.checked):
-            return "UNFINISHED"
+            return Outcome.UNFINISHED
+        if not self.checked:
+            return None
+        if all(each.engines == ("newton_euler",) for each in self.checked):
+            return Outcome.ONE_ENGINE_ALONE  # which made the sweep, too
+        if any(each.acting for each in self.checked):
+            return Outcome.AGREE_ON_A_REDUCED_MODEL
         if any(each.untested for each in self.checked):
-            return Outcome.AGREE_AT_RANDOM_STATES_ONLY.value
-        return "AGREE" if self.checked else ""
+            return Outcome.AGREE_AT_RANDOM_STATES_ONLY
+        return Outcome.AGREE
+
+    @property
+    def _reduced(self) -> str:
+        """Word the elements that acted in runs that were checked and were not simulated."""
+        names = list(dict.fromkeys(what_acted(entry) for each in self.checked for entry in each.acting))
+        if not names:
+            return ""
+        more = f" and {len(names) - MOST_ACTING} more" if len(names) > MOST_ACTING else ""
+        runs = sum(bool(each.acting) for each in self.checked)
+        return f"not simulated: {', '.join(names[:MOST_ACTING])}{more}, in {runs} of {len(self.checked)} runs"
 
     @cached_property
     def notes(self) -> list[str]:
@@ -138,9 +157,8 @@ class Findings:
 
     @property
     def judged(self) -> Cell:
-        """The verdict in one word."""
-        verdicts: dict[str, Verdict] = {"DISAGREE": "fails", "AGREE": "holds", "": ""}
-        return Cell(self._word or "made", verdicts.get(self._word, "doubtful"))
+        """The outcome with its color."""
+        return Cell(self.outcome.value, self.outcome.judged) if self.outcome else Cell("made", "")
 
 
 def findings(

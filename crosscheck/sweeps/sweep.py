@@ -18,6 +18,7 @@ from crosscheck.load import exercised, load_scene
 from crosscheck.report.output import own_name
 from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal
+from crosscheck.report.run import moved_start_lines
 from crosscheck.report.table import Report
 from crosscheck.sweeps.analysis import scalars, telling
 from crosscheck.sweeps.checks import Checked, check_runs, chosen, default_count
@@ -80,7 +81,7 @@ class Sweep:
         results: its plan, its runs, and where they are.
         checks: runs of it that all engines made.
         options: of the scene or the file, as they were set or taken.
-        start: lines about how a file is exercised.
+        mapping: what became of the elements of a model file; None for a scene of this package's own.
 
     Examples:
         >>> swept = sweep("pendulum", {"dumbbell.mass": "normal(1, 0.1)"}, 100, "peak:reaction_force")
@@ -95,7 +96,7 @@ class Sweep:
     results: Results
     checks: tuple[Checked, ...] = ()
     options: Mapping[str, str] = field(default_factory=dict)
-    start: tuple[str, ...] = ()
+    mapping: ImportReport | None = None
 
     def __repr__(self) -> str:
         plan = self.results.plan
@@ -122,7 +123,8 @@ class Sweep:
     @cached_property
     def findings(self) -> Findings:
         """Quantiles of what was kept, and shares of what varied in its variance."""
-        return findings(self.results, self.checks, self.options, self.start)
+        start = start_lines(self.mapping, self.results.plan.scene)
+        return findings(self.results, self.checks, self.options, start)
 
     @cached_property
     def report(self) -> Report:
@@ -151,7 +153,7 @@ class Sweep:
             raise OptionError("runs", runs, "a whole number, 1 or more")
         found = scalars(self.results)
         picked = chosen(self.results, found, telling(found), count)
-        checked = check_runs(self.results, found, picked, choose(list(engines)), progress)
+        checked = check_runs(self.results, found, picked, choose(list(engines)), progress, self.mapping)
         return replace(self, checks=tuple(checked))
 
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
@@ -187,10 +189,12 @@ def own_scene(model: Model, scene: Scene) -> Scene:
     return replace(scene, name=own_name(os.fspath(model)))
 
 
-def how_exercised(mapping: ImportReport | None) -> tuple[str, ...]:
-    """Return the lines about how a file is exercised."""
-    lines = mapping.start if mapping else ()
-    return tuple(line for line in lines if line.startswith("exercised"))
+def start_lines(mapping: ImportReport | None, scene: Scene) -> tuple[str, ...]:
+    """Return the lines about how a file is exercised, and how far the start is from the file's."""
+    if mapping is None:
+        return ()
+    exercised = (line for line in mapping.start if line.startswith("exercised"))
+    return (*exercised, *moved_start_lines(mapping, scene))
 
 
 def sweep(
@@ -244,4 +248,4 @@ def sweep(
     warn_of(plan.scene, mobility(plan.lean).nearly)
     with workers(threads, executor, cluster) as at:
         results = results_of(plan, None if output is None else Path(output), at, progress)
-    return Sweep(results, (), given, how_exercised(mapping))
+    return Sweep(results, (), given, mapping)

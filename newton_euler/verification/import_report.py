@@ -196,6 +196,12 @@ class ImportReport:
         ]
         return found
 
+    def unverified(self) -> ImportReport:
+        """Return the report for a scene with other parameter values, which the file cannot verify."""
+        found = copy(self)
+        found.originals = []
+        return found
+
     @property
     def acting(self) -> list[ImportedElement]:
         """Elements that act in the run and are not simulated as the file has them, the first to act first."""

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import pytest
 from command_line import run, verdict_of
+from mjcf_models import LOOP
 
 import crosscheck
 import mjcf
@@ -28,16 +29,6 @@ DROP = """<mujoco model="drop"><option timestep="0.004" integrator="implicitfast
 <geom name="cube" type="box" size="0.02 0.02 0.02" mass="0.1"/></body>
 </worldbody></mujoco>"""
 """A cube above a floor, through which it falls as contacts are not simulated."""
-
-LOOP = """<mujoco model="loop"><compiler angle="radian"/><option timestep="0.002"/>
-<default><geom type="capsule" size="0.01" density="900" contype="0" conaffinity="0"/></default><worldbody>
-<body name="crank"><joint name="a" axis="0 1 0"/><geom fromto="0 0 0 0 0 0.15"/>
-<body name="rod" pos="0 0 0.15"><joint name="b" axis="0 1 0"/><geom fromto="0 0 0 0.4 0 0"/>
-<site name="tip" pos="{reach} 0 0"/></body></body>
-<body name="lever" pos="0.4 0 0"><joint name="c" axis="0 1 0"/><geom fromto="0 0 0 0 0 0.15"/>
-<site name="eye" pos="0 0 0.15"/></body></worldbody>
-<equality><connect name="close" site1="tip" site2="eye"/></equality></mujoco>"""
-"""A parallelogram that is closed at the start if the rod's tip is 0.4 m from its hinge."""
 
 
 def file(tmp_path, text, name="model.xml"):

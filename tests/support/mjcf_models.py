@@ -189,3 +189,14 @@ def verified(found: Reading) -> bool:
     """Whether the report says that it was compared with MuJoCo's own model of the file; it would not be there
     if that had shown a difference."""
     return any(line.startswith("verified against the file's own model") for line in found.report.start)
+
+
+LOOP = """<mujoco model="loop"><compiler angle="radian"/><option timestep="0.002"/>
+<default><geom type="capsule" size="0.01" density="900" contype="0" conaffinity="0"/></default><worldbody>
+<body name="crank"><joint name="a" axis="0 1 0"/><geom fromto="0 0 0 0 0 0.15"/>
+<body name="rod" pos="0 0 0.15"><joint name="b" axis="0 1 0"/><geom fromto="0 0 0 0.4 0 0"/>
+<site name="tip" pos="{reach} 0 0"/></body></body>
+<body name="lever" pos="0.4 0 0"><joint name="c" axis="0 1 0"/><geom fromto="0 0 0 0 0 0.15"/>
+<site name="eye" pos="0 0 0.15"/></body></worldbody>
+<equality><connect name="close" site1="tip" site2="eye"/></equality></mujoco>"""
+"""A parallelogram that is closed at the start if the rod's tip is 0.4 m from its hinge."""

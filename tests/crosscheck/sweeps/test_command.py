@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from command_line import run
 from mechanisms import Z, bolted
-from mjcf_models import PAIR, model
+from mjcf_models import LOOP, PAIR, model
 from rerun.chunk import RrdReader
 
 import crosscheck.sweeps.checks
@@ -21,6 +21,7 @@ import crosscheck.sweeps.plan
 from crosscheck import Sweep, sweep
 from crosscheck.comparison.figure import Figure
 from crosscheck.errors import CrosscheckError
+from crosscheck.outcome import ExitStatus, Outcome
 from crosscheck.run import Crosscheck
 from crosscheck.scenes import load
 from crosscheck.sweeps.checks import default_count
@@ -123,6 +124,44 @@ def test_how_a_file_is_exercised_is_said(capsys, tmp_path):
         shutil.rmtree(tmp_path / "sweep.zarr")
 
 
+@pytest.mark.parametrize(("allowed", "expected"), [((), ExitStatus.REDUCED), (("--allow-reduced",), 0)])
+def test_a_sweep_of_a_reduced_model_and_a_moved_start_says_so(capsys, tmp_path, allowed, expected):
+    """The crank falls past its limit, which is not simulated; the loop is open by 3 cm in the file."""
+    path = tmp_path / "limited.xml"
+    path.write_text(LOOP.format(reach=0.43).replace('name="a"', 'name="a" range="-0.2 0.05" limited="true"'))
+    arguments = ("--vary", "gravity.z=values(-9,-10)", "--runs", "2", "--keep", "final:kinetic_energy")
+    status, out, err = run(
+        capsys,
+        "sweep",
+        path,
+        *arguments,
+        "--set",
+        "duration=0.3",
+        "--check",
+        "1",
+        *allowed,
+        "--output",
+        tmp_path,
+    )
+    assert status == expected, err
+    assert "AGREE ON A REDUCED MODEL: not simulated: limits of joint 'a', in 1 of 1 runs" in " ".join(
+        out.split()
+    )
+    assert "the start is not the file's" in " ".join(out.split())
+    assert "the start is not the file's" in " ".join(err.split())
+    content = json.loads((tmp_path / "sweep.json").read_text())
+    assert content["checked"][0]["acting"][0]["element"] == "joint 'a'"
+    assert any("the start is not the file's" in note for note in content["notes"])
+
+
+def test_newton_euler_alone_does_not_confirm_its_own_sweep():
+    swept = sweep(
+        replace(load("pendulum"), duration=0.1), {"dumbbell.mass": "uniform(1, 2)"}, 2, "final:kinetic_energy"
+    )
+    assert swept.check(1, ["newton_euler"]).findings.outcome is Outcome.ONE_ENGINE_ALONE
+    assert swept.check(1, ["pinocchio"]).findings.outcome is Outcome.AGREE
+
+
 def test_reactions_that_redundant_constraints_leave_open_are_not_judged(tmp_path):
     scene = replace(bolted(Revolute, axis=Z), duration=0.2)
     keep = "peak:reaction_force, peak:pivot.reaction_force, peak:bolt.reaction_force"
@@ -209,7 +248,7 @@ def test_extreme_runs_and_others_are_checked_by_turns_and_engines_are_named():
     swept = swept.check(3, ["newton_euler"], told.append)
     why = [each.why for each in swept.checks]
     assert why == ["most final:kinetic_energy", "at random", "least final:kinetic_energy"]
-    words = "AGREE: newton_euler alone in all figures of 3 runs (2 of 3 extremes, 1 at random); "
+    words = "ONE ENGINE ALONE: newton_euler alone in all figures of 3 runs (2 of 3 extremes, 1 at random); "
     assert swept.report.verdict.startswith(words)
     assert told[0] == "cross-check 1 of 3, unknown time left"
     assert any(
