@@ -153,6 +153,8 @@ class CompiledScene:
 
     def blow(self, data: Any) -> None:
         """Give MuJoCo's motors of wind their controls where bodies are, as it has worked out last."""
+        if not self._winds:
+            return
         velocity = np.zeros(6)
         for load, (site, motors) in zip(wind_loads(self.scene), self._winds, strict=True):
             axes = data.site_xmat[site].reshape(3, 3)

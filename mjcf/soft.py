@@ -23,7 +23,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from scipy.integrate import simpson
 
 from mjcf.evaluate import EvaluatedScene
 from mjcf.forces import wind_loads
@@ -174,7 +173,7 @@ class SoftMuJoCo(EvaluatedScene):
                 work += float(self._applied(start) @ mean)
         if runge_kutta:
             mujoco.mj_forward(model, data)
-            work += float(simpson([*powers, self._power()], dx=size))
+            work += simpson(np.array([*powers, self._power()]), size)
         return work
 
     def _runge_kutta_step(self) -> float:
@@ -203,3 +202,19 @@ class SoftMuJoCo(EvaluatedScene):
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fwdActuation(model, data)
         return np.asarray(data.qfrc_actuator + data.qfrc_damper)
+
+
+def simpson(values: Array, step: float) -> float:
+    """Integrate a function by Simpson's rule, whose values (n + 1,) at the ends of n equal steps are given.
+
+    If n is odd, the last step is integrated by the parabola through the last three values, a single step by
+    the trapezoidal rule.
+    """
+    last = len(values) - 1
+    if last == 1:
+        return 0.5 * step * float(values.sum())
+    paired = last - last % 2
+    total = (values[0:paired:2] + 4.0 * values[1:paired:2] + values[2 : paired + 1 : 2]).sum() / 3.0
+    if paired < last:
+        total += values[-3:] @ np.array([-1.0, 8.0, 5.0]) / 12.0
+    return step * float(total)

@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]  # an array of floats
 Scalar = Any  # A float or a generic scalar
 
 NUMBERS = (float, int)  # plain ones; `isinstance` takes a tuple in a third of the time of a union
+LOWER = np.tri(3, dtype=bool)  # the lower triangle of a (3, 3) matrix, with its diagonal
 TERMS, SQUARES = 14, 6  # of the exponential function: (20 / 2^6)^15 / 15! is 1e-20
 
 
@@ -162,5 +163,5 @@ def tilde(a: Array) -> Array:
 
 
 def symmetric(matrix: Array) -> Array:
-    """Copy the lower triangle of a matrix that is symmetric but for round-off to the upper one."""
-    return np.where(np.tri(len(matrix), dtype=bool), matrix, matrix.T)
+    """Copy the lower triangle of a (3, 3) matrix that is symmetric but for round-off to the upper one."""
+    return np.where(LOWER, matrix, matrix.T)

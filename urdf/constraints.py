@@ -14,6 +14,7 @@ polynomials p(x) of joint coordinates,
 
 from __future__ import annotations
 
+from math import perm
 from typing import Any
 
 import numpy as np
@@ -99,7 +100,7 @@ def frame_jacobian(model: Any, data: Any, frame: int) -> Array:
 
 
 def power_sums(powers: Array, x: Array, derivative: int) -> Array:
-    """Compute polynomials (c, n) of coordinates x (n,), or a derivative of them, by it.
+    """Compute polynomials (c, n) of coordinates x (n,), or a derivative of them, by Horner's rule.
 
     Args:
         powers: (c, d, n) factors of the powers 1 to d.
@@ -107,10 +108,9 @@ def power_sums(powers: Array, x: Array, derivative: int) -> Array:
         derivative: 0, 1 or 2.
     """
     total = np.zeros((len(powers), len(x)))
-    for k in range(max(derivative, 1), powers.shape[1] + 1):
-        factor = float(np.prod(np.arange(k - derivative + 1, k + 1)))
-        total += factor * powers[:, k - 1] * x ** (k - derivative)
-    return total
+    for k in range(powers.shape[1], max(derivative, 1) - 1, -1):
+        total = total * x + perm(k, derivative) * powers[:, k - 1]
+    return total if derivative else total * x
 
 
 class Rows:
@@ -151,13 +151,14 @@ class Rows:
     def jacobian(self, data: Any, q: Array) -> Array:
         """(r, nv) in tree velocities; of data after `computeJointJacobians` and `updateFramePlacements` at
         tree coordinates q."""
-        rows = [np.zeros((0, self._model.nv))]
+        rows = []
         for rod in self._rods:
             first, second = (frame_jacobian(self._model, data, frame) for frame in rod)
-            rows.append(self._direction(data, rod)[None] @ (second - first)[:3])
-        moved = self._couplings.jacobian(q)[: self._motions]
-        coupled = power_sums(self._powers, self._map.displacements(q), 1)
-        return np.concatenate([self._map.v_from_pinocchio(np.concatenate(rows)), moved, coupled])
+            line = self._direction(data, rod)[None] @ (second - first)[:3]
+            rows.append(self._map.v_from_pinocchio(line))
+        if self._motions:
+            rows.append(self._couplings.jacobian(q)[: self._motions])
+        return np.concatenate([*rows, power_sums(self._powers, self._map.displacements(q), 1)])
 
     def gamma(self, data: Any, q: Array, v: Array, time: float) -> Array:
         """(r,) right side of Phi_q qddot = gamma; of data after `forwardKinematics` at q, v and qddot = 0."""

@@ -14,7 +14,6 @@ from typing import Any, Literal, get_args
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.model.spanning_tree import WeldedMechanism, motion_names
 from newton_euler.scalars import Array
 from urdf.errors import LoopFileError, UrdfError
@@ -120,7 +119,8 @@ def build(
             constraints.append(constraint)
             frames.append((one, two))
     single = {str(n): j.idx_v for n, j in zip(model.names, model.joints, strict=True) if j.nv == 1}
-    couplings = np.zeros((len(loops.coupled), MAX_DEGREE, model.nv))
+    degree = max((len(factors) for coupling in loops.coupled for factors in coupling.values()), default=1)
+    couplings = np.zeros((len(loops.coupled), degree, model.nv))
     for rows, coupling in zip(couplings, loops.coupled, strict=True):
         _check_joints(loops, "coupled", coupling, single)
         for name, factors in coupling.items():
@@ -223,8 +223,8 @@ def link_inertia(model: Any, index: int) -> Any:
 
 def mass_matrix(model: Any, data: Any, map: CoordinateMap, q: Array) -> Array:
     """Compute the mass matrix (nv, nv) in tree velocities, armature included, at Pinocchio's q (nq,)."""
-    mass = np.array(pin.crba(model, data, q))
-    mass[map.below] = mass.T[map.below]  # Pinocchio fills only the upper half
+    upper = np.array(pin.crba(model, data, q))  # Pinocchio fills only the upper half
+    mass = np.where(map.below, upper.T, upper)
     return map.v_from_pinocchio(map.v_from_pinocchio(mass).T)
 
 
@@ -235,7 +235,7 @@ class CoordinateMap:
     its quaternions are x-y-z-w. Angular velocities of balls are in the child's frame in both.
 
     Attributes:
-        below: rows and columns below the diagonal of a mass matrix.
+        below: (nv, nv) True below the diagonal of a mass matrix.
     """
 
     def __init__(self, model: Any, welded: WeldedMechanism) -> None:
@@ -254,7 +254,7 @@ class CoordinateMap:
         self._single_q, self._single_v = np.array(single, dtype=int).reshape(-1, 2).T
         self._order_q, self._order_v = order_q, order_v
         self._place_q, self._place_v = np.argsort(order_q), np.argsort(order_v)
-        self.below = np.tril_indices(model.nv, -1)
+        self.below = np.tri(model.nv, k=-1, dtype=bool)
 
     def displacements(self, q: Array) -> Array:
         """Coordinates (nv,) of hinges and slides at the places of their velocities; those of balls are 0."""
@@ -264,16 +264,16 @@ class CoordinateMap:
 
     def q_to_pinocchio(self, q: Array) -> Array:
         """Pinocchio's coordinates (nq,) of the tree's."""
-        return q[self._order_q]
+        return q.take(self._order_q)
 
     def q_from_pinocchio(self, q: Array) -> Array:
         """The tree's coordinates (nq,) of Pinocchio's."""
-        return q[self._place_q]
+        return q.take(self._place_q)
 
     def v_to_pinocchio(self, v: Array) -> Array:
         """Pinocchio's velocities, accelerations or generalized forces (nv,) of the tree's."""
-        return v[self._order_v]
+        return v.take(self._order_v)
 
     def v_from_pinocchio(self, v: Array) -> Array:
         """The tree's velocities, accelerations or Jacobian columns (..., nv) of Pinocchio's."""
-        return v[..., self._place_v]
+        return v.take(self._place_v, axis=-1)

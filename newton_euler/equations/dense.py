@@ -15,6 +15,7 @@ import numpy as np
 
 from newton_euler.scalars import Array
 
+CLEAR_RANK = 1e-4  # share of the largest singular value, masses included, above which none is round-off
 RANK_TOLERANCE = 1e-9  # singular values below this, or this share of the largest, count as zero
 
 
@@ -92,8 +93,8 @@ def solve_constrained(
 ) -> tuple[Array, Array]:
     """Solve M a = f + J^T lambda, J a = gamma for a (n,) and lambda (k,).
 
-    Redundant constraints are combined into independent ones first. With L the Cholesky factor of M
-    and QR = L^-1 J^T, L^T a = L^-1 f + Q (R^-T gamma - Q^T L^-1 f); not squaring J keeps its digits.
+    L is the Cholesky factor of M, and U S V^T = L^-1 J^T for dimensionless rows J without the parts that are
+    redundant. L^T a = L^-1 f + U (S^-1 V^T gamma - U^T L^-1 f); not squaring J keeps its digits.
     Units are as in `minimum_norm`, `max_rank` is as in `independent_rows`.
 
     Raises:
@@ -104,12 +105,17 @@ def solve_constrained(
     lower = np.linalg.cholesky(mass)
     if not jacobian.size:
         return np.linalg.solve(lower.T, np.linalg.solve(lower, force)), np.zeros(len(gamma))
-    combine = independent_rows(jacobian, row_units, column_units, max_rank)
-    columns = np.linalg.solve(lower, np.column_stack([force, jacobian.T @ combine]))
-    free = columns[:, 0]
-    q, r = np.linalg.qr(columns[:, 1:])
-    push = np.linalg.solve(r.T, combine.T @ gamma) - q.T @ free
-    return np.linalg.solve(lower.T, free + q @ push), combine @ np.linalg.solve(r, push)
+    columns = np.linalg.solve(lower, np.column_stack([force, jacobian.T / row_units]))
+    free, responses = columns[:, 0], columns[:, 1:]
+    u, s, vt = singular_values(responses)
+    rank = len(gamma) if max_rank is None else min(len(gamma), max_rank)
+    if not 0 < rank <= len(s) or not s[rank - 1] > CLEAR_RANK * s[0]:  # the Jacobian alone decides the rank
+        combine = row_units[:, None] * independent_rows(jacobian, row_units, column_units, max_rank)
+        u, s, vt = singular_values(responses @ combine)
+        rank, vt = len(s), vt @ combine.T
+    u, s, vt = u[:, :rank], s[:rank], vt[:rank]
+    push = vt @ (gamma / row_units) / s - u.T @ free
+    return np.linalg.solve(lower.T, free + u @ push), vt.T @ (push / s) / row_units
 
 
 def solve_augmented(

@@ -374,24 +374,23 @@ class DrivenLaws:
                         sines.append((n, gain, rate_gain, term))
                     else:
                         self._others.append((n, gain, rate_gain, term))
-        self._on_sines = np.array([n for n, *_ in sines], dtype=int)
-        numbers = [
-            (gain, rate_gain, sine.offset, sine.amplitude, sine.angular_frequency, sine.phase)
-            for _, gain, rate_gain, sine in sines
-        ]
-        self._sines = np.reshape(numbers, (-1, 6)).T
+        # a law's share of each sine, and of each cosine, which is of the sine's rate
+        self._of_sine, self._of_cosine = np.zeros((2, len(driven), len(sines)))
+        for column, (n, gain, rate_gain, sine) in enumerate(sines):
+            self._constant[n] += gain * sine.offset
+            self._of_sine[n, column] = gain * sine.amplitude
+            self._of_cosine[n, column] = rate_gain * sine.amplitude * sine.angular_frequency
+        self._frequency = np.array([sine.angular_frequency for *_, sine in sines])
+        self._phase = np.array([sine.phase for *_, sine in sines])
 
     def at(self, laws: Sequence[object], time: float) -> Array:
         """Compute w (n,), N or N m, at a time in s, by laws whose functions are held between their jumps."""
-        found = self._constant.copy()
-        gain, rate_gain, offset, amplitude, w, phase = self._sines
-        angle = w * time + phase
-        value, rate = offset + amplitude * np.sin(angle), amplitude * w * np.cos(angle)
-        np.add.at(found, self._on_sines, gain * value + rate_gain * rate)
+        angle = self._frequency * time + self._phase
+        found = self._constant + self._of_sine @ np.sin(angle) + self._of_cosine @ np.cos(angle)
         for n, k_p, k_d, function in self._others:
             found[n] += k_p * function.value(time) + k_d * function.rate(time)
         for n, k in self._jumping:
             law = laws[k]
             assert isinstance(law, PD)
             found[n] = law.force(0.0, 0.0, time)
-        return found
+        return np.asarray(found)

@@ -14,6 +14,7 @@ import mjcf
 import newton_euler
 from crosscheck.scenes.tracker import tracker as make_tracker
 from mjcf.errors import DivergenceError
+from mjcf.soft import simpson
 from newton_euler.assemble import initial_state
 from newton_euler.errors import OptionError, UnknownNameError
 from newton_euler.model.control import PD
@@ -214,3 +215,12 @@ def test_a_run_with_a_motion_that_diverges_says_when(locking: Scene) -> None:
     """MuJoCo evaluates a state more where it starts again after a step that diverged."""
     with pytest.raises(DivergenceError, match=r"QACC|QPOS|QVEL"):
         mjcf.simulate(locking, timestep=1e-4)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3, 4, 7])
+def test_integrals_of_powers(steps: int) -> None:
+    """Simpson's rule is exact for cubics over pairs of steps, for parabolas where one is left over."""
+    degree = 1 if steps == 1 else 2 + (steps % 2 == 0)
+    x = np.linspace(1.0, 2.0, steps + 1)
+    exact = (2.0 ** (degree + 1) - 1.0) / (degree + 1)
+    assert simpson(x**degree, 1.0 / steps) == pytest.approx(exact, rel=1e-14)
