@@ -1,6 +1,7 @@
 """The command line. Click parses it.
 
-Exit status: 0 agree, 1 disagree, 2 bad input or usage, with one line saying what, 3 not all was compared.
+Exit status: 0 agree, 1 disagree, 2 bad input or usage, with one line saying what, 3 not all was compared,
+4 agree on a reduced model, 130 interrupted.
 Heavy packages are imported by the commands, so that what goes wrong in an import is one line too.
 """
 
@@ -18,11 +19,14 @@ from contextlib import contextmanager, suppress
 
 INTERRUPTED = "crosscheck: error: interrupted\n"
 
+INTERRUPTED_STATUS = 128 + signal.SIGINT
+"""Exit status, as shells have it, of what an interrupt ends."""
+
 
 def _end(*_: object) -> None:
     """End the process at an interrupt while packages are loaded, before there is anything to tidy up."""
     os.write(2, INTERRUPTED.encode())
-    os._exit(2)
+    os._exit(INTERRUPTED_STATUS)
 
 
 @contextmanager
@@ -73,7 +77,7 @@ __all__ = ["identify", "main", "measure", "regress", "run", "sun", "sweep"]
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:
-    """Run the command line and exit; every failure is one line on stderr and status 2.
+    """Run the command line and exit; every failure is one line on stderr and status 2, or 130 if interrupted.
 
     Matrices are too small for threads of BLAS: where something else wants the processors, an SVD of 60 rows
     takes 40 times as long with two of them, and they sum in another order. OpenBLAS reads their number as
@@ -99,7 +103,8 @@ def main(arguments: list[str] | None = None) -> NoReturn:
             warnings.simplefilter("ignore")
             status = _invoke(arguments)
     except KeyboardInterrupt as interrupt:
-        status = _complain(": ".join(["interrupted", *map(str, interrupt.args)]), heard)
+        _complain(": ".join(["interrupted", *map(str, interrupt.args)]), heard)
+        status = INTERRUPTED_STATUS
     except Exception as error:
         # files are named where they are written
         nameless = isinstance(error, OSError) and error.filename is None and not short_of_memory(error)
@@ -110,6 +115,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
             # native modules that are interrupted while they are loaded raise errors of their own
             lost = bool(interrupts) and reason.startswith("internal error")
             status = _complain("interrupted" if lost else reason, heard)
+            status = INTERRUPTED_STATUS if lost else status
     finally:
         sys.unraisablehook = hook
     sys.exit(status)

@@ -204,3 +204,55 @@ def test_a_full_disk_leaves_nothing(tmp_path):
     )
     assert done.stdout == "cannot write out/scaling.png: File too large\n"
     assert list((tmp_path / "out").iterdir()) == []
+
+
+COMMANDS = (
+    ("run", "pendulum", "--output", "out"),
+    (
+        "sweep",
+        "pendulum",
+        "--vary",
+        "dumbbell.mass=normal(1, 0.1)",
+        "--runs",
+        "100",
+        "--keep",
+        "final:kinetic_energy",
+    ),
+    ("regress", "pendulum", "--output", "out"),
+    ("list",),
+)
+
+LOADED = """
+import contextlib, gc, io, signal, sys, threading, typing, warnings
+import crosscheck
+print("loaded", flush=True)
+from crosscheck.cli import main
+main(sys.argv[1:])
+"""
+"""A command of which the test knows when its own code begins; before that Python answers interrupts."""
+
+
+@pytest.mark.parametrize(
+    "seed", [pytest.param(k, marks=() if k < len(COMMANDS) else pytest.mark.slow) for k in range(60)]
+)
+def test_an_interrupt_at_any_time_is_one_line(tmp_path, seed):
+    """While packages are loaded, a command works, and it ends."""
+    dice = random.Random(seed)
+    process = subprocess.Popen(
+        [sys.executable, "-c", LOADED, *COMMANDS[seed % len(COMMANDS)]],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+    assert process.stdout.readline() == "loaded\n"
+    time.sleep(dice.uniform(0.0, dice.choice([0.1, 1.0, 4.0])))
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=120)
+    said = " ".join(line for line in err.splitlines() if not line.endswith(" ..."))
+    if process.returncode == 130:
+        assert re.fullmatch(r"crosscheck: error: interrupted(: .* are stored, .*)?", said)
+    else:  # the command was through; Python ends itself by the signal if it was about to exit
+        assert (process.returncode in (0, -signal.SIGINT), said) == (True, "")
+    assert not [path for path in tmp_path.rglob(".*") if path.is_file() and path.name != ".sweep.lock"]

@@ -79,7 +79,10 @@ def test_an_interrupt_is_one_line(tmp_path, capsys, good, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("crosscheck.run.stages", interrupted)
-    check_refused(capsys, tmp_path, scene_file(tmp_path, good), message="interrupted")
+    out = tmp_path / "out"
+    status, printed, err = run(capsys, "run", scene_file(tmp_path, good), "--output", out)
+    assert (status, printed, err) == (130, "", "crosscheck: error: interrupted\n")
+    assert not list(out.iterdir())
 
 
 def test_what_nobody_foresaw_is_one_line_and_what_there_is_is_kept(tmp_path, capsys, good, monkeypatch):

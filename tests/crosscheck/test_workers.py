@@ -72,7 +72,7 @@ def test_no_process_outlives_its_command(tmp_path, command, number):
             os.kill(left, signal.SIGKILL)
     _, complaint = process.communicate()
     if number != signal.SIGKILL:
-        assert (process.returncode, complaint) == (2, "crosscheck: error: interrupted\n")
+        assert (process.returncode, complaint) == (130, "crosscheck: error: interrupted\n")
         assert not [path for path in (tmp_path / "out").rglob("*") if path.name.startswith(".")]
 
 
