@@ -24,8 +24,13 @@ PACKAGES = ("numpy", "scipy", "llvmlite", "mujoco", "pin")
 """What figures depend on."""
 
 
-def read_json(path: Path, kind: type[Kind]) -> Kind:
+def read_json(path: Path, kind: type[Kind], remedy: str = "run the command again that wrote it") -> Kind:
     """The content of a JSON file, whose checksum is compared if the kind of file has one.
+
+    Args:
+        path: of the file.
+        kind: its form.
+        remedy: what to do about a file whose checksum does not fit.
 
     Raises:
         CrosscheckError: naming the file and the field at fault.
@@ -35,7 +40,7 @@ def read_json(path: Path, kind: type[Kind]) -> Kind:
         content = kind.model_validate_json(text)
         if CHECKSUM in kind.model_fields and checksum(json.loads(text)) != getattr(content, CHECKSUM):
             problem = "does not fit the other fields, the file is damaged or was edited"
-            raise CrosscheckError(f"{path}: {CHECKSUM}: {problem}; run the command again that wrote it")
+            raise CrosscheckError(f"{path}: {CHECKSUM}: {problem}; {remedy}")
         return content
     except SourceError as error:
         raise CrosscheckError(str(error)) from error

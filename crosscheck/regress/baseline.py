@@ -1,6 +1,7 @@
 """Baselines: what a scene's figures were, how far each may move, and who changed them why.
 
-A file is JSON, one figure a line, so that a change of a baseline can be read line by line.
+A file is JSON, one figure a line, so that a change of a baseline can be read line by line. A checksum ends
+the file: a damaged tolerance or a figure that was lost in a merge would otherwise never be noticed.
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from crosscheck.checksum import sealed
 from crosscheck.errors import CrosscheckError
 from crosscheck.results import read_json, versions
 from crosscheck.scenes.entries import Number, Quaternion, Vector
@@ -29,6 +31,10 @@ OPERATIONS = "operations of "
 
 COUNTED = (": steps", ": evaluations")
 """Ends of the names of checks that count the work of an integrator."""
+
+
+FORMAT = 3
+"""Of the files that this version writes and reads."""
 
 
 class _Strict(BaseModel):
@@ -142,9 +148,10 @@ class Baseline(_Strict):
         unsimulated: lines on what of a model file is in no figure.
         history: every time that the file was made; the last made what is in it.
         left_out: groups that have no figures here, and why.
+        sha256: of all other fields of the file; empty until the file is written.
     """
 
-    format: Literal[2] = 2
+    format: int = FORMAT
     scene: str
     options: dict[str, str]
     unsimulated: list[str] | None = None
@@ -152,6 +159,15 @@ class Baseline(_Strict):
     plan: Plan
     left_out: dict[GroupName, str]
     figures: Annotated[list[StoredFigure], Field(min_length=1)]
+    sha256: str = ""
+
+    @field_validator("format")
+    @classmethod
+    def _check_format(cls, number: int) -> int:
+        if number != FORMAT:
+            remedy = "delete the file and make it by --update REASON"
+            raise ValueError(f"another version of crosscheck made the file; needed: {FORMAT}; {remedy}")
+        return number
 
     @model_validator(mode="after")
     def _check_names(self) -> Baseline:
@@ -178,7 +194,7 @@ class Baseline(_Strict):
     def text(self) -> str:
         """The content of the file: a line for each field, and for each entry of the long ones."""
         parts = []
-        for key, value in self.model_dump(mode="json").items():
+        for key, value in sealed(self.model_dump(mode="json")).items():
             text = json.dumps(value, allow_nan=False)
             if key in ("unsimulated", "figures") and value:
                 text = ",\n".join(f"  {json.dumps(entry, allow_nan=False)}" for entry in value)
@@ -191,4 +207,4 @@ def read(path: Path) -> Baseline:
     """Read a baseline; raises `CrosscheckError` naming the file and the field at fault."""
     if not os.path.lexists(path):
         raise CrosscheckError(f"no baseline {path}; make it by --update REASON")
-    return read_json(path, Baseline)
+    return read_json(path, Baseline, "restore the file, or delete it and make it by --update REASON")

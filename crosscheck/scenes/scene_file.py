@@ -23,7 +23,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.files import write_files
 from crosscheck.scenes.entries import ENTRIES, SCENE
 from newton_euler.assemble import initial_state
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import NewtonEulerError, choices, quoted
 from newton_euler.model.digital_control import Digital, Law, Sampled
 from newton_euler.model.forces import BallArmature
 from newton_euler.model.joint import Joint, Key
@@ -107,6 +107,9 @@ def _problem(error: ErrorDetails) -> str:
             return f"{field}: missing"
         case "extra_forbidden":
             return f"{field}: unknown key"
+        case "union_tag_invalid":
+            tags = [each.strip(" '") for each in error["ctx"]["expected_tags"].split(",")]
+            return f"{field}.kind: {quoted(error['ctx']['tag'])}; {choices(error['ctx']['tag'], tags)}"
         case _ if not field:
             return "not a mapping from keys to values; examples/four_bar.yaml is one to start from"
     return f"{field}: {error['msg']} (got {reprlib.repr(error['input'])})"

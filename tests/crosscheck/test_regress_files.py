@@ -11,6 +11,7 @@ import pytest
 import yaml
 from command_line import run
 
+from crosscheck.checksum import sealed
 from crosscheck.cli.shared import cli
 from crosscheck.regress import measure
 from crosscheck.regress import run as regress
@@ -38,10 +39,16 @@ def small_baseline():
     )  # fmt: skip
 
 
+def reseal(content, **changes):
+    content.update(sealed(content | changes))
+
+
 def test_a_baseline_survives_its_file(tmp_path):
     measured = read(regress.usual_path("tracker"))
     path = tmp_path / "b.json"
     path.write_text(measured.text())
+    assert read(path) == measured
+    path.write_bytes(measured.text().replace("\n", "\r\n").encode())  # as a checkout on Windows has it
     assert read(path) == measured
     # a figure a line, so that changes can be read
     assert sum(line.startswith('  {"group"') for line in measured.text().splitlines()) == len(
@@ -53,7 +60,7 @@ def test_a_baseline_survives_its_file(tmp_path):
     ("change", "field"),
     [
         (lambda c: c.pop("plan"), "plan: Field required"),
-        (lambda c: c.update(format=1), "format"),
+        (lambda c: c.update(format=2), "format: another version of crosscheck made the file"),
         (lambda c: c["history"][0].update(reason=""), "history.0.reason"),
         (lambda c: c["figures"][0].update(group="speed"), "figures.0.group: Input should be 'model', "),
         (lambda c: c["figures"][0].update(tolerance=[1.0, 1.0]), "figures.0: tolerance has 2 numbers"),
@@ -63,8 +70,14 @@ def test_a_baseline_survives_its_file(tmp_path):
         ),
         (lambda c: c.update(figures=c["figures"] * 2), "file: figure 'position'"),
         (lambda c: c["plan"]["state"].update(position=[[0.0]]), "plan.state.position.0.1: Field required"),
-        (lambda c: c.update(scene="four_bar"), "scene: it is of 'four_bar', not of 'tracker'"),
-        (lambda c: c.update(options={"N": "3"}), "options: of tracker (N=3), not of tracker; delete it"),
+        (lambda c: c["figures"][0].update(tolerance=[1e9]), "sha256: does not fit the other fields"),
+        (lambda c: c["figures"][0].update(value=[[0.5]]), "sha256: does not fit the other fields"),
+        (lambda c: c.pop("sha256"), "sha256: does not fit the other fields"),
+        (lambda c: reseal(c, scene="four_bar"), "scene: it is of 'four_bar', not of 'tracker'"),
+        (
+            lambda c: reseal(c, options={"N": "3"}),
+            "options: of tracker (N=3), not of tracker; delete it",
+        ),
     ],
 )
 def test_a_corrupt_baseline_is_named_with_its_field(capsys, tmp_path, change, field):
@@ -144,7 +157,7 @@ def test_a_model_file_has_the_options_of_its_baseline(tmp_path):
     path = tmp_path / "robot.baseline.json"
     assert regress.made_with("robot.xml", path, {"key": "go"}) == {"key": "go"}
     content = json.loads(small_baseline().text()) | {"options": {"key": "go", "duration": "2", "root": "/"}}
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(sealed(content)))
     assert regress.made_with("robot.xml", path, {"duration": "3"}) == {"key": "go", "duration": "3"}
     assert regress.made_with("tracker", path, {}) == {}
 

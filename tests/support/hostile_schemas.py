@@ -18,20 +18,20 @@ Path = tuple[str | int, ...]
 PLACE = "PLACE-OF-A-VALUE"
 
 BOTH = (
-    "-1", "0", "1e308", "-1e308", "1e101", "1e-320", "1e400", "0.5", "7", "9" * 4301, "null", "true", "[]", "{}",
-    "[1, 2]", "[[1, 2, 3], [4, 5, 6]]", '{"a": 1}', '{"kind": "none"}', '{"kind": {}}', '""', '" "', '"ground"',
-    '"1_0"', '"2024-01-01"', '"١"', '"a\\u001b[31m"', '"a\\u202eb"', '"a\\nb"', '"a\\u0000"', f'"{"x" * 5000}"',
-    "[" * 50 + "]" * 50,
+    "-1", "0", "1e308", "-1e308", "1e101", "1e-320", "1e400", "0.5", "7", "9" * 4301, "null", "true", "[]",
+    "{}", "[1, 2]", "[[1, 2, 3], [4, 5, 6]]", '{"a": 1}', '{"kind": "none"}', '{"kind": {}}', '""', '" "',
+    '"ground"', '"1_0"', '"2024-01-01"', '"\u0661"', '"a\\u001b[31m"', '"a\\u202eb"', '"a\\nb"', '"a\\u0000"',
+    f'"{"x" * 5000}"', "[" * 50 + "]" * 50,
 )  # fmt: skip
 """Texts of values that JSON and YAML have in common."""
 
 OF_JSON = ("NaN", "Infinity", "-Infinity", '"\\ud800"', '{"a": 1, "a": 2}', "[" * 5000 + "]" * 5000)
 
 OF_YAML = (
-    ".nan", "nan", ".inf", "-inf", "2024-01-01", "2024-01-01T00:00:00Z", "1:30", "0x10", "012", "1_000", "~", "yes",
-    "&a 1", "*a", "{<<: {a: 1}}", "{a: 1, a: 2}", "{? [a] : 1}", "!!python/object/apply:os.getcwd []", "!!binary aGk=",
-    "!!float 1", "!!set {a, b}", "[" * 200 + "]" * 200, "{a: " * 200 + "1" + "}" * 200, '"\\ud800"', "'\x07'", "@", "`",
-    "%a", "- 1", "\t1",
+    ".nan", "nan", ".inf", "-inf", "2024-01-01", "2024-01-01T00:00:00Z", "1:30", "0x10", "012", "1_000", "~",
+    "yes", "&a 1", "*a", "{<<: {a: 1}}", "{a: 1, a: 2}", "{? [a] : 1}", "!!python/object/apply:os.getcwd []",
+    "!!binary aGk=", "!!float 1", "!!set {a, b}", "[" * 200 + "]" * 200, "{a: " * 200 + "1" + "}" * 200,
+    '"\\ud800"', "'\x07'", "@", "`", "%a", "- 1", "\t1",
 )  # fmt: skip
 
 VALUES: dict[str, tuple[str, ...]] = {"json": BOTH + OF_JSON, "yaml": BOTH + OF_YAML}
@@ -60,7 +60,9 @@ def chosen(schema: Mapping[str, Any], root: Mapping[str, Any], content: Any) -> 
     found = list(alternatives(schema, root))
     if isinstance(content, dict):
         of_kind = [
-            each for each in found if content.get("kind", "") == each.get("properties", {}).get("kind", {}).get("const", "")
+            each
+            for each in found
+            if content.get("kind", "") == each.get("properties", {}).get("kind", {}).get("const", "")
         ]
         return next(iter(of_kind or [each for each in found if "properties" in each] or found))
     kind = "array" if isinstance(content, list) else "string"
