@@ -2,9 +2,10 @@
 
 Accelerations are those of `pinocchio.constraintDynamics`: rigid closures by the sparse Cholesky
 factorization of Carpentier, Budhiraja and Mansard, "Proximal and Sparse Resolution of Constrained
-Dynamic Equations", RSS 2021. It knows no rods, couplings and prescribed motions; its iterations take noise of
-redundant closures for constraints and cannot leave rows out. Where there is any of these, all constraints are
-eliminated with Pinocchio's own mass matrix, Jacobians and bias forces.
+Dynamic Equations", RSS 2021. It knows no rods, couplings and prescribed motions. Its iterations for
+redundant closures take noise for constraints, cannot leave rows out, and lose digits if bodies of next to no
+inertia close a loop. In all these cases the constraints are eliminated with Pinocchio's own mass matrix,
+Jacobians and bias forces.
 """
 
 from __future__ import annotations
@@ -114,13 +115,14 @@ class PinocchioSystem:
         self._alpha = alpha
         self._rank = constraint_rank(self)
         self._eliminates = bool(len(self._rows.units)) or mobility(scene).residual > 0.0
-        self._moving = bool(self._forces) or self._eliminates
         self._solved: tuple[Any, tuple[Array, Array, Array]] | None = None
-        if self._eliminates:
-            self._unused = rows_left_out(self)
-        else:
+        if not self._eliminates:
             q, _ = self.coordinates(initial_state(scene))
             self._proximal = ConstraintDynamics(self.closed, self.map, self._units, q, self._rank)
+            self._eliminates = self._proximal.loses_digits
+        if self._eliminates:
+            self._unused = rows_left_out(self)
+        self._moving = bool(self._forces) or self._eliminates
 
     def _add_body_frames(self) -> list[int]:
         """Add the frames of the bodies: at the center of mass, turned by `Body.quaternion`."""

@@ -32,6 +32,10 @@ SHARE = 0.1
 LEAST = 1e-12
 """Of that mean, at least: zero eigenvalues come out as 1e-15 of it."""
 
+MAX_MEAN_RATIO = 1e8
+"""Largest ratio of the mean of the diagonal of J M^-1 J^T to mu: its factorization then keeps eight digits.
+The ratio is larger if bodies of next to no inertia close a loop, such as 1e-11 beside 1e-4 kg m^2."""
+
 ACCURACY = 1e-13
 """Relative change between iterations at which they end."""
 
@@ -69,7 +73,11 @@ class Units(NamedTuple):
 
 
 class ConstraintDynamics:
-    """Accelerations of a model by `constraintDynamics`, in tree coordinates and dimensionless."""
+    """Accelerations of a model by `constraintDynamics`, in tree coordinates and dimensionless.
+
+    Attributes:
+        loses_digits: whether mu is so small that round-off is magnified by more than `MAX_MEAN_RATIO`.
+    """
 
     def __init__(
         self, closed: ClosedLoopModel, map: CoordinateMap, units: Units, q: Array, count: int
@@ -90,7 +98,8 @@ class ConstraintDynamics:
         jacobian = self._jacobian(q)
         self._redundant = len(jacobian) - min(rank(jacobian), count)
         plain = pin.ProximalSettings(0.0, ACCURACY, 0.0, 1)
-        self._settings = self._regularized(q) if self._redundant else plain
+        self._settings, ratio = self._regularized(q) if self._redundant else (plain, 0.0)
+        self.loses_digits = ratio > MAX_MEAN_RATIO
         self._redundant = len(jacobian) - count
 
     def acceleration(self, q: Array, v: Array, force: Array) -> Array:
@@ -109,7 +118,7 @@ class ConstraintDynamics:
                 return found
         found = self._solved(state, settings)
         if settings.mu and not settings.relative_residual <= CONVERGED:
-            here = self._regularized(q)
+            here, _ = self._regularized(q)
             # not for closures that contradict each other: less of it would magnify that
             if here.mu < SHARE * settings.mu:
                 return self._solved(state, here)
@@ -133,8 +142,8 @@ class ConstraintDynamics:
         pin.updateFramePlacements(self._closed.model, self._data)
         return self._closures.jacobian(self._data) * self._units.v / self._closures.units[:, None]
 
-    def _regularized(self, q: Array) -> Any:
-        """Iterations for redundant closures, as the configuration asks for them."""
+    def _regularized(self, q: Array) -> tuple[Any, float]:
+        """Choose iterations for redundant closures at a configuration, see `regularized`."""
         scaled_q = self._map.q_to_pinocchio(q / self._units.q)
         mass = mass_matrix(self._model, self._scaled_data, self._map, scaled_q)
         return regularized(self._jacobian(q), mass, self._redundant)
@@ -161,14 +170,17 @@ def _in_units(closed: ClosedLoopModel, map: CoordinateMap, units: Units) -> tupl
     return model, constraints
 
 
-def regularized(jacobian: Array, mass: Array, redundant: int) -> Any:
+def regularized(jacobian: Array, mass: Array, redundant: int) -> tuple[Any, float]:
     """Choose iterations for a dimensionless Jacobian (k, nv) and a mass matrix (nv, nv).
 
     `redundant` is the number of rows that follow from the others.
+
+    Returns:
+        The settings of Pinocchio, and the mean of the diagonal of J M^-1 J^T in units of their mu.
     """
     response = jacobian @ np.linalg.solve(mass, jacobian.T)
     mean = float(np.mean(np.diag(response)))
     nonzero = np.linalg.eigvalsh(response)[redundant:]
     weakest = float(nonzero[0]) if len(nonzero) else np.inf
     mu = min(MU * max(mean, 1.0), max(SHARE * weakest, LEAST * mean))
-    return pin.ProximalSettings(0.0, ACCURACY, mu, ITERATIONS)
+    return pin.ProximalSettings(0.0, ACCURACY, mu, ITERATIONS), mean / mu

@@ -166,6 +166,8 @@ class _Reader:
                 self._read_spring(element)
             case "joint", "drake:rotor_inertia" | "drake:gear_ratio":
                 pass  # read before
+            case "joint", "joint_properties":
+                return self._is_zero(element, place)
             case _:
                 return False
         return True
@@ -175,6 +177,17 @@ class _Reader:
         """True if a body falls and moves as every other one does."""
         text = (element.text or "").strip().lower()
         return text in (("true", "1") if tag == "gravity" else ("false", "0"))
+
+    def _is_zero(self, element: ET.Element, joint: ET.Element) -> bool:
+        """Report an element whose friction and damping, its only attributes, are 0; False for any other."""
+        if not element.attrib or not element.attrib.keys() <= {"friction", "damping"}:
+            return False
+        numbers = [self._number(element, value, name) for name, value in element.attrib.items()]
+        if any(numbers):
+            return False
+        what = f"<{tag_of(element)}> of joint {joint.get('name')!r:.100}"
+        self._report.left_out(what, f"its {' and '.join(element.attrib)} is 0", inert=True)
+        return True
 
     # Numbers
 

@@ -139,11 +139,12 @@ def test_an_error_is_found_and_named(monkeypatch, kind, named):
 def test_weak_closures_beside_redundant_ones():
     """An eigenvalue 1e-8 of the others: at a regularization of 1e-6 of them it is never seen."""
     jacobian = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1e-4, 0.0]])
-    settings = regularized(jacobian, np.eye(3), redundant=1)
+    settings, ratio = regularized(jacobian, np.eye(3), redundant=1)
     assert (settings.mu / (settings.mu + 1e-8)) ** ITERATIONS < 1e-16
+    assert ratio * settings.mu == pytest.approx(2.0 / 3.0)
     # no weak one, so what drift needs
-    assert regularized(jacobian[:2], np.eye(3), redundant=1).mu == pytest.approx(1e-6)
-    assert regularized(np.zeros((2, 3)), np.eye(3), redundant=2).mu == pytest.approx(1e-6)
+    assert regularized(jacobian[:2], np.eye(3), redundant=1)[0].mu == pytest.approx(1e-6)
+    assert regularized(np.zeros((2, 3)), np.eye(3), redundant=2)[0].mu == pytest.approx(1e-6)
 
 
 def test_every_mechanism_has_a_case_of_every_system():
