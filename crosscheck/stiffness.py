@@ -109,10 +109,9 @@ def explicit_steps(scene: Scene) -> float:
 def modes_of_run(scene: Scene, run: Trajectory | None) -> Array:
     """Eigenvalues, 1/s, of the motions at the start and along a run, see `modes`."""
     states = [(0.0, initial_state(scene))]
-    if run is not None and run.linear_velocity is not None and run.angular_velocity is not None:
-        arrays = run.position, run.quaternion, run.linear_velocity, run.angular_velocity
+    if run is not None and run.linear_velocity is not None:
         rows = np.unique(np.linspace(0, len(run.time) - 1, LOOKS).round().astype(int))
-        states += [(float(run.time[row]), State(*(array[row] for array in arrays))) for row in rows]
+        states += [(float(run.time[row]), run.state(row)) for row in rows]
     return modes(scene, states)
 
 

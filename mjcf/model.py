@@ -124,7 +124,7 @@ class CompiledScene:
     def coordinates(self, state: State) -> tuple[Array, Array]:
         """q and v of a state."""
         q, v = self.tree.coordinates(self.welded.state(state))
-        return self.couplings.turned(q, self.time), v
+        return self.couplings.turned(q, state, self.time), v
 
     def place(self, q: Array, v: Array) -> None:
         """Give MuJoCo a state, and what its actuators are to do in it."""
@@ -213,4 +213,5 @@ class CompiledScene:
             np.vstack([ground.quaternion, self.data.xquat[bodies]]),
             linear,
             angular,
+            angles=self.couplings.angles(self.layout.to_qpos.T @ self.data.qpos),
         )

@@ -408,7 +408,7 @@ def control(law: Law, time: float, readings: Readings, model: Mapping[Key, float
 def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
     state = initial_state(scene)
     q, v = welded.tree.coordinates(welded.state(state))
-    q = TreeCouplings(scene, welded.tree).turned(q, 0.0)
+    q = TreeCouplings(scene, welded.tree).turned(q, state, 0.0)
     attributes = {"name": KEY}
     if len(q):
         attributes["qpos"] = numbers(layout.to_qpos @ q)

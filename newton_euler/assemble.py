@@ -11,7 +11,7 @@ import numpy as np
 
 from newton_euler.equations.applied_forces import surroundings
 from newton_euler.equations.cartesian import Cartesian
-from newton_euler.equations.couplings import couplings, residuals
+from newton_euler.equations.couplings import counted_angles, couplings, residuals, revolutions
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import AssemblyError, MechanismError, check_type
@@ -20,7 +20,7 @@ from newton_euler.model.geometry import UNIT_TOLERANCE
 from newton_euler.model.joint import JointEquations, Key
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import State, stacked
+from newton_euler.model.state import State, stacked, whole_revolutions
 from newton_euler.scalars import Array, unstacked
 
 VELOCITY_TOLERANCE = 1e-9  # of the largest speed, in sizes of the mechanism, at which a joint may open
@@ -53,6 +53,8 @@ def assemble(scene: Scene, guess: State) -> State:
 def initial_state(scene: Scene) -> State:
     """The consistent state that runs of a scene start from: the given one, or what it stands for if none is.
 
+    Its `State.angles` are complete: those that are not given are the ones that a run begins with.
+
     Raises:
         MechanismError: naming the joint, gear, motion or force that the given state does not meet.
         AssemblyError: for prescribed motions that no state near the initial pose follows.
@@ -70,7 +72,9 @@ def initial_state(scene: Scene) -> State:
                 state = assemble(scene, state)
         else:
             _check_joints(scene, state)
+            check_revolutions(scene, state)
             _check_couplings(scene, state)
+        state = with_angles(scene, state)
         at = surroundings(scene, state)
         for force in scene.forces:
             force.check_start(at)
@@ -78,10 +82,39 @@ def initial_state(scene: Scene) -> State:
     return CHECKED[scene]
 
 
+def with_angles(scene: Scene, state: State) -> State:
+    """Return a state with all the angles that a scene depends on, see `State.angles`."""
+    keys = counted_angles(scene)
+    if state.angles.keys() >= set(keys):
+        return state
+    frames, coupled = state.frames(), couplings(scene)
+    needed = dict.fromkeys([*keys, *(key for coupling in coupled for key in coupling.factors)])
+    x = {key: float(scene.mechanism.measure(key, frames)[0]) for key in needed}
+    turned = revolutions(coupled, x, keys, 0.0, state.angles)
+    return replace(state, angles={**{key: x[key] + turned.get(key, 0.0) for key in keys}, **state.angles})
+
+
+def check_revolutions(scene: Scene, state: State) -> None:
+    """Raise `MechanismError` for an angle of a state that its poses do not have, whatever its revolutions."""
+    frames = state.frames() if state.angles else []
+    for key, angle in state.angles.items():
+        x = float(scene.mechanism.measure(key, frames)[0])
+        gap = abs(x + state.revolutions(key, x) - angle)
+        if not gap <= _angle_allowed(angle):
+            problem = f"coordinate {key[1]} is {angle:.9g} rad in a state whose poses have it at {x:.9g} rad"
+            needed = "the same angle but for whole revolutions, 2 pi each"
+            raise MechanismError(f"joint {key[0]!r}", problem, needed)
+
+
+def _angle_allowed(angle: Any) -> Any:
+    """Compute how far, rad, an angle of a state may be from its poses."""
+    return CLOSURE_TOLERANCE + 4.0 * np.finfo(float).eps * np.abs(angle)
+
+
 def measured_coordinate(scene: Scene, state: State, key: Key) -> tuple[float, float]:
-    """Measure a joint coordinate and its rate, m or rad."""
-    x, rate = scene.mechanism.measure(key, state.frames())
-    return float(x), float(rate)
+    """Measure a joint coordinate, with the revolutions of `State.angles`, and its rate, m or rad."""
+    x, rate = map(float, scene.mechanism.measure(key, state.frames()))
+    return x + state.revolutions(key, x), rate
 
 
 def inherit_initial_state(scene: Scene, of: Scene) -> None:
@@ -96,7 +129,11 @@ def coordinates_of(system: Formulation, states: Sequence[State]) -> Array:
     """
     if system.couplings:
         return np.array([np.concatenate(system.coordinates(state)) for state in states])
-    return unstacked(np.concatenate(system.coordinates(stacked(states))), len(states))
+    found = unstacked(np.concatenate(system.coordinates(stacked(states))), len(states))
+    for key, place in system.angles.items():
+        angles = np.array([state.angles.get(key, np.nan) for state in states])
+        found[:, place] += whole_revolutions(angles - found[:, place])
+    return found
 
 
 def _check_joints(scene: Scene, state: State) -> None:
@@ -156,6 +193,7 @@ def _surely_consistent(scene: Scene, states: Sequence[State]) -> Array:
     """
     shape, sure = (len(scene.mechanism.bodies), 3), np.zeros(len(states), dtype=bool)
     whole = [k for k, state in enumerate(states) if isinstance(state, State) and _is_whole(state, shape)]
+    whole = [k for k in whole if _has_angles(scene, states[k])]
     if whole and not couplings(scene):
         sure[whole] = _are_consistent(scene, [states[k] for k in whole])
     return sure
@@ -165,6 +203,15 @@ def _is_whole(state: State, shape: tuple[int, int]) -> bool:
     """True if a state has vectors of this shape for all bodies."""
     vectors = state.position, state.linear_velocity, state.angular_velocity, state.quaternion[:, 1:]
     return all(vector.dtype == np.float64 and vector.shape == shape for vector in vectors)
+
+
+def _has_angles(scene: Scene, state: State) -> bool:
+    """True if the angles of a state are numbers of coordinates of the scene."""
+    try:
+        scene.check_angles(state.angles, "state")
+    except MechanismError:
+        return False
+    return True
 
 
 @np.errstate(all="ignore")  # what is not finite is not consistent
@@ -184,6 +231,11 @@ def _are_consistent(scene: Scene, states: Sequence[State]) -> Array:
         rates = unstacked(equations.jacobian(first, second).rate(first, second), count)
         allowed = _rates_allowed(equations, speed, mechanism.size)
         found &= np.all((np.abs(phi) <= CLOSURE_TOLERANCE) & (np.abs(rates) <= allowed), axis=1)
+    for key in {key for each in states for key in each.angles}:
+        angles = np.array([each.angles.get(key, np.nan) for each in states])
+        x = unstacked([mechanism.measure(key, frames)[0]], count)[:, 0]
+        gap = np.abs(x + whole_revolutions(angles - x) - angles)
+        found &= np.isnan(angles) | (gap <= _angle_allowed(angles))
     at = surroundings(scene, state)
     for span in (span for force in scene.forces for span in force.spans(at)):
         found &= unstacked([span @ span], count)[:, 0] > CLOSURE_TOLERANCE**2
@@ -209,7 +261,7 @@ def _is_closed_but_for_noise(scene: Scene, state: State) -> bool:
 def _check_couplings(scene: Scene, state: State) -> None:
     """Raise `MechanismError` for the first coupling or motion that the state does not follow."""
     found = couplings(scene)
-    seen = residuals(scene.mechanism, found, state.frames(), 0.0)
+    seen = residuals(scene.mechanism, found, state.frames(), 0.0, state.angles)
     speed, size = _speed(scene, state), scene.mechanism.size
     of_couplings = zip(found, seen.phi, seen.rate, seen.sensitivity, strict=True)
     for coupling, gap, opening, sensitivity in of_couplings:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from newton_euler.assemble import check_states, coordinates_of, initial_state
+from newton_euler.equations.couplings import counted_angles
 from newton_euler.errors import (
     MechanismError,
     NewtonEulerError,
@@ -124,14 +125,17 @@ class Batch(Sequence[Trajectory]):
         velocities = [
             self.stacked(each) if each in known else None for each in ("linear_velocity", "angular_velocity")
         ]
+        counted = [(k, key[1]) for k, key in enumerate(counted_angles(self.scene)) if key[0] == name]
+        carried = {number: self.stacked("joint_angle")[:, :, k] for k, number in counted}
         if not self._compiled.kinematic:
             equations = self.scene.mechanism.joint_equations(name)
-            return joint_motion(equations, times, position, quaternion, *velocities)
+            return joint_motion(equations, times, carried, position, quaternion, *velocities)
         found = []
         for run, mechanism in enumerate(self._mechanisms):
             equations = mechanism.joint_equations(name)
-            own = (None if array is None else array[run] for array in velocities)
-            found.append(joint_motion(equations, times, position[run], quaternion[run], *own))
+            own = [None if array is None else array[run] for array in velocities]
+            angles = {number: array[run] for number, array in carried.items()}
+            found.append(joint_motion(equations, times, angles, position[run], quaternion[run], *own))
         coordinates = np.array([motion.coordinates for motion in found])
         rates = None if velocities[0] is None else np.array([motion.rates for motion in found])
         return JointMotion(found[0].names, coordinates, rates)

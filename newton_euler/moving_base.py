@@ -156,6 +156,7 @@ def _carried(state: State, base: Body, motions: Mapping[str, TimeFunction], cent
         ),
         np.vstack([still, velocity + np.cross(omega, arms) + own_velocities]),
         np.vstack([still, omega + own_spins]),
+        angles=state.angles,
     )
 
 

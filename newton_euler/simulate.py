@@ -7,13 +7,14 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import Any, Unpack
 
 import numpy as np
 
 from newton_euler.assemble import coordinates_of, inherit_initial_state, initial_state
-from newton_euler.equations.couplings import couplings
+from newton_euler.equations.couplings import counted_angles, couplings
 from newton_euler.equations.parameters import pieces
 from newton_euler.equations.redundancy import NearlyRedundant, inherit_mobility, mobility, other_rows
 from newton_euler.equations.system import Observation, System, at_time
@@ -181,10 +182,14 @@ class CompiledScene(Code):
 
     def _with_other_rows(self, arrays: dict[str, Array]) -> CompiledScene | None:
         """Return code with rows that stay independent at the poses of a run that stopped, if there are."""
-        poses = zip(arrays["position"], arrays["quaternion"], strict=True)
+        poses, keys = zip(arrays["position"], arrays["quaternion"], strict=True), counted_angles(self.scene)
         still = np.zeros((len(self.scene.mechanism.bodies), 3))
+        states = [State(*pose, still, still) for pose in poses]
+        if keys:
+            angles = (dict(zip(keys, row, strict=True)) for row in arrays["joint_angle"].tolist())
+            states = [replace(state, angles=each) for state, each in zip(states, angles, strict=True)]
         used = mobility(self.scene).independent if self._independent is None else self._independent
-        found = other_rows(self.scene, used, [State(*pose, still, still) for pose in poses])
+        found = other_rows(self.scene, used, states)
         if found is None:
             return None
         if tuple(found) not in self._others:
@@ -313,6 +318,9 @@ def trajectory_from(
         arrays["constraint_violation"] = _by_joint(scene, _residuals(scene.mechanism, states, coupled))
     arrays["position"] = np.array([s.position for s in states])
     arrays["quaternion"] = np.array([s.quaternion for s in states])
+    if keys := counted_angles(scene):
+        angles = np.array([[state.angles[key] for key in keys] for state in states])
+        arrays["joint_angle"] = angles.reshape(-1, len(keys))
     try:
         check_finite(scene.times, arrays)
     except IntegrationError as error:
@@ -328,6 +336,7 @@ def trajectory_from(
 def _trajectory(
     scene: Scene, engine: str, settings: dict[str, Any], wall_time: float, arrays: dict[str, Array]
 ) -> Trajectory:
+    labels = scene.mechanism.coordinate_labels
     arrays["quaternion"] = continuous(arrays["quaternion"], initial_state(scene).quaternion)
     return Trajectory(
         engine=engine,
@@ -336,6 +345,7 @@ def _trajectory(
         time=scene.times[: len(arrays["position"])],
         body_names=scene.mechanism.body_names,
         joint_names=scene.mechanism.joint_names,
+        angle_names=tuple(labels[key] for key in counted_angles(scene)),
         mechanism=scene.mechanism,
         **arrays,
     )

@@ -9,7 +9,11 @@ grouped.
 Names of initial coordinates are `start.JOINT`, m or rad from the initial pose, and `start.JOINT.rate`, m/s or
 rad/s; `start.JOINT.1` and `start.JOINT.1.rate` are those of a joint's second coordinate. A joint with one of
 the two given has both, the other one as the scene's own start has it; own rates give way where loops do not
-allow all of them beside the given ones. Angles are within half a revolution.
+allow all of them beside the given ones.
+
+Angles have revolutions (`newton_euler.model.state.State.angles`). A given angle is reached with its own
+revolutions, on the shorter way if no coupling ties it to other joints. Other angles that forces or couplings
+depend on move on from the scene's own start.
 """
 
 from __future__ import annotations
@@ -22,11 +26,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from newton_euler.assemble import coordinates_of, initial_state, measured_coordinate
+from newton_euler.assemble import coordinates_of, initial_state, measured_coordinate, with_angles
 from newton_euler.codegen.compile import NativeFunction, Traced
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.codegen.native import Record, Vector, native
+from newton_euler.equations.couplings import counted_angles, couplings
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.independence import independent
 from newton_euler.equations.kinematics import TreeKinematics
@@ -49,11 +54,12 @@ from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.projection import project, worst_joint
 from newton_euler.integrators.run import Fallback, equations, native_method
 from newton_euler.integrators.stepper import DONE, OPEN, Equations
+from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
-from newton_euler.model.state import State
+from newton_euler.model.state import State, whole_revolutions
 from newton_euler.model.variable import UNITS
 from newton_euler.scalars import Array, Scalar
 from newton_euler.simulate import KEPT
@@ -214,7 +220,11 @@ class Assembly:
         """Equations of the constraints, with prescribed motions for the initial coordinates."""
         start, bare = initial_state(self.scene), self.scene.without_forces()
         motions = [PrescribedMotion(key[0], self._held(start, key), key[1]) for key in self._motions]
-        held = replace(bare, motions=(*bare.motions, *motions), initial_state=start)
+        coupled = {key for coupling in couplings(self.scene) for key in coupling.factors}
+        others = [key for key in counted_angles(self.scene) if key not in coupled.union(self._motions)]
+        carrying = [JointSpring(joint, coordinate=k) for joint, k in others]  # of no stiffness
+        start = self._completed(start)
+        held = replace(bare, motions=(*bare.motions, *motions), forces=carrying, initial_state=start)
         parameters = (*self._names.values(), *self._motions.values())
         code = Code(held, "relative", parameters=parameters)
         if not self._is_overdetermined(code):
@@ -279,6 +289,7 @@ class Assembly:
             problem = f"loops do not let joints move with {self._shown(run, given)}"
             error = MechanismError(f"run {run}", problem, "rates that loops and couplings allow")
             errors.setdefault(run, error)
+        self._set_revolutions(found, values)
         on_v, units = slice(self.code.system.nq, self.code.size), self.code.system.velocity_units
         begun, speeds = (np.abs(x[:, on_v] / units).max(axis=1, initial=0.0) for x in (own, found))
         found[speeds < np.finfo(float).eps * begun, on_v] = 0.0  # round-off of what is to rest
@@ -293,11 +304,19 @@ class Assembly:
         """Return x (n, inputs) of n states, with the scene's own parameters."""
         code = self.code
         own = np.tile(code.packed(np.zeros(code.size), np.zeros(0)), (len(states), 1))
+        states = [self._completed(state) for state in states]
         own[:, : code.size] = coordinates_of(code.system, states)
         for row, state in zip(own, states, strict=True):
             for key, name in self._motions.items():
                 row[code.place(name) :][:2] = self._held(state, key).coefficients
         return own
+
+    def _completed(self, state: State) -> State:
+        """Return a state with the angles that the scene depends on, and those that are to move."""
+        state = with_angles(self.scene, state)
+        angles = [key for key in self._motions if not self.scene.mechanism.is_slide(*key)]
+        moved = {key: measured_coordinate(self.scene, state, key)[0] for key in angles}
+        return replace(state, angles={**state.angles, **moved})
 
     def _targets(self, own: Array, values: Mapping[str, Array]) -> Array:
         """Return the same states with the parameters of the runs."""
@@ -309,10 +328,25 @@ class Assembly:
         for name, (key, order) in self.initial.items():
             column = self.code.place(self._motions[key]) + order
             targets[:, column] = values[name]
-            if order == 0 and not self.scene.mechanism.is_slide(*key):
-                revolutions = np.round((values[name] - own[:, column]) / (2.0 * np.pi))
-                targets[:, column] -= 2.0 * np.pi * revolutions  # the shorter way
+            if order == 0 and key in self._free_angles:
+                targets[:, column] -= whole_revolutions(values[name] - own[:, column])  # the shorter way
         return targets
+
+    @cached_property
+    def _free_angles(self) -> set[Key]:
+        """Initial coordinates that are angles which no coupling of the scene ties to others."""
+        coupled = {key for coupling in couplings(self.scene) for key in coupling.factors}
+        angles = {key for key in self._motions if not self.scene.mechanism.is_slide(*key)}
+        return angles - coupled
+
+    def _set_revolutions(self, x: Array, values: Mapping[str, Array]) -> None:
+        """Give angles in x (n, inputs) the revolutions of the values (n,) that were asked for."""
+        for name, (key, order) in self.initial.items():
+            if order == 0 and key in self._free_angles:
+                place, column = self.code.system.angles[key], self.code.place(self._motions[key])
+                turned = whole_revolutions(values[name] - x[:, place])
+                x[:, place] += turned
+                x[:, column] += turned
 
     def _set_pieces(self, targets: Array) -> None:
         """Set the numbers of motions' functions between the first knots by their samples."""
@@ -400,11 +434,8 @@ class Assembly:
             self._begin[compiled.formulation] = self._native(compiled)
         found, system = at_rows(self._begin[compiled.formulation], x), compiled.system
         if isinstance(system, TreeKinematics):
-            coupled = {key for coupling in system.couplings for key in coupling.factors}
-            counted = {system.angles.get(key) for key in coupled}
-            hinges = [on_q.start for motion, on_q, _ in system.tree.motions if motion.kind == "hinge"]
-            free = [place for place in hinges if place not in counted]
-            found[:, free] -= 2.0 * np.pi * np.round(found[:, free] / (2.0 * np.pi))
+            free = system.uncounted_angles
+            found[:, free] -= whole_revolutions(found[:, free])
         return found
 
     def _native(self, compiled: Code) -> NativeFunction:
@@ -417,14 +448,8 @@ class Assembly:
                 own, rates = q[: other.tree.nq], v
             else:
                 own, rates = other.own_coordinates(system.state(q, v))
-            coupled = {key for coupling in other.couplings for key in coupling.factors}
-            seen, angles = system.measured(q, v), []
-            frames = other.frames(np.concatenate([own, np.zeros(other.nq - len(own))]), rates)
-            for key, coordinate in other.between.items():
-                if coordinate.carried is not None:
-                    first, second = frames[coordinate.first], frames[coordinate.second]
-                    turned = coordinate.constraint.phi(first, second)[0]
-                    angles.append(seen[key].x if key in coupled else turned)
+            seen = system.measured(q, v)
+            angles = [seen[key].x for key, each in other.between.items() if each.carried is not None]
             work = [0.0] * (other.nq - len(own) - len(angles))
             return [*own, *angles, *work, *rates]
 

@@ -29,7 +29,7 @@ from newton_euler.equations.parameters import (
 from newton_euler.errors import MechanismError, OptionError, check_type, finite_array, quoted, real_array
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import ComputedTorque
-from newton_euler.model.initial_pose import described_at
+from newton_euler.model.initial_pose import coordinates_at, described_at
 from newton_euler.model.mechanism import LEAST, REALISABLE_TOLERANCE
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -89,9 +89,12 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
     numbers = {name: value for name, value in given.items() if name not in assembly.initial}
     if not any(is_opening(place) for place in places(scene, numbers).values()):
         changed = rebuilt(scene, numbers) if numbers else scene
-    else:
-        changed = described_at(with_values(scene, numbers), _pose(scene, numbers) or assembly.state(x))
-    return replace(changed, initial_state=assembly.state(x)) if assembly.is_needed else changed
+        return replace(changed, initial_state=assembly.state(x)) if assembly.is_needed else changed
+    varied, state = with_values(scene, numbers), assembly.state(x)
+    pose = _pose(scene, numbers) or state
+    zeros = coordinates_at(varied.mechanism, pose)
+    angles = {key: angle - zeros[key] for key, angle in state.angles.items()}
+    return replace(described_at(varied, pose), initial_state=replace(state, angles=angles))
 
 
 def checked_values(scene: Scene, values: Mapping[str, Any]) -> dict[str, Array]:
@@ -116,8 +119,8 @@ def start(scene: Scene, /, **joints: Sequence[float] | Sequence[Sequence[float] 
     Args:
         scene: the scene to start.
         joints: by name (coordinate, rate), in rad and rad/s or m and m/s from the initial pose. Joints of
-            several coordinates have a list of such pairs, None for a coordinate that is not given. States
-            hold no whole revolutions.
+            several coordinates have a list of such pairs, None for a coordinate that is not given. Angles
+            are given with their revolutions: a spring is wound by them.
 
     Raises:
         UnknownNameError: for an unknown joint.

@@ -153,7 +153,7 @@ class PinocchioSystem:
     def coordinates(self, state: State) -> tuple[Array, Array]:
         """q and v of a state."""
         q, v = self._tree.coordinates(self._welded.state(state))
-        q = self.couplings.turned(q, self.time)
+        q = self.couplings.turned(q, state, self.time)
         return np.concatenate([q, np.zeros(self.nq - len(q))]), v
 
     def rate(self, q: Array, v: Array) -> Array:
@@ -325,7 +325,7 @@ class PinocchioSystem:
     def state(self, q: Array, v: Array) -> State:
         """Body poses and velocities by Pinocchio's forward kinematics."""
         pin.forwardKinematics(self._model, self._data, self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v))
-        return _state(self._frames())
+        return self._state(self._frames(), q)
 
     def _frames(self) -> list[Frame]:
         """Of the bodies, as the last forward kinematics left them."""
@@ -391,7 +391,7 @@ class PinocchioSystem:
         for joint, torque in self._rotors.torques(frames, accelerations[:, 3:]):
             torques[joint] -= torque
         return Evaluation(
-            **vars(self._observation(_state(frames), q, v)),
+            **vars(self._observation(self._state(frames, q), q, v)),
             linear_acceleration=accelerations[:, :3],
             angular_acceleration=accelerations[:, 3:],
             reaction_force=forces,
@@ -426,12 +426,12 @@ class PinocchioSystem:
             found[body] += wrench
         return found
 
-
-def _state(frames: Sequence[Frame]) -> State:
-    """The state of bodies."""
-    return State(
-        np.array([frame.position for frame in frames]),
-        np.array([from_rotation(frame.rotation) for frame in frames]),
-        np.array([frame.velocity for frame in frames]),
-        np.array([frame.angular_velocity for frame in frames]),
-    )
+    def _state(self, frames: Sequence[Frame], q: Array) -> State:
+        """Return the state of bodies with these frames at tree coordinates q."""
+        return State(
+            np.array([frame.position for frame in frames]),
+            np.array([from_rotation(frame.rotation) for frame in frames]),
+            np.array([frame.velocity for frame in frames]),
+            np.array([frame.angular_velocity for frame in frames]),
+            angles=self.couplings.angles(q),
+        )

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from newton_euler.assemble import initial_state
+from newton_euler.assemble import initial_state, measured_coordinate
+from newton_euler.equations.couplings import counted_angles
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.elements import BALL
 from newton_euler.model.euler_parameters import from_rotation, rotation
@@ -88,6 +90,34 @@ class Aligned:
                 return Partner((name, BALL), 1.0 if one.second == two.second else -1.0)
         found = (Partner(own, other.sense) for own, other in self.coordinates.items() if other.key == key)
         return next(found, Partner(key, 1.0))
+
+    @cached_property
+    def at_start(self) -> dict[Key, tuple[float, float]]:
+        """Each coordinate of the first that both have, in both models at the first's start, m or rad.
+
+        Each model counts from its own initial pose, with the revolutions of its own start.
+        """
+        first, second = self.both
+        state, start = initial_state(first), initial_state(second)
+        arms = [rotation(p) @ center for p, center in zip(state.quaternion, self.centers, strict=True)]
+        there = replace(state, position=state.position + arms, angles=start.angles)
+        return {
+            key: (
+                measured_coordinate(first, state, key)[0],
+                measured_coordinate(second, there, partner.key)[0],
+            )
+            for key, partner in self.coordinates.items()
+        }
+
+    def in_second(self, state: State) -> State:
+        """Return a state of the first model with the angles that the second depends on."""
+        counted, angles = counted_angles(self.both[1]), dict[Key, float]()
+        for key, partner in self.coordinates.items():
+            if partner.key in counted:
+                here, there = self.at_start[key]
+                x, _ = measured_coordinate(self.first, state, key)
+                angles[partner.key] = there + partner.sense * (x - here)
+        return replace(state, angles=angles)
 
 
 def alignments(first: Scene, second: Scene) -> Iterator[Aligned]:
@@ -284,12 +314,12 @@ def _restated(scene: Scene, groups: Groups, ground: Body) -> Scene:
         state.angular_velocity[k] = spin
     names = {member: name for name, group in groups.items() for member in group}
     joints = [replace(each, first=names[each.first], second=names[each.second]) for each in mechanism.joints]
+    kept = [joint for joint in joints if joint.first != joint.second]
+    angles = {key: angle for key, angle in start.angles.items() if key[0] in {each.name for each in kept}}
     return replace(
         scene,
-        mechanism=Mechanism(
-            bodies, [joint for joint in joints if joint.first != joint.second], mechanism.couplings
-        ),
-        initial_state=state,
+        mechanism=Mechanism(bodies, kept, mechanism.couplings),
+        initial_state=replace(state, angles=angles),
         forces=tuple(_forces_between(scene.forces, names, ground.name)),
         outputs=frozenset(OUTPUTS),
     )

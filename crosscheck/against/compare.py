@@ -249,7 +249,8 @@ def _equations_compared(
     """Figures of equations up to the first level that disagrees, and what there is to say of the starts."""
     if states.aligned.second is None:
         return [bodies_row(pair, states.aligned)], []
-    one, two = (Samples(engine.systems(states.scene)[0], states) for engine in engines)
+    first, second = (engine.systems(states.scene)[0] for engine in engines)
+    one, two = Samples(first, states), _SecondSamples(second, states)
     rows = list(finite(compare_pair(pair, [one], [two], LEVELS)))
     apart = [
         f"{row.quantity}: {row.value:.1e} at {row.where}"
@@ -257,6 +258,17 @@ def _equations_compared(
         if not row.agrees
     ]
     return rows, [f"starts differ: {'; '.join(apart)}"] if apart else []
+
+
+class _SecondSamples(Samples):
+    """The second model at states of the first."""
+
+    @cached_property
+    def coordinates(self) -> list[tuple[Array, Array]]:
+        """q and v at each state, its angles as the second model counts them."""
+        assert isinstance(self.states, SharedStates)
+        in_second = self.states.aligned.in_second
+        return [self.system.coordinates(in_second(state)) for state in self.states.all]
 
 
 class _Second(Relative):
@@ -351,9 +363,18 @@ def _in_first(run: Trajectory, aligned: Aligned) -> Trajectory:
         key, sense = aligned.of_first(law.key)
         if key in numbers and run.actuator_force is not None:
             actuation[:, numbers[key]] = sense * run.actuator_force[:, k]
+    angles, labels = dict[str, Array](), a.mechanism.coordinate_labels
+    keys = {label: key for key, label in b.mechanism.coordinate_labels.items()}
+    for column, label in enumerate(run.angle_names):
+        key, sense = aligned.of_first(keys[label])
+        if key in aligned.coordinates and run.joint_angle is not None:
+            here, there = aligned.at_start[key]
+            angles[labels[key]] = here + sense * (run.joint_angle[:, column] - there)
     return replace(
         run,
         joint_names=a.mechanism.joint_names,
+        angle_names=tuple(angles),
+        joint_angle=np.column_stack([*angles.values()]) if angles else None,
         reaction_force=force,
         reaction_torque=torque,
         constraint_violation=violation,

@@ -77,7 +77,8 @@ class SharedStates(States):
         alone = [name not in self.aligned.joints for name in first.mechanism.joint_names]
         columns = np.eye(6 * len(alone))[:, np.repeat(alone, 6)]
         joints = self.aligned.joints
-        return [np.hstack([undetermined_in_both(first, second, joints, s), columns]) for s in self.all]
+        states = [(state, self.aligned.in_second(state)) for state in self.all]
+        return [np.hstack([undetermined_in_both(first, second, joints, both), columns]) for both in states]
 
 
 def _shared(samples: Samples) -> SharedStates:
@@ -265,26 +266,14 @@ def _couplings_apart(aligned: Aligned) -> Iterator[tuple[str, float]]:
             yield coupling.name, 1.0
             continue
         there.remove(other)
-        here, there_at = _coordinates_at_start(aligned, pairs)
-        one = _expanded(coupling, [(key, here[key], 1.0) for key, _ in pairs])
-        two = _expanded(other, [(p.key, there_at[p.key], p.sense) for _, p in pairs])
+        starts = [aligned.at_start[key] for key, _ in pairs]
+        one = _expanded(coupling, [(key, x, 1.0) for (key, _), (x, _) in zip(pairs, starts, strict=True)])
+        two = _expanded(other, [(p.key, x, p.sense) for (_, p), (_, x) in zip(pairs, starts, strict=True)])
         scale = float(one @ two / (two @ two))
         apart = float(np.max(np.abs(one - scale * two)) / np.max(np.abs(one)))
         yield coupling.name, max(apart, functions_apart(first, coupling, other, scale))
     for coupling in there:
         yield coupling.name, 1.0
-
-
-def _coordinates_at_start(
-    aligned: Aligned, pairs: Sequence[tuple[Key, Partner]]
-) -> tuple[dict[Key, float], dict[Key, float]]:
-    """Coordinates of both models, m or rad, at the first one's start, each from its own initial pose."""
-    first, second = aligned.both
-    state = initial_state(first)
-    arms = [rotation(p) @ center for p, center in zip(state.quaternion, aligned.centers, strict=True)]
-    frames = state.frames(), replace(state, position=state.position + arms).frames()
-    here = {key: float(first.mechanism.measure(key, frames[0])[0]) for key, _ in pairs}
-    return here, {p.key: float(second.mechanism.measure(p.key, frames[1])[0]) for _, p in pairs}
 
 
 def _expanded(coupling: Coupling, places: Sequence[tuple[Key, float, float]]) -> Array:
@@ -338,6 +327,7 @@ def term_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterato
     """Gravity, rotors, what acts at joints and on bodies, each blamed on itself; energies, effective inertia
     and force after them. Tolerances are round-off times the condition of the constraints."""
     aligned, states = _shared(first).aligned, first.states.all
+    in_second = [aligned.in_second(state) for state in states]
     share = round_off(max(first.condition, second.condition), first.states.noise)
     scales, failed = first.scales, list[Cause]()
 
@@ -354,8 +344,8 @@ def term_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterato
     gravity = {"gravity": float(np.linalg.norm(two - one)) / strength}
     yield term("gravity, rel", gravity, lambda _: both_values(pair, one, two, "m/s^2"))
     for quantity, members in ACTING.items():
-        here = _at_joints(first, aligned.both[0], members, scales.size, lambda key: Partner(key, 1.0))
-        there = _at_joints(second, aligned.both[1], members, scales.size, aligned.of_first)
+        here = _at_joints(first, aligned.both[0], states, members, scales.size, _itself)
+        there = _at_joints(second, aligned.both[1], in_second, members, scales.size, aligned.of_first)
         if here or there:
             largest = max(float(np.max(np.abs(values))) for values in (*here.values(), *there.values()))
             unit = (largest or 1.0) if quantity == ROTORS else max(scales.force, largest)
@@ -397,9 +387,15 @@ def _elements_apart(
     return "; ".join(said)
 
 
+def _itself(key: Key) -> Partner:
+    """Return a coordinate of the first model as its own partner."""
+    return Partner(key, 1.0)
+
+
 def _at_joints(
     samples: Samples,
     scene: Scene,
+    states: Iterable[State],
     members: Callable[[Scene], Iterable[Acting]],
     size: float,
     of_first: Callable[[Key], Partner],
@@ -410,7 +406,7 @@ def _at_joints(
         (n, 1) or (n, 3) by coordinate, N, and N m over the size; of rotors the momentum, N s.
     """
     found = dict[Key, Array]()
-    places = [surroundings(scene, state) for state in samples.states.all]
+    places = [surroundings(scene, state) for state in states]
     for number, element in enumerate(members(scene)):
         slides = not element.on_ball and scene.mechanism.is_slide(*element.key)
         if isinstance(element, ControlLaw):  # which may act by a model of the mechanism

@@ -8,10 +8,10 @@ prescribed motions go 1.1 times as far.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling, PolynomialCoupling
 from newton_euler.model.digital_control import HeldLaw
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
-from newton_euler.model.joint import Joint, JointEquations
+from newton_euler.model.joint import Joint, JointEquations, Key
 from newton_euler.model.joint_kinds import Fixed, Screw
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import PrescribedMotion, Sum, scaled
@@ -39,8 +39,19 @@ MORE = 1.0 + CHANGE
 SKEW = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
 """A direction that few axes have."""
 
-Moments = Sequence[tuple[float, list[Frame]]]
-"""Times, s, of a run and where bodies are then."""
+
+class Moment(NamedTuple):
+    """A time of a run.
+
+    Attributes:
+        time: s.
+        frames: of all bodies.
+        angles: as of `State.angles`.
+    """
+
+    time: float
+    frames: list[Frame]
+    angles: Mapping[Key, float]
 
 
 @dataclass(frozen=True)
@@ -64,7 +75,7 @@ class Element:
     name: str
     changed: Callable[[Scene], Scene]
     parameters: tuple[str, ...] | None = None
-    violated: Callable[[Moments, float, float], float] = lambda moments, length, angle: 0.0
+    violated: Callable[[Sequence[Moment], float, float], float] = lambda moments, length, angle: 0.0
     displaced: JointEquations | None = None
     body: tuple[int, str] | None = None
     shared: bool = False
@@ -132,9 +143,9 @@ def _of_joint(mechanism: Mechanism, name: str, number: int, displaced: Joint) ->
     first, second = (mechanism.bodies[k].pose for k in (own.first, own.second))
     equations = displaced.attach(own.first, first, own.second, second)
 
-    def violated(moments: Moments, length: float, angle: float) -> float:
+    def violated(moments: Sequence[Moment], length: float, angle: float) -> float:
         found = 0.0
-        for _, frames in moments:
+        for _, frames, _ in moments:
             ends = frames[own.first], frames[own.second]
             allowed = _allowed(own, equations.jacobian(*ends), length, angle)
             found = max(found, float(np.max(np.abs(equations.phi(*ends)) / allowed, initial=0.0)))
@@ -200,14 +211,14 @@ def _uncoupled(
     mechanism: Mechanism,
     coupled: Sequence[Coupling],
     index: int,
-    moments: Moments,
+    moments: Sequence[Moment],
     length: float,
     angle: float,
 ) -> float:
     """See `Element.violated`: of one of some couplings."""
     found = 0.0
-    for time, frames in moments:
-        seen = residuals(mechanism, coupled, frames, time)
+    for time, frames, angles in moments:
+        seen = residuals(mechanism, coupled, frames, time, angles)
         allowed = 0.0
         for (joint, coordinate), slope in seen.slopes[index].items():
             ends = mechanism.joint_equations(joint)

@@ -23,7 +23,7 @@ from functools import cached_property
 
 import numpy as np
 
-from crosscheck.comparison.changes import CHANGE, Element, Moments, elements
+from crosscheck.comparison.changes import CHANGE, Element, Moment, elements
 from crosscheck.comparison.figure import OWN_ERROR, POSES, ROUND_OFF, UNRESOLVED, Figure, reach
 from crosscheck.comparison.joint_loads import JointLoads
 from crosscheck.comparison.runs import orientations_apart, positions_apart
@@ -167,15 +167,11 @@ class _Runs:
     @cached_property
     def _states(self) -> list[tuple[float, State]]:
         rows = np.unique(np.linspace(0, len(self.run.time) - 1, MOMENTS).astype(int))
-        run = self.run
-        assert run.linear_velocity is not None
-        assert run.angular_velocity is not None
-        arrays = run.position, run.quaternion, run.linear_velocity, run.angular_velocity
-        return [(float(run.time[row]), State(*(array[row] for array in arrays))) for row in rows]
+        return [(float(self.run.time[row]), self.run.state(row)) for row in rows]
 
     @cached_property
-    def _moments(self) -> Moments:
-        return [(time, state.frames()) for time, state in self._states]
+    def _moments(self) -> list[Moment]:
+        return [Moment(time, state.frames(), state.angles) for time, state in self._states]
 
     @cached_property
     def _parts(self) -> list[Scene]:

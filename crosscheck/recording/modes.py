@@ -21,6 +21,7 @@ from crosscheck.recording.shapes import Style
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Cell, Column, Part, Report, Rows, Table, figures, texts
 from newton_euler.analysis.linear_model import LinearModel, Modes, label
+from newton_euler.assemble import measured_coordinate
 from newton_euler.model.euler_parameters import from_rotation_vector, product
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -78,14 +79,12 @@ def pose(scene: Scene, model: LinearModel) -> list[tuple[str, str, str]]:
 
     Without those of balls, whose orientation has none.
     """
-    mechanism, frames = scene.mechanism, model.state.frames()
-    found = []
+    mechanism, found = scene.mechanism, []
     for name in model.coordinates:
         if isinstance(name, str) and name not in mechanism.joint_names:
             continue
         key = mechanism.coordinate(name)
-        ends = mechanism.joint_equations(key[0])
-        x = float(ends.coordinates[key[1]].phi(frames[ends.first], frames[ends.second])[0])
+        x, _ = measured_coordinate(scene, model.state, key)
         unit = "m" if mechanism.is_slide(*key) else "rad"
         found.append((label(name), f"{x if abs(x) > STEADY else 0.0:.4g}", unit))
     return found

@@ -11,10 +11,18 @@ import os
 from collections import Counter
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from crosscheck.checksum import sealed
 from crosscheck.errors import CrosscheckError
@@ -91,19 +99,35 @@ class StoredState(_Strict):
     quaternion: list[Quaternion]
     linear_velocity: list[Vector]
     angular_velocity: list[Vector]
+    angles: list[tuple[str, int, Number]] = []
+    """Joints, numbers of their coordinates, and rad with revolutions; files leave an empty list out."""
+
+    @model_serializer(mode="wrap")
+    def _content(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        found: dict[str, Any] = serialize(self)
+        return found if self.angles else {name: found[name] for name in found if name != "angles"}
+
+    @property
+    def _arrays(self) -> dict[str, list[Any]]:
+        return {name: getattr(self, name) for name in type(self).model_fields if name != "angles"}
 
     @model_validator(mode="after")
     def _check_count(self) -> StoredState:
-        if len({len(getattr(self, name)) for name in type(self).model_fields}) > 1:
+        if len({len(array) for array in self._arrays.values()}) > 1:
             raise ValueError("position, quaternion and velocities are of different numbers of bodies")
         return self
 
     @classmethod
     def of(cls, state: State) -> StoredState:
-        return cls(**{name: getattr(state, name).tolist() for name in cls.model_fields})
+        arrays = (array.tolist() for array in state.arrays)
+        names = ("position", "quaternion", "linear_velocity", "angular_velocity")
+        angles = [(*key, float(angle)) for key, angle in state.angles.items()]
+        return cls(**dict(zip(names, arrays, strict=True)), angles=angles)
 
     def state(self) -> State:
-        return State(**{name: np.array(getattr(self, name), dtype=float) for name in type(self).model_fields})
+        angles = {(joint, number): angle for joint, number, angle in self.angles}
+        arrays = {name: np.array(array, dtype=float) for name, array in self._arrays.items()}
+        return State(**arrays, angles=angles)
 
 
 class Plan(_Strict):

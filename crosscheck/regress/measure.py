@@ -140,17 +140,14 @@ def make_plan(scene: Scene) -> Plan:
     rtol: dict[str, float] = {MAIN: _tolerance(scene, MAIN), RADAU: RADAU_RTOL}
     run = main_run(scene, rtol[MAIN])
     assert run.kinetic_energy is not None
-    assert run.linear_velocity is not None
-    assert run.angular_velocity is not None
     # half of the largest kinetic energy: all moves, nothing is special
     n = int(np.argmin(np.abs(run.kinetic_energy - 0.5 * np.max(run.kinetic_energy))))
-    state = State(run.position[n], run.quaternion[n], run.linear_velocity[n], run.angular_velocity[n])
     # as many evaluations a second as the adaptive run needs, so that RK4 is stable and not exact
     step = float(f"{EVALUATIONS * scene.duration / run.settings['evaluations']:.1e}")
     for formulation in FORMULATIONS:
         if formulation != MAIN:
             rtol[formulation] = _tolerance(part(scene, formulation, step), formulation)
-    return Plan(rtol=rtol, step=step, time=float(run.time[n]), state=StoredState.of(state))
+    return Plan(rtol=rtol, step=step, time=float(run.time[n]), state=StoredState.of(run.state(n)))
 
 
 def _tolerance(scene: Scene, formulation: FormulationName) -> float:

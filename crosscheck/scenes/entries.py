@@ -7,7 +7,7 @@ which checks the form of what a file says and builds the element. The mechanism 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from typing import Annotated, Any, ClassVar, ForwardRef, Literal, Union
 
 from pydantic import (
@@ -24,7 +24,7 @@ from pydantic_core import PydanticCustomError
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes.size import check_counts, check_functions, check_mechanism
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import NewtonEulerError, UnknownNameError
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import Gear, LinearCoupling, PolynomialCoupling
 from newton_euler.model.digital_control import Digital
@@ -251,7 +251,7 @@ class _Scene(Entry):
             given.output_period,
             gravity=given.gravity,
             control=control,
-            initial_state=_state(mechanism, given.initial_state) if given.initial_state else None,
+            initial_state=_state(mechanism, given.initial_state, given.initial_angles),
             outputs=frozenset(given.outputs),
             forces=acting,
             motions=motions,
@@ -279,12 +279,20 @@ SCENE = create_model(
     armatures=(list[ArmatureEntry], []),
     redundancy_tolerance=(float, REDUNDANCY_TOLERANCE),
     initial_state=(dict[str, StateEntry], {}),
+    initial_angles=(dict[str, Number], {}),
     outputs=(list[str], list(OUTPUTS)),
 )
 
 
-def _state(mechanism: Mechanism, entries: dict[str, StateEntry]) -> State:
-    state = State.initial(mechanism)
+def _state(mechanism: Mechanism, entries: dict[str, StateEntry], angles: dict[str, float]) -> State | None:
+    """Build the initial state; None if a file gives neither states of bodies nor angles."""
+    if not entries and not angles:
+        return None
+    keys = {label: key for key, label in mechanism.coordinate_labels.items()}
+    for label in angles:
+        if label not in keys:
+            raise UnknownNameError("joint coordinate in initial_angles", label, tuple(keys))
+    state = replace(State.initial(mechanism), angles={keys[label]: x for label, x in angles.items()})
     for name, entry in entries.items():
         body = mechanism.body_index(name)
         for quantity, value in entry.model_dump(exclude_none=True).items():

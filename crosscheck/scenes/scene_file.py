@@ -21,7 +21,7 @@ from pydantic_core import ErrorDetails
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import write_files
-from crosscheck.scenes.entries import ENTRIES, SCENE
+from crosscheck.scenes.entries import ENTRIES, SCENE, StateEntry
 from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError, choices, quoted
 from newton_euler.model.digital_control import Digital, Law, Sampled
@@ -181,6 +181,7 @@ def _content(scene: Scene) -> dict[str, Any]:
             for armature in scene.armatures
         ],
         "initial_state": _state_content(scene),
+        "initial_angles": _angles_content(scene),
         "outputs": sorted(scene.outputs),
     }
     if scene.redundancy_tolerance != REDUNDANCY_TOLERANCE:
@@ -212,9 +213,15 @@ def _state_content(scene: Scene) -> dict[str, dict[str, list[float]]]:
     """Return the entries of the initial state that are not the initial pose at rest."""
     rest, found = State.initial(scene.mechanism), dict[str, dict[str, list[float]]]()
     state = rest if scene.initial_state is None else scene.initial_state
-    for field in fields(State):
-        given, usual = getattr(state, field.name), getattr(rest, field.name)
+    for quantity in StateEntry.model_fields:
+        given, usual = getattr(state, quantity), getattr(rest, quantity)
         for name, value, resting in zip(scene.mechanism.body_names, given, usual, strict=True):
             if not np.array_equal(value, resting):
-                found.setdefault(name, {})[field.name] = value.tolist()
+                found.setdefault(name, {})[quantity] = value.tolist()
     return found
+
+
+def _angles_content(scene: Scene) -> dict[str, float]:
+    """Return the angles of the initial state, rad with revolutions, by joint coordinate."""
+    labels, state = scene.mechanism.coordinate_labels, scene.initial_state
+    return {} if state is None else {labels[key]: float(angle) for key, angle in state.angles.items()}

@@ -27,9 +27,8 @@ def at_rest(scene: Scene) -> Scene:
     start = initial_state(scene)
     still = np.zeros_like(start.position)
     motions = tuple(motion.held() for motion in scene.motions)
-    return replace(
-        scene, motions=motions, initial_state=State(start.position, start.quaternion, still, still)
-    )
+    state = replace(start, linear_velocity=still, angular_velocity=still)
+    return replace(scene, motions=motions, initial_state=state)
 
 
 def equilibrium(scene: Scene, state: State | None = None) -> State:
@@ -56,7 +55,7 @@ def equilibrium(scene: Scene, state: State | None = None) -> State:
     start = initial_state(scene)
     if state is not None:
         scene.check_numbers(state, f"state of scene {scene.name!r}")
-        start = replace(start, position=state.position, quaternion=state.quaternion)
+        start = replace(state, linear_velocity=start.linear_velocity, angular_velocity=start.angular_velocity)
     state = start
     names = [freedom.name for freedom in chosen_freedoms(scene, state, None)]
     system, model = Relative(scene), linearize(scene, state, names, [], [])

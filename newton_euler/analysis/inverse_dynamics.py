@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from newton_euler.analysis.poses import Poses
-from newton_euler.assemble import initial_state
+from newton_euler.assemble import check_revolutions, initial_state
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
+from newton_euler.equations.couplings import counted_angles
 from newton_euler.equations.parameters import measuring, numbered, pieces, with_values
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
@@ -31,7 +32,7 @@ from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.projection import worst_joint
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import State
+from newton_euler.model.state import State, whole_revolutions
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array, Floats, Scalar, minimum
 
@@ -129,7 +130,7 @@ def inverse_dynamics(
     times = given.column("time", getattr(states, "time", 0.0) if time is None else time)
     if times.size:
         compiled.scene.check_functions(float(times.min()), float(times.max()), "the times asked for")
-    q, v = given.coordinates(compiled.system)
+    q, v = given.coordinates(compiled.system, times)
     if rates is not None:
         moving = {mechanism.coordinate(name): (name, value) for name, value in rates.items()}
         for key in moving:
@@ -175,7 +176,8 @@ def statics(
         keys = tuple(scene.mechanism.coordinate(name) for name in actuators)
     compiled = _compiled(scene, _independent(scene, given.state(0), keys), keys)
     zeros = [np.zeros(len(given))] * len(compiled.servos.coordinates)
-    found = compiled.loads(given, given.coordinates(compiled.system), zeros, np.zeros(len(given)))
+    times = np.zeros(len(given))
+    found = compiled.loads(given, given.coordinates(compiled.system, times), zeros, times)
     compiled.check_at_rest(found)
     return found.loads
 
@@ -196,6 +198,7 @@ class States:
     Attributes:
         position, quaternion: (n, b, 3) and (n, b, 4).
         velocities: linear and angular ones (n, b, 3); None at rest.
+        angles: (n,) rad with their revolutions, by joint coordinate, as far as they are given.
         is_single: True for one that was given alone.
     """
 
@@ -213,9 +216,14 @@ class States:
         self.position, self.quaternion, *both = (a[None] for a in arrays) if self.is_single else arrays
         self.velocities = both if len(both) == len(moving) else None
         self._solved = given if isinstance(given, Poses) else None
+        self.angles: Mapping[Key, Array] = {}
         if self._solved is None:
             for row in range(len(self)):
                 scene.check_numbers(self.state(row), where)
+        if isinstance(given, State):
+            scene.check_angles(given.angles, where)
+            check_revolutions(scene, given)
+        self.angles = _angles(scene, given)
 
     def __len__(self) -> int:
         return len(self.position)
@@ -224,19 +232,39 @@ class States:
         """Return one of the states."""
         still = np.zeros_like(self.position[row])
         moving = (still, still) if self.velocities is None else (each[row] for each in self.velocities)
-        return State(self.position[row], self.quaternion[row], *moving)
+        angles = {key: float(angle[row]) for key, angle in self.angles.items()}
+        return State(self.position[row], self.quaternion[row], *moving, angles=angles)
 
-    def coordinates(self, system: Relative) -> tuple[Array, Array]:
-        """Compute q (n, nq) and v (n, nv) of a system of the scene."""
+    def coordinates(self, system: Relative, times: Array) -> tuple[Array, Array]:
+        """Compute q (n, nq) and v (n, nv) of a system of the scene at times (n,), s."""
         if self._solved is not None and system.nq == system.tree.nq:
-            return self._solved.tree_coordinates, np.zeros((len(self), system.nv))
-        q, v = zip(*(system.coordinates(self.state(row)) for row in range(len(self))), strict=True)
-        return np.array(q), np.array(v)
+            q = self._solved.tree_coordinates.copy()
+            for key, place in system.angles.items():
+                q[:, place] += whole_revolutions(self.angles.get(key, 0.0) - q[:, place])
+            return q, np.zeros((len(self), system.nv))
+        systems = (at_time(system, float(t)) for t in times)
+        found = [each.coordinates(self.state(row)) for row, each in enumerate(systems)]
+        return np.array([q for q, _ in found]), np.array([v for _, v in found])
 
     def column(self, name: str, value: Any) -> Array:
         """Return a number for each state, (n,); raises `MechanismError`."""
         shape = (len(self),) if np.ndim(value) else ()
         return np.broadcast_to(finite_array("inverse dynamics", name, value, shape), len(self))
+
+
+def _angles(scene: Scene, given: Any) -> Mapping[Key, Array]:
+    """Return the angles (n,) with their revolutions, rad, of states by joint coordinate, as far as given.
+
+    Angles that a trajectory does not carry, as no force of its scene depended on them, follow their rates.
+    """
+    if isinstance(given, State):
+        return {key: np.array([angle]) for key, angle in given.angles.items()}
+    if isinstance(given, Poses):
+        return given.angles
+    if not isinstance(given, Trajectory):
+        return {}
+    run = replace(given, mechanism=scene.mechanism)
+    return {(joint, k): run.joint(joint).coordinates[:, k] for joint, k in counted_angles(scene)}
 
 
 class Solved(NamedTuple):

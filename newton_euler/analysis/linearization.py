@@ -25,7 +25,7 @@ import numpy as np
 from newton_euler.analysis.freedoms import AXES, Freedom, chosen_freedoms, rates_of
 from newton_euler.analysis.inverse_dynamics import KEPT
 from newton_euler.analysis.linear_model import LinearModel, label
-from newton_euler.assemble import initial_state
+from newton_euler.assemble import check_revolutions, initial_state
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, differentiate_along
 from newton_euler.codegen.fingerprint import fingerprint
@@ -115,6 +115,7 @@ def linearize(
     check_type("scene", scene, Scene)
     state = initial_state(scene) if state is None else state
     scene.check_numbers(state, f"state of scene {scene.name!r}")
+    check_revolutions(scene, state)
     if not is_finite_number(time):
         raise OptionError("time", time, "a finite number of seconds")
     scene.check_functions(time, time, "the time asked for")

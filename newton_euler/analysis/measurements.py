@@ -37,7 +37,7 @@ from newton_euler.model.source_file import (
     read_text,
     row_numbers,
 )
-from newton_euler.model.trajectory import QUANTITIES, SHAPES, column_names
+from newton_euler.model.trajectory import QUANTITIES, column_names
 from newton_euler.scalars import Array, Floats
 from newton_euler.starts import PREFIX, RATE
 
@@ -228,9 +228,10 @@ def column_places(
     joints = list(mechanism.coordinate_labels.values())
     found = {f"coordinate.{name}": ("coordinates", k) for k, name in enumerate(joints)}
     found |= {f"rate.{name}": ("coordinates", len(joints) + k) for k, name in enumerate(joints)}
+    named = {"b": mechanism.body_names, "j": mechanism.joint_names}
     for name, (start, _, shape) in layout.items():
-        if name in SHAPES:
-            columns = column_names(name, shape, mechanism.body_names, mechanism.joint_names)
+        if name in QUANTITIES:
+            columns = column_names(name, shape, named)
             found |= {column: ("output", start + k) for k, column in enumerate(columns)}
     return found
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -104,7 +105,21 @@ class Poses:
     def state(self, number: int) -> State:
         """Return one of the poses at rest, which a scene may start from."""
         rest = np.zeros_like(self.position[number])
-        return State(self.position[number], self.quaternion[number], rest, rest)
+        angles = {key: float(values[number]) for key, values in self.angles.items()}
+        return State(self.position[number], self.quaternion[number], rest, rest, angles=angles)
+
+    @cached_property
+    def angles(self) -> Mapping[Key, Array]:
+        """Angles (n,) with their revolutions, rad, by joint coordinate, as `State.angles` has them.
+
+        Those that were chosen have the revolutions of their goals, and those that couplings or prescribed
+        motions determine the revolutions that these ask for.
+        """
+        system, chosen = self._at.chain.system, dict(zip(self._at.chain.keys, self._names, strict=True))
+        return {
+            key: np.asarray(self.coordinates[chosen[key]]) if key in chosen else self._at.q[:, place]
+            for key, place in system.angles.items()
+        }
 
     @property
     def tree_coordinates(self) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 
 from newton_euler.analysis.inverse_dynamics import statics
 from newton_euler.analysis.linearization import linearize
-from newton_euler.assemble import initial_state
+from newton_euler.assemble import initial_state, measured_coordinate
 from newton_euler.errors import MechanismError, OptionError, check_type, real_array
 from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.joint import Key
@@ -63,7 +63,7 @@ def lqr(
     mechanism, acting = scene.mechanism, _acting(scene, actuators)
     start = initial_state(scene) if state is None else state
     still = np.zeros_like(start.position)
-    state = State(start.position, start.quaternion, still, still)
+    state = replace(start, linear_velocity=still, angular_velocity=still)
     held = statics(scene, state, [mechanism.coordinate_name(key) for key in acting]).actuator_force
     laws = [PD(joint, 0.0, 0.0, 0.0, k, float(u)) for (joint, k), u in zip(acting, held, strict=True)]
     model = linearize(replace(scene, control=tuple(laws)), state, coordinates, acting, [])
@@ -77,8 +77,7 @@ def lqr(
         where = f"the pair Q and R for scene {scene.name!r}"
         raise OptionError(where, (q.tolist(), r.tolist()), needed) from error
     given = {mechanism.coordinate(name): value for name, value in (targets or {}).items()}
-    frames = state.frames()
-    wanted = {key: given.get(key, float(mechanism.measure(key, frames)[0])) for key in keys}
+    wanted = {key: given.get(key, measured_coordinate(scene, state, key)[0]) for key in keys}
     found = []
     for (joint, k), u, (k_p, k_d) in zip(acting, held, np.stack(np.split(gains, 2, axis=1), 1), strict=True):
         own: dict[str | Key, tuple[float, float]] = dict(

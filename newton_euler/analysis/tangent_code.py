@@ -158,7 +158,7 @@ class TangentCode(CompiledScene):
 
     def _smooth(self, scalars: list[Scalar]) -> list[Scalar]:
         """Select the outputs that have derivatives, with a layout of their own."""
-        without = {"phi", "pivot_ratio"}
+        without = {"phi", "pivot_ratio", "joint_angle"}  # `coordinates` has the angles of all joints
         if self.redundant:  # and not unique
             without |= {"reaction_force", "reaction_torque"}
         kept: list[Scalar] = []

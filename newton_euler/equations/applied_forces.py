@@ -19,11 +19,14 @@ from newton_euler.scalars import Array, Scalar
 def surroundings(scene: Scene, state: State, time: float = 0.0) -> Surroundings:
     """Compute what forces and armatures depend on at a state and a time in s.
 
-    Angles are those within half a revolution.
+    Angles have the revolutions of `State.angles`; those that are not there are within half a revolution.
     """
     mechanism, frames = scene.mechanism, state.frames()
     acting = {each.key for each in (*scene.joint_forces, *scene.armatures) if not each.on_ball}
-    measured = {key: mechanism.measure(key, frames) for key in acting.union(scene.sensed)}
+    measured = {}
+    for key in acting.union(scene.sensed):
+        x, rate = mechanism.measure(key, frames)
+        measured[key] = x + state.revolutions(key, x), rate
     return Surroundings(mechanism, [body.pose for body in mechanism.bodies], frames, measured, time)
 
 

@@ -27,6 +27,7 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
+from newton_euler.model.state import State, whole_revolutions
 from newton_euler.scalars import Array, Scalar, arctan2, cos, sin
 
 MOST_REVOLUTIONS = 1000  # in an initial state, of the slowest of angles that are coupled only to each other
@@ -63,12 +64,16 @@ class Coordinate:
         """Measure the coordinate where the bodies have these frames."""
         first, second = frames[self.first], frames[self.second]
         jacobian = self.constraint.jacobian(first, second)
-        x = self.constraint.phi(first, second)[0]
-        if self.carried is not None:
-            past = x - q[self.carried]
-            x = q[self.carried] + arctan2(sin(past), cos(past))
         rate = jacobian.rate(first, second)[0]
-        return Measured(x, rate, jacobian, self.constraint.gamma(first, second)[0])
+        return Measured(self.value(q, frames), rate, jacobian, self.constraint.gamma(first, second)[0])
+
+    def value(self, q: Array, frames: Sequence[Frame]) -> Scalar:
+        """Compute the coordinate, m or rad, where the bodies have these frames."""
+        x = self.constraint.phi(frames[self.first], frames[self.second])[0]
+        if self.carried is None:
+            return x
+        past = x - q[self.carried]
+        return q[self.carried] + arctan2(sin(past), cos(past))
 
 
 def coordinates(
@@ -212,6 +217,12 @@ def needed_coordinates(scene: Scene, couplings: Sequence[Coupling]) -> list[Key]
     return list(dict.fromkeys([*forces, *coupled]))
 
 
+def counted_angles(scene: Scene) -> tuple[Key, ...]:
+    """List the angles that forces and couplings of a scene depend on, whose revolutions runs carry."""
+    needed = needed_coordinates(scene, couplings(scene))
+    return tuple(key for key in needed if not scene.mechanism.is_slide(*key))
+
+
 def row_units(equations: Sequence[JointEquations], couplings: Sequence[Coupling], size: float) -> Array:
     """Compute units (k,) of the rows of joints, then couplings: `size` (m) for lengths, else 1."""
     coupled = np.array([size if coupling.is_length else 1.0 for coupling in couplings])
@@ -225,26 +236,31 @@ def row_owners(equations: Sequence[JointEquations], couplings: Sequence[Coupling
 
 
 def revolutions(
-    couplings: Sequence[Coupling], x: Mapping[Key, float], angles: Collection[Key], time: float
+    couplings: Sequence[Coupling],
+    x: Mapping[Key, float],
+    angles: Collection[Key],
+    time: float,
+    known: Mapping[Key, float],
 ) -> dict[Key, float]:
-    """Compute multiples of 2 pi to add to angles so that their couplings hold.
+    """Compute multiples of 2 pi to add to angles so that they are the known ones and couplings hold.
 
-    Poses determine angles within half a revolution only. Prescribed motions and slides determine the rest,
-    directly or through couplings. Angles that are only coupled to each other, or that others follow by
-    polynomials, get the fewest revolutions that agree with all poses. The order of the couplings does not
-    matter.
+    Poses determine angles within half a revolution only. Known angles, prescribed motions and slides
+    determine the rest, directly or through couplings. Angles that are only coupled to each other, or that
+    others follow by polynomials, get the fewest revolutions that agree with all poses. The order of the
+    couplings does not matter.
 
     Args:
         couplings: those of several coordinates without a function of time.
         x: the coordinates that poses give, m or rad.
         angles: which of them are angles.
         time: s.
+        known: angles with their revolutions, rad, as of `State.angles`.
     """
-    wanted: dict[Key, float] = {}
+    wanted = {key: x[key] + whole_revolutions(known[key] - x[key]) for key in angles if key in known}
     for coupling in couplings:
         if coupling.function:
             (key,) = coupling.factors
-            wanted[key] = float(coupling.function.value(time))
+            wanted.setdefault(key, float(coupling.function.value(time)))
     linked = sorted((c for c in couplings if c.function is None), key=lambda c: (c.what, c.name))
     _follow(linked, wanted)
     coupled = {key for coupling in couplings for key in coupling.factors}
@@ -255,11 +271,7 @@ def revolutions(
         _follow([c for c in linked if not c.powers], ratios)
         wanted |= _fewest_revolutions(ratios, linked, wanted, x)
         _follow(linked, wanted)
-    return {
-        key: 2.0 * np.pi * float(np.round((wanted[key] - x[key]) / (2.0 * np.pi)))
-        for key in coupled
-        if key in angles
-    }
+    return {key: float(whole_revolutions(wanted[key] - x[key])) for key in angles if key in wanted}
 
 
 def _follow(couplings: Sequence[Coupling], wanted: dict[Key, Any]) -> None:
@@ -337,7 +349,11 @@ class Residuals(NamedTuple):
 
 
 def residuals(
-    mechanism: Mechanism, couplings: Sequence[Coupling], frames: Sequence[Frame], time: float
+    mechanism: Mechanism,
+    couplings: Sequence[Coupling],
+    frames: Sequence[Frame],
+    time: float,
+    known: Mapping[Key, float],
 ) -> Residuals:
     """Compute residuals of couplings where bodies have these frames.
 
@@ -347,7 +363,7 @@ def residuals(
     for key in {key for coupling in couplings for key in coupling.factors}:
         x[key], rates[key] = map(float, mechanism.measure(key, frames))
     angles = {key for key in x if not mechanism.is_slide(*key)}
-    for key, angle in revolutions(couplings, x, angles, time).items():
+    for key, angle in revolutions(couplings, x, angles, time, known).items():
         x[key] += angle
     phi = [c.value(x) - (c.function.value(time) if c.function else 0.0) for c in couplings]
     slopes = [c.slopes(x) for c in couplings]
@@ -369,20 +385,18 @@ class TreeCouplings:
 
     def __init__(self, scene: Scene, tree: SpanningTree) -> None:
         self.couplings = couplings(scene)
-        self._angles: set[Key] = set()
+        self._angles = counted_angles(scene)
         self._on_q: dict[Key, int] = {}
         self._on_v: dict[Key, int] = {}
         self._nv = tree.nv
-        for key in {key for coupling in self.couplings for key in coupling.factors}:
+        for key in needed_coordinates(scene, self.couplings):
             place = tree.place(*key)
             assert place is not None
             self._on_q[key], self._on_v[key] = place
-            if not scene.mechanism.is_slide(*key):
-                self._angles.add(key)
         self.units = row_units((), self.couplings, scene.mechanism.size)
 
     def _x(self, q: Array) -> dict[Key, Any]:
-        """Return the coupled coordinates, m or rad, at q (nq,)."""
+        """Return the coordinates that forces and couplings depend on, m or rad, at q (nq,)."""
         return {key: q[place] for key, place in self._on_q.items()}
 
     def phi(self, q: Array, time: float) -> Array:
@@ -410,10 +424,14 @@ class TreeCouplings:
         """Compute the second derivatives (c,) of `value`."""
         return np.array([c.function.acceleration(time) if c.function else 0.0 for c in self.couplings])
 
-    def turned(self, q: Array, time: float) -> Array:
-        """Add revolutions to the angles of coordinates that poses gave, so that couplings hold."""
+    def turned(self, q: Array, state: State, time: float) -> Array:
+        """Add revolutions to the angles in q (nq,) of a state's poses, as `revolutions` finds them."""
         x = {key: float(value) for key, value in self._x(q).items()}
         q = q.copy()
-        for key, angle in revolutions(self.couplings, x, self._angles, time).items():
+        for key, angle in revolutions(self.couplings, x, self._angles, time, state.angles).items():
             q[self._on_q[key]] += angle
         return q
+
+    def angles(self, q: Array) -> dict[Key, float]:
+        """Return the angles that forces and couplings depend on, rad, at q (nq,), for `State.angles`."""
+        return {key: float(q[self._on_q[key]]) for key in self._angles}

@@ -234,15 +234,17 @@ class Formulation(System):
     def coordinates(self, state: State) -> tuple[Array, Array]:
         """Compute q and v of a state; no work done.
 
-        Counted angles are within half a revolution, or in the revolution that couplings ask for.
+        Counted angles are in the revolution of `State.angles`, else in the one that couplings ask for, else
+        within half a revolution.
         """
         q, v = self.own_coordinates(state)
-        if self.nq == len(q) and not self.couplings:
+        if self.nq == len(q) and not self.couplings and not state.angles:
             return q, v
         q = np.concatenate([q, np.zeros(self.nq - len(q))])
         q[self.carried] = carried_angles(self.between, self.frames(q, v))
         x = {key: seen.x for key, seen in self.measured(q, v).items()}
-        for key, angle in revolutions(self.couplings, x, self.angles, self.time).items():
+        turned = revolutions(self.couplings, x, self.angles, self.time, state.angles)
+        for key, angle in turned.items():
             q[self.angles[key]] += angle
         return q, v
 
@@ -279,7 +281,16 @@ class Formulation(System):
             np.array(self.orientations(q, v)),
             np.array([frame.velocity for frame in frames]),
             np.array([frame.angular_velocity for frame in frames]),
+            angles=self.counted(q, frames),
         )
+
+    def counted(self, q: Array, frames: Sequence[Frame]) -> dict[Key, Scalar]:
+        """Compute the angles whose revolutions are counted, rad, where the bodies have these frames."""
+        found = {}
+        for key, place in self.angles.items():
+            angle = q[place] if self.places[key] is not None else self.between[key].value(q, frames)
+            found[key] = float(angle) if isinstance(angle, np.floating) else angle
+        return found
 
     def mass_properties(self) -> MassProperties:
         """Return the masses and inertias that the mechanism states."""

@@ -56,19 +56,23 @@ def _constraints(scene: Scene) -> int:
     return sum(equations.count for equations in scene.mechanism.equations) + len(couplings(scene))
 
 
-def undetermined_in_both(first: Scene, second: Scene, joints: Mapping[str, str], state: State) -> Array:
+def undetermined_in_both(
+    first: Scene, second: Scene, joints: Mapping[str, str], states: tuple[State, State]
+) -> Array:
     """The same of joints that two scenes have, as the first has them, where both scenes' constraints hold.
 
     Reactions of the one and of the other, with the same bodies and the same motion, differ by them alone.
 
     Args:
         joints: the second's name of each joint of the first that both have.
+        states: one state, with the angles of the first's and of the second's coordinates.
     """
+    state, other = states
     own, count, size = _places(first, state), len(first.mechanism.joints), first.mechanism.size
-    others = {name: place._replace(joint=count) for name, place in _places(second, state).items()}
+    others = {name: place._replace(joint=count) for name, place in _places(second, other).items()}
     others |= {other: own[name] for name, other in joints.items()}
     own |= {name: own[name]._replace(joint=count) for name in own.keys() - joints.keys()}
-    columns = [_columns(first, state, own, count + 1, size), _columns(second, state, others, count + 1, size)]
+    columns = [_columns(first, state, own, count + 1, size), _columns(second, other, others, count + 1, size)]
     return _acting_on_nothing(columns, count)
 
 
@@ -128,7 +132,7 @@ def _columns(scene: Scene, state: State, places: Mapping[str, Place], count: int
         add([(equations.joint.name, i, j, blocks)], equations.units(size))
     measured = Cartesian(scene).between
     coupled = couplings(scene)
-    all_slopes = residuals(mechanism, coupled, frames, 0.0).slopes
+    all_slopes = residuals(mechanism, coupled, frames, 0.0, state.angles).slopes
     for coupling, slopes in zip(coupled, all_slopes, strict=True):
         parts = []
         for key, slope in slopes.items():

@@ -420,6 +420,8 @@ class Code:
             seen = system.observe(q, v)
         state = seen.state
         arrays: dict[str, Any] = {"position": state.position, "quaternion": state.quaternion}
+        if state.angles:
+            arrays["joint_angle"] = np.array(list(state.angles.values()))
         if "velocities" in wanted:
             arrays["linear_velocity"] = state.linear_velocity
             arrays["angular_velocity"] = state.angular_velocity

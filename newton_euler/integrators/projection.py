@@ -338,7 +338,7 @@ def check_still_closed(scene: Scene, times: Array, phi: Array) -> None:
 def worst_joint(system: System, state: State) -> tuple[str, float]:
     """Find the joint or gear with the largest residual: its name and that residual, m or rad."""
     coupled = couplings(system.scene)
-    phi = residuals(system.mechanism, coupled, state.frames(), system.time).phi
+    phi = residuals(system.mechanism, coupled, state.frames(), system.time, state.angles).phi
     violations = np.concatenate([joint_violations(system.mechanism, state), np.abs(phi)])
     worst = int(np.argmax(violations))
     names = (*system.mechanism.joint_names, *(coupling.name for coupling in coupled))

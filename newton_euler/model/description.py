@@ -9,7 +9,7 @@ and `elements_of`.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, dataclass_transform, overload
 
 import numpy as np
@@ -78,6 +78,8 @@ def _in_one_line(thing: Any) -> str:
     found = []
     for each in fields(thing):
         value, default = getattr(thing, each.name), each.default
+        if each.default_factory is not MISSING:
+            default = each.default_factory()
         if not np.array_equal(value, default):  # type: ignore[arg-type]
             found.append(f"{each.name}={_text(value)}")
     return f"{type(thing).__name__}({', '.join(found)})"

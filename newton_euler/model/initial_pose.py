@@ -94,10 +94,8 @@ def described_at(scene: Scene, state: State) -> Scene:
         Move(frame.rotation @ body.pose.rotation.T, body.center_of_mass, frame.position)
         for body, frame in zip(mechanism.bodies, frames, strict=True)
     ]
-    zeros: dict[Key, float] = {}
+    zeros = coordinates_at(mechanism, state)
     for equations in mechanism.equations:
-        for k in range(len(equations.coordinates)):
-            zeros[equations.joint.name, k] = float(equations.measure(k, frames)[0])
         _check_slides(scene, equations, moves[equations.first])
     bodies = [mechanism.bodies[0]]
     for body, move, p in list(zip(mechanism.bodies, moves, state.quaternion, strict=True))[1:]:
@@ -116,6 +114,15 @@ def described_at(scene: Scene, state: State) -> Scene:
         motions=tuple(motions),
         initial_state=None,
     )
+
+
+def coordinates_at(mechanism: Mechanism, state: State) -> dict[Key, float]:
+    """Measure all joint coordinates in a state, m or rad, with the revolutions of `State.angles`."""
+    found, frames = {}, state.frames()
+    for key in mechanism.coordinate_labels:
+        x = float(mechanism.measure(key, frames)[0])
+        found[key] = x + float(state.revolutions(key, x))
+    return found
 
 
 def _check_slides(scene: Scene, equations: JointEquations, first: Move) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Set
+from collections.abc import Iterable, Mapping, Set
 from dataclasses import replace
 from functools import cached_property
 from typing import ClassVar, Literal, get_args
@@ -47,6 +47,7 @@ PARTS: dict[str, tuple[type, ...]] = {
 
 MAXIMUM_OUTPUTS = 1_000_000
 MAXIMUM_DURATION = 1e7  # s, four months: fixed steps of a millisecond would go on for a day
+MAXIMUM_ANGLE = 1e9  # rad, in a state: more have fewer digits than a pose
 REDUNDANCY_TOLERANCE = 1e-4  # noise of files: points rounded to 1e-6 m on a mechanism of a centimeter
 
 _NAME = re.compile(r"[A-Za-z0-9_.\-]{1,100}")
@@ -206,10 +207,26 @@ class Scene(Variable):
                     f"{name} has another shape, or holds what is masked or not finite",
                     f"an array of finite floats, shape ({count}, {width})",
                 )
+        self.check_angles(state.angles, where)
         norms = np.linalg.norm(state.quaternion, axis=1)
         if not np.all(norms > UNIT_TOLERANCE):
             body = self.mechanism.body_names[int(np.argmin(norms))]
             raise MechanismError(where, f"quaternion of body {body!r} is zero", "one of norm 1")
+
+    def check_angles(self, angles: object, where: str) -> None:
+        """Raise `MechanismError` for what are no finite angles of joint coordinates."""
+        if not isinstance(angles, Mapping):
+            raise MechanismError(where, f"angles is {quoted(angles)}", "angles in rad by (joint, coordinate)")
+        for key, angle in angles.items():
+            if key not in self.mechanism.coordinate_labels or self.mechanism.is_slide(*key):
+                hinges = (
+                    key for key in self.mechanism.coordinate_labels if not self.mechanism.is_slide(*key)
+                )
+                shown = ", ".join(map(str, hinges)) or "none, as no joint has a hinge"
+                raise MechanismError(where, f"angles has {quoted(key)}", f"one of {shown}")
+            if not is_finite_number(angle) or abs(angle) > MAXIMUM_ANGLE:
+                needed = f"a number of rad, at most {MAXIMUM_ANGLE:g}"
+                raise MechanismError(where, f"angle of {key!r} is {quoted(angle)}", needed)
 
     def _check_state(self, state: State) -> None:
         self.check_numbers(state, f"initial state of scene {self.name!r}")

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import field
+from typing import Any
 
 import numpy as np
 
 from newton_euler.model.constraints import Frame
 from newton_euler.model.description import description
 from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.scalars import Array, Floats, Stack, objects
+from newton_euler.scalars import Array, Floats, Scalar, Stack, objects
 
 
 @description
@@ -22,6 +25,11 @@ class State:
         quaternion: (b, 4) w-x-y-z.
         linear_velocity: (b, 3) of the centers of mass, m/s.
         angular_velocity: (b, 3) rad/s.
+        angles: rad from the initial pose with revolutions, by joint coordinate (name of the joint, number).
+            Poses determine an angle within one revolution only; the torque of a wound spring depends on all
+            revolutions. States of runs and of `newton_euler.assemble` have the angles that forces, control
+            laws or couplings of the scene depend on. An angle that is not given has the revolutions that
+            couplings and prescribed motions ask for, else it is within half a revolution.
 
     Examples:
         >>> State.initial(load("pendulum").mechanism).position.shape
@@ -32,6 +40,7 @@ class State:
     quaternion: Floats
     linear_velocity: Floats
     angular_velocity: Floats
+    angles: Mapping[Key, float] = field(default_factory=dict, kw_only=True)
 
     @classmethod
     def initial(cls, mechanism: Mechanism) -> State:
@@ -45,16 +54,25 @@ class State:
 
     @property
     def arrays(self) -> tuple[Array, ...]:
-        """The four, in their order."""
+        """The four arrays, in their order."""
         return self.position, self.quaternion, self.linear_velocity, self.angular_velocity
+
+    def revolutions(self, key: Key, x: Scalar) -> Scalar:
+        """Return the revolutions, rad, of `angles` beyond an angle x of the poses, rad; 0 if unknown."""
+        return whole_revolutions(self.angles[key] - x) if key in self.angles else 0.0
 
     def frames(self) -> list[Frame]:
         """One `Frame` for each body."""
         return [Frame(r, rotation(p), v, w) for r, p, v, w in zip(*self.arrays, strict=True)]
 
 
+def whole_revolutions(angle: Any) -> Any:
+    """Return the multiples of 2 pi next to angles, rad; 0 for those that are not finite."""
+    return 2.0 * np.pi * np.round(np.nan_to_num(angle, posinf=0.0, neginf=0.0) / (2.0 * np.pi))
+
+
 def stacked(states: Sequence[State]) -> State:
-    """Return one state whose numbers are stacks of those of n states."""
+    """Return one state whose numbers are stacks of those of n states, without `State.angles`."""
     columns = zip(*(state.arrays for state in states), strict=True)
     return State(*(_stacks(np.array(column)) for column in columns))
 

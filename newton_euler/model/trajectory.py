@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -14,13 +14,13 @@ from zlib import error as ZlibError
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, MissingPackageError, NewtonEulerError
+from newton_euler.errors import MechanismError, MissingPackageError, NewtonEulerError, OptionError, is_whole
 from newton_euler.limits import MB, exceeded
-from newton_euler.model.joint import Joint, JointEquations
+from newton_euler.model.joint import Joint, JointEquations, Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import OutputName
 from newton_euler.model.source_file import SourceError, read_content
-from newton_euler.model.state import stacked_frames
+from newton_euler.model.state import State, stacked_frames, whole_revolutions
 from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array, Floats, unstacked
 
@@ -53,10 +53,15 @@ QUANTITIES = {
 }
 """Quantities of bodies, joints and mechanisms, by name."""
 
-SHAPES = {"time": "n", "body_names": "b", "joint_names": "j", "constraint_violation": "nj"} | {
-    name: quantity.shape for name, quantity in QUANTITIES.items()
-}
-"""Of the arrays of a trajectory."""
+SHAPES = {
+    "time": "n",
+    "body_names": "b",
+    "joint_names": "j",
+    "constraint_violation": "nj",
+    "angle_names": "c",
+    "joint_angle": "nc",
+} | {name: quantity.shape for name, quantity in QUANTITIES.items()}
+"""Of the arrays of a trajectory; c is the number of carried angles."""
 
 UNREADABLE = (OSError, EOFError, KeyError, RuntimeError, MemoryError, BadZipFile, ZlibError)
 """What broken archives raise, beside ValueError."""
@@ -82,6 +87,7 @@ class JointMotion(NamedTuple):
 def joint_motion(
     equations: JointEquations,
     time: Array,
+    carried: Mapping[int, Array],
     position: Array,
     quaternion: Array,
     linear_velocity: Array | None,
@@ -89,7 +95,8 @@ def joint_motion(
 ) -> JointMotion:
     """Compute the coordinates (..., n, k) of a joint, and their rates, of motions over the same n times, s.
 
-    Arrays are those of `Trajectory`, (..., n, b, 3 or 4), of any number of runs.
+    Arrays are those of `Trajectory`, (..., n, b, 3 or 4), of any number of runs; `carried` has the angles
+    (..., n), rad, that the runs carry, by the number of the coordinate.
     """
     bodies, measures = [equations.first, equations.second], equations.coordinates
     has_rates = linear_velocity is not None and angular_velocity is not None
@@ -103,10 +110,11 @@ def joint_motion(
     times, shape = position[..., 0, 0].size, (*position.shape[:-2], len(measures))
     x, rates = (unstacked(scalars, times).reshape(shape) for scalars in (found, slopes))
     for k, measure in enumerate(measures):
-        if not measure.is_length:
+        if k in carried:
+            x[..., k] += whole_revolutions(carried[k] - x[..., k])
+        elif not measure.is_length:
             expected = np.diff(time) * 0.5 * (rates[..., 1:, k] + rates[..., :-1, k])
-            revolutions = np.round((expected - np.diff(x[..., k])) / (2.0 * np.pi))
-            x[..., 1:, k] += 2.0 * np.pi * np.cumsum(np.nan_to_num(revolutions), axis=-1)
+            x[..., 1:, k] += np.cumsum(whole_revolutions(expected - np.diff(x[..., k])), axis=-1)
     return JointMotion(coordinate_names(equations.joint), x, rates if has_rates else None)
 
 
@@ -120,6 +128,8 @@ class Trajectory:
         engine: name of the engine that made it.
         settings: the options it ran with and what it counted (steps, evaluations).
         wall_time: s, of the run itself, without building the model.
+        angle_names: of the c angles that the run carries, as of `Mechanism.coordinate_labels`: those that
+            forces, control laws or couplings depend on. Files hold none where there are none.
         mechanism: what moved; None of a run that was made of arrays alone. Files do not hold it.
 
     Examples:
@@ -162,6 +172,9 @@ class Trajectory:
     """(n,) of gravity, zero at the world origin, and of springs, zero at rest, J."""
     work: Floats | None = None
     """(n,) done since the start by control, dampers, wrenches, wind and prescribed motions, J."""
+    angle_names: tuple[str, ...] = ()
+    joint_angle: Floats | None = None
+    """(n, c) the carried angles with their revolutions, rad from the initial pose; None if there are none."""
     mechanism: Mechanism | None = None
 
     def __repr__(self) -> str:
@@ -172,8 +185,10 @@ class Trajectory:
     def joint(self, name: str) -> JointMotion:
         """Compute the coordinates of a joint, and their rates, at all output times.
 
-        Angles begin within half a revolution of the initial pose. From one output to the next they follow
-        their rates; without these they must move by less than half a revolution.
+        Angles that the run carries, `angle_names`, have the revolutions of `joint_angle`. Other angles begin
+        within half a revolution of the initial pose. From output to output they follow their rates by the
+        trapezoidal rule, whose error must be below half a revolution: where joints turn fast and unevenly,
+        choose a shorter output period. Without rates they must move by less than half a revolution.
 
         Raises:
             UnknownNameError: for an unknown joint.
@@ -188,7 +203,34 @@ class Trajectory:
             needed = "one: dataclasses.replace(trajectory, mechanism=scene.mechanism)"
             raise MechanismError("trajectory", "has no mechanism", needed)
         motion = self.position, self.quaternion, self.linear_velocity, self.angular_velocity
-        return joint_motion(self.mechanism.joint_equations(name), self.time, *motion)
+        carried = {number: angle for (joint, number), angle in self._carried.items() if joint == name}
+        return joint_motion(self.mechanism.joint_equations(name), self.time, carried, *motion)
+
+    @property
+    def _carried(self) -> dict[Key, Array]:
+        """The carried angles (n,) by joint coordinate."""
+        if self.joint_angle is None:
+            return {}
+        keys = (coordinate_key(name, self.joint_names) for name in self.angle_names)
+        return dict(zip(keys, self.joint_angle.T, strict=True))
+
+    def state(self, output: int) -> State:
+        """Return the state at an output, from which a scene may start; at rest if the run has no velocities.
+
+        Raises:
+            OptionError: for an output that the run does not have.
+
+        Examples:
+            >>> run = simulate(load("pendulum"))
+            >>> again = simulate(replace(load("pendulum"), initial_state=run.state(-1)))
+        """
+        count = len(self.time)
+        if not is_whole(output) or not -count <= int(output) < count:
+            raise OptionError("output", output, f"a whole number from {-count} to {count - 1}")
+        still = np.zeros_like(self.position)
+        moving = (still if each is None else each for each in (self.linear_velocity, self.angular_velocity))
+        arrays = (array[int(output)] for array in (self.position, self.quaternion, *moving))
+        return State(*arrays, angles={key: float(angle[int(output)]) for key, angle in self._carried.items()})
 
     def to_dataframe(self) -> Any:
         """Return a table with a row per output time, of pandas, or of polars if that alone is installed.
@@ -202,7 +244,7 @@ class Trajectory:
         columns: dict[str, Array] = {}
         for name, array in self.arrays().items():
             if array.dtype.kind == "f":
-                names = column_names(name, array.shape[1:], self.body_names, self.joint_names)
+                names = column_names(name, array.shape[1:], self._names)
                 columns |= zip(names, array.reshape(len(array), -1).T, strict=True)
         with suppress(MissingPackageError):
             return optional_package("pandas", "tables").DataFrame(columns)
@@ -210,9 +252,20 @@ class Trajectory:
             return optional_package("polars", "tables").DataFrame(columns)
         raise MissingPackageError("pandas", "tables")
 
+    @property
+    def _names(self) -> dict[str, Sequence[str]]:
+        """Names along dimensions, by their letters in `SHAPES`."""
+        return {"b": self.body_names, "j": self.joint_names, "c": self.angle_names}
+
     def arrays(self) -> dict[str, Array]:
         """The arrays of the run by name, names as arrays of text."""
-        skipped = ("engine", "settings", "wall_time", "mechanism")
+        skipped = (
+            "engine",
+            "settings",
+            "wall_time",
+            "mechanism",
+            *(() if self.angle_names else ("angle_names",)),
+        )
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in skipped}
         return {name: np.asarray(value) for name, value in values.items() if value is not None}
 
@@ -239,14 +292,29 @@ class Trajectory:
         return content.getvalue()
 
 
-def column_names(name: str, shape: Sequence[int], bodies: Sequence[str], joints: Sequence[str]) -> list[str]:
-    """Name the components of an array of a trajectory at one time, in order: `position.rod.x` for one."""
-    named = {"b": bodies, "j": joints} | COMPONENTS
+def column_names(name: str, shape: Sequence[int], names: Mapping[str, Sequence[str]]) -> list[str]:
+    """Name the components of an array of a trajectory at one time, in order: `position.rod.x` for one.
+
+    `names` are those along dimensions by their letters in `SHAPES`.
+    """
+    named = {**names, **COMPONENTS}
     found = []
     for place in np.ndindex(*shape):
         ends = zip(SHAPES[name][1:], place, strict=True)
         found.append(".".join((name, *(named[each][k] if each in named else str(k) for each, k in ends))))
     return found
+
+
+def coordinate_key(label: str, joints: Collection[str]) -> Key:
+    """Return the joint coordinate of a label of `Mechanism.coordinate_labels`, of joints of these names.
+
+    Raises:
+        ValueError: for a label of none of them.
+    """
+    joint, _, number = (label, "", "0") if label in joints else label.rpartition(".")
+    if joint not in joints or not (number.isascii() and number.isdecimal()):
+        raise ValueError(f"angle_names has {label!r:.100}, no coordinate of a joint")
+    return joint, int(number)
 
 
 def coordinate_names(joint: Joint) -> tuple[str, ...]:
@@ -331,6 +399,13 @@ def _check_arrays(arrays: Mapping[str, Array]) -> None:
             raise ValueError(f"{name} has shape {array.shape}; needed: {needed}")
         if array.dtype.kind == "f" and not np.all(np.isfinite(array)):
             raise ValueError(f"{name} is not finite")
+    if ("joint_angle" in arrays) != ("angle_names" in arrays):
+        raise ValueError("one of joint_angle and angle_names without the other")
+    joints, labels = (
+        arrays[name].tolist() if name in arrays else [] for name in ("joint_names", "angle_names")
+    )
+    if len({coordinate_key(label, joints) for label in labels}) < len(labels):
+        raise ValueError("angle_names has a coordinate twice")
     if sizes["n"] == 0 or sizes["b"] == 0 or np.any(np.diff(arrays["time"]) <= 0.0):
         raise ValueError("no bodies, or no times that increase")
 

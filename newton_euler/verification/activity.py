@@ -9,18 +9,16 @@ error hides whether an element acts, the judgment is not settled: a run with clo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from newton_euler.model.constraints import Frame
 from newton_euler.model.euler_parameters import product
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
@@ -69,15 +67,6 @@ class Course:
         self._found: dict[Key, tuple[Array, Array, Array]] = {}
 
     @cached_property
-    def _frames(self) -> list[list[Frame]]:
-        """Of all bodies, at each output time."""
-        run = self.run
-        assert run.linear_velocity is not None
-        assert run.angular_velocity is not None
-        rows = zip(run.position, run.quaternion, run.linear_velocity, run.angular_velocity, strict=True)
-        return [State(*row).frames() for row in rows]
-
-    @cached_property
     def _centers(self) -> Callable[[float], Array]:
         assert self.run.linear_velocity is not None
         return _curve(self.run.time, self.run.position, self.run.linear_velocity)
@@ -119,10 +108,11 @@ class Course:
             where poses do not tell it at all output times.
         """
         if key not in self._found:
-            mechanism, time = self.scene.mechanism, self.run.time
-            x, rate = np.array([mechanism.measure(key, frames) for frames in self._frames]).T
+            (joint, number), time = key, self.run.time
+            motion = replace(self.run, mechanism=self.scene.mechanism).joint(joint)
+            assert motion.rates is not None
+            x, rate = motion.coordinates[:, number], motion.rates[:, number]
             if np.all(np.isfinite([x, rate])):
-                x = x if mechanism.is_slide(*key) else np.unwrap(x)
                 curve = _curve(time, x, rate)
                 self._found[key] = curve(self.time), curve(self.time, 1), missed(time, x, rate)
             else:

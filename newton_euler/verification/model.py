@@ -105,7 +105,7 @@ def _joint_gaps(placed: Placed, place: Place) -> tuple[list[float], list[float]]
             gaps.append(float(np.max(np.abs(e.phi(first, second)) / units)))
             rates.append(float(np.max(np.abs(e.jacobian(first, second).rate(first, second)) / units)))
     coupled = couplings(placed.scene)
-    seen = residuals(placed.mechanism, coupled, frames, 0.0)
+    seen = residuals(placed.mechanism, coupled, frames, 0.0, place.state.angles)
     of_couplings = zip(coupled, seen.phi, seen.rate, seen.sensitivity, strict=True)
     for coupling, phi, rate, sensitivity in of_couplings:
         unit = (size if coupling.is_length else 1.0) * sensitivity

@@ -32,7 +32,7 @@ class Wrenches:
     """
 
     def __init__(self, mechanism: Mechanism, state: State) -> None:
-        self.mechanism, self.frames = mechanism, state.frames()
+        self.mechanism, self.frames, self._state = mechanism, state.frames(), state
         self.total, self.magnitude = np.zeros((2, len(self.frames), 6))
 
     def _add(self, body: int, force: Array, torque: Array) -> None:
@@ -92,6 +92,7 @@ class Wrenches:
         first, second = self.frames[equations.first], self.frames[equations.second]
         jacobian = constraint.jacobian(first, second)
         x, rate = constraint.phi(first, second)[0], jacobian.rate(first, second)[0]
+        x += self._state.revolutions((joint, coordinate), x)
         return equations.first, equations.second, np.concatenate(jacobian, axis=1)[0], x, rate
 
     def _add_point_spring(self, spring: PointSpring) -> None:

@@ -202,6 +202,18 @@ def array_cases(run: Path) -> Iterator[Refused]:
                 f"no array {name!r}",
                 lambda x, name=name: {k: v for k, v in x.items() if k != name},
             )
+    for name, other in (("joint_angle", "angle_names"), ("angle_names", "joint_angle")):
+        yield case(
+            f"{name} without {other}",
+            "one of joint_angle and angle_names without the other",
+            lambda x, other=other: {k: v for k, v in x.items() if k != other},
+        )
+    for label in ("", "moon", "motor.", "motor.-1", "motor.\u0661", "motor.x"):
+        yield case(
+            f"an angle of {label!a}",
+            "no coordinate of a joint",
+            lambda x, label=label: x | {"angle_names": np.array([label])},
+        )
     yield case("another array", "unknown array 'more'", lambda x: x | {"more": np.zeros(3)})
     yield case(
         "time backwards", "no bodies, or no times that increase", lambda x: x | {"time": x["time"][::-1]}

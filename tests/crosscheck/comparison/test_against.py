@@ -303,7 +303,7 @@ def test_reactions_that_either_model_leaves_open_are_not_compared() -> None:
     assert alone.shape == (24, 3)
     assert undetermined(weaker, state).shape == (24, 1)
     for first, second in ((scene, scene), (scene, weaker), (weaker, scene)):
-        both = undetermined_in_both(first, second, joints, state)
+        both = undetermined_in_both(first, second, joints, (state, state))
         np.testing.assert_allclose(both @ both.T, alone @ alone.T, atol=1e-12)
 
 

@@ -24,6 +24,7 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import PrescribedMotion, Sum
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
+from newton_euler.variation import start
 
 
 def changed(content, path, value):
@@ -78,6 +79,11 @@ BAD_SCENES = {
         ["velocities"],
         "does not ask for the output 'reactions'",
     ),
+    "angle of an unknown joint": (("initial_angles",), {"moon": 1.0}, "unknown joint coordinate"),
+    "angle that is text": (("initial_angles",), {"motor": "wound"}, "initial_angles.motor"),
+    "angle of another pose": (("initial_angles",), {"motor": 7.0}, "joint 'motor': coordinate 0 is 7 rad"),
+    "angle of too many revolutions": (("initial_angles",), {"motor": 1e10}, "at most 1e+09"),
+    "angle of a ball": (("initial_angles",), {"elbow": 1.0}, "unknown joint coordinate"),
     "state of an unknown body": (("initial_state",), {"moon": {}}, "unknown body 'moon'"),
     "state of an open joint": (
         ("initial_state",),
@@ -352,3 +358,19 @@ def test_control_laws_that_files_cannot_hold(tmp_path, law, words):
     scene = Scene("rod", mechanism, 1.0, 0.1, control=(law,))
     with pytest.raises(CrosscheckError, match=words):
         write_scene(scene, tmp_path / "rod.yaml")
+
+
+@pytest.mark.parametrize("suffix", [".yaml", ".json"])
+def test_wound_angles_are_written_and_read_back(tmp_path, good, suffix):
+    """The file starts at the initial pose after 3 revolutions, `start` 0.1 rad further."""
+    scene = load(str(scene_file(tmp_path, good)))
+    turns = 6.0 * np.pi
+    wound = changed(good, ("initial_angles",), {"motor": turns})
+    read = load(str(scene_file(tmp_path, wound, "wound.yaml")))
+    assert initial_state(read).angles == {("motor", 0): turns}
+    assert initial_state(scene).angles == {("motor", 0): 0.0}
+    moved = start(read, motor=(turns + 0.1, 0.0))
+    write_scene(moved, tmp_path / f"again{suffix}")
+    again = initial_state(load(str(tmp_path / f"again{suffix}")))
+    assert again.angles == initial_state(moved).angles
+    assert np.array_equal(again.quaternion, initial_state(moved).quaternion)

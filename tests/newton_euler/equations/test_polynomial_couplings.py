@@ -183,14 +183,14 @@ def test_revolutions_are_those_that_agree_with_the_curves(order, turns):
     b = np.polynomial.Polynomial((0.0, -1.5, 0.4, 0.0, 0.3))(a)
     c = np.polynomial.Polynomial((0.0, 0.1, 0.2, -0.05))(b)
     seen = {("ja", 0): 0.4, ("jb", 0): float(np.arctan2(np.sin(b), np.cos(b))), ("jc", 0): float(c)}
-    angles = revolutions(found, seen, {("ja", 0), ("jb", 0)}, 0.0)
+    angles = revolutions(found, seen, {("ja", 0), ("jb", 0)}, 0.0, {})
     assert seen["ja", 0] + angles["ja", 0] == pytest.approx(a, abs=1e-9)
     assert seen["jb", 0] + angles["jb", 0] == pytest.approx(b, abs=1e-6)
 
 
 def test_revolutions_of_what_agrees_with_no_curve_are_none():
     scene = hinged()
-    found = revolutions(couplings(scene), {("ja", 0): 0.4, ("jb", 0): 2.0}, {("ja", 0), ("jb", 0)}, 0.0)
+    found = revolutions(couplings(scene), {("ja", 0): 0.4, ("jb", 0): 2.0}, {("ja", 0), ("jb", 0)}, 0.0, {})
     assert found["ja", 0] == 0.0
 
 

@@ -132,5 +132,5 @@ def test_a_slide_determines_the_revolutions_of_all_that_it_drives():
 def test_poses_that_nothing_agrees_with_stay_within_half_a_revolution():
     """A guess, which assembly moves; the slowest wheel stays where it is."""
     gear = Coupling("gear", "mesh", "b", {("b", 0): 1.0, ("a", 0): -np.sqrt(2.0)}, None, False)
-    found = revolutions([gear], {("a", 0): 3.0, ("b", 0): 0.2}, {("a", 0), ("b", 0)}, 0.0)
+    found = revolutions([gear], {("a", 0): 3.0, ("b", 0): 0.2}, {("a", 0), ("b", 0)}, 0.0, {})
     assert found == {("a", 0): 0.0, ("b", 0): pytest.approx(2.0 * np.pi)}  # 4.24 is nearest to 6.48
