@@ -318,9 +318,8 @@ def trajectory_from(
         arrays["constraint_violation"] = _by_joint(scene, _residuals(scene.mechanism, states, coupled))
     arrays["position"] = np.array([s.position for s in states])
     arrays["quaternion"] = np.array([s.quaternion for s in states])
-    if keys := counted_angles(scene):
-        angles = np.array([[state.angles[key] for key in keys] for state in states])
-        arrays["joint_angle"] = angles.reshape(-1, len(keys))
+    if states and states[0].angles:
+        arrays["joint_angle"] = np.array([list(state.angles.values()) for state in states])
     try:
         check_finite(scene.times, arrays)
     except IntegrationError as error:
@@ -336,7 +335,7 @@ def trajectory_from(
 def _trajectory(
     scene: Scene, engine: str, settings: dict[str, Any], wall_time: float, arrays: dict[str, Array]
 ) -> Trajectory:
-    labels = scene.mechanism.coordinate_labels
+    labels, carried = scene.mechanism.coordinate_labels, "joint_angle" in arrays
     arrays["quaternion"] = continuous(arrays["quaternion"], initial_state(scene).quaternion)
     return Trajectory(
         engine=engine,
@@ -345,7 +344,7 @@ def _trajectory(
         time=scene.times[: len(arrays["position"])],
         body_names=scene.mechanism.body_names,
         joint_names=scene.mechanism.joint_names,
-        angle_names=tuple(labels[key] for key in counted_angles(scene)),
+        angle_names=tuple(labels[key] for key in counted_angles(scene)) if carried else (),
         mechanism=scene.mechanism,
         **arrays,
     )

@@ -206,6 +206,8 @@ def rest_case(scene: Scene) -> Trajectory:
         reaction_force=held.reaction_force[None],
         reaction_torque=held.reaction_torque[None],
         actuator_force=held.actuator_force[None],
+        angle_names=tuple(scene.mechanism.coordinate_labels[key] for key in state.angles),
+        joint_angle=np.array([[*state.angles.values()]]) if state.angles else None,
         mechanism=scene.mechanism,
     )
 

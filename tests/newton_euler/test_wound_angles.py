@@ -430,3 +430,11 @@ def test_sensitivities_by_a_wound_start() -> None:
     assert np.allclose(by.joint("hinge").coordinates[:, 0, 0], c, rtol=0.0, atol=1e-6)
     assert np.allclose(by.potential_energy[:, 0], K * WOUND * c**2, rtol=0.0, atol=1e-6)
     assert np.allclose(by.run.joint("hinge").coordinates[:, 0], WOUND * c, rtol=0.0, atol=RUN)
+
+
+def test_a_rest_case_has_the_angles_of_its_start() -> None:
+    scene = start(spring_scene(control=[PD("hinge", 0.0, 0.0, 0.0)]), hinge=(WOUND, 0.0))
+    case = newton_euler.rest_case(scene)
+    assert case.actuator_force[0, 0] == pytest.approx(torque(WOUND), abs=ROUND_OFF)
+    assert case.joint("hinge").coordinates[0, 0] == pytest.approx(WOUND, abs=ROUND_OFF)
+    assert case.state(0).angles == {KEY: WOUND}
