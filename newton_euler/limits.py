@@ -65,6 +65,9 @@ LIMITS = {
 
 MB = 1_000_000  # bytes
 
+MAX_BYTES = 2**62
+"""Largest number of bytes that operating systems take as a limit and that Python reads at once."""
+
 MAX_MEMORY_MB = 4000
 """Largest memory by default for a process that reads a file of others, which may be hostile. The largest
 public models known compile in 1400 MB."""
@@ -104,8 +107,8 @@ def too_small(name: str) -> str:
 
 
 def size_in_bytes(name: str) -> int:
-    """A limit in MB, in bytes."""
-    return int(limit(name) * MB)
+    """Return a limit in MB in bytes, at most `MAX_BYTES`."""
+    return int(min(limit(name) * MB, MAX_BYTES))
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from newton_euler.limits import MB, limit
+from newton_euler.limits import MB, size_in_bytes
 from newton_euler.model.mechanism import Mechanism
 
 BYTES_PER_ROW = 12
@@ -24,7 +24,7 @@ def engines_with_meshes(mechanism: Mechanism, engines: Sequence[str]) -> list[st
     The bodies of the others are drawn as bars and simple shapes.
     """
     size = mesh_bytes(mechanism)
-    return list(engines[: int(limit("recording_size") * MB // size)] if size else engines)
+    return list(engines[: size_in_bytes("recording_size") // size] if size else engines)
 
 
 def without_meshes(mechanism: Mechanism) -> Mechanism:

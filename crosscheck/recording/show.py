@@ -7,10 +7,15 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+from rerun import bindings
+
 from crosscheck.errors import CrosscheckError
 from crosscheck.recording.log import new_recording
 from crosscheck.workers import safe_path
 from newton_euler.model.scene import Scene
+
+LONGEST_SENDING = 60.0
+"""s that the viewer may take to receive a recording."""
 
 
 def show(log: Callable[..., None], scene: Scene, *args: Any) -> None:
@@ -22,17 +27,29 @@ def show(log: Callable[..., None], scene: Scene, *args: Any) -> None:
     notebook = in_notebook()
     if not (notebook or has_display()):
         raise CrosscheckError("no display to open a viewer on; save a recording and look with view --web")
-    recording = new_recording(scene)
     try:
         if notebook:
+            recording = new_recording(scene)
             log(recording, scene, *args)
-            recording.notebook_show()
+            recording.notebook_show()  # the cell reads the recording as long as the cell is there
         else:
-            with safe_path():
-                recording.spawn()
-            log(recording, scene, *args)
+            _show_in_window(log, scene, *args)
     except (ImportError, RuntimeError) as error:
         raise CrosscheckError(f"no viewer: {' '.join(str(error).split())}") from error
+
+
+def _show_in_window(log: Callable[..., None], scene: Scene, *args: Any) -> None:
+    """Open a viewer, send it the recording, and end the threads of the recording, as `recorded` does."""
+    recording = new_recording(scene)
+    try:
+        with safe_path():
+            recording.spawn()
+        log(recording, scene, *args)
+        recording.flush(timeout_sec=LONGEST_SENDING)
+    finally:
+        recording.disconnect()
+        del recording
+        bindings.flush_and_cleanup_orphaned_recordings()
 
 
 def has_display() -> bool:

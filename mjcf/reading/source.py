@@ -23,6 +23,9 @@ from newton_euler.model.source_file import LARGEST, NOT_FINITE, read_text, scan
 WALL_TIME = 60.0
 """s, for a compiler that waits for something."""
 
+MAX_SECONDS = 1_000_000
+"""s of processor time of the compiler, whatever `compile_time` is: operating systems can wait for as long."""
+
 PER_ASSET_BYTE = 2e-7
 """s of processor time of the compiler for each byte of the assets, beside the limit `compile_time`.
 
@@ -196,7 +199,7 @@ def _compiled(path: str, asset_bytes: int) -> Any:
     import mujoco
 
     assets = min(asset_bytes, size_in_bytes("asset_size"))
-    seconds = max(1, int(limit("compile_time") + PER_ASSET_BYTE * assets))
+    seconds = int(np.clip(limit("compile_time") + PER_ASSET_BYTE * assets, 1, MAX_SECONDS))
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "model.mjb"
         # by its path, without the packages around it: nothing but MuJoCo has to be imported

@@ -103,7 +103,11 @@ def read_content(
         if problem := exceeded(limit, (before + status.st_size) / MB):
             raise error(where, problem)
         with Path(where).open("rb") as stream:
-            return stream.read(size_in_bytes(limit) + 1)  # it may grow
+            most, parts = size_in_bytes(limit), list[bytes]()
+            # it may grow; in parts, as Python gets memory for all that it is asked to read
+            while (rest := most + 1 - sum(map(len, parts))) > 0 and (part := stream.read(min(rest, MB))):
+                parts.append(part)
+            return b"".join(parts)
     except OSError as failure:
         raise error(where, f"cannot be read: {failure.strerror}") from failure
 

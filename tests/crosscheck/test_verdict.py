@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import mujoco
 import numpy as np
 import pinocchio
 import pytest
+from rerun.chunk import RrdReader
 
 import crosscheck
 import urdf
@@ -117,7 +119,7 @@ def test_its_recording_names_the_verdict_and_leads_to_what_is_worst(verdict):
     assert all(times[0] <= time <= times[-1] for time, _ in moments)
 
 
-def test_it_opens_a_viewer(verdict, monkeypatch):
+def test_it_opens_a_viewer_and_leaves_no_thread(verdict, monkeypatch, tmp_path):
     import rerun as rr
 
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -126,7 +128,15 @@ def test_it_opens_a_viewer(verdict, monkeypatch):
         with pytest.raises(CrosscheckError, match="no display"):
             verdict.show()
     monkeypatch.setenv("DISPLAY", ":0")
-    spawned = []
-    monkeypatch.setattr(rr.RecordingStream, "spawn", lambda stream: spawned.append(stream))
-    verdict.show()
-    assert len(spawned) == 1
+    files = (tmp_path / f"{number}.rrd" for number in range(9))
+    monkeypatch.setattr(rr.RecordingStream, "spawn", lambda stream: stream.save(next(files)))
+    verdict.show()  # starts the threads that all recordings share
+    before = len(os.listdir("/proc/self/task"))
+    for _ in range(4):
+        verdict.show()
+    assert (
+        len(os.listdir("/proc/self/task")) <= before + 2
+    )  # of the last recording, which may still be ending
+    for path in tmp_path.iterdir():
+        assert any(chunk.entity_path == "/verdict" for chunk in RrdReader(path).stream())
+    assert len(list(tmp_path.iterdir())) == 5

@@ -7,13 +7,23 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import yaml
 from command_line import NoAliases
 
+from crosscheck.errors import CrosscheckError
+from newton_euler.errors import NewtonEulerError
+
 Path = tuple[str | int, ...]
+
+LONGEST = 1200
+"""Characters of a message: at most 1000 on the file, and its path."""
+
+SLOWEST = 3.0
+"""s of processor time for one file of some kilobytes."""
 
 PLACE = "PLACE-OF-A-VALUE"
 
@@ -97,17 +107,30 @@ def places(
             yield from places(items, root, content[number], (*path, number), f"{name}[]")
 
 
-def with_value(content: Any, path: Path, value: str, language: str) -> str:
-    """Return the text of a file with the text of a value at a path of its content."""
+def template(content: Any, path: Path, language: str) -> str:
+    """Return the text of a file with `PLACE` at a path of its content."""
     changed = copy.deepcopy(content)
     at = changed
     for key in path[:-1]:
         at = at[key]
     at[path[-1]] = PLACE
     if language == "json":
-        return json.dumps(changed).replace(f'"{PLACE}"', value)
+        return json.dumps(changed).replace(f'"{PLACE}"', PLACE)
     # numbers in one line, for what is nested has to stand in one
-    return yaml.dump(changed, Dumper=NoAliases, width=10**6, default_flow_style=None).replace(PLACE, value)
+    return yaml.dump(changed, Dumper=NoAliases, width=10**6, default_flow_style=None)
+
+
+def fields_with_values(
+    schema: Mapping[str, Any], contents: Mapping[str, Any], language: str, step: int = 1
+) -> Iterator[tuple[str, str]]:
+    """Yield a name and the text of a file for every value in every field, one in `step` of them."""
+    number = 0
+    for field, (name, path) in distinct(schema, contents).items():
+        text = template(contents[name], path, language)
+        for value in VALUES[language]:
+            number += 1
+            if number % step == 0:
+                yield f"{field} = {value:.40}", text.replace(PLACE, value)
 
 
 def distinct(schema: Mapping[str, Any], contents: Mapping[str, Any]) -> dict[str, tuple[str, Path]]:
@@ -123,3 +146,18 @@ def fields(schema: Mapping[str, Any]) -> set[str]:
     """Return the names of all fields of all entries of a schema, as `places` names them."""
     entries = [schema, *schema.get("$defs", {}).values()]
     return {f"{entry['title']}.{field}" for entry in entries for field in entry.get("properties", {})}
+
+
+def attempt(read: Callable[[], object]) -> object | None:
+    """Return what is read from a hostile file, None if it is refused in one printable line and in time."""
+    start = time.process_time()
+    try:
+        found = read()
+    except (CrosscheckError, NewtonEulerError) as error:
+        line = str(error)
+        assert line.isprintable(), line
+        assert len(line) < LONGEST
+        assert "internal error" not in line
+        found = None
+    assert time.process_time() - start < SLOWEST
+    return found

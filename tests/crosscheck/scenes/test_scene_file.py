@@ -59,7 +59,7 @@ BAD_SCENES = {
     "unknown joint kind": (
         ("joints", 1, "kind"),
         "rubber",
-        "joints.1: Input tag 'rubber' found using 'kind' does not",
+        "joints.1.kind: 'rubber'; choose from: fixed, revolute, ",
     ),
     "open loop": (("joints", 1, "point_on_second"), [0, 0, 0.201], "joint 'elbow': is open by 0.001 m"),
     "duplicate body": (("bodies", 1, "name"), "crank", "body 'crank': 2 of that name; needed: unique"),
@@ -283,7 +283,7 @@ def test_gears_and_motions_are_those_of_their_classes(tmp_path):
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        (("forces", 0, "kind"), "magnet", "forces.0: Input tag 'magnet' found using 'kind' does not match"),
+        (("forces", 0, "kind"), "magnet", "forces.0.kind: 'magnet'; choose from: joint_spring, "),
         (
             ("forces", 0, "joint"),
             "engine",

@@ -19,6 +19,7 @@ import mjcf
 import newton_euler
 from crosscheck.model_files.read import MJCF_OPTIONS, URDF_OPTIONS
 from crosscheck.recording.log import log_run, recorded
+from crosscheck.recording.mesh_budget import engines_with_meshes
 from crosscheck.scenes import SCENES, load
 from crosscheck.scenes.options import options_of
 from mjcf.errors import ModelError
@@ -59,6 +60,16 @@ def test_limits_are_changed_for_a_while_and_in_processes_that_are_started() -> N
 def test_a_limit_is_a_positive_number(value: object) -> None:
     with pytest.raises(OptionError), changed({"velocities": value}):  # type: ignore[dict-item]
         pass
+
+
+def test_limits_as_large_as_numbers_can_be_are_none(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "wedge.obj").write_text(WEDGE)
+    (tmp_path / "model.xml").write_text(MJCF)
+    with changed(dict.fromkeys(LIMITS, "1e308")):
+        scene = mjcf.read(tmp_path / "model.xml").scene
+        assert engines_with_meshes(scene.mechanism, ["mujoco"]) == ["mujoco"]
+        assert load(str(scene_file(tmp_path, short_example()))).name == "four_bar"
 
 
 def test_an_unknown_limit() -> None:
