@@ -7,7 +7,6 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import Any, Unpack
 
@@ -16,7 +15,7 @@ import numpy as np
 from newton_euler.assemble import coordinates_of, inherit_initial_state, initial_state
 from newton_euler.equations.couplings import counted_angles, couplings
 from newton_euler.equations.parameters import pieces
-from newton_euler.equations.redundancy import NearlyRedundant, inherit_mobility, mobility, other_rows
+from newton_euler.equations.redundancy import NearlyRedundant, inherit_mobility
 from newton_euler.equations.system import Observation, System, at_time
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, OptionError, check_type
 from newton_euler.integrators.compiled import Code
@@ -42,7 +41,6 @@ from newton_euler.sampling import Controllers, holding, integrate_intervals, int
 from newton_euler.scalars import Array, unstacked
 
 KEPT = 8  # scenes, most recently simulated, whose code stays in memory
-ROW_CHOICES = 3  # times that constraint rows are chosen anew, by all that a run has seen until it stopped
 
 
 def simulate(
@@ -131,11 +129,6 @@ class CompiledScene(Code):
         """Return x (inputs,) at a state (size,)."""
         return self.packed(state[: self.system.nq], state[self.system.nq :])
 
-    @cached_property
-    def _others(self) -> dict[tuple[int, ...], CompiledScene]:
-        """Code with other constraint rows, by these."""
-        return {}
-
     def with_scene(self, scene: Scene) -> CompiledScene:
         """Return the same code for a scene that differs in parameters, controllers and duration alone."""
         _ = self._decided  # once for all
@@ -147,7 +140,7 @@ class CompiledScene(Code):
             state = self.start[: self.size]
         else:
             (state,) = coordinates_of(self.system, [initial_state(scene)])
-        other.__dict__.update(start=other._at(state), _others={})
+        other.__dict__.update(start=other._at(state))
         return other
 
     def simulate(self, integrator: IntegratorName = "DOP853", **control: Unpack[StepControl]) -> Trajectory:
@@ -162,10 +155,6 @@ class CompiledScene(Code):
 
     def _run(self, options: Options) -> Trajectory:
         options.check_steps(self.scene.duration)
-        return self._try(options, ROW_CHOICES)
-
-    def _try(self, options: Options, choices: int) -> Trajectory:
-        """Run the scene, again with other constraint rows where those in use degenerate on the way."""
         load(self, options.integrator)
         x = self.start.copy()
         results, counts, stopped, wall_time = integrate_intervals(self, x, options)
@@ -174,28 +163,9 @@ class CompiledScene(Code):
         settings |= {"trace_time": self.trace_time, "compile_time": self.compile_time}
         if stopped is None:
             return native_trajectory(self.scene, settings, wall_time, arrays)
-        if choices and self.redundant and (other := self._with_other_rows(arrays)) is not None:
-            return other._try(options, choices - 1)
         if len(results):
             stopped.partial = native_trajectory(self.scene, settings, wall_time, arrays)
         raise stopped
-
-    def _with_other_rows(self, arrays: dict[str, Array]) -> CompiledScene | None:
-        """Return code with rows that stay independent at the poses of a run that stopped, if there are."""
-        poses, keys = zip(arrays["position"], arrays["quaternion"], strict=True), counted_angles(self.scene)
-        still = np.zeros((len(self.scene.mechanism.bodies), 3))
-        states = [State(*pose, still, still) for pose in poses]
-        if keys:
-            angles = (dict(zip(keys, row, strict=True)) for row in arrays["joint_angle"].tolist())
-            states = [replace(state, angles=each) for state, each in zip(states, angles, strict=True)]
-        used = mobility(self.scene).independent if self._independent is None else self._independent
-        found = other_rows(self.scene, used, states)
-        if found is None:
-            return None
-        if tuple(found) not in self._others:
-            arguments = (self.formulation, self.stabilization, self.alpha, self._named)
-            self._others[tuple(found)] = CompiledScene(self.scene, *arguments, independent=found)
-        return self._others[tuple(found)]
 
 
 def warn_of(scene: Scene, nearly: Iterable[NearlyRedundant], above: int = 0) -> None:

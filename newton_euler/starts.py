@@ -249,7 +249,7 @@ class Assembly:
 
     def _is_overdetermined(self, code: Code) -> bool:
         """True if some initial coordinates follow from the others: then rates may contradict each other."""
-        left = code.system.nv - len(code.rows.numbers)
+        left = code.system.nv - code.rank
         return bool(self._motions) and left > mobility(self.scene).degrees_of_freedom - len(self._motions)
 
     @property

@@ -43,8 +43,8 @@ from newton_euler.equations.parameters import (
     with_laws,
     with_values,
 )
-from newton_euler.equations.redundancy import rows_in_use
 from newton_euler.equations.relative import Relative
+from newton_euler.equations.row_choice import rows_in_use
 from newton_euler.equations.sparse import dot
 from newton_euler.equations.system import at_time, constraint_rate, dimensionless_jacobian, fastest_joint
 from newton_euler.errors import (

@@ -13,6 +13,7 @@ from newton_euler.codegen.expression import Graph, Program, differentiate_along,
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.parameters import is_kinematic, places
 from newton_euler.equations.sparse import RowsInUse, least_squares, solve_constrained, sparse_vector
+from newton_euler.integrators.compiled import used_by
 from newton_euler.integrators.options import FormulationName
 from newton_euler.integrators.singular import UNSAFE
 from newton_euler.model.scene import Scene
@@ -82,7 +83,7 @@ class TangentCode(CompiledScene):
             return super()._trace(name)
         graph, base = Graph(), name.removesuffix(ALONG)
         x, along = graph.variables(self.inputs), graph.variables(self.inputs)
-        along[self.size] = 0.0  # at the same time
+        along[self.size : self.flags.stop] = 0.0  # at the same time, with the same rows
         system = self._system_of(x, tuple(self.parameters))
         if name == SETTLED:
             return graph.prune(self._settled(system, x, along))
@@ -103,7 +104,9 @@ class TangentCode(CompiledScene):
         pivot to what it was before the elimination: that is their pivot ratio.
         """
         q, v, graph = x[: system.nq], x[system.nq : self.size], x[-1].graph
-        rows = self.rows if refined else RowsInUse(self.rows.numbers)
+        rows = used_by(system)
+        if not refined:
+            rows = RowsInUse(rows.numbers, flags=rows.flags)
         equations = system.sparse_equations(q, v, rows)
         equations = equations._replace(refine=equations.refine and refined)
         solution = solve_constrained(equations)
@@ -142,7 +145,7 @@ class TangentCode(CompiledScene):
         def step(residuals: Sequence[Scalar]) -> Array:
             """The least step (nv,) for residuals (k,) along the direction."""
             right = np.array(differentiated(residuals, x, moved)) / system.phi_units[self.rows.numbers]
-            least, pivot_ratio = least_squares(rows, right)
+            least, pivot_ratio = least_squares(rows, right, used_by(system))
             known = minimum(pivot_ratio * (1.0 / UNSAFE), 1.0)
             share = known * known * (known * known)
             return np.array([share * units[k] * least.get(k, 0.0) for k in range(system.nv)])

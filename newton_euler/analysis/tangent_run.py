@@ -65,13 +65,13 @@ class _Path:
     """
 
     def __init__(self, code: TangentCode, steps: Array, begun: Array, end: Array) -> None:
-        """Of steps (m, n + 2), see `Dop853`, from x (inputs,) to another."""
-        n, nq = code.size, code.system.nq
+        """Of steps (m, n + 2 + flags), see `Dop853`, from x (inputs,) to another."""
+        n, nq, known = code.size, code.system.nq, code.flags.stop
         self._code, self._n, self._nq = code, n, nq
         self._sizes = np.minimum(steps[:, -1:], end[n] - steps[:, n : n + 1])  # the last may go beyond
         self._ends = np.tile(begun, (len(steps) + 1, 1))
-        self._ends[:-1, : n + 1] = steps[:, : n + 1]
-        self._ends[-1, : n + 1] = end[: n + 1]
+        self._ends[:-1, :known] = steps[:, :known]
+        self._ends[-1, :known] = end[:known]
         speeds = np.abs(self._ends[:, nq:n] / code.system.velocity_units).max(axis=1, initial=0.0)
         moved = self._sizes[:, 0] * np.maximum(speeds[:-1], speeds[1:])
         self._counts = 1 + (moved / SPACING).astype(int)
@@ -234,6 +234,7 @@ class FollowedRun:
         tangents = Tangents(
             n=n,
             inputs=inputs,
+            known=code.flags.stop,
             lanes=lanes,
             wide=wide,
             count=int(integrator.counts[m.STEPS]),
@@ -250,6 +251,7 @@ class FollowedRun:
             steps=integrator.steps,
             times=integrator.times,
             states=integrator.table,
+            flags=np.empty((rows, code.flags.stop - code.flags.start)),
             x=x,
             beside=np.empty((2 * inputs, wide)),
             at=np.zeros_like(x),

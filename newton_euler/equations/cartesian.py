@@ -329,7 +329,8 @@ class Cartesian(Formulation):
         # a rotor is a constraint that gives way: x'' + lambda / a = 0
         inertias, _, of_rotors, gammas = self.rotors(q, v)
         soft = dict(enumerate([1.0 / inertia for inertia in inertias], start=self.rows))
-        used = RowsInUse([*rows.numbers[:count], *soft], rows.scales and rows.scales[: count + len(soft)])
+        usual = rows.scales and rows.scales[: count + len(soft)]
+        used = RowsInUse([*rows.numbers[:count], *soft], usual, flags=rows.flags)
         push, right = sparse.sparse_vector(force), np.concatenate([right, gammas])
         return Equations(factor, push, [*B, *of_rotors], right, used, refine=True, softness=soft)
 
@@ -434,10 +435,14 @@ class Cartesian(Formulation):
         return np.concatenate([self.Phi(q, rest), self.norms(q)]), jacobian
 
     def rows_of(self, relative: Collection[int]) -> list[int]:
+        left_out = set(np.delete(self.closing_rows(), list(relative)).tolist())
+        return [row for row in range(len(self.phi_units)) if row not in left_out]
+
+    def closing_rows(self) -> list[int]:
         rows = np.split(np.arange(self.rows), np.cumsum([equations.count for equations in self.equations]))
         of_cuts = [rows[joint] for joint in SpanningTree(self.mechanism).cuts]
-        left_out = set(np.delete(np.concatenate([*of_cuts, rows[-1]]), list(relative)).tolist())
-        return [row for row in range(len(self.phi_units)) if row not in left_out]
+        closing: list[int] = np.concatenate([*of_cuts, rows[-1]]).tolist()
+        return closing
 
     def velocity_transformation(self, q: Array) -> Array:
         rows = np.zeros((6 * len(self.mechanism.bodies), self.nv))

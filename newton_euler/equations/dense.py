@@ -53,17 +53,20 @@ def rank(matrix: Array) -> int:
     return numerical_rank(singular_values(matrix)[1]) if matrix.size else 0
 
 
-def minimum_norm(matrix: Array, right: Array, row_units: Array, column_units: Array) -> Array:
+def minimum_norm(
+    matrix: Array, right: Array, row_units: Array, column_units: Array, max_rank: int | None = None
+) -> Array:
     """Compute the x (n,) of least dimensionless length with matrix @ x = right in the least-squares sense.
 
     Args:
         matrix: (k, n); right: (k,).
         row_units, column_units: (k,) and (n,) units of the rows and of x.
+        max_rank: as of `independent_rows`.
     """
     if not matrix.size:
         return np.zeros(matrix.shape[1])
     u, s, vt = singular_values(matrix * column_units / row_units[:, None])
-    r = numerical_rank(s)
+    r = min(numerical_rank(s), len(s) if max_rank is None else max_rank)
     return np.asarray(column_units * (vt[:r].T @ ((u[:, :r].T @ (right / row_units)) / s[:r])))
 
 

@@ -67,8 +67,7 @@ class Formulation(System):
         between: joint coordinates that are measured between two bodies.
         angles: places in q of the angles whose revolutions are counted.
         carried, work: where in q the carried angles and the work are.
-        in_use: constraint rows that imply all others, for the power of prescribed motions over generic
-            scalars; None in floats.
+        in_use: constraint rows that imply all others, over generic scalars; None in floats.
         omitted: rows of `phi` to leave out; None for those that `newton_euler.equations.redundancy` selects.
         phi_units, row_owners: of the rows of `phi`, what makes them dimensionless, and the joint, coupling or
             body that each belongs to.
@@ -177,6 +176,10 @@ class Formulation(System):
 
     def rows_of(self, relative: Collection[int]) -> list[int]:
         """Select rows of `phi`: these of the joint-coordinate form, and all of joints that its tree keeps."""
+        raise NotImplementedError
+
+    def closing_rows(self) -> list[int]:
+        """Return the row of `phi` for each row of the joint-coordinate form."""
         raise NotImplementedError
 
     def mass_rows(self, q: Array) -> Rows:

@@ -7,6 +7,7 @@ there may be thousands of rows.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -101,6 +102,34 @@ def remainder(rows: Rows, factor: Factor, row: dict[int, float]) -> float:
             for k, x in rows[j].items() if share != 0.0 else ():
                 left[k] = left.get(k, 0.0) - share * x
     return length(left)
+
+
+def shares(rows: Rows, used: Sequence[int], others: Sequence[int]) -> Rows:
+    """Compute the shares X of independent rows in others that follow from them: others = X @ used.
+
+    They are solved twice, for digits that squaring loses.
+
+    Args:
+        rows: of a matrix.
+        used: numbers of independent rows.
+        others: numbers of the other rows.
+
+    Returns:
+        For each of the others, its shares by numbers of the rows used.
+    """
+    products = gram([rows[i] for i in used], [rows[i] for i in used])
+    factor = factorize(products, minimum_degree(products))
+    found: Rows = []
+    for other in others:
+        left, total = dict(rows[other]), dict[int, float]()
+        for _ in range(2):
+            right = {n: dot(rows[i], left) for n, i in enumerate(used)}
+            for n, share in factor.solve({n: x for n, x in right.items() if x != 0.0}).items():
+                add(total, used[n], share)
+                for k, x in rows[used[n]].items():
+                    add(left, k, -share * x)
+        found.append(total)
+    return found
 
 
 def least_step(rows: Rows, factor: Factor, right: Array, columns: int) -> Array:

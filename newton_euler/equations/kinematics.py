@@ -260,6 +260,9 @@ class TreeKinematics(Formulation):
     def rows_of(self, relative: Collection[int]) -> list[int]:
         return sorted(relative)
 
+    def closing_rows(self) -> list[int]:
+        return list(range(len(self.phi_units)))
+
     def row_scales(self, q: Array) -> Array:
         """Compute natural magnitudes (k,) of the dimensionless rows of the Jacobian, to decide on their rank.
 

@@ -26,7 +26,8 @@ from newton_euler.equations.parameters import (
     places,
     with_values,
 )
-from newton_euler.equations.redundancy import inherit_mobility, mobility, rows_in_use, rows_left_out, without
+from newton_euler.equations.redundancy import inherit_mobility, mobility, rows_left_out, without
+from newton_euler.equations.row_choice import rows_in_use
 from newton_euler.equations.sparse import solve_constrained
 from newton_euler.equations.system import System, at_time
 from newton_euler.errors import MechanismError, SingularityError

@@ -24,7 +24,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from newton_euler.equations.dense import largest, largest_share, numerical_rank, singular_values
+from newton_euler.equations.dense import largest, largest_share, singular_values
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.independence import (
     NAMED,
@@ -36,7 +36,7 @@ from newton_euler.equations.independence import (
     remainder,
 )
 from newton_euler.equations.kinematics import TreeKinematics
-from newton_euler.equations.sparse import Rows, RowsInUse, to_array
+from newton_euler.equations.sparse import Rows, to_array
 from newton_euler.equations.system import System, dimensionless_jacobian
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.scene import Scene
@@ -58,10 +58,6 @@ MOST_NAMED = 20  # redundant constraints of a scene that is too large for its si
 DENSE_LIMIT = 1_000_000  # elements of the largest Jacobian whose singular values are computed to name them
 NEWTON_STEPS = 30  # from a singular configuration Newton's steps converge slowly
 CLOSED = 1e-11  # residual, dimensionless, of the independent rows of a configuration that is closed
-DEGENERATE = 3e-2  # smallest singular value of N[D], see `other_rows`, below which digits are lost
-BETTER = 3.0  # least ratio of that value with other rows to that with the rows in use
-SAMPLED = 64  # configurations of a run that `other_rows` examines, evenly spread
-MOST_ROWS = 1000  # rows beyond which singular values would take longer than a run
 
 
 class NearlyRedundant(NamedTuple):
@@ -182,27 +178,6 @@ def inherit_mobility(scene: Scene, of: Scene) -> None:
     """Use the decision on another scene of the same geometry for this one, if it has been made."""
     if of in _KNOWN:
         _KNOWN[scene] = _KNOWN[of]
-
-
-def rows_in_use(system: Formulation, used: Sequence[int] | None = None) -> RowsInUse:
-    """Select rows of a form of the equations that are independent and imply all others.
-
-    They hold the `used` rows of the joint-coordinate form, the independent ones of its mobility if None.
-    """
-    decided = mobility(system.scene)
-    used = decided.independent if used is None else list(used)
-    numbers = system.rows_of(used)
-    pivots = []
-    for at, state in zip(decided.configurations, decided.states, strict=True):
-        # elsewhere, as where the four-bar is flat, pivots are zero or round-off
-        if len(independent([at.rows[i] for i in used], 0.0).rows) == len(used):
-            q, _ = system.coordinates(state)
-            solution = system.sparse_solution(q, np.zeros(system.nv), RowsInUse(numbers))
-            pivots.append((solution.pivots, solution.mass_pivots))
-    scales, mass_scales = (
-        [float(max(column)) for column in zip(*each, strict=True)] for each in zip(*pivots, strict=True)
-    )
-    return RowsInUse(numbers, scales, mass_scales)
 
 
 def _mobility(system: TreeKinematics) -> Mobility:
@@ -333,58 +308,3 @@ def _neighbor(system: TreeKinematics, q: Array, direction: Array) -> Array:
             break
         q = system.retract(q, -unit * least_step(rows, factor, phi, system.nv))
     return q
-
-
-def other_rows(scene: Scene, used: Sequence[int], states: Sequence[State]) -> list[int] | None:
-    """Select rows of the joint-coordinate form that stay independent in a run in which those in use do not.
-
-    Rows that are independent near the start may degenerate later, as in Bricard's mechanism, where all
-    together have one rank everywhere. With an orthonormal basis N (k, d) of the null space of J^T, d rows D
-    of the k may be left out where N[D] is regular: the smallest singular value of the others is at least that
-    of J times that of N[D] (CS decomposition, G. H. Golub, C. F. Van Loan, Matrix Computations, 4th ed.,
-    2013, section 2.5.4).
-
-    Args:
-        scene: with redundant constraints.
-        used: rows in use.
-        states: in the order of the run.
-
-    Returns:
-        Numbers of rows; None if those in use stay independent, if no others do better, and where the rank of
-        all rows changes in the run.
-    """
-    system, decided = TreeKinematics(scene), mobility(scene)
-    alive = sorted({*decided.independent, *decided.redundant})
-    if not decided.redundant or len(alive) > MOST_ROWS or not len(states):
-        return None
-    rank, spaces = len(decided.independent), []
-    for k in np.unique(np.linspace(0, len(states) - 1, SAMPLED).round().astype(int)):
-        q, _ = system.coordinates(states[k])
-        left, values, _ = singular_values(dimensionless_jacobian(system, q)[alive], full=True)
-        if numerical_rank(values[:rank]) < rank:
-            return None
-        spaces.append(left[:, rank:])
-    now = _share(spaces, [k for k, row in enumerate(alive) if row not in used])
-    left_out = _pivots(spaces)
-    if now > DEGENERATE or _share(spaces, left_out) < BETTER * now:
-        return None
-    return [row for k, row in enumerate(alive) if k not in left_out]
-
-
-def _share(spaces: Sequence[Array], rows: Sequence[int]) -> float:
-    """Compute the smallest singular value of these rows of all bases."""
-    return min(float(singular_values(space[list(rows)])[1][-1]) for space in spaces)
-
-
-def _pivots(spaces: Sequence[Array]) -> list[int]:
-    """Select as many rows as the bases have columns, by Gram-Schmidt with pivoting in all bases at once."""
-    remaining = [np.array(space) for space in spaces]
-    found: list[int] = []
-    for _ in range(remaining[0].shape[1]):
-        lengths = np.min([np.linalg.norm(space, axis=1) for space in remaining], axis=0)
-        row = int(np.argmax(lengths))
-        found.append(row)
-        for space in remaining:
-            along = space[row] / np.linalg.norm(space[row])
-            space -= np.outer(space @ along, along)
-    return found

@@ -13,8 +13,9 @@ from newton_euler.equations.dense import RANK_TOLERANCE, orthonormal_null, singu
 from newton_euler.equations.formulation import Formulation, Servos
 from newton_euler.equations.model_control import scaled
 from newton_euler.equations.parameters import measuring
-from newton_euler.equations.redundancy import mobility, rows_in_use
+from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
+from newton_euler.equations.row_choice import rows_in_use
 from newton_euler.equations.sparse import to_array
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.errors import MechanismError

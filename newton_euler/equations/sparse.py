@@ -18,6 +18,10 @@ from newton_euler.scalars import NUMBERS, Array, Scalar, minimum
 
 SINGULAR = 1e-11  # ratio of a pivot to its usual size below which it counts as zero
 
+LEFT_OUT = 1e30
+"""Compliance of a constraint row that is left out, in units of its diagonal element. Its multiplier is zero
+to round-off, and no digit of the other rows depends on it."""
+
 
 def is_zero(scalar: Scalar) -> bool:
     """Tell if a scalar is zero in all states."""
@@ -201,11 +205,22 @@ class RowsInUse(NamedTuple):
         numbers: of the rows.
         scales: usual sizes of the pivots of their Schur complement; None where these are unknown.
         mass_scales: the same for the mass matrix.
+        flags: 1 for rows that are left out now, 0 for rows in use, by number; other rows are always in use.
     """
 
     numbers: list[int]
     scales: list[float] | None = None
     mass_scales: list[float] | None = None
+    flags: Mapping[int, Scalar] | None = None
+
+    def compliance(self, matrix: Rows) -> dict[int, Scalar]:
+        """Return, by number, what leaves rows out if the diagonal of a matrix over all rows gets it."""
+        flags = self.flags or {}
+        return {  # 1 is for rows that are zero in some configurations
+            i: flags[i] * (LEFT_OUT * matrix[n].get(n, 0.0) + 1.0)
+            for n, i in enumerate(self.numbers)
+            if i in flags
+        }
 
 
 class Equations(NamedTuple):
@@ -233,7 +248,8 @@ class Equations(NamedTuple):
     def extended(self, rows: Rows, gamma: Array, scales: list[float] | None) -> Equations:
         """Return the same with further rows of J, in use, another gamma (k,), and scales of rows in use."""
         numbers = [*self.rows.numbers, *range(len(self.jacobian), len(self.jacobian) + len(rows))]
-        return self._replace(jacobian=[*self.jacobian, *rows], gamma=gamma, rows=RowsInUse(numbers, scales))
+        used = self.rows._replace(numbers=numbers, scales=scales)
+        return self._replace(jacobian=[*self.jacobian, *rows], gamma=gamma, rows=used)
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,7 +273,7 @@ class Solution:
 def solve_constrained(equations: Equations) -> Solution:
     """Solve for accelerations a and multipliers lambda by the Schur complement J M^-1 J^T."""
     factor, force, jacobian, gamma, rows, refine, softness = equations
-    kept, soft = rows.numbers, softness or {}
+    kept = rows.numbers
     total = factor.lower(force)
     acceleration = factor.upper(factor.scaled(total)) if not kept else {}
     if not kept:
@@ -265,6 +281,7 @@ def solve_constrained(equations: Equations) -> Solution:
     half = [factor.lower(jacobian[i]) for i in kept]
     weighted = [factor.scaled(row) for row in half]
     schur = gram(half, weighted)
+    soft = {**(softness or {}), **rows.compliance(schur)}
     for n, i in enumerate(kept):
         if i in soft:
             add(schur[n], n, soft[i])
@@ -287,10 +304,22 @@ def solve_constrained(equations: Equations) -> Solution:
     return Solution(acceleration, multipliers, pivot_ratio, complement.pivots, factor.pivots)
 
 
-def least_squares(rows: Rows, right: Array) -> tuple[dict[int, Any], Scalar]:
-    """Compute the shortest x with rows @ x = right (k,), and the pivot ratio of the Gram matrix."""
+def gram_factor(rows: Rows, used: RowsInUse | None = None) -> Factor:
+    """Factorize the Gram matrix of dimensionless rows, of which those that are `used` now count."""
     products = gram(rows, rows)
-    factor = factorize(products, minimum_degree(products), [1.0] * len(rows))
+    if used is not None:
+        compliance = used.compliance(products)
+        for n, i in enumerate(used.numbers):
+            add(products[n], n, compliance.get(i, 0.0))
+    return factorize(products, minimum_degree(products), [1.0] * len(rows))
+
+
+def least_squares(rows: Rows, right: Array, used: RowsInUse | None = None) -> tuple[dict[int, Any], Scalar]:
+    """Compute the shortest x with rows @ x = right (k,), and the pivot ratio of the Gram matrix.
+
+    If the numbers of the rows are `used`, those that are left out now do not count.
+    """
+    factor = gram_factor(rows, used)
     weights = factor.solve(sparse_vector(right))
     x: dict[int, Any] = {}
     for i, weight in weights.items():

@@ -1,7 +1,8 @@
 """A scene compiled: its equations traced, pruned to what is wanted, and turned into native code.
 
-All functions take one vector x = (q, v, time, parameters) and write one vector. Those that methods of
-integration call are as `newton_euler.integrators.stepper.Equations` says.
+All functions take one vector x = (q, v, time, flags, parameters) and write one vector. Those that methods of
+integration call are as `newton_euler.integrators.stepper.Equations` says. The flags leave out exchangeable
+constraint rows (`newton_euler.equations.row_choice`); most scenes have none.
 """
 
 from __future__ import annotations
@@ -30,9 +31,10 @@ from newton_euler.equations.parameters import (
     places,
     with_values,
 )
-from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual, rows_in_use
+from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.sparse import Rows, RowsInUse, is_zero, least_squares
+from newton_euler.equations.row_choice import ExchangeableRows, exchangeable_rows, rows_in_use
+from newton_euler.equations.sparse import Rows, RowsInUse, add, dot, gram_factor, is_zero, least_squares
 from newton_euler.equations.system import Observation, at_time
 from newton_euler.errors import UnknownNameError
 from newton_euler.integrators.formulations import cheaper_formulation, formulate
@@ -59,6 +61,11 @@ OPEN_TOLERANCE = 1e-9
 """Sizes of the mechanism, or rad, that a constraint may stay open after projection."""
 
 
+MOST_SUMS = 8
+"""Sums of rows that are left out whose shares are looked at. The more there are, the less likely all of their
+shares are small by chance."""
+
+
 class Code:
     """Native functions of one formulation of a scene. Each is traced and compiled when first needed.
 
@@ -73,9 +80,8 @@ class Code:
         kinematic: those of geometry and motions among the parameters that were asked for.
         piecewise: True if functions of time have pieces.
         size: length of (q, v).
-        inputs: length of (q, v, time, parameters).
         programs: traced so far, by name: derivative, position, velocity, rate, jacobian, output,
-            measured, retract, surface.
+            measured, retract, surface, shares.
         functions: native code made or loaded so far, by the same names.
         trace_time, compile_time: s taken so far; loading from the cache counts as compiling.
     """
@@ -89,8 +95,8 @@ class Code:
         parameters: Sequence[str] = (),
         independent: Sequence[int] | None = None,
     ) -> None:
-        """`formulation` is the cheaper one if None; `independent` are rows of closures to use, those that
-        `redundancy` selects if None."""
+        """`formulation` is the cheaper one if None; `independent` are rows of closures to use in every
+        configuration. If None, `redundancy` selects the rows at first, and runs exchange them."""
         self.scene = scene
         formulation = formulation or cheaper_formulation(scene.mechanism)
         self._independent, self._named = independent, tuple(parameters)
@@ -108,11 +114,24 @@ class Code:
         names = [*self._kinematic, *others, *of_functions[len(of_motions) :], *held]
         self.parameters = {name: value.shape for name, value in parameter_values(scene, names).items()}
         self.size = self.system.nq + self.system.nv
-        self.inputs = self.size + 1 + sum(int(np.prod(shape)) for shape in self.parameters.values())
         self.programs: dict[str, Program] = {}
         self.functions: dict[str, NativeFunction] = {}
         self._layouts: dict[str, Any] = {}
         self.trace_time = self.compile_time = 0.0
+
+    @cached_property
+    def inputs(self) -> int:
+        """Length of (q, v, time, flags, parameters)."""
+        return self._length(self.parameters)
+
+    def _length(self, parameters: Iterable[str]) -> int:
+        """Return the length of x with these parameters."""
+        return self.flags.stop + sum(int(np.prod(self.parameters[name])) for name in parameters)
+
+    @property
+    def flags(self) -> slice:
+        """Place in x of the flags, 1 for exchangeable rows that are left out and 0 for those in use."""
+        return slice(self.size + 1, self.size + 1 + len(self.exchangeable.numbers))
 
     @property
     def operations(self) -> dict[str, int]:
@@ -202,8 +221,8 @@ class Code:
         return cache(found)
 
     @cached_property
-    def _decided(self) -> tuple[RowsInUse, bool, tuple[NearlyRedundant, ...]]:
-        """Rows in use; True if multipliers are not unique; nearly redundant constraints."""
+    def _decided(self) -> tuple[RowsInUse, ExchangeableRows, bool, tuple[NearlyRedundant, ...]]:
+        """Rows in use, exchangeable rows, True if multipliers are not unique, weak constraints."""
         known = self._identity_of("rows")
         key = known and cache_key(known, "rows")
         stored = read_cache(key) if key else None
@@ -211,32 +230,45 @@ class Code:
             with suppress(
                 ValueError, TypeError, RecursionError
             ):  # of something else than what is written below
-                rows, redundant, nearly = json.loads(stored)
-                return RowsInUse(*rows), bool(redundant), tuple(NearlyRedundant(*weak) for weak in nearly)
+                rows, exchangeable, redundant, nearly = json.loads(stored)
+                weak = tuple(NearlyRedundant(*each) for each in nearly)
+                return RowsInUse(*rows), ExchangeableRows(*exchangeable), bool(redundant), weak
         with np.errstate(all="ignore"):  # forces that overflow are for a run to report
-            found, chosen = mobility(self.scene), rows_in_use(self.system, self._independent)
-        unused = len(self.system.phi_units) - len(chosen.numbers)
+            found = mobility(self.scene)
+            exchange = exchangeable_rows(self.system, self._independent is None)
+            chosen = rows_in_use(self.system, self._independent, exchange)
+        unused = len(self.system.phi_units) - len(chosen.numbers) + sum(exchange.left_out)
         if isinstance(self.system, Relative):  # where rows may be zero everywhere
             unused = len(found.redundant)
-        decided = chosen, unused > 0, found.nearly
+        decided = chosen, exchange, unused > 0, found.nearly
         if key:
             write_cache(key, json.dumps(decided).encode())
         return decided
 
     @property
     def rows(self) -> RowsInUse:
-        """Constraint rows that imply all others."""
+        """Constraint rows that imply all others; exchangeable ones are among them."""
         return self._decided[0]
+
+    @property
+    def exchangeable(self) -> ExchangeableRows:
+        """Constraint rows among which a run chooses."""
+        return self._decided[1]
+
+    @property
+    def rank(self) -> int:
+        """Number of constraint rows in use at a time."""
+        return len(self.rows.numbers) - int(sum(self.exchangeable.left_out))
 
     @property
     def redundant(self) -> bool:
         """True if reactions are not unique."""
-        return self._decided[1]
+        return self._decided[2]
 
     @property
     def nearly_redundant(self) -> tuple[NearlyRedundant, ...]:
         """Constraints that are almost redundant, and their treatment."""
-        return self._decided[2]
+        return self._decided[3]
 
     @property
     def noise(self) -> float:
@@ -253,7 +285,8 @@ class Code:
     def packed(self, q: Array, v: Array, time: float = 0.0, values: dict[str, Array] | None = None) -> Array:
         """Pack x (inputs,) for native functions; parameters not in `values` are the scene's own."""
         own = parameter_values(self.scene, self.parameters) | pieces(self.scene, time) | (values or {})
-        return np.concatenate([q, v, [time], *(np.ravel(own[name]) for name in self.parameters)])
+        flags = self.exchangeable.left_out
+        return np.concatenate([q, v, [time], flags, *(np.ravel(own[name]) for name in self.parameters)])
 
     def float_system(self, x: Array) -> Formulation:
         """Return the float form at the time and the parameters in x (inputs,)."""
@@ -283,7 +316,7 @@ class Code:
     def _places(self) -> dict[str, int]:
         """The place of each parameter by name."""
         sizes = [int(np.prod(shape)) for shape in self.parameters.values()]
-        starts = accumulate(sizes, initial=self.size + 1)
+        starts = accumulate(sizes, initial=self.flags.stop)
         return dict(zip(self.parameters, starts, strict=False))
 
     def values(self, x: Array, names: Iterable[str] | None = None) -> dict[str, Any]:
@@ -300,16 +333,22 @@ class Code:
         """Trace a program; those whose results have names leave their layout in `_layouts`."""
         graph = Graph()
         names = self._kinematic if name in KINEMATIC else tuple(self.parameters)
-        x = graph.variables(self.size + 1 + sum(int(np.prod(self.parameters[each])) for each in names))
+        x = graph.variables(self._length(names))
         return graph.prune(self._scalars(name, self._system_of(x, names), x))
 
     def _system_of(self, x: Array, names: Iterable[str]) -> Formulation:
         """Return the equations over scalars x (inputs,), which end with these parameters."""
         scene = with_values(self.scene, self.values(x, names))
         system = at_time(self._formulated(scene), x[self.size])
-        if self.scene.motions:
-            system.in_use = self.rows
+        system.in_use = self.rows_at(x)
         return system
+
+    def rows_at(self, x: Array) -> RowsInUse:
+        """Return the constraint rows with the flags in x (inputs,)."""
+        numbers = self.exchangeable.numbers
+        return (
+            self.rows._replace(flags=dict(zip(numbers, x[self.flags], strict=True))) if numbers else self.rows
+        )
 
     def _scalars(self, name: str, system: Formulation, x: Array) -> list[Scalar]:
         """Evaluate a program at x (inputs,)."""
@@ -319,14 +358,14 @@ class Code:
 
     def _trace_derivative(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace (qdot, vdot, pivot ratio)."""
-        acceleration, pivot_ratio = system.sparse_acceleration(q, v, self.rows)
+        acceleration, pivot_ratio = system.sparse_acceleration(q, v, used_by(system))
         return [*system.rate(q, v), *acceleration, minimum(pivot_ratio, 1.0)]
 
     def _trace_jacobian(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace the derivative (n, n) of (qdot, vdot) by (q, v), row by row."""
         if self.size == 0:
             return []
-        acceleration, _ = system.sparse_acceleration(q, v, self.rows)
+        acceleration, _ = system.sparse_acceleration(q, v, used_by(system))
         rates = [*system.rate(q, v), *acceleration]
         return list(differentiate(q[0].graph, rates, [*q, *v]).ravel())
 
@@ -362,13 +401,13 @@ class Code:
         """
         units = system.velocity_units
         phi, jacobian = system.phi_and_jacobian(q)
-        rows = self._dimensionless(system, jacobian)
+        rows, used = self._dimensionless(system, jacobian), used_by(system)
         phi = phi / system.phi_units
         right = phi[self.rows.numbers]
         if v is not None:
             rate = (system.phi_t() / system.phi_units)[self.rows.numbers]
             right = rate + [sum(x * (v[k] / units[k]) for k, x in row.items()) for row in rows]
-        step, pivot_ratio = least_squares(rows, right)
+        step, pivot_ratio = least_squares(rows, right, used)
         least = np.array([units[k] * step.get(k, 0.0) for k in range(system.nv)])
         return phi, least, minimum(pivot_ratio, 1.0)
 
@@ -379,6 +418,33 @@ class Code:
             {k: x * (units[k] / system.phi_units[i]) for k, x in jacobian[i].items()}
             for i in self.rows.numbers
         ]
+
+    def _trace_shares(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
+        """Trace the square of the largest share of a row in use in one left out, and the nonzeros of rows.
+
+        If many rows are exchangeable, it is the largest share in some sums of rows with random signs. The
+        layout has the places of nonzeros in the matrix (k, nv) of all rows, dimensionless.
+        """
+        exchange, used = self.exchangeable, used_by(system)
+        rows = self._dimensionless(system, system.phi_and_jacobian(q)[1])
+        factor, flags, count = gram_factor(rows, used), used.flags or {}, len(exchange.numbers)
+        weights = np.eye(count)
+        if count > MOST_SUMS:
+            weights = np.random.default_rng(0).choice([-1.0, 1.0], (MOST_SUMS, count))
+        places = [used.numbers.index(number) for number in exchange.numbers]
+        worst: Scalar = 0.0
+        for signs in weights / np.array(exchange.units):
+            total: dict[int, Scalar] = {}
+            for place, number, sign in zip(places, exchange.numbers, signs, strict=True):
+                for k, entry in rows[place].items() if sign != 0.0 else ():
+                    add(total, k, flags[number] * (sign * entry))
+            right = {n: dot(row, total) for n, row in enumerate(rows)}
+            shares = factor.solve({n: x for n, x in right.items() if not is_zero(x)})
+            for place, unit in zip(places, exchange.units, strict=True):
+                share = unit * shares.get(place, 0.0)
+                worst = minimum(worst, -(share * share))
+        self._layouts["shares"] = [system.nv * n + k for n, row in enumerate(rows) for k in row]
+        return [-worst, *(entry for row in rows for entry in row.values())]
 
     def _trace_retract(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace q moved by a step (nv,) that stands in place of v."""
@@ -414,7 +480,7 @@ class Code:
         """Trace the arrays that the scene asks for; the layout has their places and shapes."""
         wanted = self.scene.outputs
         if self.scene.needs_accelerations:
-            e, pivot_ratio = system.sparse_evaluation(q, v, self.rows)
+            e, pivot_ratio = system.sparse_evaluation(q, v, used_by(system))
             seen: Observation = e
         else:
             seen = system.observe(q, v)
@@ -450,3 +516,9 @@ class Code:
         """Trace the coordinates of all control laws, then their rates."""
         seen = system.measure(q, v)
         return [*(x for x, _ in seen), *(rate for _, rate in seen)]
+
+
+def used_by(system: Formulation) -> RowsInUse:
+    """Return the constraint rows of a system over scalars."""
+    assert system.in_use is not None
+    return system.in_use

@@ -23,6 +23,7 @@ from newton_euler.integrators.dop853_tableau import (
     STAGES,
 )
 from newton_euler.integrators.projection import begin_adaptive, finish_step, project_rows
+from newton_euler.integrators.row_exchange import RowExchange, copy_flags, exchange_rows
 from newton_euler.integrators.singular import HOP, HOPS, NEAR, UNSAFE, crossing_factor, evaluate
 from newton_euler.integrators.stepper import (
     DONE,
@@ -70,7 +71,7 @@ class Dop853(Record):
         k: (16, n + 1) derivatives of the stages.
         terms: (7, n) of the dense output.
         room: number of steps that are kept, the first ones.
-        steps: (room, n + 2) states and times where steps begin, and their sizes.
+        steps: (room, n + 2 + flags) states, times and flags where steps begin, and the sizes of the steps.
         control: (CONTROLS,) size of the next step, s, the largest factor for the one after it, tries to place
             it, the row of the table that is due, the size before the step was cut to end with the run, s, 1
             if steps may go beyond that end, and 1 until the run has left a singular configuration where it
@@ -94,13 +95,14 @@ class Dop853(Record):
 
 
 @native
-def keep_step(n: int, h: float, method: Dop853, number: int) -> None:
+def keep_step(rows: RowExchange, h: float, method: Dop853, number: int) -> None:
     """Keep a step of size h if there is room for it."""
+    count = rows.first + rows.count
     if number < method.room:
-        kept = method.steps[(n + 2) * number :]
-        for i in range(n + 1):
+        kept = method.steps[(count + 1) * number :]
+        for i in range(count):
             kept[i] = method.now[i]
-        kept[n + 1] = h
+        kept[count] = h
 
 
 @native
@@ -331,6 +333,8 @@ def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853
     status = begin_adaptive(system, table, states, now, method.k)
     if status != DONE:
         return status
+    copy_flags(system.exchange, now, method.at)
+    copy_flags(system.exchange, now, method.end)
     method.control[DUE] = 1.0
     stay(system, table, states, method)
     if method.control[DUE] < table.count:
@@ -401,7 +405,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         control[SIZE] = h * max(SMALLEST, SAFETY * error**EXPONENT)
         control[GROWTH] = 1.0
         return DONE
-    keep_step(n, h, method, int(counts[STEPS]))
+    keep_step(system.exchange, h, method, int(counts[STEPS]))
     counts[STEPS] += 1.0
     control[HOPPED] = 0.0
     if table.times[int(control[DUE])] <= now[n] + h:
@@ -416,11 +420,15 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
             now[i] = states[n * (table.count - 1) + i]
         now[n] = stop
     status = finish_step(system, near, now, end)
-    if status == DONE and system.projecting == 1:
+    changed = exchange_rows(system.exchange, now)
+    if changed == 1:
+        copy_flags(system.exchange, now, method.at)
+        copy_flags(system.exchange, now, end)
+    if status == DONE and (system.projecting == 1 or changed == 1):
         status = evaluate(system, now, k)
     if status != DONE:
         return status
-    if system.projecting == 0:
+    if system.projecting == 0 and changed == 0:
         for i in range(n + 1):
             k[i] = k[row * STAGES + i]
     factor = LARGEST if error == 0.0 else min(control[GROWTH], SAFETY * error**EXPONENT)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from newton_euler.codegen.native import Callback, Record, Vector, native
 from newton_euler.integrators.options import FIXED
 from newton_euler.integrators.projection import begin, finish_step, project
+from newton_euler.integrators.row_exchange import copy_flags, exchange_rows
 from newton_euler.integrators.singular import (
     CONTRADICTION,
     DENSE_PIVOT_RATIO,
@@ -159,7 +160,9 @@ def begin_fixed(system: Equations, states: Vector, method: FixedStep) -> int:
         method.at[i] = method.now[i]
     method.control[DUE] = 1.0
     method.control[TAKEN] = 0.0
-    return begin(system, states, method.now)
+    status = begin(system, states, method.now)
+    copy_flags(system.exchange, method.now, method.at)
+    return status
 
 
 @native
@@ -184,6 +187,8 @@ def step_fixed(system: Equations, table: Table, states: Vector, method: FixedSte
         status = step_euler(system, method, h, end, span)
     if status != DONE:
         return status
+    if exchange_rows(system.exchange, now) == 1:
+        copy_flags(system.exchange, now, method.at)
     counts[STEPS] += 1.0
     method.control[TAKEN] = float(taken + 1)
     if taken + 1 == count:

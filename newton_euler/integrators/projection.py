@@ -16,10 +16,11 @@ import numpy as np
 from newton_euler.codegen.native import Vector, native
 from newton_euler.equations.couplings import couplings, residuals, row_owners, row_units
 from newton_euler.equations.dense import largest, minimum_norm
-from newton_euler.equations.redundancy import loosely_closed, rows_left_out, without
+from newton_euler.equations.redundancy import constraint_rank, loosely_closed, rows_left_out, without
 from newton_euler.equations.system import System, rate_of_phi
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.dense_projection import ROUND_OFF, close
+from newton_euler.integrators.row_exchange import exchange_rows
 from newton_euler.integrators.singular import DENSE_PIVOT_RATIO, evaluate, leaving
 from newton_euler.integrators.stepper import (
     DONE,
@@ -221,7 +222,11 @@ def project_rows(
 
 @native
 def begin(system: Equations, states: Vector, now: Vector) -> int:
-    """Put the first state of a run on the constraints if wanted, and into its states; returns a status."""
+    """Put the first state of a run on the constraints if wanted, and into its states; returns a status.
+
+    The rows in use are chosen for it.
+    """
+    exchange_rows(system.exchange, now)
     if system.projecting == 1:
         status = project(system, 1, now)
         if status != DONE:
@@ -280,7 +285,9 @@ def project_position(system: System, q: Array) -> Array:
             best, least = at, open_by
         if not np.isfinite(phi).all() or least < ROUND_OFF * system.mechanism.size or worse == 2:
             break
-        step = minimum_norm(jacobian, without(phi, unused), system.phi_units, system.velocity_units)
+        step = minimum_norm(
+            jacobian, without(phi, unused), system.phi_units, system.velocity_units, constraint_rank(system)
+        )
         at = system.retract(at, -step)
     _check_closed(system, best, system.phi(best))
     return best
@@ -303,7 +310,8 @@ def project_velocity(system: System, q: Array, v: Array) -> Array:
     unused = rows_left_out(system)
     jacobian = system.phi_jacobian(q)
     excess = without(rate_of_phi(system, jacobian, v), unused)
-    step = minimum_norm(without(jacobian, unused), excess, system.phi_units, system.velocity_units)
+    units = system.phi_units, system.velocity_units
+    step = minimum_norm(without(jacobian, unused), excess, *units, constraint_rank(system))
     return np.asarray(v - step)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from newton_euler.codegen.native import Callback, Record, Vector, native
 from newton_euler.integrators.lu import factor_complex, factor_real, solve_complex, solve_real, zero_block
 from newton_euler.integrators.projection import begin_adaptive, finish_step, project_rows
+from newton_euler.integrators.row_exchange import copy_flags, exchange_rows
 from newton_euler.integrators.singular import HOP, UNSAFE, evaluate
 from newton_euler.integrators.stepper import (
     DONE,
@@ -307,6 +308,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
     status = begin_adaptive(system, table, states, now, slope)
     if status != DONE:
         return status
+    copy_flags(system.exchange, now, at)
     stop = times[table.count - 1]
     d0 = scaled_norm(n, now, now, rtol, atol)
     d1 = scaled_norm(n, slope, now, rtol, atol)
@@ -399,6 +401,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
             now[i] += z[2 * n + i]
         now[n] = now[n] + h
         status = finish_step(system, 0, now, method.before)
+        changed = exchange_rows(system.exchange, now)
         if status == DONE:
             status = evaluate(system, now, slope)
         if status != DONE:
@@ -406,7 +409,9 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         before_h = h
         before_error = max(error, 1e-2)
         fresh = 0
-        if taken > 2 and convergence > 1e-3:
+        if changed == 1:
+            copy_flags(system.exchange, now, at)
+        if changed == 1 or (taken > 2 and convergence > 1e-3):
             method.jacobian(now, method.matrix)
             fresh = 1
             factored = 0

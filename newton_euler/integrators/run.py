@@ -19,6 +19,7 @@ from newton_euler.equations.applied_forces import blamed
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import largest_share, singular_values
 from newton_euler.equations.formulation import Formulation
+from newton_euler.equations.row_choice import exchanged
 from newton_euler.equations.system import dimensionless_jacobian, fastest_joint
 from newton_euler.errors import NewtonEulerError, OptionError
 from newton_euler.integrators import stepper as m
@@ -30,6 +31,7 @@ from newton_euler.integrators.options import FIXED, Options
 from newton_euler.integrators.outputs import Outputs, loops
 from newton_euler.integrators.projection import project, worst_joint
 from newton_euler.integrators.radau import Radau, integrate_radau
+from newton_euler.integrators.row_exchange import EXCHANGED, RowExchange, no_exchange
 from newton_euler.integrators.singular import NEAR
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
@@ -67,6 +69,7 @@ def load(code: Code, integrator: str) -> None:
 def needed(code: Code, integrator: str) -> list[str]:
     """Return the names of the functions that a run needs."""
     names = ["derivative", "output"] + ["position", "velocity"] * code.projects
+    names += ["shares"] * (len(code.exchangeable.numbers) > 0)
     names += {"Euler": ["rate"], "Radau": ["jacobian"]}.get(integrator, [])
     return names + ["measured"] * bool(code.scene.sampled)
 
@@ -184,7 +187,7 @@ class Integrator:
         table: (n, size) the states at all times after a run, as far as `outputs` needs them.
         outputs: the arrays that the scene asks for.
         counts: (COUNTS,) of the run, see `newton_euler.integrators.stepper`.
-        steps: (room, size + 2) the first steps of DOP853, see `newton_euler.integrators.dop853.Dop853`.
+        steps: (room, size + 2 + flags) the first steps, see `newton_euler.integrators.dop853.Dop853`.
     """
 
     def __init__(
@@ -197,7 +200,7 @@ class Integrator:
         self._code, self._python, self._integrator = code, Fallback(code, stopped), options.integrator
         self.times, self._most = times.copy(), most_steps(options)
         self.x, self.counts = np.zeros(code.inputs), np.zeros(m.COUNTS)
-        self.table, self.steps = np.zeros((len(times), code.size)), np.zeros((room, code.size + 2))
+        self.table, self.steps = np.zeros((len(times), code.size)), np.zeros((room, code.flags.stop + 1))
         marked = marks(code, options.integrator)
         system = equations(code, self._python, code.function("derivative"), marked, self.counts)
         table = table_of(code, self.times, self.x[None], self.table[None], np.zeros((1, m.COUNTS)))
@@ -265,6 +268,7 @@ def equations(
         position=position,
         velocity=velocity,
         closing=closing_on_demand(code, python, in_lanes),
+        exchange=exchange_of(code, in_lanes),
         beside=np.zeros((code.inputs + code.size + 3, lanes)),
         pause=python.pause,
         marks=marked,
@@ -290,6 +294,38 @@ def closing_on_demand(code: Code, python: Callbacks, in_lanes: bool) -> Closing:
 
     closing = unprepared(PythonCallback(prepare), code.system.nq, code.system.nv)
     return closing
+
+
+def exchange_of(code: Code, in_lanes: bool) -> RowExchange:
+    """Return the record of a scene's exchangeable rows."""
+    rows = code.exchangeable
+    if not rows.numbers:
+        return no_exchange(code.flags.start)
+    shares, units = code.function("shares", in_lanes), np.array(rows.units)
+    places = [code.rows.numbers.index(number) for number in rows.numbers]
+    lanes = shares.lanes if in_lanes else 1
+
+    def exchange(x: int, y: int, on: int) -> None:
+        inputs = vector_at(x, code.inputs * lanes).reshape(-1, lanes)
+        results = vector_at(y, shares.outputs * lanes).reshape(-1, lanes)
+        for lane in range(lanes):
+            if on >> lane & 1:
+                jacobian = np.zeros(len(code.rows.numbers) * code.system.nv)
+                jacobian[shares.layout] = results[1:, lane]
+                flags = inputs[code.flags, lane]
+                matrix = jacobian.reshape(-1, code.system.nv)
+                better = exchanged(matrix, places, units, flags)
+                if not np.array_equal(better, flags):
+                    inputs[code.flags, lane] = better
+                    results[0, lane] = EXCHANGED
+
+    return RowExchange(
+        count=len(rows.numbers),
+        first=code.flags.start,
+        shares=shares,
+        exchange=PythonCallback(exchange),
+        found=np.zeros((shares.outputs, lanes)),
+    )
 
 
 def table_of(code: Code, times: Array, ends: Array, states: Array, tallies: Array, lanes: int = 1) -> m.Table:
@@ -426,7 +462,8 @@ def singular_joint(code: Code, x: Array) -> str:
 
     Without constraints, the one that moves fastest.
     """
-    system, rows = code.float_system(x), code.rows.numbers
+    system, flags = code.float_system(x), code.rows_at(x).flags or {}
+    rows = [row for row in code.rows.numbers if not flags.get(row)]
     if not rows:
         return fastest_joint(system.mechanism, system.state(x[: system.nq], x[system.nq : code.size]))
     jacobian = dimensionless_jacobian(system, x[: system.nq])

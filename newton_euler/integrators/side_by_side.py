@@ -58,6 +58,7 @@ def load_lanes(code: Code, integrator: str) -> None:
     if go_in_lanes(code, integrator):
         native_method(METHODS[integrator], in_lanes=True)
         names = ["derivative"] + ["position", "velocity"] * code.projects + ["rate"] * (integrator == "Euler")
+        names += ["shares"] * (len(code.exchangeable.numbers) > 0)
         for name in names:
             code.function(name, in_lanes=True)
 

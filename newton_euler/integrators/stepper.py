@@ -2,9 +2,10 @@
 
 Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
 
-A state is a vector of n numbers y = (q, v), followed by the time and the scene's parameters, which
-callbacks read and methods leave alone. Methods make one run after another; several at once, one in each lane,
-if they are compiled for that (`newton_euler.codegen.translate`). A derivative callback writes n rates and, in
+A state is a vector of n numbers y = (q, v), followed by the time, the flags of exchangeable constraint rows
+and the scene's parameters. Callbacks read all of it; methods leave the parameters alone, and flags change
+between steps. Methods make one run after another; several at once, one in each lane, if they are compiled for
+that (`newton_euler.codegen.translate`). A derivative callback writes n rates and, in
 place n, the pivot ratio of its elimination: a number that is not positive where the equations are too close
 to singular to be trusted.
 """
@@ -16,6 +17,7 @@ from math import pi, sqrt
 
 from newton_euler.codegen.native import Callback, Record, Shared, Vector, native
 from newton_euler.integrators.dense_projection import Closing
+from newton_euler.integrators.row_exchange import RowExchange
 from newton_euler.scalars import Array
 
 DONE, NOT_FINITE, SINGULAR, TOO_MANY_STEPS = 0, 1, 2, 3
@@ -70,6 +72,7 @@ class Equations(Record):
         lanes: number of states that `position` and `velocity` take; 1 if each lane has a run of its own.
         position, velocity: projection.
         closing: projection by the dense form.
+        exchange: constraint rows among which a run chooses.
         beside: (inputs + n + 3, lanes) scratch.
         pause: asks whether the user wants to stop.
         marks: (n,) of angles and Euler parameters.
@@ -89,6 +92,7 @@ class Equations(Record):
     position: Callback
     velocity: Callback
     closing: Closing
+    exchange: RowExchange
     beside: Vector
     pause: Callback
     marks: Shared

@@ -185,12 +185,15 @@ def write_tangents(tangents: Tangents, t: float, h: float, due: int, stop: float
     """Write rows of the table from `due` on, until time `stop`, by a part of size h from t; returns the row
     that is due then. They are not on the linearized constraints yet."""
     size = tangents.n * tangents.lanes
+    count = tangents.known - tangents.n - 1
     if due < tangents.rows and tangents.times[due] <= stop:
         for s in range(STAGES + 1, 16):
             tangent_stage(tangents, s, t, h)
         prepare_terms(tangents, h)
         while due < tangents.rows and tangents.times[due] <= stop:
             interpolate_tangents(tangents, (tangents.times[due] - t) / h, tangents.table[size * due :])
+            for i in range(count):
+                tangents.flags[count * due + i] = tangents.x[tangents.lanes * (tangents.n + 1 + i)]
             due += 1
     return due
 
@@ -202,6 +205,7 @@ def follow(tangents: Tangents, last: Vector) -> int:
     counts = tangents.counts
     counts[PARTS] = 0.0
     n = tangents.n
+    known = tangents.known
     lanes = tangents.lanes
     size = n * lanes
     along = tangents.inputs * lanes
@@ -210,16 +214,20 @@ def follow(tangents: Tangents, last: Vector) -> int:
     end = tangents.k[(2 * size + lanes) * 16 :]
     due = 0
     for number in range(tangents.count):
-        step = tangents.steps[(n + 2) * number :]
+        step = tangents.steps[(known + 1) * number :]
         t = step[n]
-        stop = t + step[n + 1]
-        h = step[n + 1]
-        put(n + 1, lanes, step, x)
+        stop = t + step[known]
+        h = step[known]
+        put(known, lanes, step, x)
+        for i in range(lanes * (n + 1), lanes * known):
+            at[i] = x[i]
         if number % SETTLING == 0 or passes_singular(tangents) == 1:
             settle(tangents)
         if due == 0:
             for i in range(size):
                 tangents.table[i] = x[along + i]
+            for i in range(known - n - 1):
+                tangents.flags[i] = step[n + 1 + i]
             due = 1
         while t < stop:
             counts[PARTS] += 1.0
@@ -253,7 +261,7 @@ def follow(tangents: Tangents, last: Vector) -> int:
             if t > tangents.times[tangents.rows - 1]:  # the run ends within its last step
                 for i in range(size):
                     x[along + i] = tangents.table[size * (tangents.rows - 1) + i]
-    put(n + 1, lanes, last, x)
+    put(known, lanes, last, x)
     settle(tangents)
     return DONE
 

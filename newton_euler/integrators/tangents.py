@@ -23,7 +23,8 @@ class Tangents(Record):
     """Steps of a run, and directions beside its states, one in each lane.
 
     Attributes:
-        n, inputs: lengths of a state, and of one with time and parameters.
+        n, inputs: lengths of a state, and of one with time, flags and parameters.
+        known: length of a state with time and flags, which steps have.
         lanes: number of directions.
         wide: lanes of `settled` and of outputs, as many or more: these take several output times at once.
         count, rows: numbers of steps and of output times.
@@ -36,8 +37,9 @@ class Tangents(Record):
         rates: of a state and of a direction, with the pivot ratio behind them.
         settled: directions on the linearized constraints.
         pause: lets Python stop the run: asked for every `PATIENCE` parts.
-        steps: (count, n + 2) states, times and sizes of steps.
+        steps: (count, known + 1) states, times, flags and sizes of steps.
         times, states: (rows,) s, and (rows, n) of the run.
+        flags: (rows, known - n - 1) of the steps in which the output times are.
         x: (2 inputs, lanes) state with time and parameters, then the direction in each lane.
         beside: (2 inputs, wide) the same, for `settled` and outputs.
         at: the same, of a stage.
@@ -53,6 +55,7 @@ class Tangents(Record):
 
     n: int
     inputs: int
+    known: int
     lanes: int
     wide: int
     count: int
@@ -69,6 +72,7 @@ class Tangents(Record):
     steps: Vector
     times: Vector
     states: Vector
+    flags: Vector
     x: Vector
     beside: Vector
     at: Vector
@@ -174,7 +178,11 @@ def gather(tangents: Tangents, row: int, lane: int, used: int) -> None:
             beside[wide * (inputs + i) + place] = tangent[lanes * i + lane]
         beside[wide * n + place] = tangents.times[row]
         beside[wide * (inputs + n) + place] = 0.0
-        for i in range(n + 1, inputs):
+        flags = tangents.flags[(tangents.known - n - 1) * row :]
+        for i in range(tangents.known - n - 1):
+            beside[wide * (n + 1 + i) + place] = flags[i]
+            beside[wide * (inputs + n + 1 + i) + place] = 0.0
+        for i in range(tangents.known, inputs):
             beside[wide * i + place] = tangents.x[lanes * i + lane]
             beside[wide * (inputs + i) + place] = tangents.x[lanes * (inputs + i) + lane]
         if lane < used - 1:

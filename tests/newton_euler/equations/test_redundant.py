@@ -16,6 +16,7 @@ from mechanisms import (
     scaled,
     seven_hinges,
 )
+from overconstrained import LOOPS, linkage
 
 import newton_euler
 from crosscheck.engines import ENGINES
@@ -24,19 +25,19 @@ from crosscheck.studies.stress.configurations import from_flat
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import independent_rows, minimum_norm, rank
-from newton_euler.equations.redundancy import NearlyRedundant, mobility, other_rows, rows_in_use
+from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
+from newton_euler.equations.row_choice import rows_in_use
 from newton_euler.equations.sparse import to_array
-from newton_euler.equations.system import dimensionless_jacobian
-from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
+from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
+from newton_euler.integrators.projection import project_position
 from newton_euler.model.couplings import Gear
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.joint_kinds import Fixed, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.simulate import CompiledScene
 
 FORMULATIONS = (Relative, Cartesian)
 
@@ -217,52 +218,18 @@ def drawn_at(mechanism: Mechanism, state: State) -> Mechanism:
     return Mechanism(bodies, joints)
 
 
-@pytest.fixture(scope="module")
-def bricard():
-    """Bricard's mechanism past 1.248 s, where one row of a hinge comes to depend on all others but one."""
-    outputs = frozenset({"velocities"})
-    scene = replace(load("bricard"), duration=1.3, output_period=0.02, outputs=outputs)
-    return scene, newton_euler.simulate(scene, rtol=1e-12, atol=1e-14)
-
-
-@pytest.fixture(scope="module")
-def choices(bricard):
-    """The states on the way, and the worst and the best of all choices of rows that leave one out."""
-    scene, run = bricard
-    system, decided = Relative(scene), mobility(scene)
-    still = np.zeros((len(scene.mechanism.bodies), 3))
-    way = [State(*pose, still, still) for pose in zip(run.position, run.quaternion, strict=True)]
-    jacobians = [dimensionless_jacobian(system, system.coordinates(state)[0]) for state in way]
-    alive = sorted({*decided.independent, *decided.redundant})
-    found = [[row for row in alive if row != left_out] for left_out in alive]
-
-    def smallest(rows):
-        return min(np.linalg.svd(jacobian[rows])[1][-1] for jacobian in jacobians)
-
-    worst, best = min(found, key=smallest), max(found, key=smallest)
-    assert smallest(worst) < 1e-2
-    return way, worst, best
-
-
-def test_other_rows_are_independent_all_the_way(bricard, choices):
-    scene, _ = bricard
-    way, worst, best = choices
-    assert other_rows(scene, worst, way) == best
-    assert other_rows(scene, best, way) is None
-    assert other_rows(scene, worst, []) is None
-
-
-def test_a_run_stops_at_rows_that_degenerate_and_goes_on_with_others(bricard, choices, monkeypatch):
-    """Rows that a compiled scene is told to use, of which one comes to depend on the others.
-
-    What there is to warn of is said once, however many rows are tried.
-    """
-    scene, wanted = bricard
-    weak = NearlyRedundant("hinge", 1e-7, "literally")
-    monkeypatch.setattr(CompiledScene, "nearly_redundant", (weak,))
-    code = CompiledScene(scene, "cartesian", independent=choices[1])
-    with pytest.warns(NearlyRedundantWarning) as heard:
-        found = code.simulate(rtol=1e-12, atol=1e-14)
-    assert len(heard) == 1
-    # 30 steps to 1e-12 each
-    assert found.position == pytest.approx(wanted.position, abs=1e-10)
+@pytest.mark.parametrize("name", LOOPS)
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("size", [1e-6, 1e-3])
+def test_redundant_rows_that_come_open_do_not_misdirect_projection(size, formulation, name):
+    """Off the constraints redundant rows seem independent. The nearest closed pose is no farther than the one
+    that the pose was moved from."""
+    scene, rng = linkage(name), np.random.default_rng(1)
+    system = formulation(scene)
+    q, _ = system.coordinates(scene.initial_state)
+    for _ in range(5):
+        moved = system.retract(q, size * rng.normal(size=system.nv) * system.velocity_units)
+        closed = project_position(system, moved)
+        steps = ((step / system.velocity_units) for step in (closed - moved, moved - q))
+        back, away = map(np.linalg.norm, steps)
+        assert back < (1.0 + 10.0 * size) * away

@@ -19,8 +19,8 @@ from random_chains import CHAINS
 from crosscheck.engines import ENGINES
 from newton_euler import simulate
 from newton_euler.assemble import initial_state
-from newton_euler.equations.redundancy import rows_in_use
 from newton_euler.equations.relative import Relative
+from newton_euler.equations.row_choice import rows_in_use
 from newton_euler.equations.system import Evaluation, System, at_time, constraint_rate
 from newton_euler.exercise import random_states
 from newton_euler.integrators.formulations import FORMULATIONS

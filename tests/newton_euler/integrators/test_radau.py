@@ -13,6 +13,7 @@ from newton_euler import PD, compile_scene
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.integrators.lu import factor_complex, factor_real, solve_complex, solve_real, zero_block
 from newton_euler.integrators.radau import ALPHA, BETA, GAMMA, Radau, integrate_radau
+from newton_euler.integrators.row_exchange import no_exchange
 from newton_euler.integrators.stepper import COUNTS, DONE, STATUS, Equations, Table
 from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.mechanism import Body, Mechanism
@@ -169,6 +170,7 @@ def test_outputs_between_steps_are_as_exact_as_the_steps():
         position=None,
         velocity=None,
         closing=None,
+        exchange=no_exchange(2),
         beside=np.zeros(0),
         pause=pause,
         marks=np.zeros(n),

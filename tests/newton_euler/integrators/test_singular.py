@@ -18,6 +18,7 @@ from newton_euler.equations.system import MassProperties
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.compiled import OPEN_TOLERANCE
 from newton_euler.integrators.projection import NATIVE_STEPS, check_still_closed, project
+from newton_euler.integrators.row_exchange import no_exchange
 from newton_euler.integrators.singular import AT_END, GAP, crossing_factor
 from newton_euler.integrators.stepper import COUNTS, DONE, OPEN, Equations
 from newton_euler.model.control import PD
@@ -226,6 +227,7 @@ def test_what_the_last_newton_step_leaves_counts(steps, status):
         position=position,
         velocity=None,
         closing=None,
+        exchange=no_exchange(2),
         beside=np.zeros(5),
         pause=None,
         marks=np.zeros(1),

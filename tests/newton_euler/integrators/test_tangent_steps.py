@@ -28,6 +28,7 @@ def followed(rates_along, start, most=2000, floor=0.0, steps=1, settled=None):
     tangents = Tangents(
         n=2,
         inputs=3,
+        known=3,
         lanes=1,
         wide=1,
         count=steps,
@@ -44,6 +45,7 @@ def followed(rates_along, start, most=2000, floor=0.0, steps=1, settled=None):
         steps=np.concatenate([[0.0, 0.0, k * h, h] for k in range(steps)]),
         times=np.array([steps * h]),
         states=np.zeros(2),
+        flags=np.zeros(0),
         x=x,
         beside=np.empty(6),
         at=x.copy(),

@@ -1,0 +1,172 @@
+"""Constraint rows in use: those that a scene is given, and those that a run exchanges for others.
+
+Where constraints are redundant, some rows imply all others. In most mechanisms they do so in the same way in
+every configuration: each row left out is a combination of rows in use with constant shares. In Bennett's
+linkage or Bricard's mechanism the shares depend on the configuration. The loop has the same rank everywhere,
+but any choice of rows becomes dependent in some configuration, and shares grow without bound near it.
+
+Such rows are *exchangeable*. All of them are in the compiled equations, each with a flag that leaves it out
+(`newton_euler.equations.sparse.RowsInUse`). Between two steps of a run, a row in use is exchanged for one
+that is left out while its share in that one is larger than 1. Each exchange multiplies the volume of the rows
+in use by the share, so the exchanges end at a local maximum of the volume (S. A. Goreinov, I. V. Oseledets,
+D. V. Savostyanov, E. E. Tyrtyshnikov, N. L. Zamarashkin, How to find a good submatrix, in: Matrix Methods:
+Theory, Algorithms and Applications, World Scientific 2010). The accelerations of a state that meets the
+constraints are the same with any choice, so a run keeps its steps.
+
+A small pivot in spite of small shares is a loss of rank of all rows: a singular configuration
+(`newton_euler.integrators.singular`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from newton_euler.equations.formulation import Formulation
+from newton_euler.equations.independence import independent, shares
+from newton_euler.equations.kinematics import TreeKinematics
+from newton_euler.equations.redundancy import mobility
+from newton_euler.equations.sparse import Rows, RowsInUse
+from newton_euler.scalars import Array
+
+CONSTANT = 1e-6
+"""Difference of a share between configurations that is round-off, and share that is none."""
+
+MIN_EXCHANGED_SHARE = 1.1
+"""Share above which rows are exchanged; the volume grows at least by this factor, so exchanges end."""
+
+MAX_EXCHANGES = 100
+"""Exchanges at once, beyond which numbers are not finite, or round-off."""
+
+
+class ExchangeableRows(NamedTuple):
+    """Constraint rows among which a run chooses.
+
+    Attributes:
+        numbers: of the rows in `phi`, ascending.
+        left_out: 1 for the rows that are left out at first, 0 for those in use.
+        units: natural sizes of the dimensionless rows.
+    """
+
+    numbers: list[int]
+    left_out: list[float]
+    units: list[float]
+
+
+NO_ROWS = ExchangeableRows([], [], [])
+
+
+def exchangeable_rows(system: Formulation, wanted: bool = True) -> ExchangeableRows:
+    """Find the rows that are exchangeable; none if they are not wanted, or redundant but for noise."""
+    decided = mobility(system.scene)
+    if not (wanted and decided.redundant) or decided.residual > 0.0:
+        return NO_ROWS
+    kinematics, used, others = TreeKinematics(system.scene), decided.independent, decided.redundant
+    first: list[dict[int, float]] = []
+    varying: set[int] = set()
+    linked: list[set[int]] = [{row} for row in others]
+    scales = np.zeros(len(kinematics.phi_units))
+    for at in decided.configurations:
+        if not _is_regular(at.rows, used):
+            continue
+        units = kinematics.row_scales(at.q)
+        scales = np.maximum(scales, units)
+        found = [
+            {i: x * (units[other] / units[i]) for i, x in each.items()}
+            for other, each in zip(others, shares(at.rows, used, others), strict=True)
+        ]
+        first = first or found
+        for other, own, now, link in zip(others, first, found, linked, strict=True):
+            link.update(i for i, x in now.items() if abs(x) > CONSTANT)
+            if any(abs(own.get(i, 0.0) - now.get(i, 0.0)) > CONSTANT for i in {*own, *now}):
+                varying.add(other)
+    rows: set[int] = set()
+    more = set(varying)
+    while more - rows:  # rows in use that have shares in one of them, and others in which these have shares
+        rows |= more
+        more = {row for link in linked if link & rows for row in link}
+    places = system.closing_rows()
+    ordered = sorted((places[row], row) for row in rows)
+    return ExchangeableRows(
+        [number for number, _ in ordered],
+        [float(row in others) for _, row in ordered],
+        [float(scales[row]) for _, row in ordered],
+    )
+
+
+def rows_in_use(
+    system: Formulation, used: Sequence[int] | None = None, exchangeable: ExchangeableRows = NO_ROWS
+) -> RowsInUse:
+    """Select rows of a form of the equations that are independent and imply all others.
+
+    Args:
+        system: the form.
+        used: rows of the joint-coordinate form that are among them; None for the independent ones of its
+            mobility.
+        exchangeable: rows that may be left out, which are among them, too.
+    """
+    decided = mobility(system.scene)
+    used = decided.independent if used is None else list(used)
+    flagged = exchangeable.numbers
+    others = [
+        row for row, number in enumerate(system.closing_rows()) if number in flagged and row not in used
+    ]
+    numbers = system.rows_of([*used, *others])
+    pivots = []
+    for at, state in zip(decided.configurations, decided.states, strict=True):
+        # elsewhere, as where the four-bar is flat, pivots are zero or round-off
+        if not _is_regular(at.rows, used):
+            continue
+        q, _ = system.coordinates(state)
+        choices = [used]  # and one that each of the others is in
+        for other, share in zip(others, shares(at.rows, used, others), strict=True):
+            weakest = max(share, key=lambda row: abs(share[row]), default=other)
+            if abs(share.get(weakest, 0.0)) > CONSTANT:
+                choices.append([other if row == weakest else row for row in used])
+        for chosen in choices:
+            in_use = set(system.rows_of(chosen))
+            rows = RowsInUse(numbers, flags={number: float(number not in in_use) for number in flagged})
+            solution = system.sparse_solution(q, np.zeros(system.nv), rows)
+            own = [
+                0.0 if number in flagged and number not in in_use else pivot
+                for number, pivot in zip(numbers, solution.pivots, strict=False)
+            ]
+            pivots.append((own + solution.pivots[len(own) :], solution.mass_pivots))
+    scales, mass_scales = (
+        [float(max(column)) for column in zip(*each, strict=True)] for each in zip(*pivots, strict=True)
+    )
+    return RowsInUse(numbers, scales, mass_scales)
+
+
+def exchanged(jacobian: Array, rows: Sequence[int], units: Array, left_out: Array) -> Array:
+    """Exchange rows in use for those left out while a share is larger than `MIN_EXCHANGED_SHARE`.
+
+    Args:
+        jacobian: (k, nv), dimensionless, of independent rows and of those that are left out.
+        rows: (m,) places of exchangeable rows among them.
+        units: (m,) their natural sizes.
+        left_out: (m,) 1 for those that are left out, 0 for those in use.
+
+    Returns:
+        The same of other rows, (m,).
+    """
+    flags, places = left_out.copy(), np.array(rows)
+    always = jacobian[np.delete(np.arange(len(jacobian)), places)]
+    own = jacobian[places]
+    for _ in range(MAX_EXCHANGES if np.isfinite(jacobian).all() else 0):
+        used, out = np.flatnonzero(flags == 0.0), np.flatnonzero(flags == 1.0)
+        independent_rows = np.concatenate([own[used], always])
+        found = np.linalg.lstsq(independent_rows.T, own[out].T, rcond=None)[0][: len(used)]
+        sizes = np.abs(found) * units[used][:, None] / units[out]
+        row, other = np.unravel_index(np.argmax(sizes), sizes.shape)
+        if not sizes[row, other] > MIN_EXCHANGED_SHARE:
+            break
+        flags[used[row]], flags[out[other]] = 1.0, 0.0
+    return flags
+
+
+def _is_regular(rows: Rows, used: Sequence[int]) -> bool:
+    """True if these rows are independent."""
+    return len(independent([rows[i] for i in used], 0.0).rows) == len(used)

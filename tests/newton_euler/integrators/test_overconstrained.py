@@ -1,0 +1,162 @@
+"""Overconstrained loops whose constraints are redundant in another way in every configuration.
+
+Any rows that imply the others become dependent somewhere within a revolution, while the rank of all rows
+stays the same: nothing there is singular.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from overconstrained import LOOPS, centers, linkage
+
+import newton_euler
+from crosscheck.scenes import load
+from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.redundancy import mobility
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.row_choice import exchangeable_rows, exchanged
+from newton_euler.equations.system import dimensionless_jacobian
+from newton_euler.model.state import State
+
+FORMULATIONS = ("relative", "cartesian")
+POSES = frozenset[str]()
+
+
+def error(run, name):
+    return np.abs(run.position[:, 1:] - centers(name)).max()
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_every_choice_of_rows_degenerates_within_a_revolution(name):
+    """And all rows together do not: what the other tests are about."""
+    scene = linkage(name)
+    run = newton_euler.simulate(replace(scene, outputs=POSES, output_period=0.005), "relative")
+    decided = mobility(scene)
+    system, rank = Relative(scene, 0.0), len(decided.independent)
+    values = []
+    still = np.zeros((len(scene.mechanism.bodies), 3))
+    for position, quaternion in zip(run.position, run.quaternion, strict=True):
+        state = State(position, quaternion, still, still)
+        jacobian = dimensionless_jacobian(system, system.coordinates(state)[0])
+        assert np.linalg.svd(jacobian)[1][rank - 1] > 0.1
+        values.append(np.linalg.svd(jacobian[decided.independent])[1][-1])
+    assert min(values) < 0.1 * max(values)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("name", LOOPS)
+def test_adaptive_methods_keep_their_tolerance(name, formulation):
+    """Ten tolerances of 20 to 1200 steps; without projection joints open, which grows over the run."""
+    scene = replace(linkage(name), outputs=POSES)
+    for options, allowed in (
+        ({"rtol": 1e-6, "atol": 1e-8}, 1e-5),
+        ({}, 1e-9),
+        ({"rtol": 1e-11, "atol": 1e-13}, 1e-10),
+        ({"stabilization": "baumgarte"}, 1e-9),
+        ({"stabilization": "none"}, 1e-6),
+        ({"integrator": "Radau", "rtol": 1e-8, "atol": 1e-10}, 1e-9),
+    ):
+        assert error(newton_euler.simulate(scene, formulation, **options), name) < allowed, options
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("name", LOOPS)
+def test_rk4_keeps_its_order(name, formulation):
+    scene = replace(linkage(name), outputs=POSES)
+    coarse, fine = (
+        error(newton_euler.simulate(scene, formulation, "RK4", step=step), name) for step in (4e-3, 2e-3)
+    )
+    assert coarse / fine == pytest.approx(16.0, rel=0.5)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_steps_do_not_depend_on_the_output_period(formulation):
+    scene = replace(linkage("bennett"), outputs=POSES)
+    runs = [
+        newton_euler.simulate(replace(scene, output_period=period), formulation, rtol=1e-12, atol=1e-14)
+        for period in (0.1, 0.05, 0.01, 0.001)
+    ]
+    assert len({run.settings["steps"] for run in runs}) == 1
+    for run in runs[1:]:
+        assert np.array_equal(run.position[-1], runs[0].position[-1])
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("integrator", ["DOP853", "RK4", "Euler", "Radau"])
+def test_runs_side_by_side_exchange_rows_each_by_itself(integrator, formulation):
+    """Results are those of single runs to the last bit, though rows are exchanged at other times in each."""
+    scene = replace(linkage("bennett"), outputs=POSES)
+    masses = [0.3, 0.4, 0.5, 0.6, 0.9, 1.2, 2.0, 3.0, 5.0]
+    options = {"formulation": formulation, "integrator": integrator}
+    options |= {"step": 2e-3} if integrator in ("RK4", "Euler") else {"rtol": 1e-8}
+    batch = newton_euler.simulate_batch(scene, parameters={"b1.mass": masses}, **options)
+    assert not batch.errors
+    for mass, run in zip(masses, batch, strict=True):
+        (alone,) = newton_euler.simulate_batch(scene, parameters={"b1.mass": [mass]}, **options)
+        assert np.array_equal(run.position, alone.position)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("name", ["bennett", "schatz"])
+def test_sensitivities_are_those_of_difference_quotients(name, formulation):
+    scene = replace(linkage(name), outputs=POSES)
+    found = newton_euler.sensitivities(scene, ["b1.mass"], formulation=formulation)
+    h, own = 1e-3, scene.mechanism.bodies[2].mass
+    values = own + h * np.array([-2.0, -1.0, 1.0, 2.0])
+    options = {"rtol": 1e-12, "atol": 1e-14, "formulation": formulation}
+    a, b, c, d = newton_euler.simulate_batch(scene, parameters={"b1.mass": values}, **options).stacked(
+        "position"
+    )
+    wanted = (8.0 * (c - b) - (d - a)) / (12.0 * h)
+    # of runs to 1e-12, and h^4 of their fifth derivative
+    assert found.position[..., 0] == pytest.approx(wanted, abs=1e-7 * np.abs(wanted).max())
+
+
+def test_knots_do_not_forget_the_rows_in_use():
+    """A law without gain, whose target jumps, divides the run, and moves nothing."""
+    law = newton_euler.PD("h0", 0.0, 0.0, newton_euler.Steps((0.0, 0.31, 0.62, 0.93), (0.0, 0.1, 0.2, 0.3)))
+    scene = replace(linkage("goldberg"), control=[law], outputs=POSES)
+    assert error(newton_euler.simulate(scene), "goldberg") < 1e-9
+
+
+def test_where_shares_are_constant_no_rows_are_exchangeable():
+    """Plane loops in space, redundant in the same way everywhere: their equations have no flags."""
+    for name in ("four_bar", "andrews", "stewart", "tracker"):
+        scene = load(name)
+        for system in (Relative(scene, 0.0), Cartesian(scene, 0.0)):
+            assert exchangeable_rows(system).numbers == []
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_both_forms_exchange_the_same_rows(name):
+    scene = linkage(name)
+    relative, cartesian = (exchangeable_rows(system(scene, 0.0)) for system in (Relative, Cartesian))
+    first = cartesian.numbers[0] - relative.numbers[0]
+    assert cartesian.numbers == [row + first for row in relative.numbers]
+    assert cartesian[1:] == relative[1:]
+    assert 0.0 < sum(relative.left_out) < len(relative.numbers)
+
+
+def test_exchanged_rows_have_the_largest_volume_near_by():
+    """No single exchange makes the volume 1.1 times as large; rows that always count keep doing so."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        jacobian = rng.normal(size=(9, 4)) @ rng.normal(size=(4, 6))
+        units, rows = rng.uniform(0.5, 2.0, 7), [0, 2, 3, 4, 6, 7, 8]
+        flags = exchanged(jacobian, rows, units, np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0]))
+        assert flags.sum() == 5.0
+
+        def volume(flags, jacobian=jacobian, units=units, rows=rows):
+            used = np.flatnonzero(flags == 0.0)
+            chosen = np.vstack([jacobian[[rows[k] for k in used]] / units[used, None], jacobian[[1, 5]]])
+            return np.sqrt(np.linalg.det(chosen @ chosen.T))
+
+        own = volume(flags)
+        for used in np.flatnonzero(flags == 0.0):
+            for out in np.flatnonzero(flags == 1.0):
+                other = flags.copy()
+                other[used], other[out] = 1.0, 0.0
+                assert volume(other) <= 1.1 * own
