@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.comparison.figure import Figure
-from crosscheck.comparison.runs import distance, rests
+from crosscheck.comparison.runs import rests
 from crosscheck.engines import Engine
 from crosscheck.stiffness import is_stable_in_rk4, modes_of_run
 from newton_euler.assemble import initial_state
@@ -28,7 +28,7 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.state import State
-from newton_euler.model.trajectory import Trajectory
+from newton_euler.model.trajectory import Trajectory, distance
 
 WANTED = 1e-6
 """m and rad, the error that advice is for."""

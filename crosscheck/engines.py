@@ -10,13 +10,14 @@ from typing import Any, Final
 
 import numpy as np
 
+from crosscheck.comparison.figure import UNRESOLVED
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import FIGURES
 from newton_euler.assemble import initial_state
 from newton_euler.equations.system import Evaluation, System
 from newton_euler.errors import NewtonEulerError, choices
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import StoppedError, Trajectory
+from newton_euler.model.trajectory import StoppedError, Trajectory, distance
 
 REFINED_RTOL, REFINED_ATOL = 1e-12, 1e-14
 """A hundredth of what runs have by default; DOP853's own limit is near 2e-14."""
@@ -32,8 +33,8 @@ HALVINGS = 4
 """Of MuJoCo's step where a run diverges. Then `IMPLICIT` is taken, of order 1, at the smallest of these."""
 
 RK4_STEPS = 100_000
-"""In MuJoCo, as few as the stability of its RK4 alone asks for, in which stiff dampers are explicit: with
-more `IMPLICIT` is taken instead. They take some seconds."""
+"""Largest number of steps of MuJoCo's RK4 that stability or accuracy may ask for; they take some seconds. If
+the stability of stiff dampers, which are explicit in RK4, asks for more, `IMPLICIT` is used instead."""
 
 IMPLICIT: Final = "implicitfast"
 
@@ -148,7 +149,11 @@ def _way(scene: Scene) -> Trajectory | None:
 
 @lru_cache(maxsize=1)
 def _mujoco_run(scene: Scene) -> Trajectory:
-    """At the default step or a whole part of it: `STEPS` in all at least, stable, and without divergence."""
+    """Run MuJoCo at its default step or a whole part of it: `STEPS` at least, stable, and without divergence.
+
+    If the run is far from newton_euler's, the step is halved while that changes MuJoCo's run as much.
+    Fast machines are beyond the accuracy of RK4 at the default step, and loops of very different masses soft.
+    """
     import mjcf
     from crosscheck.stiffness import is_stable_in_rk4, modes_of_run
     from mjcf.errors import DivergenceError
@@ -156,13 +161,33 @@ def _mujoco_run(scene: Scene) -> Trajectory:
 
     step = default_timestep(scene)
     step /= max(1.0, np.ceil(STEPS * step / scene.duration * (1.0 - 1e-9)))
-    modes = modes_of_run(scene, _way(scene))
+    way = _way(scene)
+    modes = modes_of_run(scene, way)
     halvings = max(HALVINGS, int(np.log2(max(1.0, RK4_STEPS * step / scene.duration))))
     steps = [step * 0.5**k for k in range(halvings + 1)]
     for tried in [each for each in steps if is_stable_in_rk4(modes, each)][: HALVINGS + 1]:
         with suppress(DivergenceError):
-            return mjcf.simulate(scene, timestep=tried)
+            return _resolved(scene, mjcf.simulate(scene, timestep=tried), way)
     return mjcf.simulate(scene, timestep=steps[HALVINGS], integrator=IMPLICIT)
+
+
+def _resolved(scene: Scene, run: Trajectory, way: Trajectory | None) -> Trajectory:
+    """Halve the step of MuJoCo's RK4 while the run is far from `way` and each half changes it as much."""
+    import mjcf
+    from mjcf.errors import DivergenceError
+
+    if way is None or len(way.time) != len(run.time):
+        return run
+    far = UNRESOLVED * max(1.0, scene.mechanism.size)
+    while distance(run, way) > far and scene.duration <= 0.5 * run.settings["timestep"] * RK4_STEPS:
+        try:
+            finer = mjcf.simulate(scene, timestep=0.5 * run.settings["timestep"])
+        except DivergenceError:
+            break
+        change, run = distance(run, finer), finer
+        if change < far:
+            break
+    return run
 
 
 def _mujoco_refined(scene: Scene, in_full: bool = False) -> Trajectory:

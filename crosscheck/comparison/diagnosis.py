@@ -264,7 +264,8 @@ def _of_reading(names: Sequence[str], rows: Sequence[Figure]) -> Diagnosis | Non
     if len(parted) == 1 and len(compared) > 1:
         others = [name for name in compared if name not in parted]
         # with its values, which is more than the reader of the file knows
-        own = [row for row in rows if row.detail and not row.agrees and parted[0] in row.between]
+        of_models = [row for row in rows if row.level not in OF_RUNS]
+        own = [row for row in of_models if row.detail and not row.agrees and parted[0] in row.between]
         return _diagnosis(parted[0], [*parted, FILE], [*others, FILE], [*own, *failed][0], rows, "others")
     among = [row for row in rows if set(row.between) <= set(compared) and row.level not in OF_RUNS]
     if not all(row.agrees for row in among):

@@ -32,7 +32,7 @@ from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import StoppedError, Trajectory
+from newton_euler.model.trajectory import StoppedError, Trajectory, distance
 from newton_euler.scalars import Array
 
 Gap = Callable[[Trajectory, Trajectory], Array]
@@ -79,12 +79,6 @@ def _kinetic_energies_apart(x: Trajectory, y: Trajectory) -> Array:
     assert x.kinetic_energy is not None
     assert y.kinetic_energy is not None
     return np.abs(x.kinetic_energy - y.kinetic_energy)
-
-
-def distance(one: Trajectory, two: Trajectory, at: int | slice = slice(None)) -> float:
-    """Compute the largest difference of positions, m, and orientations, rad, of two runs at some outputs."""
-    angles = angle_between(one.quaternion[at], two.quaternion[at])
-    return float(max(np.max(np.linalg.norm(one.position[at] - two.position[at], axis=-1)), np.max(angles)))
 
 
 def errors_of_runs(scene: Scene, engines: Sequence[Engine], runs: Runs) -> dict[str, float]:
@@ -218,10 +212,14 @@ def compare_runs(
         gaps = gap(runs)
         value, tolerance = float(np.max(gaps)), fixed * unit
         where = worst(gaps, joints if level == "drift" else bodies)
+        coarse: list[str] = []
         for engine in sorted(between, key=lambda engine: runs[engine.name].wall_time):
             if value <= tolerance:
                 break
-            tolerance += min(OWN_ERROR * own_change(engine, apart), UNRESOLVED * unit)
+            change = own_change(engine, apart)
+            tolerance += min(OWN_ERROR * change, UNRESOLVED * unit)
+            if OWN_ERROR * change > UNRESOLVED * unit:
+                coarse.append(f"{engine.name}'s own run changes by {change / shown:.2g} when refined")
         excused = fixed * unit < value <= tolerance
         name = restless(between, gap, apart, max(fixed, ROUND_OFF) * unit) if excused else ""
         names = tuple(engine.name for engine in between)
@@ -234,6 +232,7 @@ def compare_runs(
             where,
             informs=bool(name),
             unsettled=name,
+            detail="; ".join(coarse) if value > tolerance else "",
         )
 
     def worst(gaps: Array, names: Sequence[str]) -> str:

@@ -11,7 +11,7 @@ from crosscheck.against.compare import Against
 from crosscheck.comparison.coverage import Coverage
 from crosscheck.comparison.figure import FILE, NOT_NEARER, Figure, not_compared
 from crosscheck.comparison.known_figures import Measured
-from crosscheck.comparison.runs import displacements, distance
+from crosscheck.comparison.runs import displacements
 from crosscheck.comparison.samples import admissible_basis, body_units
 from crosscheck.model_files.read import fates_line, report_lines
 from crosscheck.report.summary import summary
@@ -36,6 +36,7 @@ from newton_euler.equations.relative import Relative
 from newton_euler.equations.undetermined import undetermined_joints, worded
 from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import distance
 from newton_euler.verification.import_report import ImportReport
 
 MOST_NAMED = 12

@@ -16,6 +16,7 @@ import numpy as np
 
 from newton_euler.errors import MechanismError, MissingPackageError, NewtonEulerError, OptionError, is_whole
 from newton_euler.limits import MB, exceeded
+from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.joint import Joint, JointEquations, Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import OutputName
@@ -324,6 +325,12 @@ def coordinate_names(joint: Joint) -> tuple[str, ...]:
         kind if kinds.count(kind) == 1 else f"{kind}_{kinds[:k].count(kind) + 1}"
         for k, kind in enumerate(kinds)
     )
+
+
+def distance(one: Trajectory, two: Trajectory, at: int | slice = slice(None)) -> float:
+    """Return the largest difference of positions, m, and orientations, rad, of two runs at some outputs."""
+    angles = angle_between(one.quaternion[at], two.quaternion[at])
+    return float(max(np.max(np.linalg.norm(one.position[at] - two.position[at], axis=-1)), np.max(angles)))
 
 
 class StoppedError(NewtonEulerError):

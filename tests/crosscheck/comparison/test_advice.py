@@ -15,7 +15,7 @@ from mechanisms import GRAVITY, ball_loop, pendulum, planar_four_bar
 
 import mjcf
 import newton_euler
-from crosscheck.advice import WANTED, Advice, distance, fitting, redundancy_advice, soft_advice
+from crosscheck.advice import WANTED, Advice, fitting, redundancy_advice, soft_advice
 from crosscheck.comparison.figure import Figure
 from crosscheck.comparison.runs import rests
 from crosscheck.engines import ENGINES, choose
@@ -31,7 +31,7 @@ from newton_euler.errors import NewtonEulerError
 from newton_euler.model.joint_kinds import Cylindrical, Fixed, Spherical
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import Trajectory
+from newton_euler.model.trajectory import Trajectory, distance
 
 AGREED = Figure("model", "mass, rel", ("newton_euler", "mujoco"), 0.0, 1e-12, "bar")
 MODEL_APART = replace(AGREED, value=1.0)

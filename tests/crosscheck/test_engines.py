@@ -1,0 +1,50 @@
+"""Settings that engines choose by themselves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+import mjcf
+from crosscheck.comparison.figure import UNRESOLVED
+from crosscheck.comparison.runs import compare_runs
+from crosscheck.engines import ENGINES
+from crosscheck.scenes import load
+from newton_euler.assemble import initial_state
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import distance
+
+COARSE = 2e-4
+"""s, MuJoCo's step for a run of 0.1 s."""
+
+
+@pytest.fixture(scope="module")
+def fast_linkage() -> Scene:
+    """A four-bar linkage at 200 rad/s: in RK4 at `COARSE` it is off by 0.1, at half of that by 3e-4."""
+    scene = load("four_bar", N="1")
+    start = initial_state(scene)
+    linear, angular = 200.0 * start.linear_velocity, 200.0 * start.angular_velocity
+    state = replace(start, linear_velocity=linear, angular_velocity=angular)
+    return replace(scene, duration=0.1, output_period=0.01, initial_state=state)
+
+
+def test_mujoco_halves_its_step_until_the_run_is_resolved(fast_linkage: Scene) -> None:
+    own = ENGINES["newton_euler"].simulate(fast_linkage)
+    assert distance(mjcf.simulate(fast_linkage, timestep=COARSE), own) > UNRESOLVED
+    run = ENGINES["mujoco"].simulate(fast_linkage)
+    assert distance(run, own) < UNRESOLVED
+    assert run.settings["timestep"] == pytest.approx(0.5 * COARSE)
+
+
+def test_a_run_that_is_too_coarse_is_named(fast_linkage: Scene) -> None:
+    coarse = replace(
+        ENGINES["mujoco"],
+        simulate=lambda scene: mjcf.simulate(scene, timestep=COARSE),
+        refined=lambda scene: mjcf.simulate(scene, timestep=0.5 * COARSE),
+    )
+    engines = [ENGINES["newton_euler"], coarse]
+    runs = {engine.name: engine.simulate(fast_linkage) for engine in engines}
+    rows = [row for row in compare_runs(fast_linkage, engines, runs, 1.0) if len(row.between) == 2]
+    assert not all(row.agrees for row in rows)
+    assert all(row.detail.startswith("mujoco's own run changes by ") for row in rows if not row.agrees)
