@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mjcf_models import BOX, model, reading
 
+import urdf
 from crosscheck.engines import ENGINES
 from crosscheck.run import crosscheck
 from crosscheck.studies.faults.find import find_in_reading
@@ -126,3 +128,42 @@ def test_loops_that_close_nowhere_far_away_are_moved_a_little(
     monkeypatch.setattr("newton_euler.verification.original.NEAR", ())
     (line,) = (x for x in reading(tmp_path, stretched(1e-4)).report.start if x.startswith("verified"))
     assert line.endswith("; loops close nowhere but at the start")
+
+
+def light(name: str, mass: float, moment: float) -> str:
+    """A link with a moment of inertia that is the same about all axes."""
+    moments = " ".join(f'{axis}="{moment}"' for axis in ("ixx", "iyy", "izz"))
+    inertia = f'<mass value="{mass}"/><inertia {moments} ixy="0" ixz="0" iyz="0"/>'
+    return f'<link name="{name}"><inertial><origin xyz="0 0 0"/>{inertia}</inertial></link>'
+
+
+def hinge(parent: str, child: str, xyz: str, axis: str, more: str = "") -> str:
+    return (
+        f'<joint name="to_{child}" type="continuous"><origin xyz="{xyz}"/><parent link="{parent}"/>'
+        f'<child link="{child}"/><axis xyz="{axis}"/>{more}</joint>'
+    )
+
+
+def hand(mimic: float) -> str:
+    """A humanoid's trunk, arm and hand, whose 15 finger links of 2 mg follow the wrist by a factor."""
+    parts = [light("trunk", 50.0, 0.5), light("arm", 0.5, 1e-3), light("palm", 2e-6, 1.1e-9)]
+    parts += [hinge("trunk", "arm", "0 0.2 0.3", "0 1 0"), hinge("arm", "palm", "0.3 0 0", "1 0 0")]
+    follows = f'<mimic joint="to_palm" multiplier="{mimic}"/>'
+    for finger in range(5):
+        links = ["palm", *(f"finger_{finger}_{k}" for k in range(3))]
+        for before, link in pairwise(links):
+            offset = f"0.014 {0.01 * finger if before == 'palm' else 0.0} 0"
+            parts += [light(link, 2e-6, 1.1e-9), hinge(before, link, offset, "0 1 0", follows)]
+    return f'<robot name="hand">{"".join(parts)}</robot>'
+
+
+def test_mimics_of_very_light_links_are_held_to_what_an_elimination_leaves_of_them(tmp_path: Path) -> None:
+    """A factor that is off by 1e-9 is found all the same."""
+    path = tmp_path / "hand.urdf"
+    path.write_text(hand(0.9999))
+    (original, scene), *_ = urdf.read(path, base="free").report.originals
+    assert all(figure.agrees for figure in verify(original, Relative(scene)))
+    path.write_text(hand(0.9999 + 1e-9))
+    wrong = urdf.read(path, base="free").scene
+    failing = [figure for figure in verify(original, Relative(wrong)) if not figure.agrees]
+    assert "accelerations across loops, rel" in {figure.quantity for figure in failing}
