@@ -20,7 +20,12 @@ from newton_euler.analysis.sensitivity import Sensitivities, sensitivities
 from newton_euler.analysis.workspace import Workspace, singular_poses, workspace
 from newton_euler.assemble import assemble, initial_state
 from newton_euler.batch import simulate_batch
-from newton_euler.errors import IdentificationWarning, NearlyRedundantWarning, NewtonEulerError
+from newton_euler.errors import (
+    IdentificationWarning,
+    NearlyRedundantWarning,
+    NewtonEulerError,
+    RoundOffWarning,
+)
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import Gear, LinearCoupling, PolynomialCoupling
@@ -97,6 +102,7 @@ __all__ = [
     "Prismatic",
     "Revolute",
     "Rod",
+    "RoundOffWarning",
     "Sampled",
     "Scene",
     "Screw",

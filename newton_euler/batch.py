@@ -45,7 +45,7 @@ from newton_euler.model.state import State
 from newton_euler.model.trajectory import JointMotion, Trajectory, joint_motion
 from newton_euler.sampling import integrate_intervals
 from newton_euler.scalars import Array, Floats
-from newton_euler.simulate import KEPT, CompiledScene, native_trajectory
+from newton_euler.simulate import KEPT, CompiledScene, native_trajectory, warn_of_round_off
 from newton_euler.starts import assembly_of, initial_numbers
 from newton_euler.variation import run_values
 
@@ -191,6 +191,8 @@ def simulate_batch(
     chosen = formulation, integrator, stabilization, alpha
     batch = make_batch(scene, states, parameters, threads, *chosen, **control)
     batch._compiled.warn()
+    runs = (batch.settings | counted(counts) for counts in batch._runs.counts)
+    warn_of_round_off(scene, Options.of(integrator, control), runs)
     return batch
 
 

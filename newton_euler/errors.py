@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable
 from difflib import get_close_matches
+from math import ceil, log10
 from numbers import Integral, Real
 from typing import Any, TypeGuard, TypeVar
 
@@ -278,6 +279,29 @@ class NearlyRedundantWarning(UserWarning):
         >>> import warnings
         >>> warnings.simplefilter("error", NearlyRedundantWarning)  # to stop at such scenes
     """
+
+
+class RoundOffWarning(UserWarning):
+    """A tolerance that is smaller than the round-off of the equations of motion.
+
+    Attributes:
+        excess: the largest error estimate of a step that round-off explains, in units of the tolerance.
+        rtol: a tolerance that the equations can meet.
+
+    Examples:
+        >>> import warnings
+        >>> warnings.simplefilter("error", RoundOffWarning)  # to stop at such runs
+    """
+
+    def __init__(self, scene: str, formulation: str, rtol: float, atol: float, excess: float) -> None:
+        self.excess = excess
+        self.rtol = 10.0 ** ceil(log10(0.1 * excess * rtol))
+        other = "" if formulation == "cartesian" else ", or formulation='cartesian'"
+        super().__init__(
+            f"scene {scene!r}: rtol {rtol:.3g} is below the round-off of the equations: error estimates of "
+            f"steps are up to {excess:.2g} times the tolerance, which shorter steps would not change; "
+            f"use rtol={self.rtol:.0e}, atol={self.rtol * atol / rtol:.0e}{other}"
+        )
 
 
 class IdentificationWarning(UserWarning):

@@ -26,7 +26,7 @@ from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.run import Integrator, Projection, singular_joint
 from newton_euler.integrators.singular import UNSAFE
-from newton_euler.integrators.stepper import COUNTS
+from newton_euler.integrators.stepper import COUNTS, EXCESS
 from newton_euler.model.control import Readings
 from newton_euler.model.digital_control import HeldLaw
 from newton_euler.model.joint import Key
@@ -215,7 +215,9 @@ def integrate_intervals(
         if not values:  # one integrator for all of the run, which others make once for many
             start = time.perf_counter()
         results, error = integrator.attempt(x)
+        excess = max(total[EXCESS], integrator.counts[EXCESS])
         total += integrator.counts
+        total[EXCESS] = excess
         wanted = interval.wanted[: len(results)]
         parts.append(results if wanted.all() else results[wanted])
         if error:

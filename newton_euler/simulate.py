@@ -17,7 +17,13 @@ from newton_euler.equations.couplings import counted_angles, couplings
 from newton_euler.equations.parameters import pieces
 from newton_euler.equations.redundancy import NearlyRedundant, inherit_mobility
 from newton_euler.equations.system import Observation, System, at_time
-from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, OptionError, check_type
+from newton_euler.errors import (
+    NearlyRedundantWarning,
+    NewtonEulerError,
+    OptionError,
+    RoundOffWarning,
+    check_type,
+)
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.formulations import check_formulation
 from newton_euler.integrators.interpreted import integrate
@@ -41,6 +47,9 @@ from newton_euler.sampling import Controllers, holding, integrate_intervals, int
 from newton_euler.scalars import Array, unstacked
 
 KEPT = 8  # scenes, most recently simulated, whose code stays in memory
+MAX_ROUND_OFF = 20.0
+"""Largest error estimate that round-off may explain without a warning, in units of the tolerance. Below it,
+errors of runs of chains of 20 and 40 links are as small as the tolerance makes them elsewhere."""
 
 
 def simulate(
@@ -78,7 +87,9 @@ def simulate(
     check_formulation(formulation)
     compiled = _compiled(scene, formulation, stabilization, baumgarte_alpha(stabilization, alpha))
     compiled.warn()
-    return compiled._run(options)
+    found = compiled._run(options)
+    warn_of_round_off(scene, options, [found.settings])
+    return found
 
 
 @lru_cache(maxsize=KEPT)
@@ -147,7 +158,9 @@ class CompiledScene(Code):
         """Run the scene; arguments and errors as of `newton_euler.simulate`."""
         options = Options.of(integrator, control)
         self.warn()
-        return self._run(options)
+        found = self._run(options)
+        warn_of_round_off(self.scene, options, [found.settings])
+        return found
 
     def warn(self) -> None:
         """Warn of constraints that are almost redundant, where the function that calls this is called."""
@@ -172,6 +185,14 @@ def warn_of(scene: Scene, nearly: Iterable[NearlyRedundant], above: int = 0) -> 
     """Warn of almost redundant constraints, where the function that calls this is called, or calls above."""
     for weak in nearly:
         warnings.warn(f"scene {scene.name!r}: {weak}", NearlyRedundantWarning, stacklevel=above + 3)
+
+
+def warn_of_round_off(scene: Scene, options: Options, runs: Iterable[dict[str, Any]]) -> None:
+    """Warn if round-off exceeds the tolerance in runs of these settings, where the caller is called."""
+    found = max(runs, key=lambda settings: settings.get("round_off", 0.0), default={})
+    if (excess := found.get("round_off", 0.0)) > MAX_ROUND_OFF:
+        warning = RoundOffWarning(scene.name, found["formulation"], options.rtol, options.atol, excess)
+        warnings.warn(warning, stacklevel=3)
 
 
 def native_trajectory(

@@ -52,7 +52,7 @@ class Followed(NamedTuple):
     """(n, outputs) what the scene asks for."""
     derivatives: dict[str, Array]
     """(n, outputs, p) of programs, by name; of "coordinates" these themselves before."""
-    counts: dict[str, int]
+    counts: dict[str, float]
     wall_time: float
     """s, of the run and its derivatives."""
 

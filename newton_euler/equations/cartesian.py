@@ -70,7 +70,7 @@ class Cartesian(Formulation):
         self.row_owners = (*self.row_owners, *(body.name for body in self.bodies))
         self.quaternions = [slice(k + 3, k + 7) for k in range(0, self.nv, 7)]
         size, mass = mechanism.size, sum(body.mass for body in self.bodies)
-        self.velocity_units = np.tile([size] * 3 + [1.0] * 4, n)
+        self.velocity_units = self.coordinate_units = np.tile([size] * 3 + [1.0] * 4, n)
         self.force_units = np.tile([mass * size] * 3 + [mass * size**2] * 3, n)
 
     # Section 2: coordinates

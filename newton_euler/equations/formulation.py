@@ -78,6 +78,8 @@ class Formulation(System):
     inertias: list[Array]
     """(3, 3) of each body about its center of mass, in the frame of its reference pose, kg m^2."""
     velocity_units: Array
+    coordinate_units: Array
+    """Units of the coordinates of bodies or of the tree: the mechanism's size, m, for lengths, else 1."""
     quaternions: list[slice]
 
     def __init__(

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import sqrt
 
-from newton_euler.codegen.native import Record, Vector, native
+from newton_euler.codegen.native import Record, Shared, Vector, native
 from newton_euler.integrators.dense_projection import Closing, close
 from newton_euler.integrators.dop853_tableau import (
     COUPLING,
@@ -23,10 +23,12 @@ from newton_euler.integrators.dop853_tableau import (
     STAGES,
 )
 from newton_euler.integrators.projection import begin_adaptive, finish_step, project_rows
+from newton_euler.integrators.round_off import ROUGH, ROUND_OFF_MARGIN, measure_round_off
 from newton_euler.integrators.row_exchange import RowExchange, copy_flags, exchange_rows
 from newton_euler.integrators.singular import HOP, HOPS, NEAR, UNSAFE, crossing_factor, evaluate
 from newton_euler.integrators.stepper import (
     DONE,
+    EXCESS,
     HUGE,
     REJECTED,
     SPACING,
@@ -49,10 +51,10 @@ SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
 EXPONENT = -1.0 / 8.0
 """Of the error in the factor for the next step."""
 
-SIZE, GROWTH, HOPPED, DUE, UNCUT, BEYOND, LEAVES = 0, 1, 2, 3, 4, 5, 6
+SIZE, GROWTH, HOPPED, DUE, UNCUT, BEYOND, LEAVES, SMOOTHNESS, NOISY = 0, 1, 2, 3, 4, 5, 6, 7, 8
 """Places in the vector `control`."""
 
-CONTROLS = 7
+CONTROLS = 9
 
 FAILED = 1e10
 """Stands for the error of a step that could not be evaluated or projected."""
@@ -67,15 +69,18 @@ class Dop853(Record):
         near_rtol, near_atol: the same next to a singular configuration, which may be larger.
         most: the largest number of steps.
         rest: rates, SI, below which a mechanism stays where it is until the end; 0 for never.
+        units: (n,) of the state, SI: numbers below their unit have the absolute round-off of the unit.
         now, at, end: states with time and parameters: where a step begins, of a stage, where it ends.
         k: (16, n + 1) derivatives of the stages.
         terms: (7, n) of the dense output.
         room: number of steps that are kept, the first ones.
         steps: (room, n + 2 + flags) states, times and flags where steps begin, and the sizes of the steps.
+        round_off: (n,) of the rates, SI, as measured so far in steps that looked like round-off.
         control: (CONTROLS,) size of the next step, s, the largest factor for the one after it, tries to place
             it, the row of the table that is due, the size before the step was cut to end with the run, s, 1
-            if steps may go beyond that end, and 1 until the run has left a singular configuration where it
-            began.
+            if steps may go beyond that end, 1 until the run has left a singular configuration where it
+            began, the ratio of the squared error estimates of orders 3 and 5 of the last step, and 1 if
+            round-off made most of the error estimate where it was measured last.
     """
 
     rtol: float
@@ -84,6 +89,7 @@ class Dop853(Record):
     near_atol: float
     most: int
     rest: float
+    units: Shared
     now: Vector
     at: Vector
     end: Vector
@@ -91,6 +97,7 @@ class Dop853(Record):
     terms: Vector
     room: int
     steps: Vector
+    round_off: Vector
     control: Vector
 
 
@@ -142,8 +149,9 @@ def stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> in
 
 
 @native
-def error_norm(system: Equations, h: float, method: Dop853) -> float:
-    """Estimate the error of a step in units of the tolerance, root mean square."""
+def error_norm(system: Equations, h: float, margin: float, method: Dop853) -> float:
+    """Estimate the error of a step, root mean square, in units of the tolerance and `margin` times the
+    round-off that rates add in the step."""
     row = system.n + 1
     now = method.now
     end = method.end
@@ -152,6 +160,7 @@ def error_norm(system: Equations, h: float, method: Dop853) -> float:
     third = 0.0
     for i in range(system.n):
         scale = method.atol + method.rtol * max(abs(now[i]), abs(end[i]))
+        scale += margin * h * method.round_off[i]
         five = 0.0 + ERROR_5[0] * k[i]
         three = 0.0 + ERROR_3[0] * k[i]
         for j in range(SECOND_OF_STEP, STAGES):
@@ -160,7 +169,9 @@ def error_norm(system: Equations, h: float, method: Dop853) -> float:
         fifth += (five / scale) * (five / scale)
         third += (three / scale) * (three / scale)
     if fifth == 0.0 and third == 0.0:
+        method.control[SMOOTHNESS] = HUGE
         return 0.0
+    method.control[SMOOTHNESS] = third / fifth if fifth > 0.0 else HUGE
     return h * fifth / sqrt((fifth + 0.01 * third) * system.n)
 
 
@@ -335,6 +346,8 @@ def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853
         return status
     copy_flags(system.exchange, now, method.at)
     copy_flags(system.exchange, now, method.end)
+    for i in range(system.n):
+        method.round_off[i] = 0.0
     method.control[DUE] = 1.0
     stay(system, table, states, method)
     if method.control[DUE] < table.count:
@@ -343,6 +356,7 @@ def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853
     method.control[HOPPED] = 0.0
     method.control[BEYOND] = 0.0
     method.control[LEAVES] = 1.0
+    method.control[NOISY] = 0.0
     return DONE
 
 
@@ -384,8 +398,17 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     pivot_ratio = min(pivot_ratio, k[n])
     error = FAILED
     if status == DONE:
-        error = error_norm(system, h, method)
+        error = error_norm(system, h, 0.0, method)
         end[n] = now[n] + h
+    excess = error
+    rough = 0
+    if control[SMOOTHNESS] < ROUGH or (control[NOISY] == 1.0 and error >= 1.0):
+        rough = 1
+    if status == DONE and rough == 1 and pivot_ratio >= NEAR:
+        spare = k[row * (STAGES + 1) :]
+        if measure_round_off(system, h, now, method.units, method.at, k, spare, method.round_off) == DONE:
+            error = min(error, error_norm(system, h, ROUND_OFF_MARGIN, method))
+        control[NOISY] = 1.0 if error < 0.5 * excess else 0.0
     near = 0
     if system.projecting == 1 and pivot_ratio < NEAR and status == DONE:
         near = 1
@@ -407,6 +430,8 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         return DONE
     keep_step(system.exchange, h, method, int(counts[STEPS]))
     counts[STEPS] += 1.0
+    if near == 0 and excess >= 1.0:
+        counts[EXCESS] = max(counts[EXCESS], excess)
     control[HOPPED] = 0.0
     if table.times[int(control[DUE])] <= now[n] + h:
         status = write_outputs(system, table, states, method, near)

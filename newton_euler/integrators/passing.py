@@ -162,6 +162,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
             near_atol=self._tolerances[1],
             most=0,
             rest=0.0,
+            units=np.zeros(0),
             now=np.append(self.y, self.t),
             at=end.copy(),
             end=end,
@@ -169,6 +170,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
             terms=np.zeros(0),
             room=0,
             steps=np.zeros(0),
+            round_off=np.zeros(0),
             control=np.zeros(0),
         )
         closing = self._close.closing

@@ -88,6 +88,17 @@ def marks(code: Code, integrator: str) -> Array:
     return marked
 
 
+def round_off_units(code: Code) -> Array:
+    """Return the units (size,) below which coordinates have the absolute round-off of their unit.
+
+    Carried angles have the unit 1. Velocities and the work have none: their round-off is relative.
+    """
+    system, found = code.system, np.zeros(code.size)
+    found[: system.carried.start] = system.coordinate_units
+    found[system.carried] = 1.0
+    return found
+
+
 def most_steps(options: Options) -> int:
     """Return the largest number of steps of an adaptive method."""
     return min(options.most_steps or MOST_STEPS, COUNTED)
@@ -362,6 +373,7 @@ def method_of(code: Code, options: Options, most: int, steps: Array, lanes: int 
             near_atol=near[1],
             most=most,
             rest=options.rest,
+            units=round_off_units(code),
             now=scratch(code.inputs),
             at=scratch(code.inputs),
             end=scratch(code.inputs),
@@ -369,6 +381,7 @@ def method_of(code: Code, options: Options, most: int, steps: Array, lanes: int 
             terms=scratch(7, n),
             room=len(steps),
             steps=steps,
+            round_off=scratch(n),
             control=scratch(CONTROLS),
         )
     return Radau(

@@ -26,11 +26,12 @@ UNDETERMINED, UNPROJECTED = 8, 9
 """Statuses: how an integration ended."""
 
 STEPS, EVALUATIONS, REJECTED, DENSE_CALLS = 0, 1, 2, 3
-REACHED, WISH, WRITTEN, SHORT, STATUS = 4, 5, 6, 7, 8
+REACHED, WISH, WRITTEN, SHORT, STATUS, EXCESS = 4, 5, 6, 7, 8, 9
 """Places in the vector of counts; REACHED is the time, s, WISH is not 0 to stop, WRITTEN are rows of states,
-SHORT are steps in a row below the share `TINY` of the whole, STATUS is how the run ended."""
+SHORT are steps in a row below the share `TINY` of the whole, STATUS is how the run ended, EXCESS is the
+largest error estimate, in units of the tolerance, of a step that was taken because round-off explains it."""
 
-COUNTS = 9
+COUNTS = 10
 
 STOP, LEAVE = 1.0, 2.0
 """Wishes: that no more runs are made, and that this one is left, to be made by other code."""
@@ -126,10 +127,15 @@ class Table(Record):
     tallies: Shared
 
 
-def counted(counts: Array) -> dict[str, int]:
-    """Return the counts of a run, (COUNTS,), that are of interest to users, by name."""
+def counted(counts: Array) -> dict[str, float]:
+    """Return the counts of a run, (COUNTS,), that are of interest to users, by name.
+
+    If round-off explains error estimates beyond the tolerance, "round_off" is the largest of them in units of
+    the tolerance.
+    """
     names = {"steps": STEPS, "rejected": REJECTED, "evaluations": EVALUATIONS, "dense": DENSE_CALLS}
-    return {name: int(counts[place]) for name, place in names.items()}
+    found: dict[str, float] = {name: int(counts[place]) for name, place in names.items()}
+    return found | ({"round_off": float(counts[EXCESS])} if counts[EXCESS] > 0.0 else {})
 
 
 @native

@@ -199,6 +199,15 @@ class SpanningTree:
         """(nv,) what makes velocities dimensionless: the mechanism's size for slides, 1 for angles."""
         return np.where(self.is_length, self.mechanism.size, 1.0)
 
+    @cached_property
+    def coordinate_units(self) -> Array:
+        """(nq,) units of coordinates: the mechanism's size, m, for slides, 1 for angles and quaternions."""
+        found = np.ones(self.nq)
+        for motion, on_q, _ in self.motions:
+            if motion.kind == "slide":
+                found[on_q] = self.mechanism.size
+        return found
+
     def place(self, joint: str, coordinate: int) -> tuple[int, int] | None:
         """Return the places in q and v of a joint's hinge or slide number `coordinate`; None if cut."""
         kept = self._kept.get(self.mechanism.joint_index(joint))

@@ -1,0 +1,73 @@
+"""Round-off of the rates, which no step size changes, measured where an error estimate looks like noise.
+
+Round-off of the rates adds to the error estimate of a step in proportion to the step size. Over a run the sum
+is the same for steps of any length, so that shorter steps gain nothing. In joint coordinates the round-off
+grows with the length of a chain: U. M. Ascher, D. K. Pai, B. P. Cloutier, Forward dynamics, elimination methods
+and formulation stiffness in robot simulation, International Journal of Robotics Research 16(6), 1997.
+
+Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
+"""
+
+from __future__ import annotations
+
+from newton_euler.codegen.native import Shared, Vector, native
+from newton_euler.integrators.singular import evaluate
+from newton_euler.integrators.stepper import DONE, SPACING, Equations
+
+ROUGH = 300.0
+"""Ratio of the squared error estimates of orders 3 and 5 below which both may be round-off. Round-off alone
+gives 12, the squared ratio of the lengths of the two rows of coefficients, within a factor of 10. Errors of
+the method give more the shorter a step is."""
+
+ROUND_OFF_MARGIN = 3.0
+"""Factor between a measured sample of the round-off of the rates and the round-off that a step may have."""
+
+MEMORY = 0.97
+"""Factor by which an earlier sample of the round-off counts at each new one: single samples may be small."""
+
+
+@native
+def measure_round_off(
+    system: Equations,
+    h: float,
+    now: Vector,
+    units: Shared,
+    at: Vector,
+    rates: Vector,
+    spare: Vector,
+    round_off: Vector,
+) -> int:
+    """Measure the round-off of the rates (n,) at the start of a step of size h; returns a status.
+
+    The rates are evaluated again at a state changed by its own round-off. The rates of coordinates are
+    evaluated once more at a state changed by what the first change of the rates adds within the step. The end
+    of the step would not do: if the step is much too long, the state there is anything.
+
+    Args:
+        now: state at the start, with time and parameters.
+        units: (n,) of the state, SI: numbers below their unit have the absolute round-off of the unit.
+        at: a state with time and parameters, scratch.
+        rates: (n,) at `now`.
+        spare: 2 (n + 1) numbers, scratch.
+        round_off: (n,) of the rates, SI; its earlier values count, too.
+    """
+    n = system.n
+    changed = spare[n + 1 :]
+    for i in range(n):
+        change = SPACING * max(abs(now[i]), units[i])
+        at[i] = now[i] + change if i % 2 == 0 else now[i] - change
+    at[n] = now[n]
+    status = evaluate(system, at, spare)
+    if status != DONE:
+        return status
+    for i in range(n):
+        at[i] = now[i] + h * (spare[i] - rates[i])
+    status = evaluate(system, at, changed)
+    if status != DONE:
+        return status
+    for i in range(n):
+        sample = abs(spare[i] - rates[i])
+        if i < system.nq:
+            sample = max(sample, abs(changed[i] - rates[i]))
+        round_off[i] = max(MEMORY * round_off[i], sample)
+    return DONE
