@@ -20,6 +20,7 @@ from newton_euler.assemble import check_revolutions, initial_state
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
+from newton_euler.equations.applied_forces import surroundings
 from newton_euler.equations.couplings import counted_angles
 from newton_euler.equations.parameters import measuring, numbered, pieces, with_values
 from newton_euler.equations.redundancy import mobility
@@ -30,6 +31,7 @@ from newton_euler.errors import MechanismError, SingularityError, check_type, fi
 from newton_euler.integrators.compiled import NEUTRAL
 from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.projection import worst_joint
+from newton_euler.model.elements import CoordinateForce
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State, whole_revolutions
@@ -38,7 +40,7 @@ from newton_euler.scalars import Array, Floats, Scalar, minimum
 
 NEAR = 1e-4  # dimensionless singular value, of the rows of which one is named, of a failed elimination
 KEPT = 8  # scenes, most recently used, whose code stays in memory
-AT_REST = 1e-7  # share of the largest force that may accelerate a body in statics: round-off
+AT_REST = 1e-7  # share of the forces on a body that may accelerate it in statics: round-off
 OPEN = 1e-6  # sizes of the mechanism, or rad, that loops of a state may be open by: more than engines leave
 
 
@@ -178,7 +180,7 @@ def statics(
     zeros = [np.zeros(len(given))] * len(compiled.servos.coordinates)
     times = np.zeros(len(given))
     found = compiled.loads(given, given.coordinates(compiled.system, times), zeros, times)
-    compiled.check_at_rest(found)
+    compiled.check_at_rest(given, found)
     return found.loads
 
 
@@ -408,7 +410,7 @@ class InverseDynamics:
             rows.append(np.concatenate([array.ravel() for array in _arrays(found)]))
         return np.array(rows)
 
-    def check_at_rest(self, found: Solved) -> None:
+    def check_at_rest(self, given: States, found: Solved) -> None:
         """Raise `MechanismError` for a body that forces accelerate."""
         mechanism, size = self.scene.mechanism, self.scene.mechanism.size
         mass = np.array([body.mass for body in mechanism.bodies])
@@ -418,20 +420,62 @@ class InverseDynamics:
             for array in (found.linear_acceleration, found.angular_acceleration)
         )
         left = np.atleast_2d(mass * linear + inertia * angular / size)
-        # what round-off is measured against, N: torques act at arms of the mechanism's size
-        weight = float(np.sum(mass) * np.linalg.norm(self.scene.gravity))
-        loads = found.loads
-        arms = np.array([1.0 if mechanism.is_slide(*key) else size for key in self.servos.actuators])
-        forces = max(
-            weight,
-            float(np.abs(loads.reaction_force).max(initial=0.0)),
-            float(np.abs(loads.reaction_torque).max(initial=0.0)) / size,
-            float(np.abs(loads.actuator_force / arms).max(initial=0.0)),
+        known = self._forces_on_bodies(found.loads)
+        for row in np.flatnonzero(np.any(left > AT_REST * self._scale(known), axis=1)):
+            forces = self._scale(known[row] + self._applied(given.state(int(row))))
+            moved = np.flatnonzero(left[row] > AT_REST * forces)
+            if len(moved):
+                body = moved[np.argmax(left[row, moved])]
+                problem = f"is left with a force of {left[row, body]:.3g} N at state {row}"
+                raise MechanismError(
+                    f"body {mechanism.body_names[body]!r}", problem, "actuators that hold it"
+                )
+
+    def _forces_on_bodies(self, loads: Loads) -> Array:
+        """Add up the sizes, N, of weights, reactions and actuators at each body (n, b).
+
+        Torques act at arms of the mechanism's size.
+        """
+        mechanism, size = self.scene.mechanism, self.scene.mechanism.size
+        forces, torques, acting = (
+            array if array.ndim > single else array[None]
+            for array, single in (
+                (loads.reaction_force, 2),
+                (loads.reaction_torque, 2),
+                (loads.actuator_force, 1),
+            )
         )
-        if np.any(left > AT_REST * forces):
-            row, body = np.unravel_index(np.argmax(left), left.shape)
-            problem = f"is left with a force of {left[row, body]:.3g} N at state {row}"
-            raise MechanismError(f"body {mechanism.body_names[body]!r}", problem, "actuators that hold it")
+        weights = [body.mass * np.linalg.norm(self.scene.gravity) for body in mechanism.bodies]
+        found = np.tile(weights, (len(forces), 1))
+        at_joints = np.linalg.norm(forces, axis=-1) + np.linalg.norm(torques, axis=-1) / size
+        for key, force in zip(self.servos.actuators, acting.T, strict=True):
+            arm = 1.0 if mechanism.is_slide(*key) else size
+            at_joints[:, mechanism.joint_index(key[0])] += np.abs(force) / arm
+        for joint, equations in enumerate(mechanism.equations):
+            found[:, [equations.first, equations.second]] += at_joints[:, [joint]]
+        return found
+
+    def _applied(self, state: State) -> Array:
+        """Add up the sizes, N, of springs, wrenches and wind at each body (b,)."""
+        mechanism, at = self.scene.mechanism, surroundings(self.scene, state)
+        found = np.zeros(len(mechanism.bodies))
+        for force in self.scene.forces:
+            if isinstance(force, CoordinateForce):
+                equations = mechanism.joint_equations(force.joint)
+                bodies = [equations.first, equations.second]
+            else:
+                bodies = [body for body, _ in force.wrenches(at)]
+            found[bodies] += force.magnitude(at)
+        return found
+
+    def _scale(self, forces: Array) -> Array:
+        """Return the forces (..., b) that accelerations of bodies are measured against, N.
+
+        A body on which little acts has the round-off of its neighbors' accelerations: those that all forces
+        together give all masses.
+        """
+        mass = np.array([body.mass for body in self.scene.mechanism.bodies])
+        return np.maximum(forces, mass * forces.sum(axis=-1, keepdims=True) / mass.sum())
 
 
 def _arrays(found: Evaluation) -> tuple[Array, ...]:

@@ -2,8 +2,8 @@
 
 Round-off of the rates adds to the error estimate of a step in proportion to the step size. Over a run the sum
 is the same for steps of any length, so that shorter steps gain nothing. In joint coordinates the round-off
-grows with the length of a chain: U. M. Ascher, D. K. Pai, B. P. Cloutier, Forward dynamics, elimination methods
-and formulation stiffness in robot simulation, International Journal of Robotics Research 16(6), 1997.
+grows with the length of a chain: U. M. Ascher, D. K. Pai, B. P. Cloutier, Forward dynamics, elimination
+methods and formulation stiffness in robot simulation, Int. Journal of Robotics Research 16(6), 1997.
 
 Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
 """

@@ -21,7 +21,7 @@ from newton_euler.equations.parameters import measuring
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.servos import servos_of
 from newton_euler.equations.system import at_time
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import MechanismError, NewtonEulerError
 from newton_euler.exercise import random_states
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotation
@@ -437,3 +437,59 @@ def test_actuator_holds_balanced_wheel_against_its_spring(angle: float) -> None:
     scene = Scene("wheel", mechanism, 1.0, 0.5, forces=[JointSpring("axle", stiffness=0.7)])
     held = statics(start(scene, axle=(angle, 0.0)), actuators=["axle"])
     assert held.actuator_force == pytest.approx([0.7 * angle], rel=1e-12)  # some roundings
+
+
+def two_arms(masses, lengths, gravity):
+    """Return two rods in a row on hinges about y, the second on the first, at 0.4 and 1.3 rad."""
+    (m1, m2), (l1, l2) = masses, lengths
+    first = Body("first", m1, [l1 / 2.0, 0.0, 0.0], m1 * l1**2 / 12.0 * np.eye(3))
+    second = Body("second", m2, [l1 + l2 / 2.0, 0.0, 0.0], m2 * l2**2 / 12.0 * np.eye(3))
+    hinges = [
+        Revolute("shoulder", "ground", "first", [0.0, 0.0, 0.0], axis=[0.0, 1.0, 0.0]),
+        Revolute("elbow", "first", "second", [l1, 0.0, 0.0], axis=[0.0, 1.0, 0.0]),
+    ]
+    mechanism = Mechanism([Body.ground(), first, second], hinges)
+    scene = Scene("arms", mechanism, 1.0, 0.5, gravity=[0.0, 0.0, -gravity])
+    return start(scene, shoulder=(0.4, 0.0), elbow=(0.9, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("masses", "lengths", "gravity"),
+    [
+        ((1.0, 1e6), (1.0, 1.0), 9.81),
+        ((1e6, 1.0), (1.0, 1.0), 9.81),
+        ((1e6, 1e-3), (1e3, 1e-3), 9.81),
+        ((1e-6, 1e-6), (1e-3, 1e-3), 9.81),
+        ((1.0, 1e-3), (1.0, 1.0), 1e6),
+        ((1e3, 1e-3), (1.0, 1.0), 1e-6),
+    ],
+)
+def test_statics_of_masses_lengths_and_gravity_of_any_size(masses, lengths, gravity):
+    """Torques of two arms under their weights, from levers; each body is held or not by its own forces."""
+    scene = two_arms(masses, lengths, gravity)
+    (m1, m2), (l1, l2) = masses, lengths
+    elbow = -m2 * gravity * l2 / 2.0 * np.cos(1.3)
+    shoulder = -(m1 / 2.0 + m2) * gravity * l1 * np.cos(0.4) + elbow
+    held = statics(scene, actuators=["shoulder", "elbow"]).actuator_force
+    # the light arm's torque comes out of points 1e6 of its lengths away: 1e-16 times that
+    assert held == pytest.approx([shoulder, elbow], rel=1e-9)
+    with pytest.raises(MechanismError, match="body 'second': is left with"):
+        statics(scene, actuators=["shoulder"])
+
+
+def test_springs_that_hold_each_other_are_in_balance():
+    """Two springs along a slide pull with 0.56 N each and nothing else acts: round-off is no motion."""
+    along = np.array([0.3, 0.2, 0.1]) / np.linalg.norm([0.3, 0.2, 0.1])
+    body = Body("carriage", 1.0, [0.0, 0.0, 0.0], 0.01 * np.eye(3))
+    mechanism = Mechanism(
+        [Body.ground(), body], [Prismatic("rail", "ground", "carriage", [0.0, 0.0, 0.0], axis=along)]
+    )
+    springs = [
+        PointSpring("fore", "ground", "carriage", 1.1 * along, 0.0 * along, stiffness=0.7, rest_length=0.3),
+        PointSpring("aft", "ground", "carriage", -1.3 * along, 0.0 * along, stiffness=0.56, rest_length=0.3),
+    ]
+    scene = Scene("rail", mechanism, 1.0, 0.5, gravity=[0.0, 0.0, 0.0], forces=springs)
+    assert np.abs(statics(scene, actuators=[]).reaction_force).max() < 1e-15  # of 0.56 N
+    slack = replace(springs[1], stiffness=0.56 * (1.0 + 1e-6))
+    with pytest.raises(MechanismError, match=r"left with a force of 5\.6e-07 N"):
+        statics(replace(scene, forces=[springs[0], slack]), actuators=[])
