@@ -132,6 +132,10 @@ def csv_rows(path: str, text: str) -> list[Row]:
         rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
     except csv.Error as error:
         raise SourceError(path, f"line {reader.line_num}: {error}") from error
+    for line, cells in rows:
+        for cell in cells:
+            if not cell.isprintable():
+                raise SourceError(path, f"line {line}: {cell!r:.100} has a control character; remove it")
     for separator in ";\t":
         if rows and len(rows[0][1]) == 1 and separator in rows[0][1][0]:
             problem = f"columns are separated by {separator!r}"

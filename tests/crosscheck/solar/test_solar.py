@@ -15,6 +15,7 @@ from crosscheck.solar.report import table_of_commands, verdict
 from crosscheck.solar.tracking import Tracking
 from crosscheck.solar.wind import wind_over_day
 from newton_euler import Sampled
+from newton_euler.model.source_file import SourceError
 
 pd = pytest.importorskip("pandas")
 pytest.importorskip("pvlib")
@@ -116,20 +117,20 @@ def test_a_windy_day_is_told_of(tmp_path):
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        ("time,speed\n0,1\n9,x\n86400,1\n", "line 3: speed is no number of m/s, 0 or more"),
-        ("time,speed\n0,1\n9,-1\n86400,1\n", "line 3: speed is no number of m/s, 0 or more"),
-        ("time,speed\n0,1\n,2\n86400,1\n", "line 3: time is no number"),
-        ("time,speed\n0,1\n0,2\n86400,1\n", "line 3: time is not after the one before"),
+        ("time,speed\n0,1\n9,x\n86400,1\n", "line 3: speed is 'x'; needed: a finite number"),
+        ("time,speed\n0,1\n9,-1\n86400,1\n", "line 3: speed is -1; needed: 0 m/s or more"),
+        ("time,speed\n0,1\n,2\n86400,1\n", "line 3: time is missing; needed: a finite number"),
+        ("time,speed\n0,1\n0,2\n86400,1\n", "line 3: time is 0; needed: times in ascending order"),
         ("time,speed\n0,1\n9,2\n", "speeds from 0 to 9 s; needed: the whole day, 0 to 86400 s"),
         ("time,wind\n0,1\n", "has time, wind; needed: columns time, s since midnight, and speed, m/s"),
         ("time,speed\n", "has no rows; needed: columns"),
-        ("", "No columns to parse from file; needed: columns"),
+        ("", "has no rows; needed: columns"),
     ],
 )
 def test_winds_that_are_none(tmp_path, rows, message):
     path = tmp_path / "wind.csv"
     path.write_text(rows)
-    with pytest.raises(CrosscheckError) as caught:
+    with pytest.raises((CrosscheckError, SourceError)) as caught:
         wind_over_day(str(path), seconds_of_day(60.0))
     assert str(caught.value).startswith(f"{path}: {message}")
     with pytest.raises(CrosscheckError, match="--wind is -3; needed: a number of m/s, 0 or more"):
