@@ -19,6 +19,11 @@ class CrosscheckError(Exception):
         runs is 0; needed: a whole number, 1 to 4294967296
     """
 
+    def __init__(self, message: str) -> None:
+        from newton_euler.errors import one_line  # which the command line starts without
+
+        super().__init__(one_line(message))
+
 
 def short_of_memory(error: BaseException | None) -> bool:
     """True if an error, or one that it comes from, is that memory or threads are not to be had."""

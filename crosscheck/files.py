@@ -14,11 +14,20 @@ from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.limit import tidied_up
+from newton_euler.errors import quoted
+from newton_euler.model.source_file import is_path
 from newton_euler.model.trajectory import atomic_file
 
 ABANDONED = 60.0
 """s after which an unfinished file is that of a process that was killed: files are made in memory first,
 and writing them takes no longer."""
+
+
+def path_of(given: str | os.PathLike[str]) -> Path:
+    """Return a path; raises `CrosscheckError` for text that no file system takes."""
+    if not is_path(text := os.fspath(given)):
+        raise CrosscheckError(f"{quoted(text)} is no path")
+    return Path(text)
 
 
 def check_writable(*paths: Path) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from crosscheck.comparison.diagnosis import Diagnosis
 from crosscheck.comparison.figure import Figure
 from crosscheck.engines import ENGINES, choose
-from crosscheck.files import check_writable
+from crosscheck.files import check_writable, path_of
 from crosscheck.load import exercised, load_scene
 from crosscheck.outcome import Outcome
 from crosscheck.report.output import own_name, to_record, write
@@ -23,6 +23,8 @@ from crosscheck.report.render import terminal, wrapped
 from crosscheck.report.run import report
 from crosscheck.report.table import Report
 from crosscheck.run import Crosscheck, crosscheck
+from newton_euler.arguments import checked
+from newton_euler.errors import items_of
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Floats
 
@@ -89,6 +91,7 @@ class Verdict:
     def _repr_html_(self) -> str:
         return rendered("summary.html", report=self.report)
 
+    @checked
     def assert_agrees(self, allow_reduced: bool = False) -> None:
         """Raise `AssertionError`, with the verdict and the worst figure of each level, unless all agree.
 
@@ -99,6 +102,7 @@ class Verdict:
         if not self.outcome.passes(allow_reduced):
             raise AssertionError(str(self))
 
+    @checked
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write trajectories, figures and the recording, as `crosscheck run --output FOLDER`.
 
@@ -109,9 +113,10 @@ class Verdict:
             CrosscheckError: naming a path that cannot be written.
         """
         name = own_name(self.crosscheck.source or self.crosscheck.scene.name)
-        recording = Path(folder) / f"{name}.rrd"
+        path = path_of(folder)
+        recording = path / f"{name}.rrd"
         check_writable(recording)
-        return write(self.crosscheck, self.report, Path(folder), recording, name)
+        return write(self.crosscheck, self.report, path, recording, name)
 
     def show(self) -> None:
         """Open the recording in the Rerun viewer, in a notebook below the cell."""
@@ -121,6 +126,7 @@ class Verdict:
         show(log_run, *to_record(self.crosscheck, self.report))
 
 
+@checked
 def check(
     model: Model,
     engines: Sequence[str] = tuple(ENGINES),
@@ -158,5 +164,5 @@ def check(
 
 def _text(value: str | float | Sequence[float] | Floats) -> str:
     """Return an option as a command takes it, numbers with all their digits."""
-    several = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str | bytes)
-    return ",".join(map(str, np.asarray(value).tolist())) if several else str(value)
+    numbers = items_of(value)
+    return str(value) if numbers is None else ",".join(map(str, np.asarray(numbers).tolist()))

@@ -20,7 +20,7 @@ from collections.abc import Sized
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeAlias, Unpack
+from typing import Annotated, Any, TypeAlias, Unpack
 
 import mujoco
 import numpy as np
@@ -38,6 +38,7 @@ from mjcf.reading.loops import Loops
 from mjcf.reading.plausibility import key_findings, mesh_findings
 from mjcf.reading.source import UNNAMED, SourceError, compiled, given, model_name
 from mjcf.reading.start import Start
+from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.assemble import assemble
 from newton_euler.errors import NewtonEulerError, OptionError
 from newton_euler.exercise import HIGHEST, LOWEST, moving
@@ -85,8 +86,9 @@ class Reading:
     drives: dict[int, Drive] = field(default_factory=dict)
 
 
+@checked
 def read(
-    model: str | os.PathLike[str] | MujocoModel,
+    model: Annotated[str | os.PathLike[str] | MujocoModel, UNCHECKED],
     key: str | None = None,
     root: str | None = None,
     **options: Unpack[ReadOptions],
@@ -112,7 +114,7 @@ def read(
     with heard_warnings() as warnings:
         if isinstance(model, str | os.PathLike):
             where = path_text(model, SourceError)
-            made, sizes = compiled(where, root)
+            made, sizes = compiled(where, None if root is None else path_text(root, SourceError))
         else:
             where, made, sizes = given(model)
             if root is not None:

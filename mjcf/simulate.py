@@ -13,10 +13,11 @@ import numpy as np
 
 from mjcf.errors import DivergenceError, heard_warnings
 from mjcf.write import SOLIMP, TIMESTEP
+from newton_euler.arguments import checked
 from newton_euler.assemble import initial_state
 from newton_euler.equations.applied_forces import blamed, surroundings
 from newton_euler.equations.parameters import pieces
-from newton_euler.errors import OptionError, UnknownNameError, check_type
+from newton_euler.errors import OptionError, UnknownNameError
 from newton_euler.integrators.options import MOST_FIXED_STEPS
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory
@@ -36,6 +37,7 @@ IntegratorName = Literal["RK4", "Euler", "implicit", "implicitfast"]
 INTEGRATORS: tuple[IntegratorName, ...] = get_args(IntegratorName)
 
 
+@checked
 def simulate(
     scene: Scene,
     timestep: float | None = None,
@@ -65,7 +67,6 @@ def simulate(
         >>> mjcf.simulate(load("pendulum"), timestep=0.001)
         <Trajectory of mujoco: 1001 outputs to 10 s, bodies: 2, joints: 1>
     """
-    check_type("scene", scene, Scene)
     wanted = _step(scene, timestep)
     plan = [
         (interval, [_fitting(float(length), wanted) for length in np.diff(interval.times)])

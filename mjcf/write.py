@@ -33,11 +33,11 @@ from mjcf.forces import (
     wrenches,
 )
 from mjcf.layout import Layout, number, numbers
+from newton_euler.arguments import checked
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import Coupling, TreeCouplings, couplings
 from newton_euler.equations.model_control import roles
 from newton_euler.equations.relative import Relative
-from newton_euler.errors import check_type
 from newton_euler.model.control import NO_FORCES, PD, Readings
 from newton_euler.model.digital_control import HeldLaw, Law
 from newton_euler.model.euler_parameters import conjugate, from_rotation, product, rotation
@@ -90,6 +90,7 @@ DEEPEST = 490
 GROUND_COLOR = "0.6 0.6 0.6 1"
 
 
+@checked
 def write(scene: Scene, path: str | os.PathLike[str]) -> None:
     """Write the scene's MJCF; the file appears whole or not at all. Raises `MjcfError`.
 
@@ -104,6 +105,7 @@ def write(scene: Scene, path: str | os.PathLike[str]) -> None:
         raise MjcfError(f"cannot write {os.fspath(path)!r}: {error.strerror}") from error
 
 
+@checked
 def to_xml(scene: Scene) -> str:
     """The scene as an MJCF document; numbers keep all their digits. Raises `MjcfError`.
 
@@ -111,7 +113,6 @@ def to_xml(scene: Scene) -> str:
         >>> mjcf.to_xml(load("pendulum"))[:7]
         '<mujoco'
     """
-    check_type("scene", scene, Scene)
     return welded_to_xml(scene, weld_loops(scene.mechanism, keep_bodies=True, loaded=scene.loaded_balls))
 
 

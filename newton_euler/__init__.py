@@ -21,6 +21,7 @@ from newton_euler.analysis.workspace import Workspace, singular_poses, workspace
 from newton_euler.assemble import assemble, initial_state
 from newton_euler.batch import simulate_batch
 from newton_euler.errors import (
+    ArgumentError,
     IdentificationWarning,
     NearlyRedundantWarning,
     NewtonEulerError,
@@ -61,6 +62,7 @@ from newton_euler.variation import start, with_parameters
 
 __all__ = [
     "PD",
+    "ArgumentError",
     "Armature",
     "Axis",
     "BallArmature",

@@ -9,12 +9,13 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from newton_euler.arguments import checked
 from newton_euler.equations.applied_forces import surroundings
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.couplings import counted_angles, couplings, residuals, revolutions
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.redundancy import mobility
-from newton_euler.errors import AssemblyError, MechanismError, check_type
+from newton_euler.errors import AssemblyError, MechanismError
 from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.geometry import UNIT_TOLERANCE
 from newton_euler.model.joint import JointEquations, Key
@@ -27,6 +28,7 @@ VELOCITY_TOLERANCE = 1e-9  # of the largest speed, in sizes of the mechanism, at
 CHECKED: WeakKeyDictionary[Scene, State] = WeakKeyDictionary()  # consistent states that scenes start from
 
 
+@checked
 def assemble(scene: Scene, guess: State) -> State:
     """The consistent state near a guess: positions first, then velocities, by steps of least length.
 
@@ -41,7 +43,6 @@ def assemble(scene: Scene, guess: State) -> State:
         >>> initial_state(replace(scene, initial_state=state)) is state
         True
     """
-    check_type("scene", scene, Scene)
     scene.check_numbers(guess, f"guess for scene {scene.name!r}")
     system = Cartesian(scene)
     q, v = system.coordinates(guess)
@@ -49,6 +50,7 @@ def assemble(scene: Scene, guess: State) -> State:
     return system.state(q, project_velocity(system, q, v))
 
 
+@checked
 @np.errstate(all="ignore")  # what overflows is refused, here or by a run
 def initial_state(scene: Scene) -> State:
     """The consistent state that runs of a scene start from: the given one, or what it stands for if none is.
@@ -63,7 +65,6 @@ def initial_state(scene: Scene) -> State:
         >>> initial_state(load("four_bar")).quaternion.shape
         (6, 4)
     """
-    check_type("scene", scene, Scene)
     if scene not in CHECKED:
         state = scene.initial_state
         if state is None:

@@ -11,11 +11,12 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from queue import Empty, SimpleQueue
-from typing import Any, Unpack, overload
+from typing import Annotated, Any, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.assemble import check_states, coordinates_of, initial_state
 from newton_euler.equations.couplings import counted_angles
 from newton_euler.errors import (
@@ -23,7 +24,6 @@ from newton_euler.errors import (
     NewtonEulerError,
     OptionError,
     UnknownNameError,
-    check_type,
     is_count,
     quoted,
 )
@@ -53,6 +53,7 @@ PIECES = 8
 """Number of pieces of a thread's share, so that no thread waits long for the last one."""
 
 
+MAX_THREADS = 4096  # each takes memory for its stack, and a process has room for some thousands
 SMALLEST_PIECE = 64
 """Runs of a piece that are made side by side, at least: at its end some lanes have none."""
 
@@ -95,6 +96,7 @@ class Batch(Sequence[Trajectory]):
         found = native_trajectory(self.scene, settings, self.wall_time / len(self), arrays)
         return replace(found, mechanism=self._mechanism(number))
 
+    @checked
     def stacked(self, name: str) -> Floats:
         """Return an array of all runs at all times, without a copy: `position` is (runs, n, b, 3).
 
@@ -111,6 +113,7 @@ class Batch(Sequence[Trajectory]):
         results = self._runs.results
         return results[:, :, place].reshape(*results.shape[:2], *shape)
 
+    @checked
     def joint(self, name: str) -> JointMotion:
         """Compute the coordinates (runs, n, k) of a joint and their rates, as `Trajectory.joint` does.
 
@@ -153,10 +156,11 @@ class Batch(Sequence[Trajectory]):
         return (self[k] for k in range(len(self)))
 
 
+@checked
 def simulate_batch(
     scene: Scene,
-    states: Sequence[State] | None = None,
-    parameters: Mapping[str, Sequence[ArrayLike] | Floats] | None = None,
+    states: Annotated[Sequence[State] | None, UNCHECKED] = None,
+    parameters: Annotated[Mapping[str, Sequence[ArrayLike] | Floats] | None, UNCHECKED] = None,
     threads: int | None = None,
     formulation: FormulationName | None = None,
     integrator: IntegratorName = "DOP853",
@@ -175,7 +179,7 @@ def simulate_batch(
         states: initial states, one per run; the scene's own for all if not given.
         parameters: values, one per run, by name; see `newton_euler.equations.parameters`, and
             `newton_euler.starts` for initial coordinates.
-        threads: their number; that of the processors if not given.
+        threads: their number, at most `MAX_THREADS`; that of the processors if not given.
 
     The other arguments are those of `simulate`.
 
@@ -208,13 +212,15 @@ def make_batch(
     **control: Unpack[StepControl],
 ) -> Batch:
     """Run a scene many times as `simulate_batch` does, without its warnings."""
-    check_type("scene", scene, Scene)
     options = Options.of(integrator, control)
     options.check_steps(scene.duration)
     if not isinstance(parameters, Mapping | None):
         raise OptionError("parameters", quoted(parameters), "values, one per run, by name")
     parameters = dict(parameters or {})
-    of_kind = isinstance(states, Sequence) and (not states or any(isinstance(each, State) for each in states))
+    if not all(isinstance(name, str) for name in parameters):
+        raise OptionError("parameters", quoted(list(parameters)), "names of parameters")
+    given = states if isinstance(states, list | tuple) else ()
+    of_kind = states is given and (not given or any(isinstance(each, State) for each in given))
     if states is not None and not of_kind:
         needed = "State objects, one per run; coordinates are parameters: {'start.JOINT': [0.1, 0.2]}"
         raise OptionError("states", quoted(states), needed)
@@ -307,8 +313,8 @@ def thread_count(threads: int | None = None) -> int:
     """
     if threads is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if not is_count(threads):
-        raise OptionError("threads", threads, "a whole number, 1 or more")
+    if not is_count(threads) or threads > MAX_THREADS:
+        raise OptionError("threads", threads, f"a whole number, 1 to {MAX_THREADS}")
     return int(threads)
 
 

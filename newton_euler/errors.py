@@ -23,8 +23,17 @@ DISTRIBUTION = "crosscheck-dynamics"
 NEAR = 0.8
 """Similarity of two names, of which one may be meant by the other: a letter exchanged or left out of six."""
 
+LONGEST_MESSAGE = 4000  # characters; names and values that others give have any length
 PROPOSED = 3  # names that are proposed instead of an unknown one, as difflib has it
 DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")  # a number as people write it
+
+
+def one_line(text: str) -> str:
+    """Return a text as one line of at most `LONGEST_MESSAGE` printable characters, others as their codes."""
+    line = " ".join(text.split())
+    if not line.isprintable():
+        line = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in line)
+    return line if len(line) <= LONGEST_MESSAGE else f"{line[: LONGEST_MESSAGE - 4]} ..."
 
 
 class NewtonEulerError(Exception):
@@ -39,7 +48,7 @@ class NewtonEulerError(Exception):
     """
 
     def __init__(self, message: str) -> None:
-        super().__init__(" ".join(message.split()))
+        super().__init__(one_line(message))
 
 
 class MissingPackageError(NewtonEulerError):
@@ -90,9 +99,12 @@ def real_array(value: object) -> NDArray[Any]:
         TypeError, ValueError, OverflowError: for all else that NumPy converts, text, truth values and times
             among it, for numbers that are masked, rows of different lengths, and numbers beyond floats.
     """
-    if _masks(value):
-        raise ValueError("has masked numbers")
-    array = np.asarray(value)
+    try:
+        if _masks(value):
+            raise ValueError("has masked numbers")
+        array = np.asarray(value)
+    except (MemoryError, RecursionError) as error:
+        raise ValueError("has lists that are too deep, or too many numbers") from error
     of_objects = array.dtype.kind == "O" and all(map(_is_real, array.flat))
     if array.dtype.kind not in "iuf" and not of_objects:
         raise ValueError("has something else than real numbers")
@@ -112,6 +124,8 @@ def quoted(value: object, length: int = 100) -> str:
         return f"{value!r:.{length}}"
     except ValueError:  # Python shows no whole numbers of thousands of digits
         return f"{type(value).__name__} with too many digits"
+    except Exception:  # lists that are too deep, and whatever the classes of others raise
+        return f"{type(value).__name__} that cannot be shown"
 
 
 def plain_number(text: str) -> float:
@@ -189,12 +203,24 @@ def set_numbers(thing: object, element: str, names: Iterable[str], least: float 
         object.__setattr__(thing, name, float(value))
 
 
+def items_of(given: object) -> tuple[Any, ...] | None:
+    """Return the items of a container; None for what is none, and for more items than memory holds."""
+    if not isinstance(given, Iterable) or isinstance(given, str | bytes):
+        return None
+    if isinstance(given, np.ndarray) and given.ndim == 0:
+        return None
+    try:
+        return tuple(given)
+    except MemoryError:
+        return None
+
+
 def elements_of(where: str, field: str, given: Iterable[T], *kinds: type[T]) -> tuple[T, ...]:
     """Return elements of some kinds as a tuple; raises `MechanismError` for anything else."""
     needed = f"a tuple of {' or '.join(kind.__name__ for kind in kinds)}"
-    if not isinstance(given, Iterable):
+    elements = items_of(given)
+    if elements is None:
         raise MechanismError(where, f"{field} is {quoted(given, 200)}", needed)
-    elements = tuple(given)
     for element in elements:
         if not isinstance(element, kinds):
             raise MechanismError(where, f"{field} holds {quoted(element, 200)}", needed)
@@ -204,13 +230,13 @@ def elements_of(where: str, field: str, given: Iterable[T], *kinds: type[T]) -> 
 def choices(name: object, valid: Iterable[str]) -> str:
     """Word the valid names for somebody who gave another one, beginning with the nearest if one is near."""
     names = list(valid)
-    near = get_close_matches(str(name), names, 1, NEAR)
+    near = get_close_matches(quoted(name).strip("'"), names, 1, NEAR)
     return "".join(f"did you mean {each!r}? " for each in near) + f"choose from: {', '.join(names)}"
 
 
 def nearest(name: object, valid: Iterable[str]) -> tuple[str, ...]:
     """Return the valid names that are nearest to another one, where all of them are too many to list."""
-    return tuple(get_close_matches(str(name), list(valid), PROPOSED, 0.0))
+    return tuple(get_close_matches(quoted(name).strip("'"), list(valid), PROPOSED, 0.0))
 
 
 class UnknownNameError(NewtonEulerError):
@@ -227,7 +253,7 @@ class UnknownNameError(NewtonEulerError):
         self.name = name
         self.valid = valid
         said = f"did you mean {', '.join(map(repr, valid))}?" if proposed else choices(name, valid)
-        super().__init__(f"unknown {what} {name!r}; {said}")
+        super().__init__(f"unknown {what} {quoted(name)}; {said}")
 
 
 def check_choice(what: str, name: object, valid: Collection[str]) -> None:
@@ -252,11 +278,29 @@ class OptionError(NewtonEulerError):
         super().__init__(f"{option} is {quoted(value, 1000)}; needed: {needed}")
 
 
-def check_type(option: str, value: object, kind: type) -> None:
-    """Raise `OptionError` for a value that is not of a kind."""
-    if not isinstance(value, kind):
-        article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        raise OptionError(option, value, f"{article} {kind.__name__}")
+class ArgumentError(OptionError):
+    """An argument of a public function that is of another type than its hint, or out of its range.
+
+    Attributes:
+        function: name of the function.
+        option: name of the argument.
+        value: the argument, or the part of it that is at fault.
+        needed: description of the valid values.
+
+    Examples:
+        >>> try:
+        ...     linearize(load("pendulum"), time=np.inf)
+        ... except ArgumentError as error:
+        ...     print(error)
+        newton_euler.linearize: time is inf; needed: a finite number
+    """
+
+    def __init__(self, function: str, argument: str, value: object, needed: str, verb: str = "is") -> None:
+        self.function = function
+        self.option = argument
+        self.value = value
+        self.needed = needed
+        NewtonEulerError.__init__(self, f"{function}: {argument} {verb} {quoted(value)}; needed: {needed}")
 
 
 class AssemblyError(NewtonEulerError):

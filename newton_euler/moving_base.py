@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from newton_euler.arguments import checked
 from newton_euler.assemble import initial_state
-from newton_euler.errors import MechanismError, check_type, choices, finite_array
+from newton_euler.errors import MechanismError, choices, finite_array, quoted
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.euler_parameters import from_rotation, from_rotation_vector, product, rotation
 from newton_euler.model.joint_kinds import Free
@@ -38,6 +39,7 @@ SLIDES = {"surge": X, "sway": Y, "heave": Z}
 HINGES = {"yaw": Z, "pitch": Y, "roll": X}  # in their order from the world to the base
 
 
+@checked
 def on_moving_base(
     scene: Scene,
     motions: Mapping[str, TimeFunction] | None = None,
@@ -73,13 +75,12 @@ def on_moving_base(
         >>> scene.mechanism.body_names, scene.mechanism.joint("base_motion").coordinate_kinds
         (('world', 'ground', 'dumbbell'), ('slide', 'hinge'))
     """
-    check_type("scene", scene, Scene)
-    where = f"moving base of scene {scene.name!r}"
+    where = f"moving base of scene {quoted(scene.name)}"
     center: Any = finite_array(where, "point", point, (3,))
     mechanism = scene.mechanism
     for what, name in (("world", world), ("joint", joint)):
         if name in mechanism.body_names + mechanism.joint_names:
-            raise MechanismError(where, f"{what} is {name!r:.100}, a name that is in use", "another name")
+            raise MechanismError(where, f"{what} is {quoted(name)}, a name that is in use", "another name")
     base = _base(where, mechanism, hull, center, floats=motions is None)
     carrier: Free | Compound
     given = {} if motions is None else _checked(where, motions)
@@ -104,14 +105,12 @@ def on_moving_base(
 def _checked(where: str, motions: Mapping[str, TimeFunction]) -> dict[str, TimeFunction]:
     """Return motions in the order of the joint's coordinates."""
     names = (*SLIDES, *HINGES)
-    if not isinstance(motions, Mapping) or not motions:
+    if not motions:
         needed = f"functions of time by {', '.join(names)}"
-        raise MechanismError(where, f"motions is {motions!r:.100}", needed)
-    for name, function in motions.items():
+        raise MechanismError(where, f"motions is {quoted(motions)}", needed)
+    for name in motions:
         if name not in names:
-            raise MechanismError(where, f"unknown motion {name!r:.100}", choices(name, names))
-        if not isinstance(function, TimeFunction):
-            raise MechanismError(where, f"{name} is {function!r:.100}", "a function of time, such as a Sine")
+            raise MechanismError(where, f"unknown motion {quoted(name)}", choices(name, names))
     return {name: motions[name] for name in names if name in motions}
 
 
@@ -119,13 +118,12 @@ def _base(where: str, mechanism: Mechanism, hull: Body | None, center: Floats, f
     """Return the body that takes the ground's place."""
     ground = mechanism.bodies[0]
     if hull is not None:
-        check_type("hull", hull, Body)
         shapes, meshes = (*ground.shapes, *hull.shapes), (*ground.meshes, *hull.meshes)
         return replace(hull, name=ground.name, shapes=shapes, meshes=meshes)
     if ground.mass > 0.0:
         return ground
     if floats:
-        problem = f"floats, and ground {ground.name!r} has no mass"
+        problem = f"floats, and ground {quoted(ground.name)} has no mass"
         raise MechanismError(where, problem, "hull=Body(...), whose mass it takes")
     mass = sum(body.mass for body in mechanism.bodies[1:])
     inertia = mass * mechanism.size**2 * np.eye(3)
@@ -171,6 +169,7 @@ UNIT = 1e-3  # by how much the norm of a quaternion may differ from 1: files rou
 STEEPEST = np.radians(80.0)  # of the pitch: yaw and roll are one and the same at a right angle
 
 
+@checked
 def base_motion_from_csv(path: str | os.PathLike[str]) -> dict[str, Spline]:
     """Read poses of a base over time, as `on_moving_base` takes them.
 
@@ -242,7 +241,7 @@ def _check_header(path: str, header: Sequence[str]) -> None:
     known = ("time", *PLACE, *ANGLES, *QUATERNION)
     for name in header:
         if name not in known:
-            raise SourceError(path, f"line 1: unknown column {name!r:.100}; {choices(name, known)}")
+            raise SourceError(path, f"line 1: unknown column {quoted(name)}; {choices(name, known)}")
     check_names(path, header)
     given = set(header)
     if "time" not in given or len(given) < 2:

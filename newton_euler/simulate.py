@@ -12,18 +12,13 @@ from typing import Any, Unpack
 
 import numpy as np
 
+from newton_euler.arguments import caller_level, checked
 from newton_euler.assemble import coordinates_of, inherit_initial_state, initial_state
 from newton_euler.equations.couplings import counted_angles, couplings
 from newton_euler.equations.parameters import pieces
 from newton_euler.equations.redundancy import NearlyRedundant, inherit_mobility
 from newton_euler.equations.system import Observation, System, at_time
-from newton_euler.errors import (
-    NearlyRedundantWarning,
-    NewtonEulerError,
-    OptionError,
-    RoundOffWarning,
-    check_type,
-)
+from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, RoundOffWarning
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.formulations import check_formulation
 from newton_euler.integrators.interpreted import integrate
@@ -52,6 +47,7 @@ MAX_ROUND_OFF = 20.0
 errors of runs of chains of 20 and 40 links are as small as the tolerance makes them elsewhere."""
 
 
+@checked
 def simulate(
     scene: Scene,
     formulation: FormulationName | None = None,
@@ -82,7 +78,6 @@ def simulate(
         >>> run.settings["formulation"], run.position.shape
         ('cartesian', (1001, 2, 3))
     """
-    check_type("scene", scene, Scene)
     options = Options.of(integrator, control)
     check_formulation(formulation)
     compiled = _compiled(scene, formulation, stabilization, baumgarte_alpha(stabilization, alpha))
@@ -98,6 +93,7 @@ def _compiled(scene: Scene, formulation: str | None, stabilization: str, alpha: 
     return CompiledScene(scene, formulation, stabilization, alpha)
 
 
+@checked
 def compile_scene(
     scene: Scene,
     formulation: FormulationName | None = None,
@@ -118,10 +114,7 @@ def compile_scene(
         >>> compiled.simulate("RK4", step=0.001).settings["steps"]
         10000
     """
-    check_type("scene", scene, Scene)
     check_formulation(formulation)
-    if not isinstance(parameters, list | tuple) or not all(isinstance(name, str) for name in parameters):
-        raise OptionError("parameters", parameters, "names of parameters")
     compiled = CompiledScene(scene, formulation, stabilization, alpha, parameters)
     load(compiled, "DOP853")
     return compiled
@@ -163,8 +156,8 @@ class CompiledScene(Code):
         return found
 
     def warn(self) -> None:
-        """Warn of constraints that are almost redundant, where the function that calls this is called."""
-        warn_of(self.scene, self.nearly_redundant, above=1)
+        """Warn of constraints that are almost redundant."""
+        warn_of(self.scene, self.nearly_redundant)
 
     def _run(self, options: Options) -> Trajectory:
         options.check_steps(self.scene.duration)
@@ -181,18 +174,18 @@ class CompiledScene(Code):
         raise stopped
 
 
-def warn_of(scene: Scene, nearly: Iterable[NearlyRedundant], above: int = 0) -> None:
-    """Warn of almost redundant constraints, where the function that calls this is called, or calls above."""
+def warn_of(scene: Scene, nearly: Iterable[NearlyRedundant]) -> None:
+    """Warn of almost redundant constraints, at the line that called into these packages."""
     for weak in nearly:
-        warnings.warn(f"scene {scene.name!r}: {weak}", NearlyRedundantWarning, stacklevel=above + 3)
+        warnings.warn(f"scene {scene.name!r}: {weak}", NearlyRedundantWarning, stacklevel=caller_level())
 
 
 def warn_of_round_off(scene: Scene, options: Options, runs: Iterable[dict[str, Any]]) -> None:
-    """Warn if round-off exceeds the tolerance in runs of these settings, where the caller is called."""
+    """Warn if round-off exceeds the tolerance in runs of these settings, at the line that called the packages."""
     found = max(runs, key=lambda settings: settings.get("round_off", 0.0), default={})
     if (excess := found.get("round_off", 0.0)) > MAX_ROUND_OFF:
         warning = RoundOffWarning(scene.name, found["formulation"], options.rtol, options.atol, excess)
-        warnings.warn(warning, stacklevel=3)
+        warnings.warn(warning, stacklevel=caller_level())
 
 
 def native_trajectory(

@@ -10,10 +10,11 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.equations.parameters import (
     Owner,
     Place,
@@ -26,7 +27,7 @@ from newton_euler.equations.parameters import (
     refusal,
     with_values,
 )
-from newton_euler.errors import MechanismError, OptionError, check_type, finite_array, quoted, real_array
+from newton_euler.errors import MechanismError, finite_array, quoted, real_array
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import ComputedTorque
 from newton_euler.model.initial_pose import coordinates_at, described_at
@@ -46,6 +47,10 @@ SHORT, LONG = 1e-100, 1e100  # lengths of directions beyond which their construc
 CAREFUL = 1e-9  # relative margin within which inertias are suspicious
 
 
+Start: TypeAlias = Sequence[float] | Sequence[Sequence[float] | None] | Floats
+"""Coordinate and rate of a joint, or of each of its coordinates."""
+
+
 class RunValues(NamedTuple):
     """Values of parameters in n runs."""
 
@@ -55,6 +60,7 @@ class RunValues(NamedTuple):
     """The first value that makes no sense, by the number of the run."""
 
 
+@checked
 def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """Return the scene with other values of some parameters, all of it checked, its loops closed again.
 
@@ -77,9 +83,6 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
         >>> heavy.mechanism.body("dumbbell").mass
         3.0
     """
-    check_type("scene", scene, Scene)
-    if not isinstance(values, Mapping):
-        raise OptionError("values", quoted(values), "values by names of parameters")
     given = checked_values(scene, values)
     assembly = assembly_of(scene, tuple(given))
     if assembly.is_needed:
@@ -111,7 +114,8 @@ def of_single_run(scene: Scene, error: MechanismError) -> MechanismError:
     return MechanismError(element, error.problem, error.needed)
 
 
-def start(scene: Scene, /, **joints: Sequence[float] | Sequence[Sequence[float] | None] | Floats) -> Scene:
+@checked
+def start(scene: Scene, /, **joints: Annotated[Start, UNCHECKED]) -> Scene:
     """Return a scene that starts with these coordinates of joints and their rates.
 
     All other coordinates start as near to those of the scene's own start as the loops let them.
@@ -133,7 +137,6 @@ def start(scene: Scene, /, **joints: Sequence[float] | Sequence[Sequence[float] 
         >>> print(motion.coordinates[:2].round(3).tolist())
         [[0.5], [0.48]]
     """
-    check_type("scene", scene, Scene)
     labels, values = scene.mechanism.coordinate_labels, dict[str, float]()
     for name, given in joints.items():
         kinds, where = scene.mechanism.joint(name).coordinate_kinds, f"joint {name!r}"

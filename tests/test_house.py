@@ -33,6 +33,7 @@ ROOMS: dict[str, set[str]] = {
 """Rooms of newton_euler, and those that each may import; what stands above them all may import any."""
 
 GROUND = {
+    "newton_euler.arguments",
     "newton_euler.errors",
     "newton_euler.limits",
     "newton_euler.optional_packages",

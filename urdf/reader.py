@@ -17,11 +17,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Unpack
+from typing import Annotated, Unpack
 
 import numpy as np
 
-from newton_euler.errors import NewtonEulerError, OptionError, check_choice
+from newton_euler.arguments import UNCHECKED, checked
+from newton_euler.errors import NewtonEulerError, OptionError, check_choice, finite_array
 from newton_euler.exercise import moving as exercised
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling, PolynomialCoupling
 from newton_euler.model.forces import Force
@@ -105,13 +106,14 @@ class Robot:
     springs: tuple[PointSpringElement, ...] = ()
 
 
+@checked
 def read(
-    model: str | os.PathLike[str] | PinocchioModel,
+    model: Annotated[str | os.PathLike[str] | PinocchioModel, UNCHECKED],
     loops: str | os.PathLike[str] | None = None,
     base: BaseName = "fixed",
     gravity: Sequence[float] | None = None,
     q: Sequence[float] | Array | None = None,
-    ignore: Sequence[str] | None = None,
+    ignore: str | Sequence[str] | None = None,
     **options: Unpack[ReadOptions],
 ) -> Reading:
     """Read a URDF, or a model that Pinocchio has in memory.
@@ -142,6 +144,8 @@ def read(
     """
     check_choice("base", base, BASES)
     request = Request.of(options)
+    if gravity is not None:
+        gravity = finite_array("urdf.read", "gravity", gravity, (3,)).tolist()
     if isinstance(model, str | os.PathLike):
         if q is not None:
             raise OptionError("q", q, "none, as a URDF starts from coordinates 0")

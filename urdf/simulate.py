@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Unpack
 
-from newton_euler.errors import OptionError, check_type
+from newton_euler.arguments import checked
+from newton_euler.errors import OptionError
 from newton_euler.integrators.options import (
     IntegratorName,
     Options,
@@ -18,6 +19,7 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.simulate import run
 
 
+@checked
 def simulate(
     scene: Scene,
     integrator: IntegratorName = "DOP853",
@@ -43,7 +45,6 @@ def simulate(
         >>> urdf.simulate(load("pendulum"), rtol=1e-8)
         <Trajectory of pinocchio: 1001 outputs to 10 s, bodies: 2, joints: 1>
     """
-    check_type("scene", scene, Scene)
     from urdf.dynamics import PinocchioSystem
 
     gain = baumgarte_alpha(stabilization, alpha)

@@ -23,8 +23,8 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 import yaml
 
+from newton_euler.arguments import checked
 from newton_euler.equations.couplings import couplings
-from newton_euler.errors import check_type
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.geometry import Box, Shape, Sphere
@@ -66,6 +66,7 @@ LIMIT = "1000"
 """Of everything: URDF demands limits of hinges and slides, and the mechanism's joints have none."""
 
 
+@checked
 def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
     """The mechanism of a scene as URDF text.
 
@@ -82,7 +83,6 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
         >>> '<robot name="pendulum">' in urdf.to_urdf(load("pendulum"))
         True
     """
-    check_type("scene", scene, Scene)
     welded = weld_loops(scene.mechanism, keep_bodies, scene.loaded_balls)
     mechanism, tree = welded.mechanism, welded.tree
     robot = Element("robot", name=scene.name)
@@ -117,6 +117,7 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
     return tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
 
 
+@checked
 def to_loops(scene: Scene, keep_bodies: bool = False) -> str:
     """The loop file (YAML text) that belongs to `to_urdf(scene, keep_bodies)`.
 
@@ -124,7 +125,6 @@ def to_loops(scene: Scene, keep_bodies: bool = False) -> str:
         >>> "closed_loop" in urdf.to_loops(load("four_bar"))
         True
     """
-    check_type("scene", scene, Scene)
     welded = weld_loops(scene.mechanism, keep_bodies, scene.loaded_balls)
     joints = welded.mechanism.joints
     balls, motors = [], []
@@ -160,6 +160,7 @@ def to_loops(scene: Scene, keep_bodies: bool = False) -> str:
     return str(yaml.safe_dump(document, default_flow_style=None, sort_keys=False, width=100))
 
 
+@checked
 def write(scene: Scene, path: str | os.PathLike[str]) -> None:
     """Write `<path>`, which must end in .urdf, and `<stem>.loops.yaml` beside it.
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.errors import choices, plain_number
+from newton_euler.errors import choices, plain_number, quoted
 from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import LARGEST
 from newton_euler.verification.import_report import ACTING, FATES, ImportedElement, ImportReport
@@ -164,7 +164,7 @@ def _kind(model: object) -> tuple[str, dict[str, Option]]:
     package = kind.__module__.partition(".")[0]
     if package not in of_package:
         needed = "a name, a path, a Scene, a mujoco.MjSpec or mujoco.MjModel, or a pinocchio.Model, alone or"
-        raise CrosscheckError(f"{model!r:.100} cannot be read; needed: {needed} paired with its constraints")
+        raise CrosscheckError(f"{quoted(model)} cannot be read; needed: {needed} paired with its constraints")
     return kind.__name__, of_package[package]
 
 

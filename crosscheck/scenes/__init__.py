@@ -25,7 +25,8 @@ from crosscheck.scenes import (
 )
 from crosscheck.scenes.measure import Quantities
 from crosscheck.scenes.options import options_of
-from newton_euler.errors import choices
+from newton_euler.arguments import checked
+from newton_euler.errors import choices, quoted
 from newton_euler.model.scene import Scene
 
 SCENES: dict[str, Callable[..., Scene]] = {
@@ -63,6 +64,7 @@ FIGURES: dict[str, Quantities] = {
 """What is measured in runs of a scene and known from elsewhere, see `crosscheck.references`."""
 
 
+@checked
 def load(name: str, /, **options: str | float) -> Scene:
     """The scene of that name, of that scene file (.yaml, .yml or .json) or of that model file.
 
@@ -104,7 +106,7 @@ def _read(name: str, given: dict[str, str | float]) -> dict[str, str | float]:
             )
         read = known[option].read(value)
         if read is None:
-            raise CrosscheckError(f"{option} of scene {name!r} is {value!r}; {known[option].wanted}")
+            raise CrosscheckError(f"{option} of scene {name!r} is {quoted(value)}; {known[option].wanted}")
         options[option] = read
     for option in options:
         if beside := known[option].beside:

@@ -215,7 +215,7 @@ def _cholesky(matrix: Array) -> Array:
     return root
 
 
-Vary = Mapping[str | tuple[str, ...], "Distribution | Correlated | str | Iterable[float]"]
+Vary = Mapping[str | tuple[str, ...], Distribution | Correlated | str | Iterable[float]]
 """Distributions, or texts of them or numbers, by the parameter that varies, or by several together."""
 
 

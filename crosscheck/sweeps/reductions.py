@@ -15,7 +15,7 @@ import numpy as np
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.sweeps.expressions import SOURCES, Expression, Outputs, Value, labels, norm
-from newton_euler.errors import choices, plain_number
+from newton_euler.errors import choices, plain_number, quoted
 from newton_euler.integrators.options import FIXED
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
@@ -158,7 +158,10 @@ def reductions(keep: Keep, scene: Scene) -> tuple[Reduction, ...]:
     if isinstance(keep, Mapping):
         texts = [f"{name}={text}" for name, text in keep.items()]
     else:
-        texts = _split(keep) if isinstance(keep, str) else [part for each in keep for part in _split(each)]
+        given = (keep,) if isinstance(keep, str) else tuple(keep)
+        if wrong := [each for each in given if not isinstance(each, str)]:
+            raise CrosscheckError(f"keep holds {quoted(wrong[0])}; needed: text of the form {FORM}")
+        texts = [part for each in given for part in _split(each)]
     found = [_reduction(text, scene) for text in texts]
     if not found:
         raise CrosscheckError(f"nothing is kept; name what (--keep {FORM})")

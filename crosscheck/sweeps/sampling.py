@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import sha256
@@ -15,7 +14,7 @@ import numpy as np
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.sweeps.distributions import Correlated, Distribution, Vary, parse
-from newton_euler.errors import check_choice, is_count, quoted
+from newton_euler.errors import check_choice, is_count, items_of, quoted
 from newton_euler.scalars import Array
 
 SamplingName = Literal["random", "latin_hypercube", "sobol", "saltelli", "grid"]
@@ -231,8 +230,8 @@ def _distribution(names: tuple[str, ...], given: object) -> Distribution | Corre
     try:
         if isinstance(given, str):
             given = parse(given)
-        elif isinstance(given, Iterable) and not isinstance(given, bytes) and getattr(given, "ndim", True):
-            given = Distribution("values", tuple(given))
+        elif (numbers := items_of(given)) is not None:
+            given = Distribution("values", numbers)
     except CrosscheckError as error:
         raise CrosscheckError(f"{', '.join(names)}={quoted(given, 200)}: {error}") from None
     if not isinstance(given, Distribution | Correlated):

@@ -219,6 +219,7 @@ def locked(path: Path | None) -> Iterator[None]:
             what_to_do = "wait for its end, or name another folder (--output)"
             raise CrosscheckError(f"another process works at {path}; {what_to_do}") from error
         except OSError as error:
-            reason = "a link, remove it" if lock.is_symlink() else error.strerror or error
-            raise CrosscheckError(f"cannot write {lock if lock.is_symlink() else path}: {reason}") from error
+            is_link = os.path.islink(lock)
+            reason = "a link, remove it" if is_link else error.strerror or error
+            raise CrosscheckError(f"cannot write {lock if is_link else path}: {reason}") from error
         yield

@@ -14,6 +14,7 @@ import numpy as np
 
 from crosscheck.engines import ENGINES, choose
 from crosscheck.errors import CrosscheckError
+from crosscheck.files import path_of
 from crosscheck.load import exercised, load_scene
 from crosscheck.report.output import own_name
 from crosscheck.report.page import rendered
@@ -30,6 +31,7 @@ from crosscheck.sweeps.report import Findings, findings, report, to_record, writ
 from crosscheck.sweeps.results import Results, check_names, results_of
 from crosscheck.sweeps.sampling import SamplingName, samples_of
 from crosscheck.sweeps.store import libraries
+from newton_euler.arguments import checked
 from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import OptionError, check_choices, is_count
 from newton_euler.integrators.options import IntegratorName, Options, StepControl
@@ -131,6 +133,7 @@ class Sweep:
         """Tables of the findings."""
         return report(self.findings)
 
+    @checked
     def check(
         self,
         runs: int | None = None,
@@ -156,6 +159,7 @@ class Sweep:
         checked = check_runs(self.results, found, picked, choose(list(engines)), progress, self.mapping)
         return replace(self, checks=tuple(checked))
 
+    @checked
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write figures, pictures and the recording, as `crosscheck sweep --output FOLDER`.
 
@@ -165,7 +169,7 @@ class Sweep:
         Raises:
             CrosscheckError: naming a path that cannot be written.
         """
-        return write(self.findings, self.report, Path(folder))
+        return write(self.findings, self.report, path_of(folder))
 
     def show(self) -> None:
         """Open the envelope and the extreme runs in the Rerun viewer, in a notebook below the cell.
@@ -197,6 +201,7 @@ def start_lines(mapping: ImportReport | None, scene: Scene) -> tuple[str, ...]:
     return (*exercised, *moved_start_lines(mapping, scene))
 
 
+@checked
 def sweep(
     scene: Model,
     vary: Vary,
@@ -247,5 +252,5 @@ def sweep(
     libraries()
     warn_of(plan.scene, mobility(plan.lean).nearly)
     with workers(threads, executor, cluster) as at:
-        results = results_of(plan, None if output is None else Path(output), at, progress)
+        results = results_of(plan, None if output is None else path_of(output), at, progress)
     return Sweep(results, (), given, mapping)

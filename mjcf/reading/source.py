@@ -16,6 +16,7 @@ import numpy as np
 
 from mjcf.errors import MjcfError
 from mjcf.reading.compile import compile_spec
+from newton_euler.errors import quoted
 from newton_euler.limits import MB, exceeded, limit, size_in_bytes, too_small
 from newton_euler.model import source_file
 from newton_euler.model.source_file import LARGEST, NOT_FINITE, read_text, scan
@@ -179,7 +180,7 @@ def given(model: object) -> tuple[str, Any, KeySizes]:
         where, made = _named("MjModel", model_name(model)), copy.copy(model)
     else:
         needed = "a path of a file, a mujoco.MjSpec or a mujoco.MjModel"
-        raise SourceError(f"{model!r:.200}", f"cannot be read; needed: {needed}")
+        raise SourceError(quoted(model, 200), f"cannot be read; needed: {needed}")
     _check_numbers(where, made)
     _check_counts(where, made)
     return where, made, sizes

@@ -11,6 +11,7 @@ import numpy as np
 from newton_euler.analysis.configurations import Axis, Chain, Configurations, Goal
 from newton_euler.analysis.continuation import RANDOM_STEPS, newton, random_coordinates
 from newton_euler.analysis.poses import Poses, goals_of, poses_of
+from newton_euler.arguments import checked
 from newton_euler.errors import OptionError
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
@@ -58,6 +59,7 @@ class Branches:
         return len(self.labels)
 
 
+@checked
 def assembly_branches(
     scene: Scene,
     coordinates: Mapping[str | Key, Any] | None = None,

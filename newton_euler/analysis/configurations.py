@@ -67,10 +67,10 @@ class Axis:
     axis: ArrayField
 
     def __post_init__(self) -> None:
-        unit = unit_vectors(f"axis of body {self.body!r:.100}", "axis", self.axis)
+        unit = unit_vectors(f"axis of body {quoted(self.body)}", "axis", self.axis)
         if unit.shape != (3,):
             problem = f"axis has shape {unit.shape}"
-            raise MechanismError(f"axis of body {self.body!r:.100}", problem, "three numbers")
+            raise MechanismError(f"axis of body {quoted(self.body)}", problem, "three numbers")
         object.__setattr__(self, "axis", unit)
 
 

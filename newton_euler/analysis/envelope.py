@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.analysis.inverse_dynamics import statics
+from newton_euler.arguments import checked
 from newton_euler.assemble import initial_state
-from newton_euler.errors import MechanismError, UnknownNameError, check_type
+from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.joint import Joint, perpendicular_pair
 from newton_euler.model.scene import Scene
@@ -105,6 +106,7 @@ class LoadEnvelope:
         ranges = len(self.joints) + len(self.actuators)
         return f"<LoadEnvelope of {', '.join(map(str, self.cases))}: {ranges} ranges>"
 
+    @checked
     def of(self, element: str, quantity: str) -> LoadRange:
         """Return the range of a load; raises `UnknownNameError`."""
         ranges = {(each.element, each.quantity): each for each in (*self.joints, *self.actuators)}
@@ -126,6 +128,7 @@ class LoadEnvelope:
         return text.getvalue()
 
 
+@checked
 def load_envelope(scene: Scene, runs: Trajectory | Mapping[str, Trajectory]) -> LoadEnvelope:
     """Compute the ranges of the loads of joints and actuators over runs.
 
@@ -159,7 +162,6 @@ def load_envelope(scene: Scene, runs: Trajectory | Mapping[str, Trajectory]) -> 
         >>> envelope.of("slide_12", "power").unit
         'W'
     """
-    check_type("scene", scene, Scene)
     cases = {"run": runs} if isinstance(runs, Trajectory) else dict(runs)
     if not cases:
         raise MechanismError("load envelope", "has no cases", "one run or more")
@@ -173,6 +175,7 @@ def load_envelope(scene: Scene, runs: Trajectory | Mapping[str, Trajectory]) -> 
     return LoadEnvelope(tuple(cases), joints, actuators)
 
 
+@checked
 def rest_case(scene: Scene) -> Trajectory:
     """Hold a scene at rest in its initial pose by its actuators, as a run of a single output.
 
@@ -189,7 +192,6 @@ def rest_case(scene: Scene) -> Trajectory:
         >>> round(weight / 9.81, 3)  # kg
         1.482
     """
-    check_type("scene", scene, Scene)
     held, state = statics(scene), initial_state(scene)
     still = np.zeros_like(state.position)[None]
     names = scene.mechanism.body_names, scene.mechanism.joint_names

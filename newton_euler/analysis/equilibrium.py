@@ -9,10 +9,11 @@ import numpy as np
 from newton_euler.analysis.freedoms import chosen_freedoms
 from newton_euler.analysis.linear_model import RIGID
 from newton_euler.analysis.linearization import linearize
+from newton_euler.arguments import checked
 from newton_euler.assemble import initial_state
 from newton_euler.equations.dense import largest, least_squares
 from newton_euler.equations.relative import Relative
-from newton_euler.errors import MechanismError, check_type
+from newton_euler.errors import MechanismError
 from newton_euler.integrators.projection import project_position
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -31,6 +32,7 @@ def at_rest(scene: Scene) -> Scene:
     return replace(scene, motions=motions, initial_state=state)
 
 
+@checked
 def equilibrium(scene: Scene, state: State | None = None) -> State:
     """Find a pose near a state in which the mechanism stays at rest, by Newton's method in linear models.
 
@@ -50,7 +52,6 @@ def equilibrium(scene: Scene, state: State | None = None) -> State:
         >>> linearize(scene, equilibrium(scene)).is_equilibrium
         True
     """
-    check_type("scene", scene, Scene)
     scene = at_rest(scene)
     start = initial_state(scene)
     if state is not None:

@@ -24,12 +24,13 @@ from newton_euler.analysis.residuals import Residuals
 from newton_euler.analysis.sensitivity import checked_names
 from newton_euler.analysis.tangent_run import tangent_options
 from newton_euler.analysis.tangent_starts import components
+from newton_euler.arguments import caller_level, checked
 from newton_euler.errors import (
     IdentificationWarning,
     MechanismError,
     NewtonEulerError,
     OptionError,
-    check_type,
+    quoted,
 )
 from newton_euler.integrators.formulations import check_formulation
 from newton_euler.integrators.options import FormulationName, StepControl
@@ -118,7 +119,9 @@ class Identification:
 
     def __repr__(self) -> str:
         size = f"parameters: {len(self.parameters)}, misfit: {self.misfit:.3g}"
-        return f"<Identification of {self.scene.name!r}: {size}, undetermined: {len(self.undetermined)}>"
+        return (
+            f"<Identification of {quoted(self.scene.name)}: {size}, undetermined: {len(self.undetermined)}>"
+        )
 
     @property
     def standard_deviations(self) -> Floats:
@@ -191,6 +194,7 @@ class Identification:
         return lines
 
 
+@checked
 def identify(
     scene: Scene,
     parameters: Sequence[str],
@@ -223,7 +227,6 @@ def identify(
         >>> print(f"{found.values[0]:.4f} kg")
         2.0000 kg
     """
-    check_type("scene", scene, Scene)
     check_formulation(formulation)
     names = tuple(components(scene, checked_names(parameters)))
     runs = _runs(scene, names, measurements)
@@ -273,7 +276,10 @@ def identify(
         evaluations=measured.evaluations,
     )
     if found.doubts:
-        warnings.warn(f"scene {scene.name!r}: {'; '.join(found.doubts)}", IdentificationWarning, stacklevel=2)
+        doubts = "; ".join(found.doubts)
+        warnings.warn(
+            f"scene {quoted(scene.name)}: {doubts}", IdentificationWarning, stacklevel=caller_level()
+        )
     return found
 
 
@@ -289,13 +295,13 @@ def _runs(scene: Scene, names: Sequence[str], given: Given | Sequence[Given]) ->
         elif isinstance(one, str | os.PathLike):
             where, run = path_text(one), measurements_from_csv(one)
         else:
-            raise OptionError("measurements", f"{one!r:.100}", "Measurements, or the path of a CSV file")
+            raise OptionError("measurements", f"{quoted(one)}", "Measurements, or the path of a CSV file")
         try:
             initial_numbers(scene, run.start)
         except NewtonEulerError as error:
             raise SourceError(where, str(error)) from error
         if twice := [name for name in run.start if name in names]:
-            raise MechanismError(where, f"give {twice[0]!r}, which is fitted", "one of the two")
+            raise MechanismError(where, f"give {quoted(twice[0])}, which is fitted", "one of the two")
         if run.time[-1] > scene.duration * (1.0 + 1e-12):
             problem = f"times go on to {run.time[-1]:.9g} s"
             longer = f"--set duration={run.time[-1]:g} (MJCF, URDF), or duration in a scene file"

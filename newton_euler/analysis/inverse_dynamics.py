@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from newton_euler.analysis.poses import Poses
+from newton_euler.arguments import checked
 from newton_euler.assemble import check_revolutions, initial_state
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph
@@ -27,7 +28,7 @@ from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.servos import coordinate_rows, fault, independent_rows, servos_of, tangents
 from newton_euler.equations.system import Evaluation, at_time
-from newton_euler.errors import MechanismError, SingularityError, check_type, finite_array
+from newton_euler.errors import MechanismError, SingularityError, finite_array, quoted
 from newton_euler.integrators.compiled import NEUTRAL
 from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.projection import worst_joint
@@ -77,6 +78,7 @@ class Loads:
         )
 
 
+@checked
 def inverse_dynamics(
     scene: Scene,
     states: State | Trajectory | Poses,
@@ -117,7 +119,6 @@ def inverse_dynamics(
         >>> found.actuators, found.actuator_force.shape
         (('slide_12', 'slide_13'), (501, 2))
     """
-    check_type("scene", scene, Scene)
     mechanism = scene.mechanism
     coordinates = tuple(mechanism.coordinate(name) for name in accelerations)
     if actuators is None:
@@ -128,7 +129,7 @@ def inverse_dynamics(
         acting = coordinates
     compiled = _compiled(scene, coordinates, acting)
     given = States(scene, states)
-    wanted = [given.column(f"acceleration of {name!r}", value) for name, value in accelerations.items()]
+    wanted = [given.column(f"acceleration of {quoted(name)}", value) for name, value in accelerations.items()]
     times = given.column("time", getattr(states, "time", 0.0) if time is None else time)
     if times.size:
         compiled.scene.check_functions(float(times.min()), float(times.max()), "the times asked for")
@@ -138,12 +139,17 @@ def inverse_dynamics(
         for key in moving:
             if key not in coordinates:
                 name = mechanism.coordinate_name(key)
-                raise MechanismError(f"rate of {name!r}", "has no acceleration beside it", "both of them")
+                raise MechanismError(
+                    f"rate of {quoted(name)}", "has no acceleration beside it", "both of them"
+                )
         pairs = [moving.get(key, (key, 0.0)) for key in coordinates]
-        v = compiled.velocities(q, [given.column(f"rate of {name!r}", value) for name, value in pairs], times)
+        v = compiled.velocities(
+            q, [given.column(f"rate of {quoted(name)}", value) for name, value in pairs], times
+        )
     return compiled.loads(given, (q, v), wanted, times).loads
 
 
+@checked
 def statics(
     scene: Scene,
     states: State | Trajectory | Poses | None = None,
@@ -167,7 +173,6 @@ def statics(
         >>> held.actuators, held.reaction_force.shape
         (('slide_12', 'slide_13'), (8, 3))
     """
-    check_type("scene", scene, Scene)
     given = States(scene, initial_state(scene) if states is None else states)
     given.velocities = None
     if scene.motions:
@@ -206,11 +211,11 @@ class States:
 
     def __init__(self, scene: Scene, given: Any) -> None:
         """Take states from a state or poses; raises `MechanismError` for anything else."""
-        where = f"states of scene {scene.name!r}"
+        where = f"states of scene {quoted(scene.name)}"
         arrays: list[Any] = [getattr(given, name, None) for name in ("position", "quaternion")]
         if not all(isinstance(array, np.ndarray) and array.ndim in (2, 3) for array in arrays):
             raise MechanismError(
-                where, f"is {given!r:.100}", "a State, a Trajectory or other poses of bodies"
+                where, f"is {quoted(given)}", "a State, a Trajectory or other poses of bodies"
             )
         moving = [getattr(given, name, None) for name in ("linear_velocity", "angular_velocity")]
         arrays += [each for each in moving if each is not None]
@@ -250,7 +255,7 @@ class States:
 
     def column(self, name: str, value: Any) -> Array:
         """Return a number for each state, (n,); raises `MechanismError`."""
-        shape = (len(self),) if np.ndim(value) else ()
+        shape = (len(self),) if isinstance(value, Sequence) or bool(getattr(value, "ndim", False)) else ()
         return np.broadcast_to(finite_array("inverse dynamics", name, value, shape), len(self))
 
 
@@ -369,6 +374,9 @@ class InverseDynamics:
         """Raise `SingularityError` for the first state whose pivot ratio (n,) or results are no good."""
         for row in np.flatnonzero(~(pivot_ratio > 0.0) | ~np.isfinite(found).all(axis=1))[:1]:
             at = fault(self.system, q[row], self.servos, NEAR)
+            if at is None and not len(self.servos.rows.numbers):
+                problem = f"has no finite solution at state {row}"
+                raise MechanismError("inverse dynamics", problem, "smaller rates and accelerations")
             if at is None:
                 cut = self.system.row_owners[self.servos.rows.numbers[0]]
                 raise SingularityError(cut, f"the loops at state {row} do not determine the motion")
@@ -383,7 +391,7 @@ class InverseDynamics:
         forces, pivot_ratio, opening = found[:, :-2], found[:, -2], found[:, -1]
         for row in np.flatnonzero(~(opening <= OPEN**2))[:1]:
             joint, distance = worst_joint(self.system, given.state(row))
-            problem = f"joint {joint!r} is open by {distance:.3g} (m or rad)"
+            problem = f"joint {quoted(joint)} is open by {distance:.3g} (m or rad)"
             raise MechanismError(f"state {row}", problem, f"closed loops, to {OPEN:g} sizes of the mechanism")
         self._check_pivots(pivot_ratio, forces, own[0])
         shapes = [(len(self.scene.mechanism.joints), 3)] * 2 + [(len(self.scene.mechanism.bodies), 3)] * 2

@@ -25,6 +25,7 @@ import numpy as np
 from newton_euler.analysis.freedoms import AXES, Freedom, chosen_freedoms, rates_of
 from newton_euler.analysis.inverse_dynamics import KEPT
 from newton_euler.analysis.linear_model import LinearModel, label
+from newton_euler.arguments import checked
 from newton_euler.assemble import check_revolutions, initial_state
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, differentiate_along
@@ -49,12 +50,9 @@ from newton_euler.equations.sparse import dot
 from newton_euler.equations.system import at_time, constraint_rate, dimensionless_jacobian, fastest_joint
 from newton_euler.errors import (
     MechanismError,
-    OptionError,
     SingularityError,
     UnknownNameError,
     check_choice,
-    check_type,
-    is_finite_number,
     nearest,
 )
 from newton_euler.integrators.compiled import NEUTRAL
@@ -72,6 +70,7 @@ OPEN = 1e-6
 joint: more than engines leave."""
 
 
+@checked
 def linearize(
     scene: Scene,
     state: State | None = None,
@@ -112,12 +111,10 @@ def linearize(
         >>> model.B.shape, model.C.shape, model.is_equilibrium
         ((4, 1), (6, 4), False)
     """
-    check_type("scene", scene, Scene)
     state = initial_state(scene) if state is None else state
     scene.check_numbers(state, f"state of scene {scene.name!r}")
     check_revolutions(scene, state)
-    if not is_finite_number(time):
-        raise OptionError("time", time, "a finite number of seconds")
+    time = float(time)
     scene.check_functions(time, time, "the time asked for")
     if closed_loop and scene.sampled:
         problem = "has no derivative, being sampled"

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from newton_euler.arguments import checked
 from newton_euler.errors import (
     MechanismError,
     UnknownNameError,
@@ -99,29 +100,29 @@ class Measurements:
         if not self.columns:
             raise MechanismError("measurements", "columns are {}", "columns by name")
         columns = {
-            name: _numbers(f"column {name!r:.100}", column, factors.get(name, 1.0))
+            name: _numbers(f"column {quoted(name)}", column, factors.get(name, 1.0))
             for name, column in self.columns.items()
         }
         for name, column in columns.items():
             if len(column) != len(time):
-                problem = f"column {name!r:.100} has {len(column)} numbers"
+                problem = f"column {quoted(name)} has {len(column)} numbers"
                 raise MechanismError("measurements", problem, f"{len(time)}, one for each time")
         object.__setattr__(self, "columns", columns)
         for name, deviation in self.noise.items():
             if name not in columns:
-                raise MechanismError("measurements", f"have noise of {name!r:.100}", "columns alone")
+                raise MechanismError("measurements", f"have noise of {quoted(name)}", "columns alone")
             if not is_finite_number(deviation) or deviation <= 0.0:
-                problem = f"noise of {name!r:.100} is {quoted(deviation)}"
+                problem = f"noise of {quoted(name)} is {quoted(deviation)}"
                 raise MechanismError("measurements", problem, "a positive number")
         noise = {name: float(level) * factors.get(name, 1.0) for name, level in self.noise.items()}
         object.__setattr__(self, "noise", noise)
         for name in self.units:
             if name not in columns and name != "time":
-                raise MechanismError("measurements", f"have a unit of {name!r:.100}", "columns alone")
+                raise MechanismError("measurements", f"have a unit of {quoted(name)}", "columns alone")
         object.__setattr__(self, "units", {name: UNITS[unit][0] for name, unit in self.units.items()})
         for name, number in self.start.items():
             if not isinstance(name, str) or not name.startswith(PREFIX) or not is_finite_number(number):
-                problem = f"start with {name!r:.100} = {quoted(number)}"
+                problem = f"start with {quoted(name)} = {quoted(number)}"
                 raise MechanismError("measurements", problem, f"finite numbers by {PREFIX}JOINT")
 
     def __repr__(self) -> str:
@@ -131,7 +132,7 @@ class Measurements:
 def _factor(name: str, unit: object) -> float:
     """Return the factor from a unit to SI."""
     if not isinstance(unit, str) or unit not in UNITS:
-        raise MechanismError("measurements", f"unit of {name!r:.100} is {unit!r:.100}", ", ".join(UNITS))
+        raise MechanismError("measurements", f"unit of {quoted(name)} is {quoted(unit)}", ", ".join(UNITS))
     return UNITS[unit][1]
 
 
@@ -148,6 +149,7 @@ def _numbers(what: str, given: object, factor: float) -> Floats:
     return array
 
 
+@checked
 def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
     """Read measurements of one run.
 
@@ -194,7 +196,7 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
         start = {}
         for name, number in special[START].items():
             if not (initial := initial_name(name)):
-                problem = f"the start is given by column {name!r:.100}; needed: coordinates and rates"
+                problem = f"the start is given by column {quoted(name)}; needed: coordinates and rates"
                 raise SourceError(where, problem)
             start[initial] = number * _factor(name, units.get(name, "1"))
         return Measurements(time, columns, special[NOISE], start, units)

@@ -30,9 +30,10 @@ from newton_euler.analysis.continuation import (
     largest,
     wander,
 )
+from newton_euler.arguments import checked
 from newton_euler.assemble import initial_state
 from newton_euler.equations.dense import RANK_TOLERANCE
-from newton_euler.errors import MechanismError, OptionError, check_type, finite_array
+from newton_euler.errors import MechanismError, OptionError, finite_array
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -102,8 +103,15 @@ class Poses:
             lines.append(f"pose {k}: out of reach, {found}{where}, misses {', '.join(off)}")
         return lines
 
+    @checked
     def state(self, number: int) -> State:
-        """Return one of the poses at rest, which a scene may start from."""
+        """Return one of the poses at rest, which a scene may start from.
+
+        Raises:
+            OptionError: for a number that no pose has.
+        """
+        if not -len(self) <= number < len(self):
+            raise OptionError("number", number, f"an index of {len(self)} poses")
         rest = np.zeros_like(self.position[number])
         angles = {key: float(values[number]) for key, values in self.angles.items()}
         return State(self.position[number], self.quaternion[number], rest, rest, angles=angles)
@@ -126,6 +134,7 @@ class Poses:
         """Coordinates (n, nq) of the spanning tree of the mechanism."""
         return self._at.q[:, : self._at.chain.system.tree.nq]
 
+    @checked
     def jacobian(self, of: Sequence[str | Key | Axis], by: Sequence[str | Key | Axis]) -> Array:
         """Compute derivatives (n, rows, columns) of some quantities by others, on the closed loops.
 
@@ -139,6 +148,7 @@ class Poses:
         columns, over = self._reduced(by)
         return np.asarray(rows @ np.linalg.pinv(columns, RANK_TOLERANCE) * units[:, None] / over)
 
+    @checked
     def independence(self, of: Sequence[str | Key | Axis]) -> Array:
         """Compute the least rates (n,) of some quantities per unit motion of the mechanism, dimensionless.
 
@@ -153,6 +163,8 @@ class Poses:
 
     def _reduced(self, quantities: Sequence[str | Key | Axis]) -> tuple[Array, Array]:
         """Return the dimensionless Jacobian (n, r, f) in the tangent space, and units (r,) of its rows."""
+        if not len(quantities):
+            raise OptionError("quantities", quantities, "one or more")
         chain, rows, units = self._at.chain, [], []
         for each in quantities:
             if isinstance(each, Axis) and chain.axis is each:
@@ -168,6 +180,7 @@ class Poses:
         return np.concatenate(rows, axis=1) @ np.swapaxes(self._at.tangent, 1, 2), np.array(units)
 
 
+@checked
 def solve_poses(
     scene: Scene,
     coordinates: Mapping[str | Key, Any] | None = None,
@@ -204,7 +217,6 @@ def solve_poses(
         >>> print(up.reached, up.coordinates["slide_12"].round(6))
         [ True] [0.0214]
     """
-    check_type("scene", scene, Scene)
     if measure is None:
         keys = () if coordinates else dict.fromkeys(law.key for law in scene.control)
         measure = [scene.mechanism.coordinate_name(key) for key in keys]
@@ -261,8 +273,7 @@ def goals_of(
     start: State | None,
 ) -> tuple[Chain, tuple[str | Key, ...], Goal]:
     """Check goals as of `solve_poses`; returns their chain, the names of its coordinates, and themselves."""
-    check_type("scene", scene, Scene)
-    wanted = {name: _checked(scene, name, given) for name, given in (coordinates or {}).items()}
+    wanted = {name: coordinate_values(scene, name, given) for name, given in (coordinates or {}).items()}
     names = (*wanted, *(name for name in measure if name not in wanted))
     goal = _goal(wanted, axis, towards)
     chain = chain_of(scene, names, len(wanted), axis, towards is not None, start)
@@ -284,24 +295,23 @@ def chain_of(
     start: State | None,
 ) -> Chain:
     """Return the chain with these joint coordinates, the first of which have goals."""
-    check_type("scene", scene, Scene)
     keys = [scene.mechanism.coordinate(name) for name in names]
     if len(set(keys)) < len(keys):
         raise OptionError("coordinates", names, "each joint coordinate once")
     return Chain(scene, keys, goals, axis, pointing, _start(scene, start))
 
 
-def _checked(scene: Scene, name: str | Key, given: object) -> Array:
+def coordinate_values(scene: Scene, name: str | Key, given: object) -> Array:
     """Return values (n,) or () of a joint coordinate."""
     where = f"joint {scene.mechanism.coordinate(name)[0]!r}"
-    count = np.shape(given)[:1] if isinstance(given, np.ndarray | list | tuple) else ()
+    count = given.shape[:1] if isinstance(given, np.ndarray) else ()
+    if isinstance(given, list | tuple):
+        count = (len(given),)
     return finite_array(where, "coordinate", given, count)
 
 
 def _goal(wanted: Mapping[str | Key, Array], axis: Axis | None, towards: object) -> Goal:
     """Return goals of one length."""
-    if axis is not None:
-        check_type("axis", axis, Axis)
     if towards is not None and axis is None:
         raise OptionError("towards", towards, "an axis of a body that is to point there")
     if not wanted and towards is None:
@@ -322,5 +332,4 @@ def _start(scene: Scene, start: State | None) -> State:
     """Return the state to begin at."""
     if start is None:
         return initial_state(scene)
-    check_type("start", start, State)
     return initial_state(replace(scene, initial_state=start))

@@ -10,8 +10,9 @@ import numpy as np
 
 from newton_euler.analysis.inverse_dynamics import statics
 from newton_euler.analysis.linearization import linearize
+from newton_euler.arguments import checked
 from newton_euler.assemble import initial_state, measured_coordinate
-from newton_euler.errors import MechanismError, OptionError, check_type, real_array
+from newton_euler.errors import MechanismError, OptionError, real_array
 from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import TimeFunction
@@ -20,6 +21,7 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 
+@checked
 def lqr(
     scene: Scene,
     Q: Any,
@@ -59,8 +61,9 @@ def lqr(
     """
     from scipy.linalg import solve_continuous_are
 
-    check_type("scene", scene, Scene)
     mechanism, acting = scene.mechanism, _acting(scene, actuators)
+    if not acting:
+        raise OptionError("actuators", (), "one joint coordinate or more")
     start = initial_state(scene) if state is None else state
     still = np.zeros_like(start.position)
     state = replace(start, linear_velocity=still, angular_velocity=still)
@@ -70,8 +73,11 @@ def lqr(
     keys = [_coordinate(scene, name) for name in model.coordinates]
     q, r = _weights("Q", Q, 2 * len(keys)), _weights("R", R, len(acting))
     try:
-        p = solve_continuous_are(model.A, model.B, q, r)
-        gains = np.linalg.solve(r, model.B.T @ p)
+        with np.errstate(all="ignore"):  # numbers are checked
+            p = solve_continuous_are(model.A, model.B, q, r)
+            gains = np.linalg.solve(r, model.B.T @ p)
+        if not np.all(np.isfinite(gains)):
+            raise ValueError("no finite gains")
     except (np.linalg.LinAlgError, ValueError) as error:
         needed = "positive weights of forces, and weights of all that does not come to rest by itself"
         where = f"the pair Q and R for scene {scene.name!r}"

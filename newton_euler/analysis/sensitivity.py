@@ -25,8 +25,9 @@ from numpy.typing import ArrayLike
 from newton_euler.analysis.tangent_code import ALONG, tangent_code
 from newton_euler.analysis.tangent_run import FollowedRun, tangent_options
 from newton_euler.analysis.tangent_starts import Starts, components
+from newton_euler.arguments import checked
 from newton_euler.equations.undetermined import redundant_constraints
-from newton_euler.errors import OptionError, SensitivityError, check_type
+from newton_euler.errors import OptionError, SensitivityError
 from newton_euler.integrators.formulations import check_formulation
 from newton_euler.integrators.options import FormulationName, StepControl
 from newton_euler.integrators.outputs import named
@@ -117,6 +118,7 @@ class Sensitivities:
         return JointMotion(names, x[:, place], rates[:, place] if has_rates else None)
 
 
+@checked
 def sensitivities(
     scene: Scene,
     parameters: Sequence[str] | Mapping[str, ArrayLike],
@@ -147,7 +149,6 @@ def sensitivities(
         >>> lighter.parameters
         ('dumbbell.mass',)
     """
-    check_type("scene", scene, Scene)
     check_formulation(formulation)
     names = checked_names(list(parameters) if isinstance(parameters, Mapping) else parameters)
     options, places = tangent_options(control), components(scene, names)

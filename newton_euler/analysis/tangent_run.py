@@ -40,7 +40,8 @@ def tangent_options(control: Mapping[str, Any]) -> Options:
     """
     chosen = dict(control)
     for name, only in (("integrator", "DOP853"), ("stabilization", "projection"), ("rest", 0.0)):
-        if (value := chosen.pop(name, only)) != only:
+        value = chosen.pop(name, only)
+        if not isinstance(value, str | float | int) or value != only:
             raise OptionError(name, value, f"{only}, which derivatives are of")
     return Options.of("DOP853", cast(StepControl, chosen))
 

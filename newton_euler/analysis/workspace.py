@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -20,13 +21,15 @@ from newton_euler.analysis.continuation import (
     newton,
     random_coordinates,
 )
-from newton_euler.analysis.poses import Poses, chain_of, goals_of, poses_of
-from newton_euler.errors import OptionError, is_count
+from newton_euler.analysis.poses import Poses, chain_of, coordinate_values, goals_of, poses_of
+from newton_euler.arguments import Range, checked
+from newton_euler.errors import OptionError
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
+MAX_POSES = 1_000_000  # of a grid, or random ones that are begun at; each takes some kB of memory
 SINGULAR_STEPS = 30  # of Newton's method from a closed configuration to a singular one
 
 
@@ -63,6 +66,7 @@ class Workspace:
         return f"<Workspace over {names}: {np.sum(self.reachable)} of {self.reachable.size} reachable>"
 
 
+@checked
 def workspace(
     scene: Scene, grid: Mapping[str | Key, Any], axis: Axis | None = None, start: State | None = None
 ) -> Workspace:
@@ -73,7 +77,8 @@ def workspace(
 
     Args:
         scene: gives the mechanism and the start.
-        grid: values of each coordinate, as of `solve_poses`; as many coordinates as degrees of freedom.
+        grid: values of each coordinate, as of `solve_poses`; as many coordinates as degrees of freedom, and
+            at most `MAX_POSES` points.
         axis: of a body, whose directions are mapped.
         start: pose on the assembly branch that is mapped; the scene's own if None.
 
@@ -88,7 +93,9 @@ def workspace(
         >>> print(found.reachable.sum(), found.driving[4, 4].round(3))
         49 0.561
     """
-    single = {name: np.atleast_1d(values) for name, values in grid.items()}
+    single = {name: np.atleast_1d(coordinate_values(scene, name, given)) for name, given in grid.items()}
+    if (points := math.prod(map(len, single.values()))) > MAX_POSES:
+        raise OptionError("grid", f"{points} points", f"at most {MAX_POSES}")
     mesh = np.meshgrid(*single.values(), indexing="ij") if single else []
     flat = dict(zip(single, (each.ravel() for each in mesh), strict=True))
     chain, names, goal = goals_of(scene, flat, axis, None, (), start)
@@ -112,8 +119,12 @@ def workspace(
     return Workspace(single, reached.reshape(mesh[0].shape), poses, driving, pointing, elevation, azimuth)
 
 
+@checked
 def singular_poses(
-    scene: Scene, coordinates: Sequence[str | Key], count: int = 1000, axis: Axis | None = None
+    scene: Scene,
+    coordinates: Sequence[str | Key],
+    count: Annotated[int, Range(1, MAX_POSES)] = 1000,
+    axis: Axis | None = None,
 ) -> Poses:
     """Find configurations of any branch in which joint coordinates do not determine the motion.
 
@@ -123,7 +134,7 @@ def singular_poses(
     Args:
         scene: gives the mechanism.
         coordinates: joint coordinates, as many as degrees of freedom.
-        count: number of random configurations.
+        count: number of random configurations, 1 to `MAX_POSES`.
         axis: of a body, whose directions are asked for.
 
     Returns:
@@ -131,7 +142,7 @@ def singular_poses(
         curves.
 
     Raises:
-        OptionError: for more or fewer coordinates, and for a count that is none.
+        OptionError: for more or fewer coordinates, and for an impossible count.
         UnknownNameError: for an unknown joint.
 
     Examples:
@@ -139,8 +150,6 @@ def singular_poses(
         >>> print(np.unique(ends.round(6)))
         [-0.49016  -0.384952 -0.015048  0.09016 ]
     """
-    if not is_count(count):
-        raise OptionError("count", count, "a whole number, 1 or more")
     chain = chain_of(scene, coordinates, 0, axis, False, None)
     _check_count(chain)
     q = random_coordinates(chain, count, np.random.default_rng(0))

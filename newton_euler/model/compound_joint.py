@@ -62,7 +62,7 @@ class Compound(Joint):
     def __post_init__(self) -> None:
         beyond = self.point_on_second
         super().__post_init__()
-        where = f"joint {self.name!r}"
+        where = f"joint {quoted(self.name)}"
         for name in ("slides", "hinges"):
             try:
                 given = [unit_vector(self.name, name, axis) for axis in getattr(self, name)]
@@ -136,7 +136,7 @@ class Compound(Joint):
         changed = self.varied(values)
         if _is_right_handed(changed.hinges) != _is_right_handed(self.described.hinges):
             problem = f"hinges are {changed.hinges.tolist()}, where the angle of the second one jumps"
-            raise MechanismError(f"joint {self.name!r}", problem, "axes nearer to the described ones")
+            raise MechanismError(f"joint {quoted(self.name)}", problem, "axes nearer to the described ones")
         fields: dict[str, Any] = {name: getattr(changed, name) for name in ("slides", "hinges", "offsets")}
         return replace(self, point=changed.point, point_on_second=changed.point_on_second, **fields)
 

@@ -230,13 +230,14 @@ class StateFeedback(DeclaredLaw):
         for key in targets:
             if key not in gains or key == self.key:
                 needed = "targets of other coordinates that have gains; its own is target"
-                raise MechanismError(where, f"targets has {key[0]!r}", needed)
+                raise MechanismError(where, f"targets has {quoted(key[0])}", needed)
         object.__setattr__(self, "gains", gains)
         object.__setattr__(self, "targets", targets)
 
     def _by_key(self, name: str, shape: tuple[int, ...]) -> dict[Key, Any]:
         """Return an attribute by joint coordinates, checked."""
-        given: Any = getattr(self, name) or {}
+        given: Any = getattr(self, name)
+        given = {} if isinstance(given, tuple) and not given else given
         if not isinstance(given, Mapping):
             raise MechanismError(self.element, f"{name} is {quoted(given)}", "a mapping from names of joints")
         found: dict[Key, Any] = {}
@@ -244,7 +245,7 @@ class StateFeedback(DeclaredLaw):
             key = place if isinstance(place, tuple) and len(place) == 2 else (place, 0)
             check_key(f"{name} of {self.element}", *key)
             if shape or not isinstance(value, TimeFunction):
-                value = finite_array(self.element, f"{name} of joint {key[0]!r}", value, shape).tolist()
+                value = finite_array(self.element, f"{name} of joint {quoted(key[0])}", value, shape).tolist()
             found[key] = value
         return found
 
@@ -253,7 +254,7 @@ class StateFeedback(DeclaredLaw):
         for joint, coordinate in self.reads:
             if joint not in mechanism.joint_names:
                 needed = f"names out of {', '.join(mechanism.joint_names)}"
-                raise MechanismError(self.element, f"gains has {joint!r:.100}", needed)
+                raise MechanismError(self.element, f"gains has {quoted(joint)}", needed)
             check_coordinate(self.element, mechanism.joint(joint), coordinate)
 
     @property
@@ -308,7 +309,7 @@ class ComputedTorque(DeclaredLaw):
     def __post_init__(self) -> None:
         self._set_numbers(self.parameters)
         check_key(self.element, self.joint, self.coordinate)
-        given: Any = self.model or {}
+        given: Any = {} if isinstance(self.model, tuple) and not self.model else self.model
         try:
             model = {name: real_array(value).tolist() for name, value in given.items()}
         except (AttributeError, TypeError, ValueError, OverflowError) as error:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number, quoted
+from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number, items_of, quoted
 from newton_euler.model.variable import WHICH, Change, Variable
 from newton_euler.scalars import Array
 
@@ -71,7 +71,7 @@ class Gear(JointCoupling):
         return {follower: 1.0, (self.driver, self.driver_coordinate): -self.ratio}
 
     def __post_init__(self) -> None:
-        where = f"gear {self.name!r:.100}"
+        where = f"gear {quoted(self.name)}"
         check_texts(where, self, "name")
         if not is_finite_number(self.ratio) or self.ratio == 0.0:
             raise MechanismError(where, f"ratio is {quoted(self.ratio)}", "a finite number, not 0")
@@ -79,7 +79,9 @@ class Gear(JointCoupling):
         check_key(where, self.driver, self.driver_coordinate)
         check_key(where, self.follower, self.follower_coordinate)
         if (self.driver, self.driver_coordinate) == (self.follower, self.follower_coordinate):
-            raise MechanismError(where, f"couples joint {self.driver!r} to itself", "two joint coordinates")
+            raise MechanismError(
+                where, f"couples joint {quoted(self.driver)} to itself", "two joint coordinates"
+            )
 
 
 MAX_DEGREE = 4
@@ -138,10 +140,10 @@ class PolynomialCoupling(JointCoupling):
         return replace(self, coefficients=tuple(shifted.tolist()))
 
     def __post_init__(self) -> None:
-        where = f"polynomial coupling {self.name!r:.100}"
+        where = f"polynomial coupling {quoted(self.name)}"
         check_texts(where, self, "name")
         given: Any = self.coefficients
-        coefficients = tuple(given) if isinstance(given, Iterable) and not isinstance(given, str) else ()
+        coefficients = items_of(given) or ()
         known = all(is_finite_number(c) for c in coefficients)
         if not (known and 1 <= len(coefficients) <= MAX_DEGREE and any(c != 0.0 for c in coefficients)):
             needed = f"1 to {MAX_DEGREE} finite numbers, not all 0, for the powers 1, 2, ..."
@@ -150,7 +152,9 @@ class PolynomialCoupling(JointCoupling):
         check_key(where, self.driver, self.driver_coordinate)
         check_key(where, self.follower, self.follower_coordinate)
         if (self.driver, self.driver_coordinate) == (self.follower, self.follower_coordinate):
-            raise MechanismError(where, f"couples joint {self.driver!r} to itself", "two joint coordinates")
+            raise MechanismError(
+                where, f"couples joint {quoted(self.driver)} to itself", "two joint coordinates"
+            )
 
 
 @dataclass(frozen=True)
@@ -186,7 +190,7 @@ class LinearCoupling(JointCoupling):
         return {(joint, coordinate): factor for joint, coordinate, factor in self.terms}
 
     def __post_init__(self) -> None:
-        where = f"coupling {self.name!r:.100}"
+        where = f"coupling {quoted(self.name)}"
         check_texts(where, self, "name")
         try:
             terms = tuple((joint, coordinate, factor) for joint, coordinate, factor in self.terms)
@@ -196,8 +200,8 @@ class LinearCoupling(JointCoupling):
         for joint, coordinate, factor in terms:
             check_key(where, joint, coordinate)
             if not is_finite_number(factor) or factor == 0.0:
-                problem = f"factor of {joint!r} is {quoted(factor)}"
+                problem = f"factor of {quoted(joint)} is {quoted(factor)}"
                 raise MechanismError(where, problem, "a finite number, not 0")
         if len(terms) < 2 or len({term[:2] for term in terms}) < len(terms):
-            raise MechanismError(where, f"has the terms {terms!r:.100}", "two joint coordinates or more")
+            raise MechanismError(where, f"has the terms {quoted(terms)}", "two joint coordinates or more")
         object.__setattr__(self, "terms", tuple((joint, k, float(factor)) for joint, k, factor in terms))

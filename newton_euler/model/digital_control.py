@@ -9,7 +9,15 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_key, is_finite_number, is_whole, quoted, set_numbers
+from newton_euler.errors import (
+    MechanismError,
+    check_key,
+    is_finite_number,
+    is_whole,
+    items_of,
+    quoted,
+    set_numbers,
+)
 from newton_euler.model.control import (
     NO_FORCES,
     PD,
@@ -110,7 +118,7 @@ class Sampled(HeldLaw):
     def __post_init__(self) -> None:
         where = self.element
         if not callable(self.controller):
-            raise MechanismError(where, f"controller is {self.controller!r}", "something to call")
+            raise MechanismError(where, f"controller is {quoted(self.controller)}", "something to call")
         self._check_period()
         check_key(where, self.joint, self.coordinate)
 
@@ -164,7 +172,9 @@ class Digital(HeldLaw):
 
     def __post_init__(self) -> None:
         if not isinstance(self.law, DeclaredLaw):
-            raise MechanismError("digital control", f"law is {self.law!r:.100}", "a declared law, such as PD")
+            raise MechanismError(
+                "digital control", f"law is {quoted(self.law)}", "a declared law, such as PD"
+            )
         object.__setattr__(self, "joint", self.law.joint)
         object.__setattr__(self, "coordinate", self.law.coordinate)
         where = self.element
@@ -175,16 +185,12 @@ class Digital(HeldLaw):
         set_numbers(self, where, ["resolution"], least=0.0)
         for name in ("force_limit", "slew_limit"):
             value = getattr(self, name)
-            is_infinite = isinstance(value, float) and value == np.inf
-            if not is_infinite and not (is_finite_number(value) and value > 0.0):
+            if not _is_limit(value) or not value > 0.0:
                 raise MechanismError(where, f"{name} is {quoted(value)}", "a positive number, or infinity")
-        try:
-            low, high = map(float, self.stroke)
-        except (TypeError, ValueError, OverflowError):
-            low, high = np.nan, np.nan
-        if not low <= high:
+        ends = items_of(self.stroke) or ()
+        if len(ends) != 2 or not all(map(_is_limit, ends)) or not ends[0] <= ends[1]:
             raise MechanismError(where, f"stroke is {quoted(self.stroke)}", "the lower end and the upper one")
-        object.__setattr__(self, "stroke", (low, high))
+        object.__setattr__(self, "stroke", tuple(map(float, ends)))
 
     @property
     def variables(self) -> tuple[str, ...]:
@@ -264,6 +270,11 @@ class Computer:
         before = x if self._before is None else self._before
         self._before = x
         return x, np.where(coarse, (x - before) / self._law.period, x_rate)
+
+
+def _is_limit(value: object) -> bool:
+    """Return True for a finite number and for infinity of either sign."""
+    return is_finite_number(value) or (isinstance(value, float) and bool(np.isinf(value)))
 
 
 Law = PD | StateFeedback | ComputedTorque | Sampled | Digital

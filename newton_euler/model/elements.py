@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from newton_euler.errors import MechanismError
+from newton_euler.errors import MechanismError, quoted
 from newton_euler.model import balls
 from newton_euler.model.constraints import Frame
 from newton_euler.model.joint import Key, Pose
@@ -113,15 +113,17 @@ class OnCoordinate(OnJoint):
 
     @property
     def element(self) -> str:
-        return f"{self.noun} of joint {self.joint!r}"
+        return f"{self.noun} of joint {quoted(self.joint)}"
 
     @property
     def where(self) -> str:
-        return f"of joint {self.joint!r}" + (f", coordinate {self.coordinate}" if self.coordinate else "")
+        return f"of joint {quoted(self.joint)}" + (
+            f", coordinate {self.coordinate}" if self.coordinate else ""
+        )
 
     @property
     def identity(self) -> str:
-        return f"{self.noun} of coordinate {self.coordinate} of joint {self.joint!r}"
+        return f"{self.noun} of coordinate {self.coordinate} of joint {quoted(self.joint)}"
 
     @property
     def prefix(self) -> str:
@@ -152,7 +154,7 @@ class OnBall(OnJoint):
 
     @property
     def where(self) -> str:
-        return f"of the ball of joint {self.joint!r}"
+        return f"of the ball of joint {quoted(self.joint)}"
 
     @property
     def prefix(self) -> str:
@@ -182,7 +184,7 @@ class OnBodies(Element):
 
     @property
     def identity(self) -> str:
-        return f"force {self.name!r}"
+        return f"force {quoted(self.name)}"
 
     @property
     def prefix(self) -> str:
@@ -254,7 +256,7 @@ class OnPoint(OnBodies, AppliedForce):
         """Raise `MechanismError` unless the mechanism has its body, a moving one."""
         super().check(mechanism)
         if mechanism.body_index(self.body) == 0:
-            raise MechanismError(self.element, f"acts on the ground {self.body!r}", "a body that moves")
+            raise MechanismError(self.element, f"acts on the ground {quoted(self.body)}", "a body that moves")
 
     def parts(self, at: Surroundings) -> tuple[int, Array, Array, Array]:
         """Return the body's number, and the force, the torque and the arm of the point (3,), world frame."""
@@ -297,7 +299,7 @@ class CoordinateForce(OnCoordinate, AppliedForce):
 def check_known(element: str, problem: str, name: str, known: Sequence[str]) -> None:
     """Raise `MechanismError` with a problem, and the name, unless that is among the known ones."""
     if name not in known:
-        raise MechanismError(element, f"{problem} {name!r:.100}", f"one of {', '.join(known)}")
+        raise MechanismError(element, f"{problem} {quoted(name)}", f"one of {', '.join(known)}")
 
 
 def check_elements(elements: Sequence[Element], mechanism: Mechanism) -> None:

@@ -226,7 +226,7 @@ class PointSpring(OnBodies, AppliedForce):
         """Raise `MechanismError` unless the mechanism has its two bodies."""
         super().check(mechanism)
         if self.first == self.second:
-            raise MechanismError(self.element, f"connects {self.first!r} to itself", "two bodies")
+            raise MechanismError(self.element, f"connects {quoted(self.first)} to itself", "two bodies")
 
     @property
     def has_direction(self) -> bool:
@@ -319,7 +319,7 @@ class Wrench(OnPoint):
         check_texts(self.element, self, "body")
         set_arrays(self, self.element, point=(3,), force=(3,), torque=(3,))
         if not isinstance(self.frame, str) or self.frame not in ("world", "body"):
-            raise MechanismError(self.element, f"frame is {self.frame!r}", "'world' or 'body'")
+            raise MechanismError(self.element, f"frame is {quoted(self.frame)}", "'world' or 'body'")
 
     def parts(self, at: Surroundings) -> tuple[int, Array, Array, Array]:
         k = at.mechanism.body_index(self.body)

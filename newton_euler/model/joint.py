@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_flag, check_texts, finite_array, set_arrays
+from newton_euler.errors import MechanismError, check_flag, check_texts, finite_array, quoted, set_arrays
 from newton_euler.model.constraints import (
     Angle,
     Coincidence,
@@ -132,10 +132,10 @@ def perpendicular_pair(axis: Array, described: Array | None = None) -> tuple[Arr
 
 def unit_vector(joint: str, name: str, value: object) -> Array:
     """Return a read-only array (3,) of norm 1 along an axis of a joint; raises `MechanismError`."""
-    vector = finite_array(f"joint {joint!r}", name, value, (3,))
+    vector = finite_array(f"joint {quoted(joint)}", name, value, (3,))
     largest = float(np.max(np.abs(vector)))
     if largest < 1e-12:
-        raise MechanismError(f"joint {joint!r}", f"{name} is {vector.tolist()}", "a non-zero axis")
+        raise MechanismError(f"joint {quoted(joint)}", f"{name} is {vector.tolist()}", "a non-zero axis")
     vector = np.ldexp(vector, -np.frexp(largest)[1])  # exact, and no square can overflow
     vector /= np.linalg.norm(vector)
     vector.flags.writeable = False
@@ -172,11 +172,11 @@ class Joint(Variable):
     """(3,) by which the second body's point is displaced more than the first's, where points vary."""
 
     def __post_init__(self) -> None:
-        check_texts(f"joint {self.name!r:.100}", self, "name", "first", "second")
-        check_flag(f"joint {self.name!r:.100}", self, "actuated")
+        check_texts(f"joint {quoted(self.name)}", self, "name", "first", "second")
+        check_flag(f"joint {quoted(self.name)}", self, "actuated")
         if self.point_on_second is None:
             object.__setattr__(self, "point_on_second", self.point)
-        set_arrays(self, f"joint {self.name!r}", point=(3,), point_on_second=(3,))
+        set_arrays(self, f"joint {quoted(self.name)}", point=(3,), point_on_second=(3,))
         for name in self.axis_names:
             object.__setattr__(self, name, unit_vector(self.name, name, getattr(self, name)))
 

@@ -70,7 +70,7 @@ class Universal(Joint):
         cosine = float(self.axis_on_first @ self.axis_on_second)
         if abs(cosine) > AXIS_TOLERANCE:
             raise MechanismError(
-                f"joint {self.name!r}",
+                f"joint {quoted(self.name)}",
                 f"its two axes have a cosine of {cosine:.3g}",
                 f"perpendicular axes, |cosine| at most {AXIS_TOLERANCE:g}",
             )
@@ -181,7 +181,7 @@ class Screw(Cylindrical):
         super().__post_init__()
         if not is_finite_number(self.pitch) or self.pitch == 0.0:
             needed = "a finite number of meters per radian, not 0"
-            raise MechanismError(f"joint {self.name!r}", f"pitch is {quoted(self.pitch)}", needed)
+            raise MechanismError(f"joint {quoted(self.name)}", f"pitch is {quoted(self.pitch)}", needed)
         object.__setattr__(self, "pitch", float(self.pitch))
 
     @property
@@ -209,7 +209,7 @@ class Planar(AxisJoint):
         own = perpendicular_pair(changed.axis, self.axis)
         if not np.array_equal(own, changed.pair):
             problem = f"axis is {changed.axis.tolist()}, where the slides of the plane jump"
-            raise MechanismError(f"joint {self.name!r}", problem, "an axis nearer to the described one")
+            raise MechanismError(f"joint {quoted(self.name)}", problem, "an axis nearer to the described one")
         return changed
 
     @property
@@ -267,7 +267,7 @@ class Rod(Joint):
         if not LEAST_LENGTH <= length < math.inf:
             problem = f"its two points are {length:.3g} m apart"
             needed = f"point_on_second at least {LEAST_LENGTH:g} m from point, a ball joint otherwise"
-            raise MechanismError(f"joint {self.name!r}", problem, needed)
+            raise MechanismError(f"joint {quoted(self.name)}", problem, needed)
 
     @cached_property
     def length(self) -> float:

@@ -51,7 +51,7 @@ def check_name(what: str, name: object) -> None:
     """Raise `MechanismError` for a name that files and reports cannot use."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise MechanismError(
-            f"{what} {name!r:.100}", "has an unusable name", "letters, digits, _, . and - only"
+            f"{what} {quoted(name)}", "has an unusable name", "letters, digits, _, . and - only"
         )
 
 
@@ -60,7 +60,7 @@ def check_coordinate(element: str, joint: Joint, coordinate: int) -> None:
     count = len(joint.coordinate_kinds)
     if not 0 <= coordinate < count:
         needed = f"an index below {count}" if count else "a joint with a hinge or a slide"
-        raise MechanismError(element, f"coordinate is {coordinate}", needed)
+        raise MechanismError(element, f"coordinate is {quoted(coordinate)}", needed)
 
 
 @description
@@ -98,7 +98,7 @@ class Body(Variable):
 
     def __post_init__(self) -> None:
         check_name("body", self.name)
-        where = f"body {self.name!r}"
+        where = f"body {quoted(self.name)}"
         set_arrays(self, where, mass=(), center_of_mass=(3,), inertia=(3, 3), quaternion=(4,))
         check_flag(where, self, "allow_unrealisable_inertia")
         for field, kinds in (("shapes", get_args(Shape)), ("meshes", (Mesh,))):
@@ -134,7 +134,7 @@ class Body(Variable):
             >>> print(f"{pendulum.mass:.3f} kg at {pendulum.center_of_mass[0]:.3f} m")
             5.309 kg at 0.442 m
         """
-        where = f"body {name!r:.100}"
+        where = f"body {quoted(name)}"
         if (density is None) == (mass is None):
             given = "no density and no mass" if mass is None else "a density and a mass"
             raise MechanismError(where, f"is given {given}", "one of them")
@@ -157,7 +157,7 @@ class Body(Variable):
 
     def check(self) -> None:
         """Raise `MechanismError` unless a moving rigid body can have these values."""
-        where = f"body {self.name!r}"
+        where = f"body {quoted(self.name)}"
         if self.mass < LEAST:
             raise MechanismError(where, f"mass is {self.mass:g} kg", f"a positive mass, {LEAST:g} kg or more")
         scale = float(np.max(np.abs(self.inertia)))
@@ -181,7 +181,7 @@ class Body(Variable):
         if "quaternion" in fields:
             p = np.asarray(fields["quaternion"])
             if p.dtype != object and not np.any(p):
-                raise MechanismError(f"body {self.name!r}", "quaternion is zero", "one that is not")
+                raise MechanismError(f"body {quoted(self.name)}", "quaternion is zero", "one that is not")
             fields["quaternion"] = p / sqrt(p @ p)
         return fields
 
@@ -231,12 +231,14 @@ class Mechanism:
         for what, named in (("body", self.bodies), ("joint", self.joints)):
             for name, count in Counter(element.name for element in named).items():
                 if count > 1:
-                    raise MechanismError(f"{what} {name!r}", f"{count} of that name", "unique names")
+                    raise MechanismError(f"{what} {quoted(name)}", f"{count} of that name", "unique names")
         for body in self.bodies:
             norm = float(np.linalg.norm(body.quaternion))
             if abs(norm - 1.0) > UNIT_TOLERANCE:
                 raise MechanismError(
-                    f"body {body.name!r}", f"quaternion has norm {norm:.9g}", "a unit quaternion, w-x-y-z"
+                    f"body {quoted(body.name)}",
+                    f"quaternion has norm {norm:.9g}",
+                    "a unit quaternion, w-x-y-z",
                 )
         for body in self.bodies[1:]:
             body.check()
@@ -256,14 +258,16 @@ class Mechanism:
 
     def _check_joints(self) -> None:
         for joint in self.joints:
-            where = f"joint {joint.name!r}"
+            where = f"joint {quoted(joint.name)}"
             for body in (joint.first, joint.second):
                 if not isinstance(body, str) or body not in self._body_indices:
                     raise MechanismError(
-                        where, f"connects an unknown body {body!r}", f"one of {', '.join(self.body_names)}"
+                        where,
+                        f"connects an unknown body {quoted(body)}",
+                        f"one of {', '.join(self.body_names)}",
                     )
             if joint.first == joint.second:
-                raise MechanismError(where, f"connects {joint.first!r} to itself", "two bodies")
+                raise MechanismError(where, f"connects {quoted(joint.first)} to itself", "two bodies")
         self._check_connected()
         frames = [
             Frame(body.center_of_mass, rotation(body.quaternion), np.zeros(3), np.zeros(3))
@@ -274,11 +278,11 @@ class Mechanism:
     def _check_couplings(self) -> None:
         names = Counter([*self.joint_names, *(coupling.name for coupling in self.couplings)])
         for coupling in self.couplings:
-            where = f"{coupling.kind} {coupling.name!r}"
+            where = f"{coupling.kind} {quoted(coupling.name)}"
             if names[coupling.name] > 1:
                 raise MechanismError(where, f"{names[coupling.name]} of that name", "unique names")
             for joint, coordinate in coupling.factors():
-                on_joint = f"{where} on joint {joint!r}"
+                on_joint = f"{where} on joint {quoted(joint)}"
                 check_coordinate(on_joint, self.joint(joint), coordinate)
 
     def _check_connected(self) -> None:
@@ -291,7 +295,9 @@ class Mechanism:
         for index, name in enumerate(self.body_names):
             if index not in reached:
                 raise MechanismError(
-                    f"body {name!r}", "no joint leads to it from the ground", "a joint, `free` if it floats"
+                    f"body {quoted(name)}",
+                    "no joint leads to it from the ground",
+                    "a joint, `free` if it floats",
                 )
 
     def check_closed(self, frames: list[Frame], when: str) -> None:
@@ -302,7 +308,7 @@ class Mechanism:
             if not gap <= CLOSURE_TOLERANCE:  # of coordinates that overflow it is not a number
                 unit = "m" if equations.is_length[int(np.argmax(np.abs(phi)))] else "rad"
                 raise MechanismError(
-                    f"joint {equations.joint.name!r}",
+                    f"joint {quoted(equations.joint.name)}",
                     f"is open by {gap:.3g} {unit} {when}",
                     f"a closed loop, to {CLOSURE_TOLERANCE:g}",
                 )
@@ -362,7 +368,13 @@ class Mechanism:
         return self.joints[self.joint_index(name)]
 
     def is_slide(self, joint: str, coordinate: int) -> bool:
-        """Return True if the coordinate of a joint is a slide, in m, False for a hinge, in rad."""
+        """Return True if the coordinate of a joint is a slide, in m, False for a hinge, in rad.
+
+        Raises:
+            UnknownNameError: for an unknown joint.
+            MechanismError: for a joint without such a coordinate.
+        """
+        joint, coordinate = self.coordinate((joint, coordinate))
         return self.joint(joint).coordinate_kinds[coordinate] == "slide"
 
     def coordinate(self, name: str | Key) -> Key:
@@ -373,11 +385,11 @@ class Mechanism:
             MechanismError: for a joint without such a coordinate, and for one of several that is left open.
         """
         joint, number = name if isinstance(name, tuple) and len(name) == 2 else (name, 0)
-        count, where = len(self.joint(joint).coordinate_kinds), f"joint {joint!r}"
+        count, where = len(self.joint(joint).coordinate_kinds), f"joint {quoted(joint)}"
         check_key(where, joint, number)
         check_coordinate(where, self.joint(joint), number)
         if count > 1 and not isinstance(name, tuple):
-            raise MechanismError(where, f"has {count} coordinates", f"which one, as ({joint!r}, 0)")
+            raise MechanismError(where, f"has {count} coordinates", f"which one, as ({quoted(joint)}, 0)")
         return joint, int(number)
 
     @cached_property
@@ -388,7 +400,13 @@ class Mechanism:
         return {(joint, k): f"{joint}.{k}" if counts[joint] > 1 else joint for joint, k in keys}
 
     def coordinate_name(self, key: Key) -> str | Key:
-        """Return the name of a joint coordinate: that of its joint, if it has no others."""
+        """Return the name of a joint coordinate: that of its joint, if it has no others.
+
+        Raises:
+            UnknownNameError: for an unknown joint.
+            MechanismError: for a joint without such a coordinate.
+        """
+        key = self.coordinate(key)
         return key[0] if len(self.joint(key[0]).coordinate_kinds) == 1 else key
 
     def joint_equations(self, name: str) -> JointEquations:

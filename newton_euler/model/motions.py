@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_key
+from newton_euler.errors import MechanismError, check_key, items_of, quoted
 from newton_euler.model.elements import OnCoordinate
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Piecewise, Spline, Steps
@@ -31,10 +31,9 @@ class Sum(Function):
     terms: tuple[TimeFunction, ...]
 
     def __post_init__(self) -> None:
-        given: Any = self.terms
-        terms = tuple(given) if isinstance(given, Iterable) else ()
+        terms = items_of(self.terms) or ()
         if not terms or not all(isinstance(term, TimeFunction) for term in terms):
-            problem = f"terms is {self.terms!r:.100}"
+            problem = f"terms is {quoted(self.terms)}"
             raise MechanismError("sum", problem, "one or more of Polynomial, Sine, Spline, Steps and Sum")
         object.__setattr__(self, "terms", terms)
 
@@ -169,7 +168,7 @@ class PrescribedMotion(OnCoordinate):
     def __post_init__(self) -> None:
         where, needed = self.element, "a Polynomial, Sine, Spline or Sum"
         if not isinstance(self.function, TimeFunction):
-            raise MechanismError(where, f"function is {self.function!r:.100}", needed)
+            raise MechanismError(where, f"function is {quoted(self.function)}", needed)
         if self.function.jumps:
             problem = f"function jumps at {self.function.jumps[0]:.9g} s"
             raise MechanismError(where, problem, f"{needed}, which has accelerations")

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_flag, set_arrays
+from newton_euler.errors import MechanismError, check_flag, quoted, set_arrays
 from newton_euler.model.constraints import Angle, Constraint, Displacement, Distance, Frame, Jacobian, Span
 from newton_euler.model.description import DefaultArrayField, description
 from newton_euler.model.joint import LEAST_LENGTH, AxisJoint, Motion, Pose
@@ -120,7 +120,7 @@ class ParallelHinges(AxisJoint):
     vector_names: ClassVar[tuple[str, ...]] = ("offset",)
 
     def __post_init__(self) -> None:
-        beyond, where = self.point_on_second, f"joint {self.name!r}"
+        beyond, where = self.point_on_second, f"joint {quoted(self.name)}"
         super().__post_init__()
         set_arrays(self, where, offset=(3,))
         check_flag(where, self, "opposed")

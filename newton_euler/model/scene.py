@@ -15,6 +15,7 @@ from newton_euler.errors import (
     check_choices,
     elements_of,
     is_finite_number,
+    items_of,
     quoted,
     set_arrays,
 )
@@ -120,9 +121,9 @@ class Scene(Variable):
     @np.errstate(all="ignore")  # what overflows is refused, here or by a run
     def __post_init__(self) -> None:
         self._check_texts()
-        where = f"scene {self.name!r}"
+        where = f"scene {quoted(self.name)}"
         if not isinstance(self.mechanism, Mechanism):
-            raise MechanismError(where, f"mechanism is {self.mechanism!r}", "a Mechanism")
+            raise MechanismError(where, f"mechanism is {quoted(self.mechanism)}", "a Mechanism")
         for name in ("duration", "output_period"):
             value = getattr(self, name)
             if not is_finite_number(value) or not 0.0 < value <= MAXIMUM_DURATION:
@@ -142,10 +143,11 @@ class Scene(Variable):
                 "a longer output_period",
             )
         set_arrays(self, where, gravity=(3,))
-        if not isinstance(self.outputs, Iterable) or isinstance(self.outputs, str):
-            raise MechanismError(where, f"outputs is {self.outputs!r}", "a set of names")
-        check_choices("output", self.outputs, OUTPUTS)
-        object.__setattr__(self, "outputs", frozenset(self.outputs))
+        outputs = items_of(self.outputs)
+        if outputs is None:
+            raise MechanismError(where, f"outputs is {quoted(self.outputs)}", "a set of names")
+        check_choices("output", outputs, OUTPUTS)
+        object.__setattr__(self, "outputs", frozenset(outputs))
         for field, kinds in PARTS.items():
             elements = elements_of(where, field, getattr(self, field), *kinds)
             check_elements(elements, self.mechanism)
@@ -162,10 +164,12 @@ class Scene(Variable):
         name, description = self.name, self.description
         if not isinstance(name, str) or not _NAME.fullmatch(name) or name in (".", ".."):
             needed = "letters, digits, _, . and - only, at most 100, not . or .."
-            raise MechanismError("scene", f"name is {name!r:.150}", needed)
+            raise MechanismError("scene", f"name is {quoted(name, 150)}", needed)
         if not isinstance(description, str) or not description.isprintable():
             raise MechanismError(
-                f"scene {name!r}", f"description is {description!r:.150}", "one line of printable text"
+                f"scene {quoted(name)}",
+                f"description is {quoted(description, 150)}",
+                "one line of printable text",
             )
 
     def check_functions(self, begin: float, end: float, noun: str) -> None:
@@ -186,7 +190,7 @@ class Scene(Variable):
     def check_numbers(self, state: object, where: str) -> None:
         """Raise `MechanismError` for what is no state of the scene's bodies, closed or not."""
         if not isinstance(state, State):
-            raise MechanismError(where, f"is {state!r:.200}", "a State")
+            raise MechanismError(where, f"is {quoted(state, 200)}", "a State")
         count = len(self.mechanism.bodies)
         for name, width in (
             ("position", 3),
@@ -211,7 +215,7 @@ class Scene(Variable):
         norms = np.linalg.norm(state.quaternion, axis=1)
         if not np.all(norms > UNIT_TOLERANCE):
             body = self.mechanism.body_names[int(np.argmin(norms))]
-            raise MechanismError(where, f"quaternion of body {body!r} is zero", "one of norm 1")
+            raise MechanismError(where, f"quaternion of body {quoted(body)} is zero", "one of norm 1")
 
     def check_angles(self, angles: object, where: str) -> None:
         """Raise `MechanismError` for what are no finite angles of joint coordinates."""
@@ -229,12 +233,12 @@ class Scene(Variable):
                 raise MechanismError(where, f"angle of {key!r} is {quoted(angle)}", needed)
 
     def _check_state(self, state: State) -> None:
-        self.check_numbers(state, f"initial state of scene {self.name!r}")
+        self.check_numbers(state, f"initial state of scene {quoted(self.name)}")
         norms = np.linalg.norm(state.quaternion, axis=1)
         worst = int(np.argmax(np.abs(norms - 1.0)))
         if abs(norms[worst] - 1.0) > UNIT_TOLERANCE:
             raise MechanismError(
-                f"body {self.mechanism.body_names[worst]!r}",
+                f"body {quoted(self.mechanism.body_names[worst])}",
                 f"initial quaternion has norm {norms[worst]:.9g}",
                 "a unit quaternion, w-x-y-z",
             )
@@ -255,7 +259,7 @@ class Scene(Variable):
             problem = "moves in the initial state"
         else:
             return
-        raise MechanismError(f"ground {ground.name!r}", problem, "the ground's own pose, at rest")
+        raise MechanismError(f"ground {quoted(ground.name)}", problem, "the ground's own pose, at rest")
 
     def without_forces(self) -> Scene:
         """Return the mechanism with its motions alone, for kinematics."""

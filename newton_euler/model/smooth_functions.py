@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from newton_euler.errors import MechanismError, is_finite_number, quoted, set_numbers
+from newton_euler.errors import MechanismError, is_finite_number, items_of, quoted, set_numbers
 from newton_euler.model.variable import Function
 from newton_euler.scalars import Scalar, cos, sin
 
@@ -33,10 +32,7 @@ class Polynomial(Function):
     parts: ClassVar = {"": ("coefficients",)}
 
     def __post_init__(self) -> None:
-        given: Any = self.coefficients
-        if not isinstance(given, Iterable) or isinstance(given, str):
-            given = ()
-        given = tuple(given)
+        given = items_of(self.coefficients) or ()
         if not given or not all(
             is_finite_number(c) and is_finite_number(k * k * c) for k, c in enumerate(given)
         ):

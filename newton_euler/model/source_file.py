@@ -13,12 +13,12 @@ import stat
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, TypedDict
+from typing import NamedTuple, TypedDict, TypeGuard
 from xml.parsers import expat
 
 import numpy as np
 
-from newton_euler.errors import NewtonEulerError, check_choices, plain_number
+from newton_euler.errors import NewtonEulerError, check_choices, plain_number, quoted
 from newton_euler.limits import MB, exceeded, limit, size_in_bytes
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE
 from newton_euler.scalars import Array, Floats
@@ -74,11 +74,19 @@ def shortened(problem: str) -> str:
     return problem if len(problem) <= LONGEST_PROBLEM else f"{problem[: LONGEST_PROBLEM - 4]} ..."
 
 
+def is_path(text: object) -> TypeGuard[str]:
+    """Return True for a text that the file system can look up, whether there is such a file or not."""
+    try:
+        return isinstance(text, str) and b"\0" not in os.fsencode(text)
+    except UnicodeEncodeError:
+        return False
+
+
 def path_text(path: object, error: type[SourceError] = SourceError) -> str:
     """Return a path as text; raises `SourceError`, of the class `error`, for what is none."""
     where = os.fspath(path) if isinstance(path, os.PathLike) else path
-    if not isinstance(where, str) or "\0" in where:
-        raise error(f"{where!r:.200}", "cannot be read; needed: a path of a file")
+    if not is_path(where):
+        raise error(f"{quoted(where, 200)}", "cannot be read; needed: a path of a file")
     return where
 
 
@@ -195,7 +203,7 @@ def check_names(path: str, header: Sequence[str]) -> None:
     """Raise `SourceError` for columns that are there twice."""
     for name in header:
         if header.count(name) > 1:
-            raise SourceError(path, f"line 1: column {name!r:.100} is there twice; needed: once")
+            raise SourceError(path, f"line 1: column {quoted(name)} is there twice; needed: once")
 
 
 MAXIMUM_DEPTH = 400  # of nested elements; recursive parsers run out of stack somewhere above

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from newton_euler.arguments import checked
 from newton_euler.model.constraints import Frame
 from newton_euler.model.description import description
 from newton_euler.model.euler_parameters import rotation
@@ -43,6 +44,7 @@ class State:
     angles: Mapping[Key, float] = field(default_factory=dict, kw_only=True)
 
     @classmethod
+    @checked
     def initial(cls, mechanism: Mechanism) -> State:
         """The mechanism's initial pose, at rest."""
         return cls(

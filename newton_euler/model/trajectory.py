@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 from zipfile import BadZipFile, ZipFile
 from zlib import error as ZlibError
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, MissingPackageError, NewtonEulerError, OptionError, is_whole
+from newton_euler.arguments import Range, checked
+from newton_euler.errors import (
+    MechanismError,
+    MissingPackageError,
+    NewtonEulerError,
+    OptionError,
+    is_whole,
+    quoted,
+)
 from newton_euler.limits import MB, exceeded
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.joint import Joint, JointEquations, Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import OutputName
-from newton_euler.model.source_file import SourceError, read_content
+from newton_euler.model.source_file import SourceError, is_path, read_content
 from newton_euler.model.state import State, stacked_frames, whole_revolutions
 from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array, Floats, unstacked
@@ -183,6 +192,7 @@ class Trajectory:
         size = f"bodies: {len(self.body_names)}, joints: {len(self.joint_names)}"
         return f"<Trajectory {made}: {len(self.time)} outputs to {self.time[-1]:g} s, {size}>"
 
+    @checked
     def joint(self, name: str) -> JointMotion:
         """Compute the coordinates of a joint, and their rates, at all output times.
 
@@ -270,7 +280,8 @@ class Trajectory:
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in skipped}
         return {name: np.asarray(value) for name, value in values.items() if value is not None}
 
-    def first(self, outputs: int) -> Trajectory:
+    @checked
+    def first(self, outputs: Annotated[int, Range(0)]) -> Trajectory:
         """The run at its first outputs; itself if it has no more."""
         if outputs >= len(self.time):
             return self
@@ -279,11 +290,19 @@ class Trajectory:
         }
         return replace(self, **cut)
 
+    @checked
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the arrays to an .npz; the file appears whole or not at all."""
+        """Write the arrays to an .npz; the file appears whole or not at all.
+
+        Raises:
+            SourceError: naming a path that cannot be written.
+        """
         content = self.archive()  # a zip file on a full disk would fail once more on its way out
-        with atomic_file(path) as temporary:
-            temporary.write_bytes(content)
+        try:
+            with atomic_file(path) as temporary:
+                temporary.write_bytes(content)
+        except OSError as error:
+            raise SourceError(quoted(os.fspath(path)), f"cannot be written: {error.strerror}") from error
 
     def archive(self) -> bytes:
         """The content of an .npz of the arrays."""
@@ -422,7 +441,12 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path beside `path`, in a folder made if need be, that becomes `path` on success only.
 
     Whatever ends the block otherwise, an error or an interrupt, leaves what was at `path` before.
+
+    Raises:
+        OSError: for a path that cannot be written, and for text that is no path.
     """
+    if not is_path(text := os.fspath(path)):
+        raise OSError(errno.EINVAL, os.strerror(errno.EINVAL), text)
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.parent / f".{target.stem}-{os.urandom(4).hex()}{target.suffix}"

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import field
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
+from newton_euler.arguments import Range, checked
 from newton_euler.errors import (
     MechanismError,
     check_texts,
-    is_count,
-    is_finite_number,
-    is_whole,
     quoted,
     set_arrays,
     set_numbers,
@@ -174,6 +172,7 @@ class WindLoad(OnPoint):
         return k, force, cross(center, force), arm
 
 
+@checked
 def wind_gust(mean: float, gust: float, period: float = 10.5) -> Sum:
     """Make the speed of an extreme operating gust: a dip, a rise by 0.74 of `gust`, and a dip again.
 
@@ -188,7 +187,8 @@ def wind_gust(mean: float, gust: float, period: float = 10.5) -> Sum:
         period: T in s.
 
     Raises:
-        MechanismError: for a value that is no finite number, or a period that is not positive.
+        ArgumentError: for a value that is no finite number.
+        MechanismError: for a period that is not positive.
 
     Examples:
         >>> wind = wind_gust(mean=10.0, gust=5.0)
@@ -196,23 +196,21 @@ def wind_gust(mean: float, gust: float, period: float = 10.5) -> Sum:
         [10.0, 8.86, 13.7]
     """
     _check_positive("wind gust", period=period)
-    for name, value in (("mean", mean), ("gust", gust)):
-        if not is_finite_number(value):
-            raise MechanismError("wind gust", f"{name} is {quoted(value)}", "a finite number")
     w, amplitude = math.pi / period, 0.37 * gust
     sines = (Sine(-amplitude, 3.0 * w), Sine(0.5 * amplitude, 5.0 * w), Sine(0.5 * amplitude, w))
     return Sum((Polynomial((mean,)), *sines))
 
 
+@checked
 @np.errstate(all="ignore")  # sines refuse what overflows
 def wind_turbulence(
     mean: float,
     deviation: float,
     length: float,
-    seed: int,
+    seed: Annotated[int, Range(0)],
     lowest: float = 0.01,
     highest: float = 10.0,
-    count: int = 40,
+    count: Annotated[int, Range(1, MOST_SINES)] = 40,
 ) -> Sum:
     """Make the speed of turbulent wind of Kaimal's spectrum, one of many as chosen by a seed.
 
@@ -234,10 +232,11 @@ def wind_turbulence(
         seed: 0 or more; the same seed gives the same wind.
         lowest: Hz, of the band.
         highest: Hz.
-        count: number of sines.
+        count: number of sines, 1 to `MOST_SINES`.
 
     Raises:
-        MechanismError: naming the value at fault.
+        ArgumentError: for a value of another type, and an impossible seed or count.
+        MechanismError: for a value that is not positive, and an empty band.
 
     Examples:
         >>> wind = wind_turbulence(mean=10.0, deviation=1.5, length=11.0, seed=1)
@@ -249,10 +248,7 @@ def wind_turbulence(
     _check_positive(where, lowest=lowest, highest=highest)
     if not highest > lowest:
         raise MechanismError(where, f"highest is {highest:g} Hz", f"more than lowest, {lowest:g} Hz")
-    if not is_count(count) or count > MOST_SINES:
-        raise MechanismError(where, f"count is {quoted(count, 50)}", f"a whole number from 1 to {MOST_SINES}")
-    if not is_whole(seed) or int(seed) < 0:
-        raise MechanismError(where, f"seed is {quoted(seed, 50)}", "a whole number, 0 or more")
+    mean, deviation, length, lowest, highest = map(float, (mean, deviation, length, lowest, highest))
     rng = np.random.default_rng(int(seed))
     edges = np.geomspace(lowest, highest, count + 1)
     below = 1.0 - (1.0 + 6.0 * edges * length / mean) ** (-2.0 / 3.0)
@@ -265,5 +261,5 @@ def wind_turbulence(
 
 def _check_positive(where: str, **values: float) -> None:
     for name, value in values.items():
-        if not is_finite_number(value) or not value > 0.0:
+        if not value > 0.0:
             raise MechanismError(where, f"{name} is {quoted(value)}", "a positive number")

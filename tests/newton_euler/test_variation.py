@@ -243,7 +243,7 @@ def test_a_batch_goes_on_without_its_bad_runs(scene):
     [
         ({"mass.mass": -1.0}, "positive mass"),
         ({"gravity": [0.0]}, "finite numbers of shape"),
-        ("mass", "values by names"),
+        ("mass", "values is 'mass'; needed: a dictionary"),
     ],
 )
 def test_values_of_one_scene_are_checked(scene, values, message):

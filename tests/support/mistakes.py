@@ -316,8 +316,8 @@ MISTAKES = {
     ),
     "a warning swallowed": (
         "newton_euler/simulate.py",
-        "warn_of(self.scene, self.nearly_redundant, above=1)",
-        "warn_of(self.scene, self.nearly_redundant[1:], above=1)",
+        "warn_of(self.scene, self.nearly_redundant)",
+        "warn_of(self.scene, self.nearly_redundant[1:])",
         "newton_euler/equations/test_nearly_redundant.py::test_taken_literally_the_mechanism_is_locked_and_says_so",
     ),
     "a setting of a limit that does not suffice": (

@@ -63,7 +63,7 @@ class Given:
         model, constraints = given if isinstance(given, tuple) and len(given) == 2 else (given, ())
         if not isinstance(model, pin.Model) or not isinstance(constraints, Iterable):
             needed = "a path of a file, a pinocchio.Model or a pair of one and its RigidConstraintModels"
-            raise SourceError(f"{given!r:.200}", f"cannot be read; needed: {needed}")
+            raise SourceError(quoted(given, 200), f"cannot be read; needed: {needed}")
         self.name = str(model.name)
         self.where = f"pinocchio.Model {self.name!r:.100}" if self.name else "pinocchio.Model"
         self.model = model

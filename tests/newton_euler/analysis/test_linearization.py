@@ -415,7 +415,7 @@ def test_equilibrium_holds_prescribed_motions_where_they_begin(tracker):
             "input 'slide_12.targets'; did you mean 'slide_12.target'",
         ),
         ({"outputs": ["panel"]}, "unknown output 'panel'; did you mean 'panel_7'"),
-        ({"state": 3}, "state of scene 'tracker': is 3; needed: a State"),
+        ({"state": 3}, "state is 3; needed: a State"),
     ],
 )
 def test_choices_that_cannot_be(tracker, arguments, message):

@@ -185,7 +185,7 @@ def test_starts_that_are_fitted_or_unknown_are_refused(name, message):
 
 
 def test_measurements_are_those_of_runs():
-    with pytest.raises(OptionError, match="measurements is '5'; needed: Measurements, or the path of a CSV"):
+    with pytest.raises(OptionError, match="measurements is 5; needed: a Measurements or text or a path"):
         identify(pendulum(), ["rod.mass"], 5)
 
 
