@@ -457,8 +457,11 @@ def _reason(code: Code, integrator: str, most: int, status: int, x: Array) -> st
     known = status in (m.STRAYING, m.UNDETERMINED, m.UNPROJECTED)
     near = known or (code.loses_rank and code.function("derivative")(x)[-1] < NEAR)
     advice = {True: "", False: "; for stiff equations use Radau"}[near or integrator != "DOP853"]
-    here = f"a singular configuration, where joint {singular_joint(code, x)!r} loses rank" if near else ""
-    larger = f"; round-off near {here}, is larger than rtol allows" if near else ""
+    joint, value = nearly_dependent(code, x) if near else ("", 0.0)
+    here = f"a singular configuration, where joint {joint!r} loses rank"
+    remedy = "a larger one, up to 1e-8, may pass, unless dimensions miss that configuration by more"
+    larger = f"; round-off near {here} (singular value {value:.1e}), is larger than rtol allows; {remedy}"
+    larger = larger if near else ""
     return {
         m.NOT_FINITE: "the solution is not finite",
         m.SINGULAR: "the equations of motion are singular",
@@ -471,14 +474,19 @@ def _reason(code: Code, integrator: str, most: int, status: int, x: Array) -> st
 
 
 def singular_joint(code: Code, x: Array) -> str:
-    """Find the joint or gear that weighs most in the constraint rows that are nearest to dependent.
+    """Find the joint or gear that weighs most in the constraint rows that are nearest to dependent."""
+    return nearly_dependent(code, x)[0]
 
-    Without constraints, the one that moves fastest.
+
+def nearly_dependent(code: Code, x: Array) -> tuple[str, float]:
+    """Return `singular_joint` and the smallest singular value, dimensionless, of the constraint rows in use.
+
+    Without constraints, the joint that moves fastest, and 1.
     """
     system, flags = code.float_system(x), code.rows_at(x).flags or {}
     rows = [row for row in code.rows.numbers if not flags.get(row)]
     if not rows:
-        return fastest_joint(system.mechanism, system.state(x[: system.nq], x[system.nq : code.size]))
+        return fastest_joint(system.mechanism, system.state(x[: system.nq], x[system.nq : code.size])), 1.0
     jacobian = dimensionless_jacobian(system, x[: system.nq])
-    combination = singular_values(jacobian[rows])[0][:, -1]
-    return largest_share([system.row_owners[row] for row in rows], combination)
+    combinations, values, _ = singular_values(jacobian[rows])
+    return largest_share([system.row_owners[row] for row in rows], combinations[:, -1]), float(values[-1])
