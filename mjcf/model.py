@@ -61,6 +61,7 @@ class CompiledScene:
         self.mechanism = scene.mechanism
         self.welded = weld_loops(scene.mechanism, loaded=scene.loaded_balls)
         self.tree = self.welded.tree
+        self.quaternions = self.tree.quaternions
         self.couplings = TreeCouplings(scene, self.tree)
         self.time = 0.0
         self.layout = Layout(self.tree)

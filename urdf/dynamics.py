@@ -76,6 +76,7 @@ class PinocchioSystem:
         self.mechanism = scene.mechanism
         self._welded = weld_loops(scene.mechanism, loaded=scene.loaded_balls)
         self._tree = self._welded.tree
+        self.quaternions = self._tree.quaternions
         self.couplings = TreeCouplings(scene, self._tree)
         self.time = 0.0
         self.nq, self.nv = self._tree.nq + int(scene.tracks_work), self._tree.nv

@@ -36,16 +36,17 @@ def mesh_findings(model: Any) -> Iterator[Finding]:
         meshes = {int(model.geom_dataid[g]) for g in geoms}
         if len(meshes) != 1 or not model.body_mass[body] > 0.0:
             continue
-        points, triangles = _mesh(model, meshes.pop())
+        mesh = meshes.pop()
+        points, triangles = _mesh(model, mesh)
         if not _is_closed(triangles):
             continue
-        own = _solid(points, triangles, signed=True)
+        own = _solid(points[triangles], signed=True)
         found = np.sort(model.body_inertia[body]) / model.body_mass[body]
         difference = _apart(found, own.moments)
         if own.volume <= 0.0 or difference <= EQUAL:
             continue
         name = model.body(body).name or str(body)
-        for what, other in _others(points, triangles):
+        for what, other in _others(points, triangles, _hull(model, mesh)):
             ratio = 1.0 if what == "surface" else other.volume / own.volume
             is_far = max(difference, abs(ratio - 1.0)) > MAX_MESH_DIFFERENCE
             if is_far and _apart(found, other.moments) <= EQUAL:
@@ -85,9 +86,8 @@ def _is_closed(triangles: Array) -> bool:
     return bool(np.all(forward[1:] != forward[:-1])) and np.array_equal(forward, backward)
 
 
-def _solid(points: Array, triangles: Array, signed: bool) -> Solid:
-    """The solid within triangles: tetrahedra from the surface's center, with signs or without them."""
-    corners = points[triangles]
+def _solid(corners: Array, signed: bool) -> Solid:
+    """The solid within triangles (m, 3, 3): tetrahedra from the surface's center, with signs or without."""
     edges = corners[:, 1:] - corners[:, :1]
     areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     corners = corners - areas @ corners.mean(axis=1) / max(float(areas.sum()), 1e-300)
@@ -99,9 +99,8 @@ def _solid(points: Array, triangles: Array, signed: bool) -> Solid:
     return _reduced(volumes, sums / 4.0, seconds / 20.0)
 
 
-def _surface(points: Array, triangles: Array) -> Solid:
-    """The shell of triangles, of the same mass by area everywhere."""
-    corners = points[triangles]
+def _surface(corners: Array) -> Solid:
+    """The shell of triangles (m, 3, 3), of the same mass by area everywhere."""
     edges = corners[:, 1:] - corners[:, :1]
     areas = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     sums = corners.sum(axis=1)
@@ -119,23 +118,27 @@ def _reduced(weights: Array, centers: Array, seconds: Array) -> Solid:
     return Solid(whole, np.linalg.eigvalsh(np.trace(second) * np.eye(3) - second))
 
 
-def _others(points: Array, triangles: Array) -> Iterator[tuple[str, Solid]]:
-    """Solids that MuJoCo's other ways to find a mesh's inertia take for the mesh."""
-    yield "volume without signs (legacy)", _solid(points, triangles, signed=False)
-    yield "surface", _surface(points, triangles)
-    from scipy.spatial import ConvexHull, QhullError
+def _hull(model: Any, number: int) -> Array:
+    """Corners (m, 3, 3) of the triangles of a mesh's convex hull; none if MuJoCo has not needed it.
 
-    try:
-        hull = ConvexHull(points)
-    except QhullError:
-        return
-    facets = hull.simplices.copy()
-    normals = np.cross(
-        points[facets[:, 1]] - points[facets[:, 0]], points[facets[:, 2]] - points[facets[:, 0]]
-    )
-    inward = np.einsum("ki,ki->k", normals, hull.equations[:, :3]) < 0.0
-    facets[inward] = facets[inward][:, ::-1]
-    yield "convex hull", _solid(points, facets, signed=True)
+    MuJoCo works it out for collisions, and for an inertia that is to be the hull's. Its `mesh_graph` has the
+    numbers of points and triangles, three arrays of points and edges, and the triangles.
+    """
+    start = int(model.mesh_graphadr[number])
+    if start < 0:
+        return np.zeros((0, 3, 3))
+    count, faces = model.mesh_graph[start : start + 2].tolist()
+    triangles = model.mesh_graph[start + 2 + 3 * (count + faces) :][: 3 * faces].reshape(-1, 3)
+    points = model.mesh_vert[model.mesh_vertadr[number] :].astype(float)
+    return np.asarray(points[triangles])
+
+
+def _others(points: Array, triangles: Array, hull: Array) -> Iterator[tuple[str, Solid]]:
+    """Solids that MuJoCo's other ways to find a mesh's inertia take for the mesh."""
+    yield "volume without signs (legacy)", _solid(points[triangles], signed=False)
+    yield "surface", _surface(points[triangles])
+    if len(hull):
+        yield "convex hull", _solid(hull, signed=False)
 
 
 def _apart(one: Array, two: Array) -> float:

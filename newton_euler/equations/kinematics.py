@@ -161,7 +161,7 @@ class TreeKinematics(Formulation):
             for a0, body in zip(tree.initial_rotations, self.mechanism.bodies, strict=True)
         ]
         self.velocity_units, self.coordinate_units = tree.velocity_units, tree.coordinate_units
-        self.quaternions = [on_q for motion, on_q, _ in tree.motions if motion.kind == "ball"]
+        self.quaternions = tree.quaternions
 
     @property
     def uncounted_angles(self) -> list[int]:

@@ -94,6 +94,8 @@ class System(Protocol):
     """(k,) units of the rows of `phi`: the mechanism's size for meters, 1 for radians."""
     velocity_units: Array
     """(nv,) units of velocities."""
+    quaternions: list[slice]
+    """Places of Euler parameters in q."""
 
     def mass_properties(self) -> MassProperties:
         """Return the mass properties of the bodies in this system's own model."""

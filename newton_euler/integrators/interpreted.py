@@ -1,5 +1,7 @@
-"""Integration of equations of motion that Python evaluates, as Pinocchio's are: scipy's methods and fixed
-steps."""
+"""Integration of equations of motion that Python evaluates, as Pinocchio's are.
+
+Adaptive methods are native, see `newton_euler.integrators.evaluated`; fixed steps are Python.
+"""
 
 from __future__ import annotations
 
@@ -9,25 +11,13 @@ from itertools import pairwise
 import numpy as np
 
 from newton_euler.equations.applied_forces import blamed, surroundings
-from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.system import System, at_time
 from newton_euler.errors import NewtonEulerError
+from newton_euler.integrators.evaluated import integrate_adaptive
 from newton_euler.integrators.options import ADAPTIVE, Options
 from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
-
-NUDGE = 1e-8
-"""Relative difference of coordinates and velocities, absolute (m, rad) for those below 1, for the
-Jacobian."""
-
-MOST_STEPS = 50_000
-"""Steps after which an adaptive method gives up, if a run does not say."""
-
-TINY, PATIENT = 1e-10, 50
-"""Share of the whole, and number of steps below it, none longer in between, that do not grow, after which an
-adaptive method gives up, as where a linkage locks. After a start, or a singular configuration, each is longer
-than the one before."""
 
 
 def integrate(
@@ -40,6 +30,8 @@ def integrate(
     It stops, with the time, the reason and the joint or force that it is about, for steps that shrink to
     nothing, numbers that are not finite, and equations or constraints that cannot be solved.
     """
+    if options.integrator in ADAPTIVE:
+        return integrate_adaptive(system, q, v, times, options)
     evaluations = 0
     good = np.concatenate([q, v])  # where accelerations were finite last
 
@@ -72,8 +64,7 @@ def integrate(
     try:
         with np.errstate(all="ignore"):  # numbers are checked
             rows.append(project(float(times[0]), good))
-            method = _adaptive if options.integrator in ADAPTIVE else _fixed
-            for step, y in method(system, derivative, project, rows[0], times, options):
+            for step, y in _fixed(system, derivative, project, rows[0], times, options):
                 steps = step
                 if not np.all(np.isfinite(y)):
                     reason = _with_blame(system, float(times[len(rows)]), good, "the solution is not finite")
@@ -93,63 +84,6 @@ def _with_blame(system: System, time: float, y: Array, reason: str) -> str:
 
 Derivative = Callable[[float, Array], Array]
 Projection = Callable[[float, Array], Array]
-
-
-def _adaptive(
-    system: System, derivative: Derivative, project: Projection, y: Array, times: Array, options: Options
-) -> Iterator[tuple[int, Array]]:
-    """Yield (steps so far, y) at times[1:], from the steps' dense output."""
-    from scipy.integrate import DOP853, Radau
-
-    from newton_euler.integrators.passing import PassingDOP853
-
-    def jacobian(t: float, y: Array) -> Array:
-        """By one-sided differences: scipy's own nudge grows without end for what nothing depends on."""
-        at = derivative(t, y)
-        nudges = NUDGE * np.maximum(1.0, np.abs(y))
-        columns = [(derivative(t, y + np.eye(1, len(y), k)[0] * h) - at) / h for k, h in enumerate(nudges)]
-        return np.array(columns).T
-
-    given = {"rtol": options.rtol, "atol": options.atol}
-    if options.integrator == "Radau":
-        solver = Radau(derivative, times[0], y, times[-1], jac=jacobian, **given)
-    elif options.projection:
-        near = options.near(mobility(system.scene).residual, system.mechanism.size)
-        solver = PassingDOP853(system, project, derivative, times[0], y, times[-1], near, **given)
-        project = solver.project
-    else:
-        solver = DOP853(derivative, times[0], y, times[-1], **given)
-    steps, due, tiny, last = 0, 1, 0, 0.0
-    while due < len(times):
-        try:
-            message = solver.step()
-        except ValueError as error:  # scipy's, of a Jacobian that is not finite
-            raise IntegrationError(
-                float(solver.t), _with_blame(system, solver.t, solver.y, str(error))
-            ) from error
-        if solver.status == "failed":
-            raise IntegrationError(float(solver.t), _with_blame(system, solver.t, solver.y, str(message)))
-        steps += 1
-        if solver.step_size >= TINY * (times[-1] - times[0]):
-            tiny = 0
-        elif solver.step_size <= last:
-            tiny += 1
-        last = solver.step_size
-        if tiny > PATIENT:
-            reason = _with_blame(system, solver.t, solver.y, "steps have become too small")
-            raise IntegrationError(float(solver.t), reason)
-        most = options.most_steps or MOST_STEPS
-        if steps > most:
-            reason = f"more than {most} steps of {options.integrator}; for stiff equations use Radau"
-            raise IntegrationError(float(solver.t), _with_blame(system, solver.t, solver.y, reason))
-        if times[due] <= solver.t:
-            dense = solver.dense_output()
-            while due < len(times) and times[due] <= solver.t:
-                yield steps, project(times[due], dense(times[due]))
-                due += 1
-        solver.y = project(solver.t, solver.y)
-        if options.projection:
-            solver.f = derivative(solver.t, solver.y)
 
 
 def _fixed(

@@ -124,26 +124,17 @@ class Callbacks(Protocol):
     error: Exception | None
 
 
-class Fallback:
-    """Callbacks of native code into Python: singular states, by the dense float form, and interrupts.
+class Interruptible:
+    """Interrupts of native code.
 
     Attributes:
-        derivative, pause: callbacks.
-        error: what Python raised last, if it did.
+        pause: callback that asks whether the user wants to stop.
     """
 
-    def __init__(self, code: Code, stopped: Sequence[bool] = ()) -> None:
-        self._code, self._stopped = code, stopped
-        self._interrupted = False
-        self.error: Exception | None = None
-        self.derivative, self.pause = PythonCallback(self._derivative), PythonCallback(self._pause)
-
-    def _derivative(self, x: int, y: int, on: int) -> None:
-        def rates(system: Formulation, state: Array) -> Array:
-            q, v = state[: system.nq], state[system.nq : self._code.size]
-            return np.concatenate([system.rate(q, v), system.acceleration(q, v)])
-
-        self._guarded(x, y, rates)
+    def __init__(self, stopped: Sequence[bool] = ()) -> None:
+        """A run stops if `stopped`, which other threads may fill, holds something."""
+        self._stopped, self._interrupted = stopped, False
+        self.pause = PythonCallback(self._pause)
 
     def _pause(self, counts: int, wish: int, on: int) -> None:
         """Python runs signal handlers here, between two of its own instructions."""
@@ -152,22 +143,45 @@ class Fallback:
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Turn an interrupt during native code into a wish to stop, and raise it afterwards."""
+        """Turn an interrupt during native code into a wish to stop, and call its handler afterwards."""
+        handler = signal.getsignal(signal.SIGINT)
         in_main = threading.current_thread() is threading.main_thread()  # which alone handles signals
-        if not in_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        if not in_main or not callable(handler):
             yield
             return
 
         def note(number: int, frame: object) -> None:
             self._interrupted = True
 
-        before = signal.signal(signal.SIGINT, note)
+        signal.signal(signal.SIGINT, note)
         try:
             yield
         finally:
-            signal.signal(signal.SIGINT, before)
+            signal.signal(signal.SIGINT, handler)
             if self._interrupted:
-                raise KeyboardInterrupt
+                handler(signal.SIGINT, None)
+
+
+class Fallback(Interruptible):
+    """Callbacks of native code into Python: singular states, by the dense float form, and interrupts.
+
+    Attributes:
+        derivative: callback.
+        error: what Python raised last, if it did.
+    """
+
+    def __init__(self, code: Code, stopped: Sequence[bool] = ()) -> None:
+        super().__init__(stopped)
+        self._code = code
+        self.error: Exception | None = None
+        self.derivative = PythonCallback(self._derivative)
+
+    def _derivative(self, x: int, y: int, on: int) -> None:
+        def rates(system: Formulation, state: Array) -> Array:
+            q, v = state[: system.nq], state[system.nq : self._code.size]
+            return np.concatenate([system.rate(q, v), system.acceleration(q, v)])
+
+        self._guarded(x, y, rates)
 
     def _guarded(self, x: int, y: int, function: Callable[[Formulation, Array], Array]) -> None:
         """Write n results and 1.0, or anything and -1.0 if Python fails too."""
@@ -366,31 +380,59 @@ def method_of(code: Code, options: Options, most: int, steps: Array, lanes: int 
         )
     if options.integrator == "DOP853":
         near = options.near(code.noise, code.scene.mechanism.size)
-        return Dop853(
-            rtol=options.rtol,
-            atol=options.atol,
-            near_rtol=near[0],
-            near_atol=near[1],
-            most=most,
-            rest=options.rest,
-            units=round_off_units(code),
-            now=scratch(code.inputs),
-            at=scratch(code.inputs),
-            end=scratch(code.inputs),
-            k=scratch(16 * (n + 1) + 1),
-            terms=scratch(7, n),
-            room=len(steps),
-            steps=steps,
-            round_off=scratch(n),
-            control=scratch(CONTROLS),
-        )
+        return dop853_of(n, code.inputs, options, near, most, round_off_units(code), steps, lanes)
+    return radau_of(n, code.inputs, options, most, code.function("jacobian"), lanes)
+
+
+def dop853_of(
+    n: int,
+    inputs: int,
+    options: Options,
+    near: tuple[float, float],
+    most: int,
+    units: Array,
+    steps: Array | None = None,
+    lanes: int = 1,
+) -> Dop853:
+    """Return DOP853 with its state and scratch; arguments as of its attributes."""
+    steps = np.zeros((0, n + 2)) if steps is None else steps
+
+    def scratch(*shape: int) -> Array:
+        return np.zeros((*shape, lanes))
+
+    return Dop853(
+        rtol=options.rtol,
+        atol=options.atol,
+        near_rtol=near[0],
+        near_atol=near[1],
+        most=most,
+        rest=options.rest,
+        units=units,
+        now=scratch(inputs),
+        at=scratch(inputs),
+        end=scratch(inputs),
+        k=scratch(16 * (n + 1) + 1),
+        terms=scratch(7, n),
+        room=len(steps),
+        steps=steps,
+        round_off=scratch(n),
+        control=scratch(CONTROLS),
+    )
+
+
+def radau_of(n: int, inputs: int, options: Options, most: int, jacobian: Callback, lanes: int = 1) -> Radau:
+    """Return Radau with its state and scratch; arguments as of its attributes."""
+
+    def scratch(*shape: int) -> Array:
+        return np.zeros((*shape, lanes))
+
     return Radau(
         rtol=options.rtol,
         atol=options.atol,
         most=most,
-        jacobian=code.function("jacobian"),
-        now=scratch(code.inputs),
-        at=scratch(code.inputs),
+        jacobian=jacobian,
+        now=scratch(inputs),
+        at=scratch(inputs),
         before=scratch(n),
         slope=scratch(n + 2),
         z=scratch(3, n),

@@ -25,9 +25,8 @@ configuration.
    (`newton_euler.integrators.dense_projection`), as far as constraints are strong enough.
 7. Steps of RK4 cannot be placed: a step whose stages contradict each other (`contradiction`) ends the run.
 
-Native code runs 1 to 7. Equations that Python evaluates take 3 to 6 with scipy's DOP853, see
-`newton_euler.integrators.passing`; their pivot ratio is the squared ratio of the least singular value of the
-constraints to the largest one, in units of the best one so far.
+Equations that Python evaluates have no sparse form, so 1 changes nothing; their pivot ratio is that of
+`newton_euler.integrators.evaluated`.
 
 Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
 """

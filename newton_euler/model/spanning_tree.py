@@ -176,6 +176,11 @@ class SpanningTree:
         """All motions of the tree with their places in q and in v."""
         return tuple(place for joint in self.joints for place in joint.places)
 
+    @property
+    def quaternions(self) -> list[slice]:
+        """Places of the Euler parameters of balls in q."""
+        return [on_q for motion, on_q, _ in self.motions if motion.kind == "ball"]
+
     @cached_property
     def products(self) -> int:
         """Products of velocities that elimination of the inertia matrix takes, n^3 / 6 in a chain."""

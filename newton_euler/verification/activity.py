@@ -122,12 +122,21 @@ class Course:
 
 
 def _curve(time: Array, x: Array, rate: Array) -> Any:
-    """Interpolate values (n, ...) by cubics: a function of times, s, and the order of a derivative."""
-    from scipy.interpolate import CubicHermiteSpline
+    """Interpolate values (n, ...) by Hermite's cubics: a function of times, s, and the order 0 or 1."""
 
-    if len(time) == 1:
-        return lambda at, order=0: (rate if order else x)[np.zeros(np.shape(at), dtype=int)]
-    return CubicHermiteSpline(time, x, rate)
+    def curve(at: Array | float, order: int = 0) -> Array:
+        if len(time) == 1:
+            return np.asarray((rate if order else x)[np.zeros(np.shape(at), dtype=int)])
+        place = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
+        size, shape = time[place + 1] - time[place], (*np.shape(at), *(1,) * (x.ndim - 1))
+        share, h = np.reshape((at - time[place]) / size, shape), np.reshape(size, shape)
+        change, begin, end = x[place + 1] - x[place], h * rate[place], h * rate[place + 1]
+        square, cube = 3.0 * change - 2.0 * begin - end, begin + end - 2.0 * change
+        if order:
+            return np.asarray((begin + share * (2.0 * square + 3.0 * share * cube)) / h)
+        return np.asarray(x[place] + share * (begin + share * (square + share * cube)))
+
+    return curve
 
 
 class Judged(NamedTuple):

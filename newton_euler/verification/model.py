@@ -171,13 +171,14 @@ def start_figures(placed: Placed) -> Iterator[Figure]:
 
 def _components(jacobian: Array) -> tuple[Array, Array]:
     """Label the connected component of each row (k,) and each velocity (nv,) of constraints (k, nv)."""
-    from scipy.sparse.csgraph import connected_components
-
-    count, total = len(jacobian), sum(jacobian.shape)
-    graph = np.zeros((total, total))
-    graph[:count, count:] = np.abs(jacobian) > ROUND_OFF
-    _, labels = connected_components(graph, directed=False)
-    return labels[:count], labels[count:]
+    joined = np.abs(jacobian) > ROUND_OFF
+    of_rows, of_velocities = np.arange(len(jacobian)), np.arange(jacobian.shape[1]) + len(jacobian)
+    for row, velocities in zip(of_rows.copy(), joined, strict=True):
+        # all that a row joins takes its label
+        others = of_velocities[velocities]
+        of_rows[np.isin(of_rows, others)] = row
+        of_velocities[np.isin(of_velocities, others)] = row
+    return of_rows, of_velocities
 
 
 def _nearest(stated: Array, rows: Array, free: Freedom, units: Array) -> Array:
