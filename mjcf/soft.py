@@ -152,17 +152,21 @@ class SoftMuJoCo(EvaluatedScene):
         """
         model, data, size = self.model, self.data, self.model.opt.timestep
         runge_kutta = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+        by_momentum = not runge_kutta or len(self.moved) > 0
         powers, work = list[float](), 0.0
         for _ in range(number):
-            start = np.array(data.qvel)
-            self._asked.clear()
-            self._stages.clear()
+            if by_momentum:
+                start = np.array(data.qvel)
+                self._asked.clear()
+                self._stages.clear()
             if runge_kutta:
                 powers.append(self._runge_kutta_step())
             else:
                 mujoco.mj_step(model, data)
             if warnings:
                 return work
+            if not by_momentum:
+                continue
             mean = 0.5 * size * (start + data.qvel)
             if len(self.moved):
                 # a soft constraint's force is D (a_ref - a) with the acceleration a that comes about

@@ -186,9 +186,10 @@ class Poses:
     def along(self, course: Course) -> Iterator[tuple[float, Any]]:
         """Go through the moments of a run with MuJoCo's data there, collisions and tendons not worked out."""
         data = mujoco.MjData(self.model)
-        for time in course.time.tolist():
-            centers, quaternions = course.poses(time)
-            turns = rotations(quaternions)
+        all_centers, quaternions = course.poses
+        for time, centers, turns in zip(
+            course.time.tolist(), all_centers, rotations(quaternions), strict=True
+        ):
             for points, axes in CARRIED:
                 owners, (arms, local) = self._owners[points], self._local[points]
                 getattr(data, points)[:] = centers[owners] + (turns[owners] @ arms[:, :, None])[:, :, 0]

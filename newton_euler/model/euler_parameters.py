@@ -7,6 +7,8 @@ float arrays and work on a whole stack of rotations (leading dimensions) at once
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from newton_euler.scalars import Array
@@ -62,22 +64,19 @@ def from_rotation(matrix: Array) -> Array:
     The largest of the four squares is found first, so no small number is divided by (Nikravesh,
     Computer-Aided Analysis of Mechanical Systems, 1988, section 6.2.3).
     """
-    m = np.asarray(matrix, dtype=float)
-    trace = m[0, 0] + m[1, 1] + m[2, 2]
-    squares = np.array([trace, *(2.0 * np.diag(m) - trace)])  # 4 e_k^2 - 1
-    k = int(np.argmax(squares))
-    antisymmetric = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
-    p = np.empty(4)
+    m = np.asarray(matrix, dtype=float).tolist()  # Python's floats are quicker than elements of arrays
+    trace = m[0][0] + m[1][1] + m[2][2]
+    squares = [trace, *(2.0 * m[i][i] - trace for i in range(3))]  # 4 e_k^2 - 1
+    k = squares.index(max(squares))
+    antisymmetric = [m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]]
     if k == 0:
-        p[0] = 1.0 + trace
-        p[1:] = antisymmetric
+        p = [1.0 + trace, *antisymmetric]
     else:
         i = k - 1
-        p[1:] = m[:, i] + m[i, :]
+        p = [antisymmetric[i], *(m[j][i] + m[i][j] for j in range(3))]
         p[k] = 1.0 + squares[k]
-        p[0] = antisymmetric[i]
-    p /= np.linalg.norm(p)
-    return -p if p[0] < 0.0 else p
+    norm = sqrt(sum(x * x for x in p))
+    return np.array([x / norm if p[0] >= 0.0 else -x / norm for x in p])
 
 
 def rotations(quaternions: Array) -> Array:

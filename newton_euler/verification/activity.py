@@ -8,7 +8,7 @@ error hides whether an element acts, the judgment is not settled: a run with clo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
@@ -67,22 +67,15 @@ class Course:
         self._found: dict[Key, tuple[Array, Array, Array]] = {}
 
     @cached_property
-    def _centers(self) -> Callable[[float], Array]:
-        assert self.run.linear_velocity is not None
-        return _curve(self.run.time, self.run.position, self.run.linear_velocity)
 
     @cached_property
     def _spins(self) -> Array:
-        """(n, b, 4) rates of the quaternions, 1/s."""
+        """(n, b, 4) rates of the quaternions at the output times, 1/s."""
         omega = self.run.angular_velocity
         assert omega is not None
         pure = np.concatenate([np.zeros((*omega.shape[:2], 1)), omega], axis=2)
         w, q = (np.moveaxis(each, -1, 0) for each in (pure, self.run.quaternion))
         return 0.5 * np.moveaxis(product(w, q), 0, -1)
-
-    @cached_property
-    def _quaternions(self) -> Callable[[float], Array]:
-        return _curve(self.run.time, self.run.quaternion, self._spins)
 
     @cached_property
     def is_fine(self) -> bool:
@@ -94,10 +87,13 @@ class Course:
         longest = self.scene.mechanism.longest
         return bool(np.all(moved <= FINE * longest) and np.all(turned <= FINE))
 
-    def poses(self, time: float) -> tuple[Array, Array]:
-        """Compute centers of mass (b, 3) and quaternions (b, 4) at a time, s."""
-        turned = self._quaternions(time)
-        return self._centers(time), turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    @cached_property
+    def poses(self) -> tuple[Array, Array]:
+        """Centers of mass (m, b, 3) and quaternions (m, b, 4) at all times."""
+        turned = _curve(self.run.time, self.run.quaternion, self._spins)(self.time)
+        assert self.run.linear_velocity is not None
+        centers = _curve(self.run.time, self.run.position, self.run.linear_velocity)(self.time)
+        return centers, turned / np.linalg.norm(turned, axis=2, keepdims=True)
 
     @np.errstate(invalid="ignore")  # of hinges in a row, which do not reach every orientation
     def coordinate(self, key: Key) -> tuple[Array, Array, Array]:
