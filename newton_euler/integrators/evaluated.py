@@ -217,6 +217,8 @@ class EvaluatedSystem(Interruptible):
 
     def _least_step(self, jacobian: Array, residual: Array) -> tuple[Array, float]:
         """Compute the shortest step (nv,), SI, that makes up for a residual (k,), and its pivot ratio."""
+        if self._rank == 0:
+            return np.zeros(len(jacobian.T)), 1.0
         u, s, vt = singular_values(jacobian)
         u, s, vt = u[:, : self._rank], s[: self._rank], vt[: self._rank]
         step = self._system.velocity_units * (vt.T @ (u.T @ residual / s))
