@@ -18,8 +18,8 @@ class _NoPandas:
             raise ModuleNotFoundError(name)
 
 
-# PyArrow, in which Rerun keeps what is logged, imports pandas with its first array, in case that is a table. A
-# recording has none, and the import takes 0.2 s. PyArrow looks again for pandas where it needs it.
+# PyArrow, in which Rerun keeps what is logged, imports pandas with its first array, in case that is a table.
+# A recording has none, and the import takes 0.2 s. PyArrow looks again for pandas where it needs it.
 sys.meta_path.insert(0, _NoPandas)  # type: ignore[arg-type]
 pyarrow.array([0.0])
 sys.meta_path.remove(_NoPandas)  # type: ignore[arg-type]

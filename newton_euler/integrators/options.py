@@ -13,7 +13,7 @@ INTEGRATORS: tuple[IntegratorName, ...] = get_args(IntegratorName)
 
 ADAPTIVE: tuple[IntegratorName, ...] = ("DOP853", "Radau")
 """Runge-Kutta of order 8 (Hairer, Norsett, Wanner, Solving ODEs I, 1993, section II.5) and the stiff
-Radau IIA of order 5 (Hairer, Wanner, Solving ODEs II, 1996, section IV.8), both as in scipy."""
+Radau IIA of order 5 (Hairer, Wanner, Solving ODEs II, 1996, section IV.8)."""
 
 FIXED: tuple[IntegratorName, ...] = ("RK4", "Euler")
 """Methods with fixed steps: classical Runge-Kutta of order 4, and semi-implicit Euler of order 1, velocities

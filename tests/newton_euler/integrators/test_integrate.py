@@ -132,3 +132,21 @@ def test_hundreds_of_turns_cost_no_digits():
     energy = run.kinetic_energy + run.potential_energy
     # 97,000 steps of 1e-13, most of it in phase
     assert np.abs(energy - energy[0]).max() < 4e-12 * np.abs(energy).max()
+
+
+@pytest.mark.parametrize("integrator", ["DOP853", "Radau"])
+@pytest.mark.parametrize("error", [TypeError, KeyboardInterrupt])
+def test_what_is_no_error_of_the_equations_is_raised_as_it_is(integrator, error, monkeypatch):
+    """Native code asks Python for accelerations; it ends at once where that is interrupted or at fault."""
+    evaluated, calls = Relative.acceleration, []
+
+    def acceleration(self, q, v):
+        calls.append(q)
+        if len(calls) > 50:
+            raise error
+        return evaluated(self, q, v)
+
+    monkeypatch.setattr(Relative, "acceleration", acceleration)
+    with pytest.raises(error):
+        run(Relative(pendulum()), "newton_euler", Options(integrator), {})
+    assert len(calls) < 100
