@@ -23,6 +23,7 @@ from newton_euler.integrators.compiled import OPEN_TOLERANCE
 from newton_euler.integrators.dense_projection import ROUND_OFF, closing_of
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.projection import worst_joint
+from newton_euler.integrators.row_exchange import no_exchange
 from newton_euler.integrators.run import (
     METHODS,
     Interruptible,
@@ -135,6 +136,7 @@ class EvaluatedSystem(Interruptible):
                     self.callback(2 * rows + rows * nv + nv * nv, self._surface),
                 ),
             ),
+            exchange=no_exchange(n + 1),
             beside=np.zeros(2 * n + 4),
             pause=self.pause,
             marks=marks,

@@ -67,8 +67,6 @@ class Course:
         self._found: dict[Key, tuple[Array, Array, Array]] = {}
 
     @cached_property
-
-    @cached_property
     def _spins(self) -> Array:
         """(n, b, 4) rates of the quaternions at the output times, 1/s."""
         omega = self.run.angular_velocity
