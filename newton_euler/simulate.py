@@ -181,7 +181,7 @@ def warn_of(scene: Scene, nearly: Iterable[NearlyRedundant]) -> None:
 
 
 def warn_of_round_off(scene: Scene, options: Options, runs: Iterable[dict[str, Any]]) -> None:
-    """Warn if round-off exceeds the tolerance in runs of these settings, at the line that called the packages."""
+    """Warn if round-off exceeds the tolerance in runs, at the line that called into these packages."""
     found = max(runs, key=lambda settings: settings.get("round_off", 0.0), default={})
     if (excess := found.get("round_off", 0.0)) > MAX_ROUND_OFF:
         warning = RoundOffWarning(scene.name, found["formulation"], options.rtol, options.atol, excess)
