@@ -39,35 +39,43 @@ def measure_round_off(
 ) -> int:
     """Measure the round-off of the rates (n,) at the start of a step of size h; returns a status.
 
-    The rates are evaluated again at a state changed by its own round-off. The rates of coordinates are
-    evaluated once more at a state changed by what the first change of the rates adds within the step. The end
-    of the step would not do: if the step is much too long, the state there is anything.
+    The rates are evaluated again at two states that are changed by their own round-off, one up and one down.
+    What is linear in the change cancels, as the force of a stiff spring. The rates of coordinates are
+    evaluated once more at a state changed by what round-off of the rates adds within the step. The end of the
+    step would not do: if the step is much too long, the state there is anything.
 
     Args:
         now: state at the start, with time and parameters.
         units: (n,) of the state, SI: numbers below their unit have the absolute round-off of the unit.
         at: a state with time and parameters, scratch.
         rates: (n,) at `now`.
-        spare: 2 (n + 1) numbers, scratch.
+        spare: 3 (n + 1) numbers, scratch.
         round_off: (n,) of the rates, SI; its earlier values count, too.
     """
     n = system.n
-    changed = spare[n + 1 :]
+    lower = spare[n + 1 :]
+    moved = spare[2 * (n + 1) :]
+    at[n] = now[n]
     for i in range(n):
         change = SPACING * max(abs(now[i]), units[i])
         at[i] = now[i] + change if i % 2 == 0 else now[i] - change
-    at[n] = now[n]
     status = evaluate(system, at, spare)
     if status != DONE:
         return status
     for i in range(n):
-        at[i] = now[i] + h * (spare[i] - rates[i])
-    status = evaluate(system, at, changed)
+        at[i] = now[i] - (at[i] - now[i])
+    status = evaluate(system, at, lower)
     if status != DONE:
         return status
     for i in range(n):
-        sample = abs(spare[i] - rates[i])
+        spare[i] = 0.5 * ((spare[i] - rates[i]) + (lower[i] - rates[i]))
+        at[i] = now[i] + h * spare[i]
+    status = evaluate(system, at, moved)
+    if status != DONE:
+        return status
+    for i in range(n):
+        sample = abs(spare[i])
         if i < system.nq:
-            sample = max(sample, abs(changed[i] - rates[i]))
+            sample = max(sample, abs(moved[i] - rates[i]))
         round_off[i] = max(MEMORY * round_off[i], sample)
     return DONE

@@ -10,6 +10,10 @@ from hanging_chains import hanging_chain, lagrange
 
 from newton_euler.batch import simulate_batch
 from newton_euler.errors import RoundOffWarning
+from newton_euler.model.forces import JointSpring
+from newton_euler.model.joint_kinds import Prismatic
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
 from newton_euler.simulate import simulate
 
 LINKS, LENGTH, ANGLE = 20, 0.1, 1.2
@@ -49,3 +53,15 @@ def test_batches_warn_once() -> None:
         batch = simulate_batch(chain(), None, masses, formulation="relative", rtol=RTOL, atol=RTOL / 100)
     assert len(heard) == 1
     assert heard[0].message.excess == max(run.settings["round_off"] for run in batch)
+
+
+def test_a_stiff_spring_is_no_round_off() -> None:
+    """A spring of 1e8 N/m that yields 1e-7 m has the round-off of that length, not of the size."""
+    body = Body("slider", 1.0, [0.0, 0.0, 0.0], 0.01 * np.eye(3))
+    rail = Prismatic("rail", "ground", "slider", [0.0, 0.0, 0.0], axis=[1.0, 0.0, 0.0])
+    damped = [JointSpring("rail", stiffness=1e8, damping=2.2e4)]
+    mechanism = Mechanism([Body.ground(), body], [rail])
+    scene = Scene("stiff", mechanism, 0.1, 0.05, gravity=[9.81, 0.0, 0.0], forces=damped)
+    run = simulate(scene, "relative", rtol=1e-10, atol=1e-12)
+    assert "round_off" not in run.settings
+    assert run.position[-1, 1, 0] == pytest.approx(9.81e-8, abs=1e-12)  # atol
