@@ -276,7 +276,8 @@ class ControllerModel:
                 continue
             q = model.system.coordinates_from(self.encoders.system, own_q)
             knots = pieces(model.scene, time).values()
-            values = model.forces(np.concatenate([q, moves * own_v, own_wanted, [time], *knots]))
+            flags = model.flags(q[None])[0]
+            values = model.forces(np.concatenate([q, moves * own_v, flags, own_wanted, [time], *knots]))
             keys = model.servos.actuators
             if not (values[-2] > 0.0 and np.isfinite(values[:-2]).all()):
                 raise SingularityError(keys[0][0], "control laws cannot choose the accelerations there")

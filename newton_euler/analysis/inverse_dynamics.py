@@ -23,9 +23,11 @@ from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.equations.applied_forces import surroundings
 from newton_euler.equations.couplings import counted_angles
+from newton_euler.equations.formulation import Servos
 from newton_euler.equations.parameters import measuring, numbered, pieces, with_values
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
+from newton_euler.equations.row_choice import exchangeable_rows, flags_at
 from newton_euler.equations.servos import coordinate_rows, fault, independent_rows, servos_of, tangents
 from newton_euler.equations.system import Evaluation, at_time
 from newton_euler.errors import MechanismError, SingularityError, finite_array, quoted
@@ -300,31 +302,35 @@ class InverseDynamics:
         self.scene = measuring(scene, [*actuators, *coordinates])
         self.servos = servos_of(scene, coordinates, actuators)
         self.system = Relative(self.scene)
+        self._exchangeable = exchangeable_rows(self.system)
 
     @cached_property
     def forces(self) -> NativeFunction:
-        """Of (q, v, wanted accelerations, time, pieces): forces (a,), pivot ratio, squared loop residual."""
+        """Of (q, v, flags, wanted accelerations, time, pieces): forces (a,), pivot ratio, squared loop
+        residual."""
         return self._function("forces", self._trace_forces, len(self.servos.coordinates))
 
     @cached_property
     def motion(self) -> NativeFunction:
-        """Of (q, anything, rates, time, pieces): v (nv,) and pivot ratio."""
+        """Of (q, anything, flags, rates, time, pieces): v (nv,) and pivot ratio."""
         return self._function("motion", self._trace_motion, len(self.servos.coordinates))
 
     @cached_property
     def evaluation(self) -> NativeFunction:
-        """Of (q, v, actuator forces, time, pieces): `Solved` arrays, one after the other."""
+        """Of (q, v, flags, actuator forces, time, pieces): `Solved` arrays, one after the other."""
         return self._function("loads", self._trace_evaluation, len(self.servos.actuators))
 
     def _function(self, name: str, trace: Callable[..., list[Scalar]], inputs: int) -> NativeFunction:
         held = pieces(self.scene, 0.0)
-        ends = np.cumsum([self.system.nq, self.system.nv, inputs, 1, *map(len, held.values())])
+        rows = self._exchangeable.numbers
+        ends = np.cumsum([self.system.nq, self.system.nv, len(rows), inputs, 1, *map(len, held.values())])
 
         def traced() -> Traced:
             graph = Graph()
-            q, v, given, (time,), *numbers = np.split(graph.variables(int(ends[-1])), ends[:-1])
+            q, v, flags, given, (time,), *numbers = np.split(graph.variables(int(ends[-1])), ends[:-1])
             scene = with_values(self.scene, dict(zip(held, numbers, strict=True)))
-            program = graph.prune(trace(scene, q, v, given, time))
+            servos = self.servos.with_flags(dict(zip(rows, flags, strict=True)))
+            program = graph.prune(trace(scene, servos, q, v, given, time))
             return Traced(program, many=program.operations < LARGE)
 
         begun = [float(motion.function.value(0.0)) for motion in self.scene.motions]
@@ -333,23 +339,25 @@ class InverseDynamics:
         return NativeFunction(traced, known and f"{known} inverse dynamics {name}")
 
     def _trace_forces(
-        self, scene: Scene, q: Array, v: Array, accelerations: Array, time: Scalar
+        self, scene: Scene, servos: Servos, q: Array, v: Array, accelerations: Array, time: Scalar
     ) -> list[Scalar]:
         system = at_time(Relative(scene), time)
-        forces, pivot_ratio = system.servo_forces(q, v, self.servos, list(accelerations))
+        forces, pivot_ratio = system.servo_forces(q, v, servos, list(accelerations))
         loops = system.rows - len(system.couplings)
         phi = (system.phi(q) / system.phi_units)[:loops]
         return [*forces, minimum(pivot_ratio, 1.0), phi @ phi]
 
-    def _trace_motion(self, scene: Scene, q: Array, v: Array, rates: Array, time: Scalar) -> list[Scalar]:
+    def _trace_motion(
+        self, scene: Scene, servos: Servos, q: Array, v: Array, rates: Array, time: Scalar
+    ) -> list[Scalar]:
         system = at_time(Relative(scene), time)
-        found, pivot_ratio = system.servo_velocities(q, self.servos, list(rates))
+        found, pivot_ratio = system.servo_velocities(q, servos, list(rates))
         return [*found, minimum(pivot_ratio, 1.0)]
 
     def _trace_evaluation(
-        self, scene: Scene, q: Array, v: Array, forces: Array, time: Scalar
+        self, scene: Scene, servos: Servos, q: Array, v: Array, forces: Array, time: Scalar
     ) -> list[Scalar]:
-        found, _ = self._acting(scene, forces, time).sparse_evaluation(q, v, self.servos.rows)
+        found, _ = self._acting(scene, forces, time).sparse_evaluation(q, v, servos.rows)
         return [scalar for array in _arrays(found) for scalar in array.ravel()]
 
     def _acting(self, scene: Scene, forces: Array, time: Scalar) -> Relative:
@@ -363,17 +371,24 @@ class InverseDynamics:
             return time[:, None]
         return np.array([np.concatenate([[t], *pieces(self.scene, t).values()]) for t in time.tolist()])
 
+    def flags(self, q: Array) -> Array:
+        """Choose constraint rows at q (n, nq): flags (n, m) of exchangeable ones."""
+        rows = self._exchangeable
+        chosen = [flags_at(self.system, each, self.servos.rows, rows) for each in q if rows.numbers]
+        return np.array(chosen).reshape(len(q), len(rows.numbers))
+
     def velocities(self, q: Array, rates: Sequence[Array], time: Array) -> Array:
         """Compute v (n, nv) of rates (n,) of each coordinate at q (n, nq) and times (n,)."""
-        nothing = np.zeros((len(q), self.system.nv))
-        found = at_rows(self.motion, np.column_stack([q, nothing, *rates, self._moments(time)]))
+        nothing, flags = np.zeros((len(q), self.system.nv)), self.flags(q)
+        found = at_rows(self.motion, np.column_stack([q, nothing, flags, *rates, self._moments(time)]))
         self._check_pivots(found[:, -1], found, q)
         return found[:, :-1]
 
     def _check_pivots(self, pivot_ratio: Array, found: Array, q: Array) -> None:
         """Raise `SingularityError` for the first state whose pivot ratio (n,) or results are no good."""
         for row in np.flatnonzero(~(pivot_ratio > 0.0) | ~np.isfinite(found).all(axis=1))[:1]:
-            at = fault(self.system, q[row], self.servos, NEAR)
+            flags = dict(zip(self._exchangeable.numbers, self.flags(q[[row]])[0].tolist(), strict=True))
+            at = fault(self.system, q[row], self.servos.with_flags(flags), NEAR)
             if at is None and not len(self.servos.rows.numbers):
                 problem = f"has no finite solution at state {row}"
                 raise MechanismError("inverse dynamics", problem, "smaller rates and accelerations")
@@ -386,8 +401,8 @@ class InverseDynamics:
         self, given: States, own: tuple[Array, Array], accelerations: Sequence[Array], time: Array
     ) -> Solved:
         """Solve for wanted accelerations (n,) of each coordinate at n states, with own q and v, and times."""
-        table, moments = np.column_stack(own), self._moments(time)
-        found = at_rows(self.forces, np.column_stack([table, *accelerations, moments]))
+        table, flags, moments = np.column_stack(own), self.flags(own[0]), self._moments(time)
+        found = at_rows(self.forces, np.column_stack([table, flags, *accelerations, moments]))
         forces, pivot_ratio, opening = found[:, :-2], found[:, -2], found[:, -1]
         for row in np.flatnonzero(~(opening <= OPEN**2))[:1]:
             joint, distance = worst_joint(self.system, given.state(row))
@@ -399,7 +414,7 @@ class InverseDynamics:
         if mobility(self.scene).redundant:  # the float form knows the smallest reactions
             values = self._dense(table, forces, time)
         else:
-            values = at_rows(self.evaluation, np.column_stack([table, forces, moments]))
+            values = at_rows(self.evaluation, np.column_stack([table, flags, forces, moments]))
         arrays = [
             part.reshape(-1, *shape)
             for part, shape in zip(np.split(values, ends[:-1], 1), shapes, strict=True)

@@ -45,7 +45,7 @@ from newton_euler.equations.parameters import (
     with_values,
 )
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.row_choice import rows_in_use
+from newton_euler.equations.row_choice import exchangeable_rows, flags_at, rows_in_use
 from newton_euler.equations.sparse import dot
 from newton_euler.equations.system import at_time, constraint_rate, dimensionless_jacobian, fastest_joint
 from newton_euler.errors import (
@@ -128,13 +128,24 @@ def linearize(
     forces = [name for name in known if isinstance(name, tuple)]
     parameters = tuple(name for name in known if isinstance(name, str))
     measured = tuple(dict.fromkeys([*(f.key for f in freedoms if f.key), *forces, *keys, *laws]))
-    compiled = _compiled(scene, freedoms, measured, parameters, closed_loop)
+    compiled = _compiled(scene, freedoms, measured, parameters, closed_loop, _chosen(scene, state))
     return compiled.linearized(state, known, names, rows, time)
 
 
 def _is_coordinate(scene: Scene, name: str | Key) -> bool:
     """True for the name of a joint coordinate, False for that of anything else."""
     return isinstance(name, tuple) or name in scene.mechanism.joint_names
+
+
+def _chosen(scene: Scene, state: State) -> tuple[int, ...] | None:
+    """Choose constraint rows that are well conditioned at a state; None if no rows are exchangeable."""
+    system = Relative(scene)
+    exchangeable = exchangeable_rows(system)
+    if not exchangeable.numbers:
+        return None
+    rows = rows_in_use(system, exchangeable=exchangeable)
+    flags = flags_at(system, system.coordinates(state)[0], rows, exchangeable)
+    return tuple(rows._replace(flags=dict(zip(exchangeable.numbers, flags, strict=True))).in_use)
 
 
 def _inputs(scene: Scene, names: Sequence[str | Key]) -> list[Key | str]:
@@ -169,7 +180,9 @@ class Linearization:
         measured: tuple[Key, ...],
         parameters: tuple[str, ...],
         closed_loop: bool,
+        used: tuple[int, ...] | None,
     ) -> None:
+        """`used` are constraint rows that are well conditioned at the state, see `_chosen`."""
         self.original, self.freedoms, self.measured = scene, freedoms, measured
         self.closed_loop, kept = closed_loop, scene.control if closed_loop else ()
         self.scene = with_laws(scene, [*kept, *measuring(scene, measured).control])
@@ -180,14 +193,14 @@ class Linearization:
         names = [*self._probes.values(), *parameters, *self._pieces]
         self.values = parameter_values(self.scene, names)
         self.system = Relative(self.scene)
-        self.rows = rows_in_use(self.system)
+        self.used, self.rows = used, rows_in_use(self.system, used)
 
     @cached_property
     def function(self) -> NativeFunction:
         """Of (q, v, inputs, directions of all three, time), see `_trace`."""
         begun = [float(motion.function.value(0.0)) for motion in self.scene.motions]
         inputs = parameter_layout(self.scene, self.values)
-        chosen = tuple(label(freedom.name) for freedom in self.freedoms), self.measured, inputs
+        chosen = tuple(label(freedom.name) for freedom in self.freedoms), self.measured, inputs, self.used
         known = fingerprint(self.scene, *chosen, begun, neutral=NEUTRAL)
         return NativeFunction(self._trace, known and f"{known} linearization")
 

@@ -51,6 +51,10 @@ class Servos(NamedTuple):
     scales: list[float] | None = None
     """Usual sizes of the pivots of these rows and of those of the coordinates; None where unknown."""
 
+    def with_flags(self, flags: Mapping[int, Scalar] | None) -> Servos:
+        """Return the same with other constraint rows left out, if there are flags of rows."""
+        return self._replace(rows=self.rows._replace(flags=flags)) if flags else self
+
 
 class Formulation(System):
     """A form of the equations of motion of a scene, over floats or generic scalars.

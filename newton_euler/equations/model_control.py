@@ -26,8 +26,13 @@ from newton_euler.equations.parameters import (
     places,
     with_values,
 )
-from newton_euler.equations.redundancy import inherit_mobility, mobility, rows_left_out, without
-from newton_euler.equations.row_choice import rows_in_use
+from newton_euler.equations.redundancy import inherit_mobility, rows_left_out, without
+from newton_euler.equations.row_choice import (
+    exchangeable_rows,
+    in_use_alone,
+    regular_choices,
+    rows_in_use,
+)
 from newton_euler.equations.sparse import solve_constrained
 from newton_euler.equations.system import System, at_time
 from newton_euler.errors import MechanismError, SingularityError
@@ -36,7 +41,6 @@ from newton_euler.model.digital_control import Digital
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
-from newton_euler.model.state import State
 from newton_euler.model.variable import altered
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array, Scalar
@@ -163,16 +167,17 @@ class ModelControl:
 def _servos(model: Formulation | None, keys: tuple[Key, ...]) -> Servos | None:
     if model is None:
         return None
-    return scaled(Servos(keys, keys, rows_in_use(model)), model, mobility(model.scene).states)
+    return scaled(Servos(keys, keys, rows_in_use(model)), model)
 
 
-def scaled(servos: Servos, system: Formulation, states: Sequence[State]) -> Servos:
-    """Return the same choice for a form of the equations, with usual sizes of pivots, in regular states.
+def scaled(servos: Servos, system: Formulation) -> Servos:
+    """Return the same choice for a form of the equations, with usual sizes of pivots.
 
-    None are known if no state is regular.
+    None are known if no state of the mobility is regular.
     """
-    rows, pivots = rows_in_use(system), []
-    for state in states:
+    exchangeable = exchangeable_rows(system)
+    used, pivots = rows_in_use(system, exchangeable=exchangeable), []
+    for state, rows in regular_choices(system, exchangeable=exchangeable):
         q, rest = system.coordinates(state)[0], np.zeros(system.nv)
         equations = system.sparse_equations(q, rest, rows)
         wanted, gamma = system.sparse_coordinates(q, rest, servos.coordinates)
@@ -180,9 +185,9 @@ def scaled(servos: Servos, system: Formulation, states: Sequence[State]) -> Serv
         with suppress(ZeroDivisionError), np.errstate(all="ignore"):
             solution = solve_constrained(extended)
             if solution.pivot_ratio > 0.0:
-                pivots.append(solution.pivots)
-    scales = [float(max(column)) for column in zip(*pivots, strict=True)] or None
-    return servos._replace(rows=rows, scales=scales)
+                pivots.append(in_use_alone(solution.pivots, rows))
+    scales = [float(max(column)) or 1.0 for column in zip(*pivots, strict=True)] or None
+    return servos._replace(rows=used, scales=scales)
 
 
 def _solve(
@@ -197,6 +202,8 @@ def _solve(
     if model is None or servos is None:
         return {}
     now = at_time(model, system.time)
+    if system.in_use is not None:
+        servos = servos.with_flags(system.in_use.flags)
     forces, pivot_ratio = now.servo_forces(now.coordinates_from(system, q), v, servos, accelerations)
     if isinstance(pivot_ratio, float) and not pivot_ratio > 0.0:
         joint = servos.coordinates[0][0]

@@ -19,7 +19,7 @@ A small pivot in spite of small shares is a loss of rank of all rows: a singular
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +29,8 @@ from newton_euler.equations.independence import independent, shares
 from newton_euler.equations.kinematics import TreeKinematics
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.sparse import Rows, RowsInUse
+from newton_euler.equations.system import dimensionless_jacobian
+from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 CONSTANT = 1e-6
@@ -105,7 +107,27 @@ def rows_in_use(
         system: the form.
         used: rows of the joint-coordinate form that are among them; None for the independent ones of its
             mobility.
-        exchangeable: rows that may be left out, which are among them, too.
+        exchangeable: rows that may be left out, which are among them, too, with their flags.
+    """
+    choices = list(regular_choices(system, used, exchangeable))
+    pivots = []
+    for state, rows in choices:
+        q, _ = system.coordinates(state)
+        solution = system.sparse_solution(q, np.zeros(system.nv), rows)
+        pivots.append((in_use_alone(solution.pivots, rows), solution.mass_pivots))
+    scales, mass_scales = (
+        [float(max(column)) for column in zip(*each, strict=True)] for each in zip(*pivots, strict=True)
+    )
+    flags = dict(zip(*exchangeable[:2], strict=True)) or None
+    return RowsInUse(choices[0][1].numbers, scales, mass_scales, flags)
+
+
+def regular_choices(
+    system: Formulation, used: Sequence[int] | None = None, exchangeable: ExchangeableRows = NO_ROWS
+) -> Iterator[tuple[State, RowsInUse]]:
+    """Yield choices of rows that are independent at states of the mobility, each row in one of them.
+
+    Arguments are as of `rows_in_use`.
     """
     decided = mobility(system.scene)
     used = decided.independent if used is None else list(used)
@@ -114,30 +136,33 @@ def rows_in_use(
         row for row, number in enumerate(system.closing_rows()) if number in flagged and row not in used
     ]
     numbers = system.rows_of([*used, *others])
-    pivots = []
     for at, state in zip(decided.configurations, decided.states, strict=True):
         # elsewhere, as where the four-bar is flat, pivots are zero or round-off
         if not _is_regular(at.rows, used):
             continue
-        q, _ = system.coordinates(state)
-        choices = [used]  # and one that each of the others is in
+        choices = [used]
         for other, share in zip(others, shares(at.rows, used, others), strict=True):
-            weakest = max(share, key=lambda row: abs(share[row]), default=other)
-            if abs(share.get(weakest, 0.0)) > CONSTANT:
-                choices.append([other if row == weakest else row for row in used])
+            largest = max(share, key=lambda row: abs(share[row]), default=other)
+            if abs(share.get(largest, 0.0)) > CONSTANT:
+                choices.append([other if row == largest else row for row in used])
         for chosen in choices:
             in_use = set(system.rows_of(chosen))
-            rows = RowsInUse(numbers, flags={number: float(number not in in_use) for number in flagged})
-            solution = system.sparse_solution(q, np.zeros(system.nv), rows)
-            own = [
-                0.0 if number in flagged and number not in in_use else pivot
-                for number, pivot in zip(numbers, solution.pivots, strict=False)
-            ]
-            pivots.append((own + solution.pivots[len(own) :], solution.mass_pivots))
-    scales, mass_scales = (
-        [float(max(column)) for column in zip(*each, strict=True)] for each in zip(*pivots, strict=True)
-    )
-    return RowsInUse(numbers, scales, mass_scales)
+            flags = {number: float(number not in in_use) for number in flagged}
+            yield state, RowsInUse(numbers, flags=flags or None)
+
+
+def in_use_alone(pivots: Sequence[float], rows: RowsInUse) -> list[float]:
+    """Return the pivots of an elimination, 0 for those of rows that are left out."""
+    flags = rows.flags or {}
+    left_out = {n for n, number in enumerate(rows.numbers) if flags.get(number)}
+    return [0.0 if n in left_out else pivot for n, pivot in enumerate(pivots)]
+
+
+def flags_at(system: Formulation, q: Array, rows: RowsInUse, exchangeable: ExchangeableRows) -> Array:
+    """Choose rows that are well conditioned at q (nq,) alone: flags (m,), see `exchanged`."""
+    jacobian = dimensionless_jacobian(system, q)[rows.numbers]
+    places = [rows.numbers.index(number) for number in exchangeable.numbers]
+    return exchanged(jacobian, places, np.array(exchangeable.units), np.array(exchangeable.left_out))
 
 
 def exchanged(jacobian: Array, rows: Sequence[int], units: Array, left_out: Array) -> Array:

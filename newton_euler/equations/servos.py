@@ -62,8 +62,7 @@ def servos_of(
     if all(faults):
         key, problem = faults[0] or (("", 0), "")
         raise MechanismError(f"coordinate {name(key)!r}", problem, "another choice")
-    regular = [state for state, found in zip(decided.states, faults, strict=True) if found is None]
-    return scaled(servos, form(system.scene), regular)
+    return scaled(servos, form(system.scene))
 
 
 def fault(
@@ -79,7 +78,7 @@ def fault(
     """
     if not servos.coordinates:
         return None
-    closed = dimensionless_jacobian(system, q)[servos.rows.numbers]
+    closed = dimensionless_jacobian(system, q)[servos.rows.in_use]
     rows = np.concatenate([closed, coordinate_rows(system, q, servos.coordinates)])
     left, values, right = singular_values(rows, full=True)
     rank = int(np.sum(values > tolerance))

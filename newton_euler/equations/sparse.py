@@ -213,6 +213,12 @@ class RowsInUse(NamedTuple):
     mass_scales: list[float] | None = None
     flags: Mapping[int, Scalar] | None = None
 
+    @property
+    def in_use(self) -> list[int]:
+        """Numbers of the rows that are in use now, if flags are floats."""
+        flags = self.flags or {}
+        return [number for number in self.numbers if not flags.get(number)]
+
     def compliance(self, matrix: Rows) -> dict[int, Scalar]:
         """Return, by number, what leaves rows out if the diagonal of a matrix over all rows gets it."""
         flags = self.flags or {}

@@ -236,7 +236,7 @@ class Code:
         with np.errstate(all="ignore"):  # forces that overflow are for a run to report
             found = mobility(self.scene)
             exchange = exchangeable_rows(self.system, self._independent is None)
-            chosen = rows_in_use(self.system, self._independent, exchange)
+            chosen = rows_in_use(self.system, self._independent, exchange)._replace(flags=None)
         unused = len(self.system.phi_units) - len(chosen.numbers) + sum(exchange.left_out)
         if isinstance(self.system, Relative):  # where rows may be zero everywhere
             unused = len(found.redundant)

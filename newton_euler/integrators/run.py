@@ -525,8 +525,7 @@ def nearly_dependent(code: Code, x: Array) -> tuple[str, float]:
 
     Without constraints, the joint that moves fastest, and 1.
     """
-    system, flags = code.float_system(x), code.rows_at(x).flags or {}
-    rows = [row for row in code.rows.numbers if not flags.get(row)]
+    system, rows = code.float_system(x), code.rows_at(x).in_use
     if not rows:
         return fastest_joint(system.mechanism, system.state(x[: system.nq], x[system.nq : code.size])), 1.0
     jacobian = dimensionless_jacobian(system, x[: system.nq])

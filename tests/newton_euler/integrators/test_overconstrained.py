@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from overconstrained import LOOPS, centers, linkage
+from scipy.optimize import minimize_scalar
 
 import newton_euler
 from crosscheck.scenes import load
@@ -120,6 +121,50 @@ def test_knots_do_not_forget_the_rows_in_use():
     law = newton_euler.PD("h0", 0.0, 0.0, newton_euler.Steps((0.0, 0.31, 0.62, 0.93), (0.0, 0.1, 0.2, 0.3)))
     scene = replace(linkage("goldberg"), control=[law], outputs=POSES)
     assert error(newton_euler.simulate(scene), "goldberg") < 1e-9
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("name", LOOPS)
+def test_control_laws_that_know_the_mechanism_exchange_rows_too(name, formulation):
+    """Where gravity is compensated, kinetic energy stays: to ten tolerances."""
+    law = newton_euler.PD("h0", 0.0, 0.0, 0.0, gravity_compensation=True)
+    scene = replace(linkage(name), control=[law], outputs=frozenset({"velocities", "energy"}))
+    run = newton_euler.simulate(scene, formulation, rtol=1e-12, atol=1e-14)
+    assert run.kinetic_energy == pytest.approx(run.kinetic_energy[0], rel=1e-11)
+
+
+def test_states_where_the_first_rows_are_dependent_are_like_their_neighbors():
+    """Of inverse dynamics and linear models: what they find there is what four states beside it say."""
+    scene = linkage("bennett")
+    system, used = Relative(scene, 0.0), mobility(scene).independent
+
+    def states(times):
+        end = replace(scene, duration=max(times), output_period=max(times))
+        for time in times:
+            run = newton_euler.simulate(
+                replace(end, duration=time, output_period=time), rtol=1e-13, atol=1e-15
+            )
+            arrays = run.position, run.quaternion, run.linear_velocity, run.angular_velocity
+            yield State(*(array[-1] for array in arrays))
+
+    def smallest(time):
+        (state,) = states([time])
+        jacobian = dimensionless_jacobian(system, system.coordinates(state)[0])
+        return np.linalg.svd(jacobian[used])[1][-1]
+
+    coarse = min(np.linspace(0.1, 1.1, 51), key=smallest)
+    found = minimize_scalar(
+        smallest, bounds=(coarse - 0.02, coarse + 0.02), method="bounded", options={"xatol": 1e-9}
+    )
+    assert found.fun < 1e-6
+    near = list(states(found.x + 1e-3 * np.array([0.0, -2.0, -1.0, 1.0, 2.0])))
+    for evaluate in (
+        lambda state: newton_euler.inverse_dynamics(scene, state, {"h0": 0.0}).actuator_force[0],
+        lambda state: newton_euler.linearize(scene, state).A[1, 0],
+    ):
+        own, *others = map(evaluate, near)
+        # h^4 of the fourth derivative at 7 rad/s
+        assert own == pytest.approx(np.dot([-1.0, 4.0, 4.0, -1.0], others) / 6.0, rel=1e-6)
 
 
 def test_where_shares_are_constant_no_rows_are_exchangeable():
