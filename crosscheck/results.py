@@ -1,13 +1,10 @@
-"""Files of results that a command left, read and checked before they are used, and versions beside them."""
+"""Files of results that a command left, read and checked before they are used."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import platform
 import reprlib
-from collections.abc import Iterable
-from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
 
@@ -15,13 +12,9 @@ from pydantic import BaseModel, ValidationError
 
 from crosscheck.checksum import CHECKSUM, checksum
 from crosscheck.errors import CrosscheckError
-from newton_euler.errors import DISTRIBUTION
 from newton_euler.model.source_file import SourceError, read_content
 
 Kind = TypeVar("Kind", bound=BaseModel)
-
-PACKAGES = ("numpy", "scipy", "llvmlite", "mujoco", "pin")
-"""What figures depend on."""
 
 
 def read_json(path: Path, kind: type[Kind], remedy: str = "run the command again that wrote it") -> Kind:
@@ -51,12 +44,6 @@ def read_json(path: Path, kind: type[Kind], remedy: str = "run the command again
         got = f" (got {reprlib.repr(first['input'])})" if first["loc"] and first["type"] != "missing" else ""
         reason = first["msg"].removeprefix("Value error, ")
         raise CrosscheckError(f"{path}: {field:.100}: {reason}{got}") from error
-
-
-def versions(packages: Iterable[str] = PACKAGES) -> dict[str, str]:
-    """Return the versions of Python, of packages that results depend on, and of crosscheck."""
-    found = {package: version(package) for package in packages}
-    return {"python": platform.python_version(), **found, "crosscheck": version(DISTRIBUTION)}
 
 
 def digest(path: Path) -> str:

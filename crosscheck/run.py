@@ -22,8 +22,8 @@ from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import SHORTER, limited
 from crosscheck.load import told_options
 from crosscheck.outcome import Outcome
-from crosscheck.results import versions
 from crosscheck.scenes.options import titled
+from crosscheck.versions import versions
 from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene

@@ -35,6 +35,12 @@ def driven(tree: SpanningTree, columns: Array, points: Array, forces: Array) -> 
     for kept in tree.joints:
         if not np.any(forces[kept.v]):
             continue
+        if len(kept.motions) == 1 and kept.motions[0].kind != "ball":
+            wrench = np.zeros(6)
+            part = slice(0, 3) if kept.motions[0].kind == "slide" else slice(3, 6)
+            wrench[part] = forces[kept.v.start] * columns[part, kept.v.start]
+            found.append((kept.joint, wrench if kept.forward else -wrench))
+            continue
         slides, hinges = (
             [on_v.start for motion, _, on_v in kept.places if motion.kind == kind]
             for kind in ("slide", "hinge")

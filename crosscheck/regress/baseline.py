@@ -26,8 +26,9 @@ from pydantic import (
 
 from crosscheck.checksum import sealed
 from crosscheck.errors import CrosscheckError
-from crosscheck.results import read_json, versions
+from crosscheck.results import read_json
 from crosscheck.scenes.entries import Number, Quaternion, Vector
+from crosscheck.versions import versions
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 

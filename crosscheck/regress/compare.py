@@ -21,7 +21,7 @@ from crosscheck.comparison.figure import Figure
 from crosscheck.outcome import Outcome
 from crosscheck.regress.baseline import Baseline, Record, StoredFigure
 from crosscheck.regress.measure import MAIN, measure_group, regress_scene
-from crosscheck.results import versions
+from crosscheck.versions import versions
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import ImportedElement, ImportReport

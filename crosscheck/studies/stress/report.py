@@ -9,9 +9,9 @@ from pathlib import Path
 from crosscheck.files import write_files
 from crosscheck.report import render
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
-from crosscheck.results import versions
 from crosscheck.studies.stress.cases import PROCESSES, Row
 from crosscheck.studies.stress.topics import TOPICS
+from crosscheck.versions import versions
 
 FILES = ("stress.json", "stress.md")
 
