@@ -54,6 +54,10 @@ STIFF_RTOL, STIFF_ATOL = 1e-8, 1e-10
 STIFF_REFINEMENT = 0.1
 """Of these, in refined runs."""
 
+LESS_REFINED = 5.0
+"""Factor on the tolerances of a refined run in Python that stops: accelerations of nearly singular loops and
+of stiff machines hold no more digits."""
+
 
 @dataclass(frozen=True)
 class Engine:
@@ -229,7 +233,12 @@ def _pinocchio_refined(scene: Scene, in_full: bool = False) -> Trajectory:
     import urdf
 
     wanted = scene if in_full else _motion_of(scene)
-    return urdf.simulate(wanted, **python_method(scene, refined=True))
+    method = python_method(scene, refined=True)
+    try:
+        return urdf.simulate(wanted, **method)
+    except StoppedError:
+        looser = {name: LESS_REFINED * method[name] for name in ("rtol", "atol")}
+        return urdf.simulate(wanted, **(method | looser))
 
 
 def _pinocchio_systems(scene: Scene) -> tuple[System, ...]:

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.assemble import assemble, initial_state
-from newton_euler.equations.dense import orthonormal_null
+from newton_euler.assemble import assemble, initial_state, measured_coordinate
+from newton_euler.equations.dense import orthonormal_null, rank
 from newton_euler.equations.redundancy import constraint_rank
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import dimensionless_jacobian
@@ -33,6 +33,7 @@ from newton_euler.verification.activity import Bounds
 
 SPIN, SPEED = 0.5, 0.1  # rad/s and sizes/s, at most, of joints at the start
 SWING, SHIFT = 0.2, 0.05  # rad and sizes, about as far as a driven joint moves
+LEAST_SHARE = 0.05  # of these that a joint keeps however little room its limits leave, so that loops move
 ROOM_SHARE = 0.5  # of the room that limits leave, at most, that start velocities use; the rest is for swings
 LOWEST, HIGHEST = 0.7, 1.9  # Hz, between which frequencies are spread
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # its multiples, less whole numbers, are spread evenly
@@ -48,26 +49,36 @@ def moving(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[Scene, str]:
 
     Args:
         scene: at its start.
-        bounds: limits of what the velocities change at once, such as the force of a servo with damping. The
-            velocities use at most `ROOM_SHARE` of the room that each limit leaves at the start.
+        bounds: limits of what the velocities change at once, such as the force of a servo with damping, and
+            of joint coordinates. The velocities use at most `ROOM_SHARE` of the room that each limit leaves,
+            for coordinates in the whole duration. A joint moves to the side where its limits leave more room.
 
     Returns:
-        The scene, and how fast joints turn and slide, in words.
+        The scene, and how fast joints turn and slide, in words. A start where constraints lose rank stays at
+        rest: most velocities that are free there begin no motion.
 
     Raises:
         AssemblyError: where velocities cannot be made to fit the constraints.
     """
     system = Relative(scene)
     q, _ = system.coordinates(initial_state(scene))
+    jacobian = dimensionless_jacobian(system, q)
+    if rank(jacobian) < constraint_rank(system):
+        return scene, "no start velocities, as the start is a singular configuration"
     lengths = system.tree.is_length
     limits = np.where(lengths, SPEED * scene.mechanism.size, SPIN)
+    bounds = list(bounds)
     rows = _rate_rows(system, q, bounds)
     for row in rows:
         acting = row != 0.0
         limits[acting] = np.minimum(limits[acting], 1.0 / (np.sum(acting) * np.abs(row[acting])))
     rng = np.random.default_rng(SEED)
-    wanted = limits * rng.choice([-1.0, 1.0], system.nv) * rng.uniform(0.5, 1.0, system.nv)
-    free = orthonormal_null(dimensionless_jacobian(system, q), constraint_rank(system))
+    signs = rng.choice([-1.0, 1.0], system.nv)
+    for k, down, up in _rooms(system, bounds):
+        signs[k] = signs[k] if down == up else np.sign(up - down)
+        limits[k] *= np.clip(ROOM_SHARE * max(down, up) / (scene.duration * limits[k]), LEAST_SHARE, 1.0)
+    wanted = limits * signs * rng.uniform(0.5, 1.0, system.nv)
+    free = orthonormal_null(jacobian, constraint_rank(system))
     v = system.velocity_units * (free @ (free.T @ (wanted / system.velocity_units)))
     spins = _spins(scene, system, q, v)
     if max(np.max(np.abs(v) / limits, initial=0.0), np.max(spins, initial=0.0) / SPIN) * SPIN < AT_REST:
@@ -101,6 +112,26 @@ def _rate_rows(system: Relative, q: Array, bounds: Iterable[Bounds]) -> list[Arr
                 row[k] += factor * x * bound.by_rate / (ROOM_SHARE * room)
         rows.append(row)
     return rows
+
+
+def _rooms(system: Relative, bounds: Iterable[Bounds]) -> Iterator[tuple[int, float, float]]:
+    """Yield the number of a velocity, and the room below and above that limits of its coordinate leave.
+
+    A coordinate that starts outside of its limits, m or rad, has no room on that side and may move inwards.
+    A range of no width, which exporters write for limits that they do not know, is none.
+    """
+    start = initial_state(system.scene)
+    for bound in bounds:
+        if bound.by_rate or len(bound.terms) != 1 or isinstance(bound.constant, TimeFunction):
+            continue
+        ((key, factor),) = bound.terms
+        slope, place = bound.by_value * factor, system.tree.place(*key)
+        if not slope or place is None or bound.low == bound.high:
+            continue
+        value = bound.constant + slope * measured_coordinate(system.scene, start, key)[0]
+        rooms = max(0.0, value - bound.low) / abs(slope), max(0.0, bound.high - value) / abs(slope)
+        down, up = rooms if slope > 0.0 else rooms[::-1]
+        yield place[1], down, up
 
 
 def _spins(scene: Scene, system: Relative, q: Array, v: Array) -> Array:

@@ -12,8 +12,8 @@ import numpy as np
 from crosscheck.comparison.energy import RANDOM_RATE, energy_scale
 from crosscheck.comparison.figure import EPSILON
 from crosscheck.errors import CrosscheckError
-from newton_euler.equations.dense import numerical_rank, orthonormal_range, singular_values
-from newton_euler.equations.redundancy import mobility, rows_left_out, without
+from newton_euler.equations.dense import numerical_rank, orthonormal_range, rank, singular_values
+from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, without
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation, MassProperties, System, dimensionless_jacobian
 from newton_euler.equations.undetermined import undetermined
@@ -75,6 +75,13 @@ class States:
     def condition(self) -> float:
         """The largest of all states, of the scene's independent constraints."""
         return max(condition for _, condition in self._admissible)
+
+    @property
+    def is_singular(self) -> bool:
+        """True if constraints lose rank at the first state: nothing determines all accelerations there."""
+        q, _ = self._coordinates[0]
+        with solved(self._system, "the rank of constraints"):
+            return rank(dimensionless_jacobian(self._system, q)) < constraint_rank(self._system)
 
     @cached_property
     def opening(self) -> float:
@@ -273,9 +280,9 @@ def admissible_basis(system: System, q: Array, units: Array) -> tuple[Array, flo
     if not jacobian.size:
         return orthonormal_range(transformation), 1.0
     _, values, directions = singular_values(jacobian, full=True)
-    rank = numerical_rank(values)
-    basis = orthonormal_range(transformation @ directions[rank:].T)
-    return basis, float(values[0] / values[rank - 1]) if rank else 1.0
+    count = numerical_rank(values)
+    basis = orthonormal_range(transformation @ directions[count:].T)
+    return basis, float(values[0] / values[count - 1]) if count else 1.0
 
 
 def free_motion(

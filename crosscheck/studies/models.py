@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import resource
 import shutil
+import signal
 import subprocess
 import sys
 from collections import Counter
@@ -24,16 +25,20 @@ import click
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from crosscheck.activity import what_acted
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import write_files
 from crosscheck.model_files.read import is_urdf
 from crosscheck.outcome import ExitStatus, Outcome
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, texts
-from newton_euler.verification.import_report import FATES, ImportedElement, ImportReport
+from newton_euler.verification.import_report import ACTING, FATES, ImportedElement, ImportReport
 
-MAX_WALL_TIME = 600.0
-"""s for one model."""
+MAX_PROCESSOR_TIME = 600
+"""s for one model: a busy machine changes no verdict."""
+
+MAX_WALL_TIME = 3600.0
+"""s for one model that waits for something."""
 
 BEGIN, END = "<!-- models: begin -->", "<!-- models: end -->"
 """Between them stands what is written."""
@@ -87,6 +92,7 @@ class Found(BaseModel):
         verdict: one of `VERDICTS`.
         line: the verdict as `crosscheck run` has it, or the error.
         reason: the part of the line that tells why the verdict is not AGREE.
+        first: kind of the first element that acted and was not simulated, such as "limits".
         fates: how many elements became what, each as the worst that became of it.
         covered: how many of the scene's elements the motion covers, and of how many.
         lacks: what of the file the run lacks, in words.
@@ -96,6 +102,7 @@ class Found(BaseModel):
     verdict: str
     line: str
     reason: str = ""
+    first: str = ""
     fates: dict[str, int] = Field(default_factory=dict)
     covered: str = ""
     lacks: str = ""
@@ -129,11 +136,21 @@ def run_model(folder: Path, repository: Repository, entry: Entry, output: Path) 
     command = [sys.executable, "-P", "-m", "crosscheck", "run", str(path), *settings, "--output", str(output)]
     before = _processor_time()
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=MAX_WALL_TIME, check=False)
+        done = subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            timeout=MAX_WALL_TIME,
+            check=False,
+            preexec_fn=_limit_processor_time,
+        )
     except subprocess.TimeoutExpired:
         line = f"more than {MAX_WALL_TIME:g} s"
         return Found(verdict=TOO_LONG, line=line, processor_time=_processor_time() - before)
     used = _processor_time() - before
+    if done.returncode == -signal.SIGXCPU:
+        line = f"more than {MAX_PROCESSOR_TIME} s of processor time"
+        return Found(verdict=TOO_LONG, line=line, processor_time=used)
     summary = output / "summary.json"
     if done.returncode not in JUDGED or not summary.exists():
         lines = [line for line in done.stderr.splitlines() if line.strip()] or [f"status {done.returncode}"]
@@ -148,11 +165,17 @@ def run_model(folder: Path, repository: Repository, entry: Entry, output: Path) 
         verdict=content["outcome"],
         line=content["verdict"],
         reason=_reason(content),
+        first=_first_kind(content),
         fates=_fates(report),
         covered=f"{sum(tested)} of {len(tested)}" if tested else "",
         lacks="; ".join(filter(None, [still, report.counts()])),
         processor_time=used,
     )
+
+
+def _limit_processor_time() -> None:
+    """Give a process that begins, and each that it starts, `MAX_PROCESSOR_TIME`."""
+    resource.setrlimit(resource.RLIMIT_CPU, (MAX_PROCESSOR_TIME, MAX_PROCESSOR_TIME + 1))
 
 
 def _processor_time() -> float:
@@ -167,9 +190,18 @@ def _reason(content: dict[str, Any]) -> str:
         return ""
     if content["outcome"] != Outcome.AGREE_ON_A_REDUCED_MODEL:
         return str(content["verdict"]).partition(": ")[2]
-    first, *others = content["not_simulated"]
+    first, *others = (ImportedElement(**each) for each in content["not_simulated"])
     more = f" and {len(others)} more" if others else ""
-    return f"without {first['element']}{more}, which act from {first['since']:.3g} s on"
+    return f"without {what_acted(first)}{more}, which act from {first.since:.3g} s on"
+
+
+def _first_kind(content: dict[str, Any]) -> str:
+    """Return the kind of the first element that acted: its topic, such as "limits", or "actuators"."""
+    if not content["not_simulated"]:
+        return ""
+    entry = ImportedElement(**content["not_simulated"][0])
+    word = entry.element.split()[0]
+    return entry.topic or dict(ACTING).get(word, word)
 
 
 def _fates(report: ImportReport) -> dict[str, int]:
@@ -196,6 +228,13 @@ def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterat
     yield f"{total['inactive']} left out and inactive in the run,"
     yield f"{total['left out']} left out and active or not watched."
     yield ""
+    reduced = [each.first for _, each in known if each.verdict == Outcome.AGREE_ON_A_REDUCED_MODEL]
+    if reduced:
+        yield "What acts first in models that are reduced:"
+        yield ""
+        kinds: Rows = [[kind, str(count)] for kind, count in Counter(reduced).most_common()]
+        yield from markdown_table(Table("", texts("kind of element", "models"), kinds))
+        yield ""
     rows: Rows = []
     for repository in repositories:
         rows.append(repository.repository)

@@ -17,7 +17,7 @@ from newton_euler.model.euler_parameters import angle_between
 from newton_euler.scalars import Array
 from newton_euler.verification.figure import Figure, figure, worst
 from newton_euler.verification.forces import largest, row_figure
-from newton_euler.verification.original import CLOSED, ROUND_OFF, Sample
+from newton_euler.verification.original import ROUND_OFF, Sample
 from newton_euler.verification.placed import Place, Placed
 from newton_euler.verification.quantities import DOUBT, FREE, KINDS
 
@@ -121,13 +121,11 @@ def _loop_figures(sample: Sample, own: Array, units: Array) -> list[Figure]:
         return []
     fine, coarse = sample.velocity_products
     scale = float(np.max(np.abs(jacobian))) * max(RATE**2, float(np.max(np.abs(own))))
-    opened, unsure = jacobian @ own + fine, coarse - fine
-    # rows that may be taken as redundant may open: those in doubt, and those of loops that keep an offset,
-    # which no motion closes
-    if sample.freedom.doubt > FREE or sample.original.offset > CLOSED:
-        u, s, _ = singular_values(jacobian)
-        held = u[:, s > DOUBT * max(1.0, float(s[0]))]
-        opened, unsure = held @ (held.T @ opened), held @ (held.T @ unsure)
+    # no acceleration changes what lies outside the range of the rows: of those that are redundant, in doubt,
+    # of loops that keep an offset, and of those that lose rank in a singular configuration
+    u, s, _ = singular_values(jacobian)
+    held = u[:, s > DOUBT * max(1.0, float(s[0]))]
+    opened, unsure = (held @ (held.T @ each) for each in (jacobian @ own + fine, coarse - fine))
     scale = max(scale, RATE**2)
     gaps = np.maximum(np.abs(opened) - np.abs(unsure), 0.0) / scale
     mass, forces = np.abs(np.sum(sample.mass_matrices, axis=0)), np.abs(np.array(sample.forces)).sum(axis=0)

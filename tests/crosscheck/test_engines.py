@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
 import mjcf
+import urdf
 from crosscheck.comparison.figure import UNRESOLVED
 from crosscheck.comparison.runs import compare_runs
-from crosscheck.engines import ENGINES
+from crosscheck.engines import ENGINES, LESS_REFINED, REFINED_RTOL
 from crosscheck.scenes import load
 from newton_euler.assemble import initial_state
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import distance
+from newton_euler.model.trajectory import IntegrationError, Trajectory, distance
 
 COARSE = 2e-4
 """s, MuJoCo's step for a run of 0.1 s."""
@@ -48,3 +50,19 @@ def test_a_run_that_is_too_coarse_is_named(fast_linkage: Scene) -> None:
     rows = [row for row in compare_runs(fast_linkage, engines, runs, 1.0) if len(row.between) == 2]
     assert not all(row.agrees for row in rows)
     assert all(row.detail.startswith("mujoco's own run changes by ") for row in rows if not row.agrees)
+
+
+def test_a_finer_run_that_stops_is_repeated_with_looser_tolerances(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = replace(load("pendulum"), duration=0.1)
+    simulate, tried = urdf.simulate, list[float]()
+
+    def stopping(scene: Scene, *, rtol: float, **control: Any) -> Trajectory:
+        tried.append(rtol)
+        if len(tried) == 1:
+            raise IntegrationError(0.01, "more than 10000 steps of DOP853")
+        return simulate(scene, rtol=rtol, **control)
+
+    monkeypatch.setattr(urdf, "simulate", stopping)
+    run = ENGINES["pinocchio"].refined(scene)
+    assert tried == [REFINED_RTOL, LESS_REFINED * REFINED_RTOL]
+    assert distance(run, ENGINES["newton_euler"].simulate(scene)) < 1e-9  # of the coarser run

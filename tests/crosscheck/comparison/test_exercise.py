@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from mechanisms import mass_on_rail, planar_four_bar
-from mjcf_models import PAIR, model, reading, verified
+from mjcf_models import BOX, PAIR, model, reading, verified
 from urdf_files import CHAIN
 
 import newton_euler
@@ -115,6 +115,24 @@ def test_start_velocities_leave_room_to_the_force_of_a_damped_servo(tmp_path: Pa
     largest = 0.5 * 50.0 / 400.0
     assert 0.5 * largest <= rate <= largest * (1.0 + 1e-12)  # drawn from the upper half
     assert not bound.judge(course).active
+
+
+def test_start_velocities_stay_within_the_limits_of_joints(tmp_path: Path) -> None:
+    """One joint starts at its lower limit, one near its upper one, one outside: all move inwards."""
+    ranges = {"low": "0 90", "high": "-90 3", "out": "-90 -5"}
+    hinge = (
+        '<body pos="{} 0 0"><joint name="{}" axis="0 0 1" range="{}"/>' + BOX.format("0.1 0 0") + "</body>"
+    )
+    bodies = "".join(hinge.format(k, *each) for k, each in enumerate(ranges.items()))
+    found = reading(tmp_path, model(bodies), exercise=True, duration=0.5)
+    start = initial_state(found.scene)
+    rates = {name: found.scene.mechanism.measure((name, 0), start.frames())[1] for name in ranges}
+    assert 0.0 < rates["low"] <= SPIN
+    assert -SPIN <= rates["high"] < 0.0
+    assert -SPIN <= rates["out"] < 0.0
+    course = Course(found.scene, newton_euler.simulate(found.scene))
+    acting = {entry.element for entry in found.report.after(course).acting}
+    assert acting == {"joint 'out'"}
 
 
 @pytest.mark.parametrize("dynamics", ["filter", "filterexact", "integrator"])

@@ -25,6 +25,9 @@ LIST = """models:
       - file: not/run/yet.xml
 """
 
+FLOOR = """<mujoco><worldbody><geom type="plane" size="9 9 1"/>
+<body pos="0 0 0.09"><freejoint/><geom size="0.1"/></body></worldbody></mujoco>"""
+
 ARM = """<mujoco><worldbody><body><joint name="j" axis="0 1 0" range="-90 90"/>
 <geom size="0.1" pos="0.3 0 0"/></body></worldbody></mujoco>"""
 
@@ -47,6 +50,7 @@ def test_the_table_has_counts_and_reasons(tmp_path: Path) -> None:
             verdict="AGREE ON A REDUCED MODEL",
             line="",
             reason="without contact " + 300 * "x",
+            first="contacts",
             processor_time=4.0,
         ),
         "some/robots/other.urdf": Found(
@@ -59,6 +63,7 @@ def test_the_table_has_counts_and_reasons(tmp_path: Path) -> None:
         "4 models of 1 repositories: 1 AGREE, 1 AGREE ON A REDUCED MODEL, 1 DISAGREE, 1 refused; 1 of these"
     )
     assert "10 are carried over exactly, 4 left out and inactive in the run, 6" in counts
+    assert "| contacts | 1 |" in lines
     assert lines[-4:] == [
         "| arm.xml | duration=0.05 | AGREE | 4 of 5 | 3 elements are left out | 3 |",
         "| broken.xml | duration=0.05 | refused: it is no XML |  |  | 1 |",
@@ -77,11 +82,13 @@ def test_the_table_has_counts_and_reasons(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_files_are_run_each_by_itself(tmp_path: Path) -> None:
-    (tmp_path / "list.yaml").write_text(LIST.split("      - file: other")[0])
+    files = LIST.split("      - file: other")[0]
+    (tmp_path / "list.yaml").write_text(f"{files}      - file: floor.xml\n")
     robots = tmp_path / "some" / "robots"
     robots.mkdir(parents=True)
     (robots / "arm.xml").write_text(ARM)
     (robots / "broken.xml").write_text("<mujoco>")
+    (robots / "floor.xml").write_text(FLOOR)
     (tmp_path / "models.md").write_text(f"{BEGIN}\n{END}\n")
     arguments = ["list.yaml", str(tmp_path), "--write", "models.md", "--output", "out"]
     with pytest.MonkeyPatch.context() as patch:
@@ -91,6 +98,10 @@ def test_files_are_run_each_by_itself(tmp_path: Path) -> None:
         text = (tmp_path / "models.md").read_text()
         assert "| arm.xml | duration=0.05 | AGREE | 3 of 3 | 2 elements are inactive |" in text
         assert "| broken.xml | duration=0.05 | refused: it is no XML |" in text
+        assert (
+            "| floor.xml | duration=0.05 | AGREE ON A REDUCED MODEL: without contacts, which act from" in text
+        )
+        assert "| contacts | 1 |" in text
         again = CliRunner().invoke(main, [*arguments, "--only", "broken"])
         assert "arm.xml" not in again.output
         assert "| arm.xml | duration=0.05 | AGREE" in (tmp_path / "models.md").read_text()

@@ -11,10 +11,13 @@ import pytest
 from mjcf_models import BOX, model, reading
 
 import urdf
+from crosscheck.comparison.figure import OF_EQUATIONS, OF_RUNS
 from crosscheck.engines import ENGINES
+from crosscheck.outcome import Outcome
 from crosscheck.run import crosscheck
 from crosscheck.studies.faults.find import find_in_reading
 from crosscheck.studies.faults.misreadings import misreadings
+from crosscheck.verdict import check
 from newton_euler.equations.relative import Relative
 from newton_euler.model.forces import JointSpring
 from newton_euler.verification.verify import verify
@@ -167,3 +170,25 @@ def test_mimics_of_very_light_links_are_held_to_what_an_elimination_leaves_of_th
     wrong = urdf.read(path, base="free").scene
     failing = [figure for figure in verify(original, Relative(wrong)) if not figure.agrees]
     assert "accelerations across loops, rel" in {figure.quantity for figure in failing}
+
+
+FOLDED = model(
+    '<body><joint axis="0 1 0"/><inertial pos="0 0 0.2" mass="1" diaginertia=".01 .01 .01"/>'
+    '<body pos="0 0 0.5"><joint axis="0 1 0"/><inertial pos="0 0 0.2" mass="1" diaginertia=".01 .01 .01"/>'
+    '<body pos="0 0 0.4"><joint axis="0 1 0"/><inertial pos="0 0 -0.1" mass="1" diaginertia=".01 .01 .01"/>'
+    '<body name="tip" pos="0 0 -0.3"><joint axis="0 1 0"/>'
+    '<inertial pos="0 0 0.1" mass="1" diaginertia=".01 .01 .01"/></body></body></body></body>',
+    '<equality><connect body1="tip" anchor="0 0 0.2"/></equality>',
+)
+"""Four bars in a line whose end is held: they start in a singular configuration."""
+
+
+def test_a_file_that_starts_in_a_singular_configuration_is_read_and_compared(tmp_path: Path) -> None:
+    """No start velocities either: those that are free there begin no motion."""
+    path = tmp_path / "model.xml"
+    path.write_text(FOLDED)
+    verdict = check(path, duration=0.1)
+    (said,) = (line for line in verdict.crosscheck.mapping.start if line.startswith("exercised: "))
+    assert "the start is a singular configuration" in said
+    assert verdict.outcome is Outcome.AGREE_AT_RANDOM_STATES_ONLY
+    assert {figure.level for figure in verdict.figures} >= {*OF_EQUATIONS, *OF_RUNS}
