@@ -23,7 +23,7 @@ from newton_euler.integrators.dop853_tableau import (
     STAGES,
 )
 from newton_euler.integrators.projection import begin_adaptive, finish_step, project_rows
-from newton_euler.integrators.round_off import ROUGH, ROUND_OFF_MARGIN, measure_round_off
+from newton_euler.integrators.round_off import ROUGH, ROUND_OFF_MARGIN, UNMEASURED, measure_round_off
 from newton_euler.integrators.row_exchange import RowExchange, copy_flags, exchange_rows
 from newton_euler.integrators.singular import HOP, HOPS, NEAR, UNSAFE, crossing_factor, evaluate
 from newton_euler.integrators.stepper import (
@@ -80,7 +80,8 @@ class Dop853(Record):
             it, the row of the table that is due, the size before the step was cut to end with the run, s, 1
             if steps may go beyond that end, 1 until the run has left a singular configuration where it
             began, the ratio of the squared error estimates of orders 3 and 5 of the last step, and 1 if
-            round-off made most of the error estimate where it was measured last.
+            round-off made most of the error estimate where it was measured last, or less than 0: minus the
+            steps that look like round-off until it is measured again.
     """
 
     rtol: float
@@ -404,11 +405,17 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     rough = 0
     if control[SMOOTHNESS] < ROUGH or (control[NOISY] == 1.0 and error >= 1.0):
         rough = 1
+    if rough == 1 and control[NOISY] < 0.0:
+        rough = 0
+        control[NOISY] = control[NOISY] + 1.0
     if status == DONE and rough == 1 and pivot_ratio >= NEAR:
         spare = k[row * (STAGES + 1) :]
         if measure_round_off(system, h, now, method.units, method.at, k, spare, method.round_off) == DONE:
             error = min(error, error_norm(system, h, ROUND_OFF_MARGIN, method))
-        control[NOISY] = 1.0 if error < 0.5 * excess else 0.0
+        if error < 0.5 * excess:
+            control[NOISY] = 1.0
+        else:
+            control[NOISY] = 0.0 if control[NOISY] == 1.0 else 0.0 - UNMEASURED
     near = 0
     if system.projecting == 1 and pivot_ratio < NEAR and status == DONE:
         near = 1
