@@ -226,8 +226,8 @@ MISTAKES = {
     ),
     "an own error that excuses anything": (
         "crosscheck/comparison/runs.py",
-        "min(OWN_ERROR * own_change(engine, apart), UNRESOLVED * unit)",
-        "OWN_ERROR * own_change(engine, apart)",
+        "min(OWN_ERROR * change, UNRESOLVED * unit)",
+        "OWN_ERROR * change",
         "crosscheck/comparison/test_unsettled.py",
     ),
     "a residual of energy in J under the heading of a share": (
