@@ -14,6 +14,7 @@ import math
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -40,6 +41,7 @@ from newton_euler.verification.import_report import (
     FRICTION,
     LIMITS,
     VELOCITY_LIMITS,
+    Finding,
     ImportReport,
     unique_name,
 )
@@ -172,12 +174,14 @@ def _from_file(
     if text.startswith("<?xml"):  # Pinocchio would take the encoding that it names for that of the text
         text = text[text.index("?>") + 2 :]
     closing, loop_text = NO_LOOPS, None
-    if loops is not None:
+    report = ImportReport()
+    if loops is None:
+        report.findings.extend(_unread_loops(Path(where)))
+    else:
         loop_path = path_text(loops, SourceError)
         loop_text = read_text(loop_path, "scene_size", SourceError)
         closing = read_loops(loop_path, loop_text)
     words: list[str] = []
-    report = ImportReport()
     try:
         with overheard(words):
             extensions = read_extensions(where, text, root, closing, ignore, report)
@@ -210,6 +214,20 @@ def _from_file(
     pull = " ".join(f"{g:g}" for g in gravity)
     found.report.start.append(f"gravity is {pull} m/s^2, a URDF has none; its root link {root_link}")
     return found
+
+
+def _unread_loops(path: Path) -> Iterator[Finding]:
+    """Find a loop file beside a URDF that is read without one."""
+    for beside in (path.with_suffix(".loops.yaml"), path.with_suffix(".yaml")):
+        with suppress(SourceError):
+            if beside.is_file() and "closed_loop" in read_text(str(beside), "scene_size", SourceError):
+                yield Finding(
+                    "unread-loops",
+                    beside.name,
+                    "a loop file stands beside the URDF and was not read",
+                    "its loops are open in this run",
+                    f"--set loops={beside} closes them",
+                )
 
 
 def _from_memory(

@@ -127,10 +127,10 @@ def _loop_figures(sample: Sample, own: Array, units: Array) -> list[Figure]:
     held = u[:, s > DOUBT * max(1.0, float(s[0]))]
     opened, unsure = (held @ (held.T @ each) for each in (jacobian @ own + fine, coarse - fine))
     scale = max(scale, RATE**2)
-    gaps = np.maximum(np.abs(opened) - np.abs(unsure), 0.0) / scale
     mass, forces = np.abs(np.sum(sample.mass_matrices, axis=0)), np.abs(np.array(sample.forces)).sum(axis=0)
     inverse = np.abs(np.linalg.inv(np.sum(sample.mass_matrices, axis=0)))
     unknown = inverse @ (mass @ (units * (np.abs(own) + RATE**2)) + forces) / units
-    lost = ROW_LOSS * np.finfo(float).eps * (np.abs(jacobian) @ unknown) / scale
-    limit = sample.tolerance_of_motion + float(np.max(lost))
+    lost = ROW_LOSS * np.finfo(float).eps * float(np.max(np.abs(jacobian) @ unknown))
+    gaps = np.maximum(np.abs(opened) - np.abs(unsure) - lost, 0.0) / scale
+    limit = sample.tolerance_of_motion
     return [figure("accelerations across loops, rel", gaps, limit, owners)]

@@ -117,6 +117,15 @@ def test_a_free_base_falls(tmp_path: Path) -> None:
         reading(tmp_path, text, with_types(), base="loose")
 
 
+@pytest.mark.parametrize("name", ["robot.yaml", "robot.loops.yaml"])
+def test_a_loop_file_beside_a_urdf_that_is_not_read_is_named(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(with_types())
+    found = reading(tmp_path, robot(link("a"), joint("ja", "revolute", "base", "a"))).report.findings
+    assert [(each.name, each.element) for each in found if each.name == "unread-loops"] == [
+        ("unread-loops", name)
+    ]
+
+
 def test_elements_that_nobody_knows_are_listed(tmp_path: Path) -> None:
     def unknown(more: str) -> list[str]:
         found = reading(tmp_path, robot(link("a"), joint("ja", "revolute", "base", "a", more)), with_types())
