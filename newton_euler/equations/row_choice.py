@@ -178,12 +178,14 @@ def exchanged(jacobian: Array, rows: Sequence[int], units: Array, left_out: Arra
         The same of other rows, (m,).
     """
     flags, places = left_out.copy(), np.array(rows)
+    if not np.isfinite(jacobian).all():
+        return flags
     always = jacobian[np.delete(np.arange(len(jacobian)), places)]
-    own = jacobian[places]
-    for _ in range(MAX_EXCHANGES if np.isfinite(jacobian).all() else 0):
+    beside = np.linalg.qr(always.T, mode="complete")[0][:, len(always) :]
+    own = jacobian[places] @ beside  # what rows add to those that are always in use
+    for _ in range(MAX_EXCHANGES):
         used, out = np.flatnonzero(flags == 0.0), np.flatnonzero(flags == 1.0)
-        independent_rows = np.concatenate([own[used], always])
-        found = np.linalg.lstsq(independent_rows.T, own[out].T, rcond=None)[0][: len(used)]
+        found = np.linalg.lstsq(own[used].T, own[out].T, rcond=None)[0]
         sizes = np.abs(found) * units[used][:, None] / units[out]
         row, other = np.unravel_index(np.argmax(sizes), sizes.shape)
         if not sizes[row, other] > MIN_EXCHANGED_SHARE:

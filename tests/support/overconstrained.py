@@ -8,6 +8,7 @@ Machine Theory 14, 1979. Schatz's: J. Phillips, Freedom in Machinery, volume 2, 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
@@ -121,6 +122,21 @@ def linkage(name: str) -> Scene:
     ]
     scene = Scene(name, Mechanism(bodies, hinges), DURATION, PERIOD, tuple(GRAVITY))
     return start(scene, h0=(0.0, SPEED))
+
+
+def side_by_side(names: Sequence[str]) -> Scene:
+    """Return a scene of several of the `LOOPS`, whose bodies and hinges have a number behind their names."""
+    bodies, hinges = [Body.ground()], []
+    for k, name in enumerate(names):
+        alone = linkage(name).mechanism
+        bodies += [replace(body, name=f"{body.name}_{k}") for body in alone.bodies[1:]]
+        for hinge in alone.joints:
+            first, second = (
+                each if each == "ground" else f"{each}_{k}" for each in (hinge.first, hinge.second)
+            )
+            hinges.append(replace(hinge, name=f"{hinge.name}_{k}", first=first, second=second))
+    scene = Scene("several", Mechanism(bodies, hinges), DURATION, PERIOD, tuple(GRAVITY))
+    return start(scene, **{f"h0_{k}": (0.0, SPEED) for k in range(len(names))})
 
 
 @cache

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from overconstrained import LOOPS, centers, linkage
+from overconstrained import LOOPS, centers, linkage, side_by_side
 from scipy.optimize import minimize_scalar
 
 import newton_euler
@@ -114,6 +114,16 @@ def test_sensitivities_are_those_of_difference_quotients(name, formulation):
     wanted = (8.0 * (c - b) - (d - a)) / (12.0 * h)
     # of runs to 1e-12, and h^4 of their fifth derivative
     assert found.position[..., 0] == pytest.approx(wanted, abs=1e-7 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_several_linkages_move_as_each_alone(formulation):
+    """Of 15 exchangeable rows shares are looked at in sums."""
+    names = ["bennett", "goldberg", "bennett"]
+    scene = replace(side_by_side(names), outputs=POSES)
+    run = newton_euler.simulate(scene, formulation)
+    wanted = np.concatenate([centers(name) for name in names], axis=1)
+    assert np.abs(run.position[:, 1:] - wanted).max() < 1e-9
 
 
 def test_knots_do_not_forget_the_rows_in_use():
