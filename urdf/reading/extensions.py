@@ -235,14 +235,17 @@ class _Reader:
     def _read_gazebo_joint(self, element: ET.Element) -> None:
         kind = self._kind(element)
         pose = element.find("pose")
-        numbers = np.zeros(6)
+        numbers, link = np.zeros(6), (element.findtext("child") or "").strip()
+        frame = link
         if pose is not None:
-            if pose.get("relative_to") or pose.get("frame"):
-                raise self._refused(pose, "is relative to a frame that is not the child's")
+            frame = pose.get("relative_to") or pose.get("frame") or link
+            if frame not in self._links:
+                raise self._refused(pose, f"is relative to {frame!r:.100}, which is no link")
             numbers = self._numbers(pose, pose.text or "0 0 0 0 0 0", 6, "pose")
-        child = self._end(
-            element, element.findtext("child"), pin.SE3(pin.rpy.rpyToMatrix(*numbers[3:]), numbers[:3])
-        )
+        placement = pin.SE3(pin.rpy.rpyToMatrix(*numbers[3:]), numbers[:3])
+        child = self._end(element, link, placement)
+        if frame != link:
+            child = self._facing(End(frame, placement), link)
         if kind == REVOLUTE:
             xyz = element.find("axis/xyz")
             axis = np.array([0.0, 0.0, 1.0])
