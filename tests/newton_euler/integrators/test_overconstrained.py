@@ -14,13 +14,16 @@ from overconstrained import LOOPS, centers, linkage, side_by_side
 from scipy.optimize import minimize_scalar
 
 import newton_euler
+from crosscheck.engines import ENGINES
 from crosscheck.scenes import load
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.row_choice import exchangeable_rows, exchanged
 from newton_euler.equations.system import dimensionless_jacobian
+from newton_euler.integrators.options import Options
 from newton_euler.model.state import State
+from newton_euler.simulate import run as run_system
 
 FORMULATIONS = ("relative", "cartesian")
 POSES = frozenset[str]()
@@ -61,6 +64,15 @@ def test_adaptive_methods_keep_their_tolerance(name, formulation):
         ({"integrator": "Radau", "rtol": 1e-8, "atol": 1e-10}, 1e-9),
     ):
         assert error(newton_euler.simulate(scene, formulation, **options), name) < allowed, options
+
+
+@pytest.mark.parametrize("engine", list(ENGINES.values()), ids=lambda engine: engine.name)
+@pytest.mark.parametrize("name", ["bennett", "goldberg"])
+def test_equations_that_python_evaluates_keep_their_tolerance(name, engine):
+    """Ten tolerances, by dense forms that know the rank of the constraints."""
+    scene = replace(linkage(name), outputs=POSES)
+    for system in engine.systems(scene):
+        assert error(run_system(system, engine.name, Options.of("DOP853", {}), {}), name) < 1e-9
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
