@@ -29,11 +29,15 @@ DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")  # a 
 
 
 def one_line(text: str) -> str:
-    """Return a text as one line of at most `LONGEST_MESSAGE` printable characters, others as their codes."""
+    """Return a text as one line of printable characters, others as their codes.
+
+    A text of more than `LONGEST_MESSAGE` characters keeps its beginning and its end, which states the reason.
+    """
     line = " ".join(text.split())
     if not line.isprintable():
         line = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in line)
-    return line if len(line) <= LONGEST_MESSAGE else f"{line[: LONGEST_MESSAGE - 4]} ..."
+    half = LONGEST_MESSAGE // 2
+    return line if len(line) <= LONGEST_MESSAGE else f"{line[: half - 5]} ... {line[-half:]}"
 
 
 class NewtonEulerError(Exception):

@@ -320,22 +320,23 @@ def test_what_is_in_no_figure_moves_where_its_line_does(found, moved):
 def test_a_model_file_is_guarded_with_what_is_in_no_figure(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body name="leg" pos="0 0 1">
-        <joint name="hip" axis="0 1 0" limited="true" range="-60 60"/>
+        <joint name="hip" axis="0 1 0" limited="true" range="-60 50"/>
         <geom name="foot" size="0.1" pos="0 0 -0.5"/></body></worldbody></mujoco>"""
     model, stored = Path("model.xml"), Path("model.baseline.json")
     model.write_text(text)
     assert run(capsys, "regress", model, "--update", "first")[0] == 0
     content = json.loads(stored.read_text())
-    limits = "joint 'hip': left out: its limits -1.047 to 1.047: limits are no bilateral constraints"
+    limits = "joint 'hip': left out: its limits -1.047 to 0.8727: limits are no bilateral constraints"
     assert limits in content["unsimulated"]
     assert any(line.startswith("2 geoms that can touch") for line in content["unsimulated"])
 
-    model.write_text(text.replace('"-60 60"', '"-60 30"'))
+    # start velocities follow the larger room, which stays the same
+    model.write_text(text.replace('"-60 50"', '"-60 30"'))
     status, out, _ = run(capsys, "regress", model, "--output", "out")
     assert status == 1
     assert "MOVED: 1 of 1 scenes: model" in out
     suite = ElementTree.parse("out/junit.xml").getroot().find("testsuite")
     told = [failure.get("message") for failure in suite.findall("testcase/failure")]
-    new = limits.replace("to 1.047", "to 0.5236")
+    new = limits.replace("to 0.8727", "to 0.5236")
     assert told == [f"model file: {limits}: where no longer so", f"model file: {new}: where new"]
     assert "model file: joint 'hip'" in out

@@ -128,7 +128,7 @@ def test_how_a_file_is_exercised_is_said(capsys, tmp_path):
 def test_a_sweep_of_a_reduced_model_and_a_moved_start_says_so(capsys, tmp_path, allowed, expected):
     """The crank falls past its limit, which is not simulated; the loop is open by 3 cm in the file."""
     path = tmp_path / "limited.xml"
-    path.write_text(LOOP.format(reach=0.43).replace('name="a"', 'name="a" range="-0.2 0.05" limited="true"'))
+    path.write_text(LOOP.format(reach=0.43).replace('name="a"', 'name="a" range="-0.05 0.05" limited="true"'))
     arguments = ("--vary", "gravity.z=values(-9,-10)", "--runs", "2", "--keep", "final:kinetic_energy")
     status, out, err = run(
         capsys,

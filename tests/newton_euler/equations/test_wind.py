@@ -199,7 +199,7 @@ def test_the_gust_is_that_of_the_standard():
         (lambda: load(speed="strong"), "wind load 'wind': speed is 'strong'; needed: a finite number"),
         (lambda: load(air_density=-1.0), "air_density is -1.0; needed: a finite number, 0 or more"),
         (lambda: floating(replace(load(), body="ground")), "wind load 'wind': acts on the ground 'ground'"),
-        (lambda: wind_gust(np.nan, 1.0), "wind gust: mean is nan; needed: a finite number"),
+        (lambda: wind_gust(np.nan, 1.0), "wind_gust: mean is nan; needed: a finite number"),
         (lambda: wind_gust(1.0, 1.0, 0.0), "wind gust: period is 0.0; needed: a positive number"),
         (
             lambda: wind_turbulence(0.0, 1.0, 1.0, 1),
@@ -207,7 +207,7 @@ def test_the_gust_is_that_of_the_standard():
         ),
         (
             lambda: wind_turbulence(1.0, 1.0, 1.0, -1),
-            "wind turbulence: seed is -1; needed: a whole",
+            "wind_turbulence: seed is -1; needed: a whole number, 0 or more",
         ),
         (
             lambda: wind_turbulence(1.0, 1.0, 1.0, 1, 2.0, 1.0),
