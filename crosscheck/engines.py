@@ -182,14 +182,17 @@ def _resolved(scene: Scene, run: Trajectory, way: Trajectory | None) -> Trajecto
 
     if way is None or len(way.time) != len(run.time):
         return run
-    far = UNRESOLVED * max(1.0, scene.mechanism.size)
-    while distance(run, way) > far and scene.duration <= 0.5 * run.settings["timestep"] * RK4_STEPS:
+    size = scene.mechanism.size
+    while (
+        distance(run, way, length=size) > UNRESOLVED
+        and scene.duration <= 0.5 * run.settings["timestep"] * RK4_STEPS
+    ):
         try:
             finer = mjcf.simulate(scene, timestep=0.5 * run.settings["timestep"])
         except DivergenceError:
             break
-        change, run = distance(run, finer), finer
-        if change < far:
+        change, run = distance(run, finer, length=size), finer
+        if change < UNRESOLVED:
             break
     return run
 

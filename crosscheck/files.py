@@ -16,7 +16,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.limit import tidied_up
 from newton_euler.errors import quoted
 from newton_euler.model.source_file import is_path
-from newton_euler.model.trajectory import atomic_file
+from newton_euler.model.trajectory import atomic_file, is_special
 
 ABANDONED = 60.0
 """s after which an unfinished file is that of a process that was killed: files are made in memory first,
@@ -39,6 +39,8 @@ def check_writable(*paths: Path) -> None:
         try:
             if path.is_dir():
                 raise CrosscheckError(f"cannot write {path}: it is a directory")
+            if is_special(path):
+                raise CrosscheckError(f"cannot write {path}: not a regular file")
             path.parent.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=path.parent):
                 pass

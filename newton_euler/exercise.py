@@ -51,7 +51,8 @@ def moving(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[Scene, str]:
         scene: at its start.
         bounds: limits of what the velocities change at once, such as the force of a servo with damping, and
             of joint coordinates. The velocities use at most `ROOM_SHARE` of the room that each limit leaves,
-            for coordinates in the whole duration. A joint moves to the side where its limits leave more room.
+            for coordinates in the whole duration. A joint moves to the side where its limits leave more room,
+            unless a closed loop decides its direction.
 
     Returns:
         The scene, and how fast joints turn and slide, in words. A start where constraints lose rank stays at

@@ -35,7 +35,7 @@ from crosscheck.report.table import Rows, Table, texts
 from newton_euler.verification.import_report import ACTING, FATES, ImportedElement, ImportReport
 
 MAX_PROCESSOR_TIME = 600
-"""s for one model: a busy machine changes no verdict."""
+"""s for one model; processor time, so that other work on the machine changes no verdict."""
 
 MAX_WALL_TIME = 3600.0
 """s for one model that waits for something."""

@@ -22,7 +22,7 @@ from newton_euler.model import source_file
 from newton_euler.model.source_file import LARGEST, NOT_FINITE, read_text, scan
 
 WALL_TIME = 300.0
-"""s, for a compiler that waits for something. A busy machine gives it a few percent of a processor."""
+"""s of wall time, for a compiler that waits for something; others may use the processor, too."""
 
 MAX_SECONDS = 1_000_000
 """s of processor time of the compiler, whatever `compile_time` is: operating systems can wait for as long."""

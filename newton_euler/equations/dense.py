@@ -112,7 +112,8 @@ def solve_constrained(
     free, responses = columns[:, 0], columns[:, 1:]
     u, s, vt = singular_values(responses)
     rank = len(gamma) if max_rank is None else min(len(gamma), max_rank)
-    if not 0 < rank <= len(s) or not s[rank - 1] > CLEAR_RANK * s[0]:  # the Jacobian alone decides the rank
+    clear = 0 < rank <= len(s) and s[rank - 1] > CLEAR_RANK * s[0]
+    if not clear or np.any(s[rank:] > RANK_TOLERANCE * s[0]):  # the Jacobian alone decides the rank
         combine = row_units[:, None] * independent_rows(jacobian, row_units, column_units, max_rank)
         u, s, vt = singular_values(responses @ combine)
         rank, vt = len(s), vt @ combine.T

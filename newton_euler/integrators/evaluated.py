@@ -156,6 +156,7 @@ class EvaluatedSystem(Interruptible):
                 state = vector_at(x, inputs).copy()
                 system.time = float(state[-1])
                 results[:] = function(state[: system.nq], state[system.nq : -1])
+                self._error = None
             except BaseException as error:  # nothing may pass through native code
                 self._error = error
                 results[:] = np.nan

@@ -243,6 +243,7 @@ class Mechanism:
         for body in self.bodies[1:]:
             body.check()
         self._check_joints()
+        self._check_labels()
         self._check_couplings()
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -274,6 +275,14 @@ class Mechanism:
             for body in self.bodies
         ]
         self.check_closed(frames, "at the initial pose")
+
+    def _check_labels(self) -> None:
+        """Refuse a joint with the name that a coordinate of another joint has in tables and files."""
+        names = {joint.name for joint in self.joints}
+        for (joint, k), label in self.coordinate_labels.items():
+            if label != joint and label in names:
+                problem = f"has the name of coordinate {k} of joint {quoted(joint)}"
+                raise MechanismError(f"joint {quoted(label)}", problem, "another name")
 
     def _check_couplings(self) -> None:
         names = Counter([*self.joint_names, *(coupling.name for coupling in self.couplings)])

@@ -43,6 +43,10 @@ class State:
     angular_velocity: Floats
     angles: Mapping[Key, float] = field(default_factory=dict, kw_only=True)
 
+    def __post_init__(self) -> None:
+        if isinstance(self.angles, Mapping):  # scenes refuse all else
+            object.__setattr__(self, "angles", dict(self.angles))
+
     @classmethod
     @checked
     def initial(cls, mechanism: Mechanism) -> State:

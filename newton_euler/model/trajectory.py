@@ -346,10 +346,12 @@ def coordinate_names(joint: Joint) -> tuple[str, ...]:
     )
 
 
-def distance(one: Trajectory, two: Trajectory, at: int | slice = slice(None)) -> float:
-    """Return the largest difference of positions, m, and orientations, rad, of two runs at some outputs."""
+def distance(one: Trajectory, two: Trajectory, at: int | slice = slice(None), length: float = 1.0) -> float:
+    """Return the largest difference of two runs at some outputs, of positions, in units of a length in m, and
+    of orientations, rad."""
     angles = angle_between(one.quaternion[at], two.quaternion[at])
-    return float(max(np.max(np.linalg.norm(one.position[at] - two.position[at], axis=-1)), np.max(angles)))
+    apart = np.linalg.norm(one.position[at] - two.position[at], axis=-1) / length
+    return float(max(np.max(apart), np.max(angles)))
 
 
 class StoppedError(NewtonEulerError):
@@ -436,6 +438,11 @@ def _check_arrays(arrays: Mapping[str, Array]) -> None:
         raise ValueError("no bodies, or no times that increase")
 
 
+def is_special(path: Path) -> bool:
+    """True for what exists and is neither a file nor a folder, such as a device or a pipe."""
+    return path.exists() and not path.is_file() and not path.is_dir()
+
+
 @contextmanager
 def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path beside `path`, in a folder made if need be, that becomes `path` on success only.
@@ -443,11 +450,13 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     Whatever ends the block otherwise, an error or an interrupt, leaves what was at `path` before.
 
     Raises:
-        OSError: for a path that cannot be written, and for text that is no path.
+        OSError: for a path that cannot be written, for a device or a pipe, which a file would take the place
+            of, and for text that is no path.
     """
     if not is_path(text := os.fspath(path)):
         raise OSError(errno.EINVAL, os.strerror(errno.EINVAL), text)
-    target = Path(path)
+    if is_special(target := Path(path)):
+        raise OSError(errno.EINVAL, "not a regular file", text)
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.parent / f".{target.stem}-{os.urandom(4).hex()}{target.suffix}"
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -80,3 +81,11 @@ def test_benchmarks_of_other_models_are_not_overwritten_unasked(capsys, monkeypa
         status, _, err = run(capsys, "bench", "scene.yaml", *arguments)
         assert status == 2
         assert err.startswith(f"crosscheck: error: {refused}")
+
+
+def test_a_pipe_is_not_replaced_by_a_file(capsys, tmp_path):
+    pipe = tmp_path / "tracker.yaml"
+    os.mkfifo(pipe)
+    status, _, err = run(capsys, "convert", "tracker", pipe)
+    assert (status, pipe.is_fifo()) == (2, True)
+    assert f"{pipe}: not a regular file" in " ".join(err.split())

@@ -89,9 +89,8 @@ class Tree:
         )
         parent = self.names[int(model.parents[chain[0]])]
         if parent is None:
-            raise SourceError(
-                self._path, f"several joints on link {self._link(chain[0])!r}, which has no mass"
-            )
+            holder = self._link(int(model.parents[chain[0]]))
+            raise SourceError(self._path, f"several joints on link {holder!r}, which has no mass")
         names = list(dict.fromkeys(self._start.robot.urdf_joints[k] for k in chain))
         own_name = names[0] if len(names) == 1 else common_name(names) or f"{name}_joints"
         joint_name = unique_name(own_name, name, self.joint_names)

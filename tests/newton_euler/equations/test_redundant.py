@@ -24,7 +24,7 @@ from crosscheck.scenes import load
 from crosscheck.studies.stress.configurations import from_flat
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
-from newton_euler.equations.dense import independent_rows, minimum_norm, rank
+from newton_euler.equations.dense import independent_rows, minimum_norm, rank, solve_constrained
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.row_choice import rows_in_use
@@ -233,3 +233,11 @@ def test_redundant_rows_that_come_open_do_not_misdirect_projection(size, formula
         steps = ((step / system.velocity_units) for step in (closed - moved, moved - q))
         back, away = map(np.linalg.norm, steps)
         assert back < (1.0 + 10.0 * size) * away
+
+
+def test_what_is_redundant_does_not_depend_on_masses():
+    """The third row repeats the second but for a light body; the first row holds a heavy body."""
+    mass, force = np.diag([1e4, 1.0, 1e-8]), np.array([1e4, 1.0, 0.0])
+    jacobian = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 1e-5]])
+    acceleration, _ = solve_constrained(mass, force, jacobian, np.zeros(3), np.ones(3), np.ones(3), 2)
+    assert acceleration[0] == pytest.approx(0.0, abs=1e-12)  # round-off of 1 m/s^2, that of a free body

@@ -32,7 +32,7 @@ from newton_euler import (
     wind_gust,
     wind_turbulence,
 )
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import MechanismError, NewtonEulerError
 from newton_euler.model.forces import Armature
 from newton_euler.model.geometry import Box, Capsule, Cylinder, Mesh, Sphere
 from newton_euler.model.joint_kinds import JOINT_KINDS
@@ -237,3 +237,19 @@ def assert_finite(made: object) -> None:
     for value in vars(made).values():
         if isinstance(value, float | np.ndarray) and np.asarray(value).dtype.kind == "f":
             assert np.isfinite(value).all(), value
+
+
+def test_a_joint_with_the_name_of_a_coordinate_is_refused():
+    bodies = [Body.ground(), *(Body(name, 1.0, ORIGIN, np.eye(3)) for name in ("one", "two"))]
+    ball = JOINT_KINDS["universal"]("a", "ground", "one", ORIGIN, **AXES["universal"])
+    hinge = JOINT_KINDS["revolute"]("a.1", "one", "two", ORIGIN, axis=Z)
+    with pytest.raises(MechanismError) as caught:
+        Mechanism(bodies, [ball, hinge])
+    assert caught.value.element == "joint 'a.1'"
+
+
+def test_angles_of_a_state_are_a_copy():
+    angles = {("pivot", 0): 20.0}
+    state = replace(State.initial(MECHANISM), angles=angles)
+    angles["pivot", 0] = 9.0
+    assert state.angles == {("pivot", 0): 20.0}

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 from mechanisms import Y, bar, inertia
 
 from newton_euler import Body, Cylindrical, Mechanism, Planar, Revolute, Scene, Spherical, State, Trajectory
-from newton_euler.errors import MechanismError, MissingPackageError, UnknownNameError
+from newton_euler.errors import MechanismError, MissingPackageError, NewtonEulerError, UnknownNameError
 from newton_euler.model.euler_parameters import from_rotation_vector, product
 from newton_euler.model.joint import Joint
 
@@ -118,3 +120,12 @@ def test_tables_without_a_library_say_what_to_install(monkeypatch):
     with pytest.raises(MissingPackageError) as caught:
         screwing(Revolute, 0.5).to_dataframe()
     assert (caught.value.package, caught.value.extra) == ("pandas", "tables")
+
+
+def test_a_pipe_is_not_replaced_by_a_file(tmp_path: Path) -> None:
+    pipe = tmp_path / "run.npz"
+    os.mkfifo(pipe)
+    with pytest.raises(NewtonEulerError, match="not a regular file"):
+        screwing(Revolute, 0.5).save(pipe)
+    assert pipe.is_fifo()
+    assert list(tmp_path.iterdir()) == [pipe]
