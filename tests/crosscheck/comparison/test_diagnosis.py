@@ -323,7 +323,7 @@ def test_thirty_faults_in_the_reading_are_blamed_on_it():
         assert (first.odd, first.level, first.fault) == (FILE, READING, "reading"), faults[k].name
         assert first.agree == NAMES
         assert not others
-        assert "the file differs; newton_euler, mujoco and pinocchio agree to " in result.verdict
+        assert "the file differs; at level 'reading': " in result.verdict  # engines are not compared after it
         assert "; the reading of the file is wrong (" in result.verdict
         blamed += 1
     assert blamed >= 30
