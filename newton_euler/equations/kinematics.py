@@ -6,7 +6,7 @@ frames are those of the tree: parallel to the world at the initial pose.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -268,28 +268,47 @@ class TreeKinematics(Formulation):
 
         A row of a loop is the difference of the motions that its two branches give to the bodies that it
         joins. Its magnitude is the largest of these contributions, so that a row in which they cancel counts
-        as small; that of a coupling is its own length.
+        as small. The magnitude of a coupling's row is the root sum of squares of its coordinates' magnitudes
+        times their slopes. A row without contributions has magnitude 1.
         """
         links = self.links(q, np.zeros(self.nv))
         scales: list[float] = []
         for closure in self.constrained:
-            first, second = links[closure.first], links[closure.second]
-            r_i, theta_i, r_j, theta_j = (
-                np.linalg.norm(block, axis=1) for block in closure.jacobian(first.frame, second.frame)
-            )
-            largest = np.zeros(closure.count)
-            for link, other, r, theta in ((first, second, r_i, theta_i), (second, first, r_j, theta_j)):
-                own = [n for n, k in enumerate(link.path) if k not in other.path]
-                units = self.velocity_units[[link.path[n] for n in own]]
-                linear = np.linalg.norm(link.linear[:, own], axis=0) * units
-                angular = np.linalg.norm(link.angular[:, own], axis=0) * units
-                share = np.outer(r, linear) + np.outer(theta, angular)
-                largest = np.maximum(largest, np.max(share, axis=1, initial=0.0))
-            scales.extend(largest / closure.units(self.mechanism.size))
+            blocks = closure.jacobian(links[closure.first].frame, links[closure.second].frame)
+            reach = self._reach(blocks, links[closure.first], links[closure.second])
+            scales.extend(x or 1.0 for x in reach / closure.units(self.mechanism.size))
         measured = self.measured(q, np.zeros(self.nv))
         for coupling, unit in zip(self.couplings, self.phi_units[len(scales) :], strict=True):
-            row = self.coupled_row(coupling, measured)
-            scales.append(
-                float(np.sqrt(sum((x * self.velocity_units[k] / unit) ** 2 for k, x in row.items())))
-            )
-        return np.array([scale or 1.0 for scale in scales])
+            parts = [
+                slope * self._coordinate_reach(key, links) / unit
+                for key, slope in coupling.seen_slopes(measured).items()
+            ]
+            scales.append(float(np.linalg.norm(parts)) or 1.0)
+        return np.array(scales)
+
+    def _reach(self, blocks: Jacobian, first: Link, second: Link) -> Array:
+        """Compute the largest rate (k,), m/s or rad/s, that one velocity gives a row by one of its bodies.
+
+        A velocity that moves both bodies does not count.
+        """
+        r_i, theta_i, r_j, theta_j = (np.linalg.norm(block, axis=1) for block in blocks)
+        largest = np.zeros(len(r_i))
+        for link, other, r, theta in ((first, second, r_i, theta_i), (second, first, r_j, theta_j)):
+            own = [n for n, k in enumerate(link.path) if k not in other.path]
+            units = self.velocity_units[[link.path[n] for n in own]]
+            linear = np.linalg.norm(link.linear[:, own], axis=0) * units
+            angular = np.linalg.norm(link.angular[:, own], axis=0) * units
+            share = np.outer(r, linear) + np.outer(theta, angular)
+            largest = np.maximum(largest, np.max(share, axis=1, initial=0.0))
+        return largest
+
+    def _coordinate_reach(self, key: Key, links: Sequence[Link]) -> float:
+        """Compute the largest rate of a joint coordinate, or its unit if nothing moves its bodies apart."""
+        place = self.places[key]
+        if place is not None:
+            return float(self.velocity_units[place[1]])
+        between = self.between[key]
+        first, second = links[between.first], links[between.second]
+        blocks = between.constraint.jacobian(first.frame, second.frame)
+        unit = self.mechanism.size if between.constraint.is_length else 1.0
+        return float(self._reach(blocks, first, second)[0]) or unit

@@ -29,6 +29,7 @@ from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.row_choice import rows_in_use
 from newton_euler.equations.sparse import to_array
+from newton_euler.equations.undetermined import undetermined
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
 from newton_euler.integrators.projection import project_position
@@ -36,6 +37,7 @@ from newton_euler.model.couplings import Gear
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.joint_kinds import Fixed, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 
@@ -241,3 +243,30 @@ def test_what_is_redundant_does_not_depend_on_masses():
     jacobian = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 1e-5]])
     acceleration, _ = solve_constrained(mass, force, jacobian, np.zeros(3), np.ones(3), np.ones(3), 2)
     assert acceleration[0] == pytest.approx(0.0, abs=1e-12)  # round-off of 1 m/s^2, that of a free body
+
+
+@pytest.mark.parametrize("axis", [[1.0, 2.0, 3.0], [-0.66, -0.75, -0.06], [0.3, -0.5, 0.8], [7.0, 0.2, 1.1]])
+def test_a_gear_between_locked_hinges_holds_nothing(axis):
+    """A pendulum of two bodies that are welded, and joined by two parallel hinges: its one freedom stays.
+
+    Nothing but round-off turns the two hinges. Next to the weld, they add four redundant constraints, and the
+    gear between them one more.
+    """
+    mechanism = Mechanism(
+        [Body.ground(), *(Body(f"bar_{x}", 1.0, [x, 0.1, 0.2], 0.01 * np.eye(3)) for x in (0.1, 0.3))],
+        [
+            Revolute("pivot", "ground", "bar_0.1", [0.0, 0.0, 0.0], axis=axis),
+            Fixed("weld", "bar_0.1", "bar_0.3", [0.2, 0.0, 0.1]),
+            ParallelHinges(
+                "pair", "bar_0.3", "bar_0.1", [0.31, 0.13, 0.02], axis=axis, offset=[0.1, 0.2, 0.7]
+            ),
+        ],
+        couplings=[Gear("gear", "pair", "pair", ratio=-0.7, driver_coordinate=0, follower_coordinate=1)],
+    )
+    for angle in (0.0, 0.3, -1.1, 2.0):
+        scene = newton_euler.start(Scene("locked", mechanism, 1.0, 0.1), pivot=(angle, 1.0))
+        assert mobility(scene).degrees_of_freedom == 1
+        assert undetermined(scene, scene.initial_state).shape[1] == 5
+        two = [accelerations(system, scene.initial_state) for system in systems(scene)]
+        for other in two[1:]:
+            np.testing.assert_allclose(other, two[0], rtol=0.0, atol=1e-12)
