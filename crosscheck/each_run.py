@@ -37,6 +37,14 @@ class Stop:
         return f"{self.what}: {self.reason}"
 
 
+def stops_text(stops: Iterable[Stop]) -> str:
+    """Word what did not come to its end; a reason that several parts share stands there once."""
+    parts = dict[str, list[str]]()
+    for stop in stops:
+        parts.setdefault(stop.reason, []).append(stop.what)
+    return "; ".join(f"{', '.join(whats)}: {reason}" for reason, whats in parts.items())
+
+
 def each_run(
     scene: Scene, engines: Sequence[Engine], progress: Callable[[str], None]
 ) -> tuple[dict[str, Trajectory], list[Stop]]:

@@ -15,8 +15,9 @@ from pathlib import Path
 from crosscheck.errors import CrosscheckError
 from crosscheck.limit import tidied_up
 from newton_euler.errors import quoted
+from newton_euler.folders import make_folder
 from newton_euler.model.source_file import is_path
-from newton_euler.model.trajectory import atomic_file, is_special
+from newton_euler.model.written_file import atomic_file, is_special
 
 ABANDONED = 60.0
 """s after which an unfinished file is that of a process that was killed: files are made in memory first,
@@ -41,16 +42,11 @@ def check_writable(*paths: Path) -> None:
                 raise CrosscheckError(f"cannot write {path}: it is a directory")
             if is_special(path):
                 raise CrosscheckError(f"cannot write {path}: not a regular file")
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(path.parent)
             with tempfile.TemporaryFile(dir=path.parent):
                 pass
         except OSError as error:
             raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
-        except RecursionError as error:  # of pathlib, which makes a folder after that around it
-            problem = f"{len(path.parts)} folders inside of each other"
-            raise CrosscheckError(
-                f"cannot write {str(path)[:100]}...: {problem}; name a shorter path"
-            ) from error
         unfinished = re.compile(rf"\.+{re.escape(path.stem)}(-[0-9a-f]{{8}})+{re.escape(path.suffix)}")
         remove_abandoned(each for each in path.parent.iterdir() if unfinished.fullmatch(each.name))
 

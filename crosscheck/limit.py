@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.limits import limit, too_small
+from newton_euler.limits import limit, number_text, too_small
 
 PATIENCE = 5.0
 """s after which it is told how long it has been."""
@@ -61,7 +61,7 @@ def time_limit(seconds: float, progress: Callable[[float], None] = lambda used: 
             signal.signal(signal.SIGINT, at_interrupt)
     except (KeyboardInterrupt, SystemError):  # what CPython 3.11 makes of an interrupt while `ast` parses
         if over:
-            raise TooLongError(f"not finished after {seconds:g} s of processor time") from None
+            raise TooLongError(f"not finished after {number_text(seconds)} s of processor time") from None
         raise
 
 
@@ -88,7 +88,9 @@ def limited(what: str, advice: str, progress: Callable[[str], None]) -> Iterator
         with time_limit(most, tell):
             yield
     except TooLongError:
-        message = f"{what}: given up after {most:g} s of processor time; {advice}; {too_small('time')}"
+        message = (
+            f"{what}: given up after {number_text(most)} s of processor time; {advice}; {too_small('time')}"
+        )
         raise TooLongError(message) from None
 
 

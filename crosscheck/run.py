@@ -16,7 +16,7 @@ from crosscheck.comparison.figure import READING, Figure, not_judged
 from crosscheck.comparison.known_figures import Measured, known_of, measure
 from crosscheck.comparison.levels import in_order, reading_rows, stages
 from crosscheck.comparison.runs import errors_of_runs, rests
-from crosscheck.each_run import Stop, as_far_as_it_goes, each_run, finite
+from crosscheck.each_run import Stop, as_far_as_it_goes, each_run, finite, stops_text
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import SHORTER, limited
@@ -171,8 +171,7 @@ class Crosscheck:
             others = ""
             if 0 < len(ended) < len(self.engines) and not self.diagnosis:
                 others = f"; {' and '.join(ended)} ran to the end"
-            stops = "; ".join(map(str, self.unfinished))
-            return f"{self.outcome}: {stops}{others}; as far as compared {found}"
+            return f"{self.outcome}: {stops_text(self.unfinished)}{others}; as far as compared {found}"
         return f"{word}: {found}"
 
     def _judgment(self) -> tuple[str, str]:
@@ -347,7 +346,7 @@ def crosscheck(
             for row in finite(stage(tuple(rows))):
                 rows.append(row)
     if not (rows or runs):
-        raise CrosscheckError("; ".join(map(str, stops)))
+        raise CrosscheckError(stops_text(stops))
     rows = in_order(rows)
     measured: list[Measured] = []
     known = known_of(source, options)

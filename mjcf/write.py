@@ -53,7 +53,7 @@ from newton_euler.model.spanning_tree import (
     motion_names,
     weld_loops,
 )
-from newton_euler.model.trajectory import atomic_file
+from newton_euler.model.written_file import atomic_file
 from newton_euler.scalars import Array
 from newton_euler.verification.wrenches import Wrenches
 

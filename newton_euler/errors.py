@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable
 from difflib import get_close_matches
+from itertools import accumulate
 from math import ceil, log10
 from numbers import Integral, Real
 from typing import Any, TypeGuard, TypeVar
@@ -23,7 +24,12 @@ DISTRIBUTION = "crosscheck-dynamics"
 NEAR = 0.8
 """Similarity of two names, of which one may be meant by the other: a letter exchanged or left out of six."""
 
-LONGEST_MESSAGE = 4000  # characters; names and values that others give have any length
+LONGEST_MESSAGE = 600
+"""Characters of a message. Names and values that others give have any length."""
+
+LONGEST_LIST = 250
+"""Characters of the names that a message lists."""
+
 PROPOSED = 3  # names that are proposed instead of an unknown one, as difflib has it
 DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")  # a number as people write it
 
@@ -235,7 +241,23 @@ def choices(name: object, valid: Iterable[str]) -> str:
     """Word the valid names for somebody who gave another one, beginning with the nearest if one is near."""
     names = list(valid)
     near = get_close_matches(quoted(name).strip("'"), names, 1, NEAR)
-    return "".join(f"did you mean {each!r}? " for each in near) + f"choose from: {', '.join(names)}"
+    return "".join(f"did you mean {each!r}? " for each in near) + f"choose from: {listed(names)}"
+
+
+def listed(names: Iterable[object]) -> str:
+    """Return names with commas between them, of a long list the first ones and the number of the others.
+
+    Examples:
+        >>> listed(["crank", "coupler"])
+        'crank, coupler'
+        >>> listed(f"link_{k}" for k in range(100))[-30:]
+        'link_29, link_30 and 69 others'
+    """
+    texts = list(map(str, names))
+    lengths = accumulate(len(text) + 2 for text in texts)
+    count = max(1, sum(length <= LONGEST_LIST for length in lengths))
+    more = len(texts) - count
+    return ", ".join(texts[:count]) + (f" and {more} other{'s' * (more > 1)}" if more > 0 else "")
 
 
 def nearest(name: object, valid: Iterable[str]) -> tuple[str, ...]:

@@ -103,7 +103,12 @@ def exceeded(name: str, value: float) -> str:
 
 def too_small(name: str) -> str:
     """The setting that raises a limit which something of unknown size has met."""
-    return f"to allow more: --set {name}={4 * limit(name):g}"
+    return f"to allow more: --set {name}={number_text(4 * limit(name))}"
+
+
+def number_text(number: float) -> str:
+    """Return a number with six digits, or as Python shows it if that is shorter: 1e-320, not 9.99989e-321."""
+    return min(f"{number:g}", repr(number), key=len)
 
 
 def size_in_bytes(name: str) -> int:

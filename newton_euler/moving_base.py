@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from newton_euler.arguments import checked
 from newton_euler.assemble import initial_state
-from newton_euler.errors import MechanismError, choices, finite_array, quoted
+from newton_euler.errors import MechanismError, choices, finite_array, listed, quoted
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.euler_parameters import from_rotation, from_rotation_vector, product, rotation
 from newton_euler.model.joint_kinds import Free
@@ -248,4 +248,4 @@ def _check_header(path: str, header: Sequence[str]) -> None:
         raise SourceError(path, "line 1: needed: a column time, and at least one of poses")
     if given & set(QUATERNION) and (not given >= set(QUATERNION) or given & set(ANGLES)):
         needed = f"all of {', '.join(QUATERNION)}, or any of {', '.join(ANGLES)}"
-        raise SourceError(path, f"line 1: has columns {', '.join(header)}; needed: {needed}")
+        raise SourceError(path, f"line 1: has columns {listed(header)}; needed: {needed}")

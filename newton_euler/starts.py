@@ -46,7 +46,7 @@ from newton_euler.equations.parameters import (
     with_values,
 )
 from newton_euler.equations.redundancy import loosely_closed, mobility
-from newton_euler.errors import MechanismError
+from newton_euler.errors import MechanismError, listed
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.compiled import NEUTRAL, Code
 from newton_euler.integrators.formulations import formulate
@@ -397,7 +397,7 @@ class Assembly:
         problem = f"joint {joint!r} stays open by {residual:.3g} (m or rad) {way}"
         given = {number.key for number in self.initial.values() if number.order == 0}
         labels = self.scene.mechanism.coordinate_labels
-        held = ", ".join(PREFIX + labels[key] for key in self._motions if key not in given)
+        held = listed(PREFIX + labels[key] for key in self._motions if key not in given)
         problem += f", where {held} is the own one of the scene" if held else ""
         return MechanismError(f"run {run}", problem, "values that loops let joints move to")
 

@@ -35,6 +35,7 @@ ROOMS: dict[str, set[str]] = {
 GROUND = {
     "newton_euler.arguments",
     "newton_euler.errors",
+    "newton_euler.folders",
     "newton_euler.limits",
     "newton_euler.optional_packages",
     "newton_euler.scalars",

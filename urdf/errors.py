@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from newton_euler.errors import NewtonEulerError
-from newton_euler.model.source_file import shortened
 
 
 class UrdfError(NewtonEulerError):
@@ -34,4 +33,4 @@ class LoopFileError(UrdfError):
         self.source = source
         self.key = key
         self.problem = problem
-        super().__init__(f"{source}: {key}: {shortened(problem)}")
+        super().__init__(f"{source}: {key}: {problem}")

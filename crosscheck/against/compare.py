@@ -19,7 +19,7 @@ from crosscheck.comparison.figure import Figure, not_judged
 from crosscheck.comparison.levels import compare_pair
 from crosscheck.comparison.runs import compare_runs
 from crosscheck.comparison.samples import Samples
-from crosscheck.each_run import Stop, as_far_as_it_goes, each_run, finite
+from crosscheck.each_run import Stop, as_far_as_it_goes, each_run, finite, stops_text
 from crosscheck.engines import ENGINES, Engine
 from crosscheck.limit import SHORTER, limited
 from crosscheck.model_files.read import is_model, is_urdf
@@ -144,7 +144,7 @@ class Against(Crosscheck):
                 count = "1 element" if len(others) == 1 else f"{len(others)} elements"
                 agree += f"; not compared and different: {count}, first {others[0].text}"
             if self.unfinished:
-                return f"UNFINISHED: {'; '.join(map(str, self.unfinished))}; as far as compared {agree}"
+                return f"UNFINISHED: {stops_text(self.unfinished)}; as far as compared {agree}"
             return f"SAME: {agree}"
         row = failed[0]
         worst = max((each for each in failed if each.level == row.level), key=lambda each: each.share)
@@ -205,7 +205,7 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
     if same_file and first.options == second.options:
         notes.insert(0, f"both are {first.title}: one model against itself")
     if stops:
-        notes.insert(0, f"{TO_THE_END}: {'; '.join(map(str, stops))}")
+        notes.insert(0, f"{TO_THE_END}: {stops_text(stops)}")
     others = tuple(unsimulated(first, second, aligned))
     scene = replace(
         aligned.first, name=together((first, second)), description="newton_euler's equations of each"

@@ -208,10 +208,10 @@ def _discard_output() -> None:
 
 def _complain(message: str, streams: list[TextIO]) -> int:
     """Print one line on the first of the streams that can be written."""
-    line = shortened_values(" ".join(message.split()))
+    line = shortened_values(" ".join(["crosscheck: error:", *message.split()]))
     for stream in streams:
         with suppress(OSError):
-            click.echo(wrapped(f"crosscheck: error: {line}", stream), file=stream)
+            click.echo(wrapped(line, stream), file=stream)
             break
     return BAD_INPUT
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.errors import choices, plain_number, quoted
+from newton_euler.errors import choices, listed, plain_number, quoted
 from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import LARGEST
 from newton_euler.verification.import_report import ACTING, FATES, ImportedElement, ImportReport
@@ -180,7 +180,7 @@ def fates_line(report: ImportReport) -> str:
     if off:
         found.append(f"{len(off)} switched off by the file itself ({_counted(off)})")
     if unknown := sorted({entry.element for entry in report.entries if not entry.is_understood}):
-        found.append(f"not understood, and not simulated: {', '.join(unknown)}")
+        found.append(f"not understood, and not simulated: {listed(unknown)}")
     return ", ".join(found)
 
 

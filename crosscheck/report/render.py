@@ -51,7 +51,7 @@ MARKED = re.compile(r"[\\`*\[\]<|]|(?<!\w)_|_(?!\w)")
 MAX_VALUE, VALUE_END = 120, 30
 """Characters of a value in an error line without blanks, and of its end that is shown if it is longer."""
 
-MAX_LINE = 1200
+MAX_LINE = 600
 """Characters of an error line."""
 
 

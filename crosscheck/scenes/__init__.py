@@ -26,7 +26,7 @@ from crosscheck.scenes import (
 from crosscheck.scenes.measure import Quantities
 from crosscheck.scenes.options import options_of
 from newton_euler.arguments import checked
-from newton_euler.errors import choices, quoted
+from newton_euler.errors import choices, listed, quoted
 from newton_euler.model.scene import Scene
 
 SCENES: dict[str, Callable[..., Scene]] = {
@@ -88,7 +88,7 @@ def load(name: str, /, **options: str | float) -> Scene:
             f"unknown scene {name!r}; {choices(name, SCENES)}, or give a .yaml, .json, .xml or .urdf file"
         )
     if options:
-        raise CrosscheckError(f"scene file {name!r} takes no options, got {', '.join(options)}")
+        raise CrosscheckError(f"scene file {name!r} takes no options, got {listed(options)}")
     from crosscheck.scenes.scene_file import read_scene
 
     return read_scene(name)

@@ -29,7 +29,7 @@ from newton_euler.model.forces import BallArmature
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.mechanism import Body
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
-from newton_euler.model.source_file import SourceError, read_text, shortened
+from newton_euler.model.source_file import SourceError, read_text
 from newton_euler.model.state import State
 from newton_euler.model.yaml_source import parse_yaml
 
@@ -94,7 +94,7 @@ def read_scene(path: str) -> Scene:
     except SourceError as error:
         raise CrosscheckError(str(error)) from error
     except (NewtonEulerError, CrosscheckError) as error:
-        raise CrosscheckError(f"{path}: {shortened(str(error))}") from error
+        raise CrosscheckError(f"{path}: {error}") from error
     return scene
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.errors import plain_number
+from newton_euler.errors import listed, plain_number
 from newton_euler.model.source_file import TimeTable, csv_rows, read_text
 from newton_euler.scalars import Array
 
@@ -40,7 +40,7 @@ def _read(path: str, seconds: Array) -> Array:
     rows = csv_rows(path, read_text(path, "csv_size"))
     header = [cell.lower() for cell in rows[0][1]] if rows else []
     if sorted(header) != sorted(COLUMNS) or not rows[1:]:
-        found = ", ".join(header) if rows[1:] else "no rows"
+        found = listed(header) if rows[1:] else "no rows"
         raise CrosscheckError(f"{path}: has {found:.200}; needed: {NEEDED}")
     table = TimeTable.of(path, header, rows[1:])
     time, speed = (table.columns[name] for name in COLUMNS)

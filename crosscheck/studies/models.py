@@ -32,6 +32,7 @@ from crosscheck.model_files.read import is_urdf
 from crosscheck.outcome import ExitStatus, Outcome
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, texts
+from newton_euler.folders import make_folder
 from newton_euler.verification.import_report import ACTING, FATES, ImportedElement, ImportReport
 
 MAX_PROCESSOR_TIME = 600
@@ -285,7 +286,7 @@ def main(models: Path, folder: Path, only: str, target: Path | None, output: Pat
         if store.exists():
             content = json.loads(store.read_text(encoding="utf-8"))
             found = {name: Found.model_validate(each) for name, each in content.items()}
-        output.mkdir(parents=True, exist_ok=True)
+        make_folder(output)
         for repository in repositories:
             for entry in repository.files:
                 name = f"{repository.repository}/{entry.file}"

@@ -26,6 +26,7 @@ from crosscheck.files import remove_abandoned
 from crosscheck.sweeps.plan import CONDITIONS, DONE, STOPPED, Chunk, Plan, make_runs
 from crosscheck.sweeps.sampling import EXTENDED, UNEXTENDED
 from crosscheck.sweeps.store_files import PARTIAL, check_files, chunk_file, stored_chunks
+from newton_euler.folders import make_folder
 from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array
 from newton_euler.variation import units_of
@@ -125,7 +126,7 @@ class Store:
         made = path.parent / f".{path.stem}-{os.urandom(4).hex()}{path.suffix}"
         try:
             with told(path):
-                path.parent.mkdir(parents=True, exist_ok=True)
+                make_folder(path.parent)
                 cls(zarr.create_group(made), made)._create(plan, record | {OF_TASKS: os.urandom(8).hex()})
                 made.rename(path)
         finally:

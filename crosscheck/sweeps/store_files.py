@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictInt, StringConstraints
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.results import read_json
+from newton_euler.folders import make_folder
 from newton_euler.limits import size_in_bytes
 
 METADATA = "zarr.json"
@@ -209,7 +210,7 @@ def locked(path: Path | None) -> Iterator[None]:
     with ExitStack() as stack:
         lock = path.parent.absolute() / f".{path.stem}.lock"
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(path.parent)
             handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o600)
             stack.callback(os.close, handle)
             if not stat.S_ISREG(os.fstat(handle).st_mode):

@@ -12,7 +12,7 @@ from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.servos import independent_rows, tangents
 from newton_euler.equations.sparse import to_array
-from newton_euler.errors import MechanismError
+from newton_euler.errors import MechanismError, listed
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -66,7 +66,7 @@ def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | Non
     if names is not None:
         found = [others.get(name) or of_joints[mechanism.coordinate(name)] for name in names]
         if not len(found) == len(set(found)) == count:
-            problem = f"coordinates are {', '.join(map(repr, names)) or 'none'}"
+            problem = f"coordinates are {listed(map(repr, names)) or 'none'}"
             needed = f"{count} different ones for {count} degrees of freedom"
             raise MechanismError(f"scene {scene.name!r}", problem, needed)
         return tuple(found)

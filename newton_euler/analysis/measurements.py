@@ -22,6 +22,7 @@ from newton_euler.errors import (
     MechanismError,
     UnknownNameError,
     is_finite_number,
+    listed,
     nearest,
     quoted,
     real_array,
@@ -173,7 +174,7 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
     rows = csv_rows(where, read_text(path, "csv_size"))
     header, units = _headings(rows[0][1] if rows else [])
     if "time" not in header or len(header) < 2:
-        names = ", ".join(header) or "no columns"
+        names = listed(header) or "no columns"
         needed = "a column time, and at least one of measurements"
         raise SourceError(where, f"line 1 has {names:.200}; needed: {needed}")
     check_names(where, header)

@@ -33,7 +33,7 @@ from newton_euler.analysis.continuation import (
 from newton_euler.arguments import checked
 from newton_euler.assemble import initial_state
 from newton_euler.equations.dense import RANK_TOLERANCE
-from newton_euler.errors import MechanismError, OptionError, finite_array
+from newton_euler.errors import MechanismError, OptionError, finite_array, listed
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -175,7 +175,7 @@ class Poses:
                 rows.append(self._at.driving[:, [k]])
                 units.append(chain.units[k])
             else:
-                known = ", ".join(map(repr, self._names))
+                known = listed(map(repr, self._names))
                 raise OptionError("quantity", each, f"one of {known}, or the axis, as given")
         return np.concatenate(rows, axis=1) @ np.swapaxes(self._at.tangent, 1, 2), np.array(units)
 

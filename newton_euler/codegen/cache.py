@@ -28,6 +28,7 @@ from pathlib import Path
 from platformdirs import user_cache_path
 
 from newton_euler.errors import OptionError
+from newton_euler.folders import make_folder
 
 CACHE_VARIABLE = "NEWTON_EULER_CACHE"
 """Environment variable that names the cache directory; empty for no cache."""
@@ -152,7 +153,7 @@ def write_cache(key: str, code: bytes) -> None:
     if directory is None:
         return
     with suppress(OSError):  # a full or read-only disk: the next run compiles again
-        directory.mkdir(PRIVATE, parents=True, exist_ok=True)
+        make_folder(directory, PRIVATE)
         if int(key, 16) % _COUNT_EVERY == 0:
             _tidy(directory)
         handle, name = tempfile.mkstemp(dir=directory, prefix=_UNFINISHED)

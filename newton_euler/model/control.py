@@ -13,6 +13,7 @@ from newton_euler.errors import (
     check_flag,
     check_key,
     finite_array,
+    listed,
     quoted,
     real_array,
     set_numbers,
@@ -253,7 +254,7 @@ class StateFeedback(DeclaredLaw):
         super().check(mechanism)
         for joint, coordinate in self.reads:
             if joint not in mechanism.joint_names:
-                needed = f"names out of {', '.join(mechanism.joint_names)}"
+                needed = f"names out of {listed(mechanism.joint_names)}"
                 raise MechanismError(self.element, f"gains has {quoted(joint)}", needed)
             check_coordinate(self.element, mechanism.joint(joint), coordinate)
 

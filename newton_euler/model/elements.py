@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, quoted
+from newton_euler.errors import MechanismError, listed, quoted
 from newton_euler.model import balls
 from newton_euler.model.constraints import Frame
 from newton_euler.model.joint import Key, Pose
@@ -299,7 +299,7 @@ class CoordinateForce(OnCoordinate, AppliedForce):
 def check_known(element: str, problem: str, name: str, known: Sequence[str]) -> None:
     """Raise `MechanismError` with a problem, and the name, unless that is among the known ones."""
     if name not in known:
-        raise MechanismError(element, f"{problem} {quoted(name)}", f"one of {', '.join(known)}")
+        raise MechanismError(element, f"{problem} {quoted(name)}", f"one of {listed(known)}")
 
 
 def check_elements(elements: Sequence[Element], mechanism: Mechanism) -> None:

@@ -21,6 +21,7 @@ from newton_euler.errors import (
     check_key,
     elements_of,
     is_finite_number,
+    listed,
     quoted,
     set_arrays,
 )
@@ -265,7 +266,7 @@ class Mechanism:
                     raise MechanismError(
                         where,
                         f"connects an unknown body {quoted(body)}",
-                        f"one of {', '.join(self.body_names)}",
+                        f"one of {listed(self.body_names)}",
                     )
             if joint.first == joint.second:
                 raise MechanismError(where, f"connects {quoted(joint.first)} to itself", "two bodies")

@@ -16,6 +16,7 @@ from newton_euler.errors import (
     elements_of,
     is_finite_number,
     items_of,
+    listed,
     quoted,
     set_arrays,
 )
@@ -226,7 +227,7 @@ class Scene(Variable):
                 hinges = (
                     key for key in self.mechanism.coordinate_labels if not self.mechanism.is_slide(*key)
                 )
-                shown = ", ".join(map(str, hinges)) or "none, as no joint has a hinge"
+                shown = listed(hinges) or "none, as no joint has a hinge"
                 raise MechanismError(where, f"angles has {quoted(key)}", f"one of {shown}")
             if not is_finite_number(angle) or abs(angle) > MAXIMUM_ANGLE:
                 needed = f"a number of rad, at most {MAXIMUM_ANGLE:g}"

@@ -23,8 +23,6 @@ from newton_euler.limits import MB, exceeded, limit, size_in_bytes
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE
 from newton_euler.scalars import Array, Floats
 
-LONGEST_PROBLEM = 1000  # characters of a message; names and values in files have any length
-
 
 class ReadOptions(TypedDict, total=False):
     """Options of a reader of model files, as keywords; see `Request`."""
@@ -66,12 +64,7 @@ class SourceError(NewtonEulerError):
     def __init__(self, path: str, problem: str) -> None:
         self.path = path
         self.problem = problem
-        super().__init__(f"{path}: {shortened(problem)}")
-
-
-def shortened(problem: str) -> str:
-    """A message of at most `LONGEST_PROBLEM` characters."""
-    return problem if len(problem) <= LONGEST_PROBLEM else f"{problem[: LONGEST_PROBLEM - 4]} ..."
+        super().__init__(f"{path}: {problem}")
 
 
 def is_path(text: object) -> TypeGuard[str]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import errno
 import io
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 from zipfile import BadZipFile, ZipFile
 from zlib import error as ZlibError
@@ -29,8 +27,9 @@ from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.joint import Joint, JointEquations, Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import OutputName
-from newton_euler.model.source_file import SourceError, is_path, read_content
+from newton_euler.model.source_file import SourceError, read_content
 from newton_euler.model.state import State, stacked_frames, whole_revolutions
+from newton_euler.model.written_file import atomic_file
 from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array, Floats, unstacked
 
@@ -436,32 +435,3 @@ def _check_arrays(arrays: Mapping[str, Array]) -> None:
         raise ValueError("angle_names has a coordinate twice")
     if sizes["n"] == 0 or sizes["b"] == 0 or np.any(np.diff(arrays["time"]) <= 0.0):
         raise ValueError("no bodies, or no times that increase")
-
-
-def is_special(path: Path) -> bool:
-    """True for what exists and is neither a file nor a folder, such as a device or a pipe."""
-    return path.exists() and not path.is_file() and not path.is_dir()
-
-
-@contextmanager
-def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path beside `path`, in a folder made if need be, that becomes `path` on success only.
-
-    Whatever ends the block otherwise, an error or an interrupt, leaves what was at `path` before.
-
-    Raises:
-        OSError: for a path that cannot be written, for a device or a pipe, which a file would take the place
-            of, and for text that is no path.
-    """
-    if not is_path(text := os.fspath(path)):
-        raise OSError(errno.EINVAL, os.strerror(errno.EINVAL), text)
-    if is_special(target := Path(path)):
-        raise OSError(errno.EINVAL, "not a regular file", text)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.parent / f".{target.stem}-{os.urandom(4).hex()}{target.suffix}"
-    try:
-        temporary.touch(exist_ok=False)
-        yield temporary
-        temporary.replace(target)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -17,7 +17,7 @@ LINES = list(command_lines())
 MOTION = "time,coordinate.motor\n0,0\n0.02,0.001\n0.04,0.002\n"
 
 LONGEST = 600
-"""Characters of a line: values and words are cut to 150, lists of names are not."""
+"""Characters of a line."""
 
 NUMBER = re.compile(r"(?<![a-z])nan(?![a-z])", re.IGNORECASE)
 

@@ -13,6 +13,7 @@ from mjcf_models import LOOP
 import crosscheck
 import mjcf
 from crosscheck.comparison.figure import READING
+from crosscheck.each_run import Stop, stops_text
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
 from crosscheck.load import load_scene
@@ -188,3 +189,8 @@ def test_regress_reports_elements_that_act(capsys, tmp_path):
     assert content["scenes"][0]["not_simulated"][0]["topic"] == "contacts"
     assert run(capsys, "regress", path, "--output", out, "--allow-reduced")[0] == ExitStatus.AGREE
     assert not ElementTree.parse(out / "junit.xml").findall(".//failure")
+
+
+def test_a_reason_that_several_parts_share_is_given_once():
+    stops = [Stop("a", "too long"), Stop("b", "no memory"), Stop("c", "too long")]
+    assert stops_text(stops) == "a, c: too long; b: no memory"

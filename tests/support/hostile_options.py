@@ -8,6 +8,9 @@ from pathlib import Path
 from hostile_files import TEXTS
 from hostile_results import Refused, nothing, written
 
+SWEEP_TOO_DEEP = ("--keep", "final:kinetic_energy", "--output", "x/" * 2000)
+"""Options of a sweep into too many folders."""
+
 
 def option_cases() -> Iterator[Refused]:
     """Command lines with options that are empty, impossible or too much."""
@@ -78,6 +81,10 @@ def option_cases() -> Iterator[Refused]:
         (("run", "new/summary.json", "--output", "new"), "new/summary.json: cannot be read"),
         (("regress", "scene.json", "--update", "\udcff"), "--update: the reason '\\udcff' is not text"),
         (("run", "scene.json", "--output", "x/" * 2000 + "y"), "folders inside of each other"),
+        (
+            ("sweep", "scene.json", "--vary", "crank.mass=normal(1, 0.1)", "--runs", "2", *SWEEP_TOO_DEEP),
+            "folders inside of each other",
+        ),
     ):
         name = " ".join(f"{argument[:40]}{argument[40:][-5:]}" for argument in arguments)
         yield Refused(f"options {name}", arguments, message, nothing)

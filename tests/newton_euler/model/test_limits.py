@@ -23,8 +23,8 @@ from crosscheck.recording.mesh_budget import engines_with_meshes
 from crosscheck.scenes import SCENES, load
 from crosscheck.scenes.options import options_of
 from mjcf.errors import ModelError
-from newton_euler.errors import OptionError, UnknownNameError
-from newton_euler.limits import LIMITS, VARIABLE, changed, exceeded, limit
+from newton_euler.errors import OptionError, UnknownNameError, listed
+from newton_euler.limits import LIMITS, VARIABLE, changed, exceeded, limit, too_small
 
 
 def test_limits_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -173,3 +173,19 @@ def test_little_memory_is_told(tmp_path: Path) -> None:
 def test_numbers_that_no_double_holds_exceed_limits() -> None:
     assert exceeded("cycles", math.inf) == "more cycles than a number can hold, at most 1000"
     assert exceeded("cycles", math.nan) == "more cycles than a number can hold, at most 1000"
+
+
+def test_the_setting_of_a_tiny_limit_has_its_digits():
+    with changed({"time": "1e-320"}):
+        assert too_small("time") == "to allow more: --set time=4e-320"
+
+
+def test_long_lists_of_names_are_cut():
+    names = [f"link_{k}" for k in range(500)]
+    assert listed(names[:3]) == "link_0, link_1, link_2"
+    assert listed([]) == ""
+    text = str(UnknownNameError("body", "x", tuple(names)))
+    shown = sum(name in text.replace(" ", ",").split(",") for name in names)
+    assert text.endswith(f" and {500 - shown} others")
+    assert len(text) < 350
+    assert listed(["x" * 400, "y"]) == f"{'x' * 400} and 1 other"

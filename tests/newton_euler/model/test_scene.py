@@ -13,7 +13,7 @@ from newton_euler import PD, State
 from newton_euler.assemble import initial_state
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.geometry import Box, Capsule
-from newton_euler.model.trajectory import atomic_file
+from newton_euler.model.written_file import atomic_file
 
 START = State.initial(pendulum().mechanism)
 MASKED = np.ma.array(START.position, mask=START.position > 0.4)
@@ -148,6 +148,13 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path, error):
         with atomic_file(path) as temporary:
             temporary.write_text("new")
         assert (reader.read(), path.read_text()) == ("whole", "new")  # who reads meanwhile has the old one
+
+
+def test_folders_that_are_too_deep_are_not_made(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OSError, match="folders inside of each other"), atomic_file("x/" * 2000 + "y"):
+        pass
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_that_cannot_take_its_place_leaves_nothing(tmp_path):
