@@ -33,7 +33,8 @@ from typing import (
 import numpy as np
 from numpy.typing import ArrayLike
 
-from newton_euler.errors import ArgumentError, is_finite_number, is_whole
+from newton_euler.errors import ArgumentError, is_finite_number, is_whole, quoted
+from newton_euler.scalars import Array
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -62,10 +63,17 @@ class Range:
 
 
 class Fault(NamedTuple):
-    """The part of an argument that a rule excludes, and what the rule needs."""
+    """The part of an argument that a rule excludes.
+
+    Attributes:
+        value: the part.
+        needed: what the rule needs.
+        place: index or key of the part, such as `[2]`; empty if it is the whole argument, or a key.
+    """
 
     value: object
     needed: str
+    place: str = ""
 
 
 class Rule(NamedTuple):
@@ -74,11 +82,13 @@ class Rule(NamedTuple):
     Attributes:
         needed, several: description of a valid value, and of several of them.
         fault: returns None for a valid value.
+        array_fault: the same for all numbers of an array (n,) at once; None for a rule of other things.
     """
 
     needed: str
     several: str
     fault: Callable[[Any], Fault | None]
+    array_fault: Callable[[Array], Fault | None] | None = None
 
 
 Rules: TypeAlias = tuple[tuple[tuple[str, Rule | None], ...], Mapping[str, Rule], Rule | None]
@@ -128,9 +138,10 @@ def caller_level() -> int:
 
 def _error(function: Callable[..., Any], name: str, value: object, fault: Fault) -> ArgumentError:
     """Return the error of an argument; if a part of it is at fault, with this part."""
-    verb = "is" if fault.value is value else "holds"
+    verb = "is" if fault.place or fault.value is value else "holds"
     package = function.__module__.partition(".")[0]
-    return ArgumentError(f"{package}.{function.__qualname__}", name, fault.value, fault.needed, verb)
+    where = f"{package}.{function.__qualname__}"
+    return ArgumentError(where, name, fault.value, fault.needed, f"{fault.place} {verb}")
 
 
 class _Names(dict[str, Any]):
@@ -221,16 +232,29 @@ ANYTHING = (SIMPLE[Any], SIMPLE[ArrayLike])
 
 def _number(kind: type, span: Range) -> Rule:
     if kind is int:
-        return _simple(
+        rule = _simple(
             f"a whole number{span}",
             f"whole numbers{span}",
             lambda value: is_whole(value) and span.least <= int(value) <= span.most,
         )
-    return _simple(
-        f"a finite number{span}",
-        f"finite numbers{span}",
-        lambda value: is_finite_number(value) and span.least <= value <= span.most,
-    )
+    else:
+        rule = _simple(
+            f"a finite number{span}",
+            f"finite numbers{span}",
+            lambda value: is_finite_number(value) and span.least <= value <= span.most,
+        )
+
+    def array_fault(numbers: Array) -> Fault | None:
+        if kind is int and numbers.dtype.kind not in "iu":
+            wrong = np.ones(len(numbers), dtype=bool)
+        else:
+            wrong = ~(np.isfinite(numbers) & (numbers >= span.least) & (numbers <= span.most))
+        if not np.any(wrong):
+            return None
+        first = int(np.argmax(wrong))
+        return Fault(numbers[first].item(), rule.needed, f"[{first}]")
+
+    return rule._replace(array_fault=array_fault)
 
 
 def _any_of(rules: Sequence[Rule]) -> Rule:
@@ -270,15 +294,15 @@ def _list(item: Rule) -> Rule:
     needed = f"a list{of}"
 
     def fault(value: Any) -> Fault | None:
-        if isinstance(value, np.ndarray):
-            if value.ndim == 0:
-                return Fault(value, needed)
-        elif isinstance(value, str | bytes) or not isinstance(value, Sequence):
+        if not is_series(value):
             return Fault(value, needed)
         if item in ANYTHING:
             return None
+        if item.array_fault and type(value) is np.ndarray and value.ndim == 1 and value.dtype.kind in "iuf":
+            return item.array_fault(value)
         items = value[:1] if isinstance(value, range) else value  # of any length; all are whole numbers
-        return next((found for each in items if (found := item.fault(each)) is not None), None)
+        found = ((k, item.fault(each)) for k, each in enumerate(items))
+        return next((part._replace(place=f"[{k}]{part.place}") for k, part in found if part), None)
 
     return Rule(needed, f"lists{of}", fault)
 
@@ -303,13 +327,23 @@ def _dictionary(key: Rule, item: Rule) -> Rule:
         if not isinstance(value, Mapping):
             return Fault(value, needed)
         for name, each in value.items():
-            found = key.fault(name) or item.fault(each)
-            if found is not None:
+            if found := key.fault(name):
                 return found
+            if found := item.fault(each):
+                return found._replace(place=f"[{quoted(name)}]{found.place}")
         return None
 
     return Rule(needed, f"dictionaries with keys {key.several}{values}", fault)
 
 
+def is_series(value: object) -> bool:
+    """Return True for a list, a tuple, and an array of one dimension or more, of NumPy, pandas or another
+    package; text is none."""
+    if isinstance(value, Sequence):
+        return not isinstance(value, str | bytes)
+    dimensions = getattr(value, "ndim", 0)
+    return isinstance(dimensions, int) and dimensions > 0 and not isinstance(value, type)
+
+
 def _is_array(value: Any) -> bool:
-    return isinstance(value, np.ndarray) and value.dtype.kind in "iufO"
+    return isinstance(value, np.ndarray) and value.ndim > 0 and value.dtype.kind in "iufO"

@@ -321,12 +321,12 @@ class ArgumentError(OptionError):
         newton_euler.linearize: time is inf; needed: a finite number
     """
 
-    def __init__(self, function: str, argument: str, value: object, needed: str, verb: str = "is") -> None:
+    def __init__(self, function: str, argument: str, value: object, needed: str, verb: str = " is") -> None:
         self.function = function
         self.option = argument
         self.value = value
         self.needed = needed
-        NewtonEulerError.__init__(self, f"{function}: {argument} {verb} {quoted(value)}; needed: {needed}")
+        NewtonEulerError.__init__(self, f"{function}: {argument}{verb} {quoted(value)}; needed: {needed}")
 
 
 class AssemblyError(NewtonEulerError):

@@ -152,10 +152,10 @@ def read(
         if q is not None:
             raise OptionError("q", q, "none, as a URDF starts from coordinates 0")
         pull = GRAVITY if gravity is None else gravity
-        ignored = [ignore] if isinstance(ignore, str) else ignore or ()
+        ignored = (ignore,) if isinstance(ignore, str) else () if ignore is None else tuple(ignore)
         return _from_file(model, loops, base, pull, request, ignored)
     for option, value, default in (("loops", loops, None), ("base", base, "fixed"), ("ignore", ignore, None)):
-        if value != default:
+        if value is not default and not (isinstance(value, str) and value == default):
             raise OptionError(option, value, "none, as it is of URDF files")
     return _from_memory(model, gravity, q, request)
 

@@ -135,9 +135,10 @@ def test_every_parameter_has_the_scenes_own_value(short):
         ({"parameters": {"panel_7.color": [1.0]}}, UnknownNameError, "unknown parameter 'panel_7.color'"),
         ({"parameters": {"panel_7.mass": [[1.0, 2.0]]}}, MechanismError, "has values of shape (2,)"),
         ({"parameters": {"gravity": [[0.0, 0.0, 0.0]]}, "threads": 0}, OptionError, "threads is 0"),
-        ({"parameters": {"panel_7.mass": np.array(3.0)}}, OptionError, "is 'array(3.)'; needed: a sequence"),
-        ({"parameters": {"panel_7.mass": "12"}}, OptionError, "needed: a sequence, one value per run"),
-        ({"parameters": {"panel_7.mass": {1.0, 2.0}}}, OptionError, "needed: a sequence, one value per run"),
+        ({"parameters": {"panel_7.mass": np.array(3.0)}}, OptionError, "is array(3.); needed: a list"),
+        ({"parameters": {"panel_7.mass": "12"}}, OptionError, "parameters['panel_7.mass'] is '12'"),
+        ({"parameters": {"panel_7.mass": {1.0, 2.0}}}, OptionError, "needed: a list of numbers"),
+        ({"parameters": {"panel_7.mass": np}}, OptionError, "parameters['panel_7.mass'] is <module"),
         ({"parameters": {"panel_7.mass": range(10**12)}}, OptionError, " MB per run, or crosscheck.sweep"),
         (
             {"parameters": {"start.slide_13": [0.0], "start.slide_13.0": [0.1]}},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -154,9 +155,10 @@ def test_what_holds_or_pushes_and_is_not_understood_is_refused(text: str, tmp_pa
 
 
 @pytest.mark.parametrize("name", ["constraint", "close"])
-def test_what_is_refused_can_be_left_out_by_tag_or_name(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("names", [list, np.array])
+def test_what_is_refused_can_be_left_out_by_tag_or_name(name: str, names: Any, tmp_path: Path) -> None:
     text = f'<constraint name="close" type="revolute">{ORIGINS}</constraint>'
-    found = four_bar(tmp_path, text, ignore=[name])
+    found = four_bar(tmp_path, text, ignore=names([name]))
     assert [entry.element for entry in found.report.unsimulated()] == ["<constraint> 'close'"]
     assert len(found.scene.mechanism.joints) == 3
     with pytest.raises(UrdfError, match="tendon"):
