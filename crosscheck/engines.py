@@ -16,6 +16,7 @@ from crosscheck.scenes import FIGURES
 from newton_euler.assemble import initial_state
 from newton_euler.equations.system import Evaluation, System
 from newton_euler.errors import NewtonEulerError, choices
+from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory, distance
 
@@ -172,7 +173,19 @@ def _mujoco_run(scene: Scene) -> Trajectory:
     for tried in [each for each in steps if is_stable_in_rk4(modes, each)][: HALVINGS + 1]:
         with suppress(DivergenceError):
             return _resolved(scene, mjcf.simulate(scene, timestep=tried), way)
-    return mjcf.simulate(scene, timestep=steps[HALVINGS], integrator=IMPLICIT)
+    try:
+        return mjcf.simulate(scene, timestep=steps[HALVINGS], integrator=IMPLICIT)
+    except DivergenceError as error:
+        rate = max(0.0, -float(np.min(modes.real, initial=0.0)))
+        if RK4_LIMIT / steps[-1] >= rate:
+            raise
+        stiff = (
+            f"motions decay at up to {rate:.2g} 1/s, for which RK4 needs steps below {RK4_LIMIT / rate:.2g} s"
+        )
+        alone = f"{IMPLICIT} at {steps[HALVINGS]:.2g} s leaves the forces of constraints explicit"
+        cause = DivergenceError(error.time, f"{error.reason}; {stiff}, and {alone}")
+        cause.partial = error.partial
+        raise cause from error
 
 
 def _resolved(scene: Scene, run: Trajectory, way: Trajectory | None) -> Trajectory:

@@ -40,6 +40,7 @@ FAULTS = {
     "integration": "{} integration is at fault",
     "reading": "the reading of the file is wrong",
     "softness": "{} constraints are too soft: {}",
+    "resolution": "{} step is too large for this model, or its soft constraints resist each other",
     "redundancy": "what each makes of nearly redundant constraints is the difference: {1}",
 }
 """Blame in words, with the possessive of who is blamed and the evidence."""
@@ -175,6 +176,8 @@ def diagnose(
                 one = replace(one, fault="redundancy", evidence=shown)
             elif one.odd in soft and not all(row.agrees for row in opened):
                 one = replace(one, fault="softness", evidence=_opening(opened[0]))
+            elif one.odd in soft and one.detail:  # the change of its own run when refined
+                one = replace(one, fault="resolution")
         found.append(one)
         if not one.odd:
             break

@@ -16,6 +16,7 @@ import numpy as np
 
 from newton_euler.equations.dense import least_squares
 from newton_euler.equations.system import MassProperties
+from newton_euler.model.balls import rotation_vector
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 from newton_euler.verification.quantities import (
@@ -37,6 +38,7 @@ what turns at 1 rad/s. Short rods turn faster; by how much the two steps differ 
 
 CLOSED = 1e-12  # of residuals in sizes or rad that are round-off
 NEWTON_STEPS = 40
+ALIGNING_STEPS = 100  # of `Original.aligned`, enough for several joints that are half a revolution away
 LONGEST_STEP = 0.2  # rad or sizes, of one step of closing
 AMPLITUDES = (0.2, 0.6, 2.5)  # rad or sizes, by which coordinates are moved from the start before loops close
 REACH = 2.9  # rad, that an angle may be from where it starts, so that poses tell it, and sizes
@@ -186,14 +188,13 @@ class Original(ABC):
         first = [self.names.index(name) == k for k, name in enumerate(self.names)]
         wanted = [poses[name] for name in dict.fromkeys(self.names)]
         best, least = q, np.inf
-        for _ in range(NEWTON_STEPS):
+        for _ in range(ALIGNING_STEPS):
             found = self.kinematics(q, np.zeros(len(self.units)))
             gap = np.zeros((len(wanted), 6))
             pairs = zip(wanted, found.position[first], found.rotation[first], strict=True)
             for k, (pose, position, rotation) in enumerate(pairs):
                 gap[k, :3] = (pose.position - position) / self.size
-                turn = pose.rotation @ rotation.T
-                gap[k, 3:] = 0.5 * (turn - turn.T)[[2, 0, 1], [1, 2, 0]]
+                gap[k, 3:] = rotation_vector(pose.rotation @ rotation.T)
             now = float(np.max(np.abs(gap)))
             if now < least:
                 best, worse = q, now > 0.5 * least

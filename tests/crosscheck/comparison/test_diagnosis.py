@@ -399,6 +399,19 @@ def test_softness_is_a_fault_of_integration():
     assert (found.odd, found.level, found.fault) == ("mujoco", "trajectories", "integration")
 
 
+@pytest.mark.parametrize(("soft", "fault"), [(["mujoco"], "resolution"), ([], "integration")])
+def test_a_soft_run_that_its_own_finer_one_changes_by_more_is_not_resolved(soft, fault):
+    """The difference is of a step that is too large, or of constraints that resist each other."""
+
+    def row(between, value, detail=""):
+        return Figure("energy", "energy less work, rel", between, value, 1e-2, "0.01 s", detail=detail)
+
+    rows = [row((name,), 1e-9) for name in ("newton_euler", "pinocchio")]
+    rows.append(row(("mujoco",), 5.0, "mujoco's own run changes by 3 when refined"))
+    (found,) = diagnose(NAMES, rows, soft=soft)
+    assert (found.odd, found.fault) == ("mujoco", fault)
+
+
 def test_an_engine_that_diverges_is_named_beside_what_the_others_say():
     def diverging(scene):
         return mjcf.simulate(scene, timestep=0.05, solref=[-1e9, -1e-9])

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from mechanisms import pendulum
 
+import mjcf
 from crosscheck import engines, limit
 from crosscheck.engines import ENGINES, choose
 from crosscheck.report.run import notes
 from crosscheck.run import crosscheck
 from crosscheck.stiffness import STABLE, explicit_steps, fastest_decay, is_stable_in_rk4, modes_of_run
+from mjcf.errors import DivergenceError
 from newton_euler import simulate
 from newton_euler.limits import changed
 from newton_euler.model.euler_parameters import rotation
@@ -132,6 +134,21 @@ def test_mujoco_takes_an_implicit_integrator_where_rk4_diverges() -> None:
     assert result.agrees, result.verdict
     (line,) = [line for line in notes(result) if line.startswith("stiff: ")]
     assert line.endswith(", RK4 steps of 2.8e-07 s; implicit: newton_euler, mujoco")
+
+
+def test_divergence_of_what_is_too_stiff_names_the_step_that_it_needs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def diverging(scene: Scene, timestep: float, integrator: str = "RK4") -> Trajectory:
+        raise DivergenceError(1e-3, f"huge value in QACC by {integrator}")
+
+    scene, fast, _ = damped(1e9)
+    monkeypatch.setattr(mjcf, "simulate", diverging)
+    with pytest.raises(DivergenceError, match="implicitfast") as caught:
+        ENGINES["mujoco"].simulate(scene)
+    (needed,) = re.findall(r"steps below (\S+) s", caught.value.reason)
+    assert float(needed) == pytest.approx(2.785 / fast, rel=0.02)
+    assert caught.value.time == 1e-3
 
 
 def without_end(scene: Scene) -> Trajectory:

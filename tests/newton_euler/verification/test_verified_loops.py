@@ -74,6 +74,30 @@ def test_offsets_that_loops_keep_hide_no_fault(tmp_path: Path) -> None:
     assert seen[0] == seen[1] == seen[2]
 
 
+def far_open(angles: str) -> str:
+    """A chain of links of 0.3, 0.4 and 0.35 m. Only the straight chain reaches where its end is held."""
+    links = (
+        '<body name="a"><joint name="ja" axis="0 1 0"/>{0}<body name="b" pos="0.3 0 0">'
+        '<joint name="jb" axis="0 1 0"/>{0}<body name="c" pos="0.4 0 0"><joint name="jc" axis="0 1 0"/>{0}'
+        "</body></body></body>"
+    ).format(BOX.format("0.15 0 0"))
+    loop = '<equality><connect body1="c" body2="world" anchor="0.35 0 0"/></equality>'
+    return model(links, f'{loop}<keyframe><key name="bent" qpos="{angles}"/></keyframe>')
+
+
+@pytest.mark.filterwarnings("ignore::newton_euler.errors.NearlyRedundantWarning")
+@pytest.mark.parametrize(
+    "angles", ["0.57 -0.97 -0.65", "0.82 -1.38 -2.75", "-2.9 1.88 2.48", "2.14 -2.8 1.38"]
+)
+def test_loops_that_close_near_a_singular_configuration_are_not_misread(angles: str, tmp_path: Path) -> None:
+    """Newton's steps halve the error there: two solvers stop at different configurations, or branches."""
+    path = tmp_path / "bent.xml"
+    path.write_text(far_open(angles), encoding="utf-8")
+    verdict = check(str(path), ["newton_euler", "pinocchio"], key="bent", duration=0.01)
+    failing = [each for each in verdict.figures if each.level == "reading" and not each.agrees]
+    assert not failing
+
+
 def stretched(gap: float) -> str:
     """Three links of 1 m across 3 m less a gap, the middle one level: they move by the root of the gap."""
     run = 0.5 * (2.0 - gap)
