@@ -1,9 +1,9 @@
-"""Andrews' squeezing mechanism: seven flat bodies, three loops, fast.
+"""Andrews' squeezing mechanism: seven bodies in a plane and three loops, driven by a constant torque.
 
 E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section VII.7; parameters and published
 solution of the Test Set for IVP Solvers (F. Mazzia, C. Magherini, release 2.4, problem andrews); problem A03
-of the IFToMM library of computational benchmark problems. A constant torque drives the crank against a
-spring from the triangle BDE to the fixed point C. All axes are along z; no gravity.
+of the IFToMM library of computational benchmark problems. The torque turns the crank against a spring between
+the triangle BDE and the fixed point C. All hinge axes are along z. There is no gravity.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ BETA, THETA, GAMMA, PHI, DELTA, OMEGA, EPSILON = (
     -0.222668390165885884674473185609,
     1.23054744454982119249735015568,
 )
-"""Initial angles, rad."""
+"""Initial angles of the bodies, rad, as the Test Set names them."""
 
 A, B, C = np.array([[-0.06934, -0.00227, 0.0], [-0.03635, 0.03273, 0.0], [0.014, 0.072, 0.0]])
-"""Fixed points, m; the crank turns about the origin."""
+"""Fixed points, m. The crank turns about the origin."""
 
 MASSES = {
     "crank": 0.04325,
@@ -42,22 +42,23 @@ MASSES = {
     "rod_EH": 0.00706,
     "lever_AH": 0.05498,
 }
-"""Of the bodies K1 to K7, kg."""
+"""Masses of the bodies K1 to K7, kg."""
 
 INERTIAS = (2.194e-6, 4.410e-7, 5.255e-6, 5.667e-7, 1.169e-5, 5.667e-7, 1.912e-5)
-"""About their centers of mass along z, kg m^2; what they are across z plays no part."""
+"""Moments of inertia of K1 to K7 along z about their centers of mass, kg m^2. Moments about other axes
+have no effect in a plane."""
 
 TORQUE = 0.033
-"""On the crank, N m."""
+"""Torque on the crank, N m."""
 
 STIFFNESS, REST_LENGTH = 4530.0, 0.07785
-"""Of the spring, N/m and m."""
+"""Stiffness (N/m) and rest length (m) of the spring."""
 
 X, Y, Z = np.eye(3)
 
 
 def _along(turn: float, length: float, across: float = 0.0) -> Array:
-    """(3,) m: `length` along x and `across` along y of a frame turned about z."""
+    """Return the vector (3,), m, `length` along x and `across` along y of a frame turned about z."""
     c, s = np.cos(turn), np.sin(turn)
     return np.array([length * c - across * s, length * s + across * c, 0.0])
 
@@ -67,11 +68,11 @@ E = B + _along(GAMMA, 0.0, -0.035)
 D = B + _along(GAMMA, 0.02, -0.018)
 G = A + _along(DELTA, 0.04)
 H = A + _along(EPSILON, 0.0, -0.04)
-"""Moving points at first, m; E is where four bodies meet."""
+"""Initial positions of moving points, m. Four bodies meet at E."""
 
 
 def andrews() -> Scene:
-    """The crank of 7 mm that 0.033 N m turn up to 1000 rad/s and more, from rest, 0.05 s."""
+    """Return the mechanism: 0.033 N m turn a crank of 7 mm from rest to over 1000 rad/s, 0.05 s."""
     centers = (
         _along(BETA, 0.00092),
         F + _along(BETA + THETA, -0.0115),
@@ -95,7 +96,7 @@ def andrews() -> Scene:
         ("H", "lever_AH", "rod_EH", H),
     )
     joints: list[Joint] = [Revolute(*hinge, axis=Z) for hinge in hinges]
-    # balls in place of hinges: cut there, a flat loop has one equation too many, which nothing can break
+    # ball joints, not hinges: a planar loop closed at a ball has one redundant constraint instead of three
     joints += [Spherical(f"E_{body}", "triangle", body, E) for body in ("coupler", "rod_EG", "rod_EH")]
     return Scene(
         "andrews",
@@ -119,18 +120,21 @@ ANGLES: dict[str, tuple[float, str, str]] = {
     "Omega": (OMEGA, "rod_EH", "lever_AH"),
     "epsilon": (EPSILON, "lever_AH", "ground"),
 }
-"""Initial value, rad, the body that has turned and the one that it is seen from."""
+"""Initial value (rad), body and reference body of each angle of the Test Set."""
 
 
 def _angle(initial: float, body: str, against: str) -> Quantity:
+    """Return the quantity that measures the angle (n,), rad, of a body relative to another one."""
     return lambda run: initial + angle(run, body, Z) - angle(run, against, Z)
 
 
 def _rate(body: str, against: str) -> Quantity:
+    """Return the quantity that measures the angular velocity (n,), rad/s, of a body relative to another."""
     return lambda run: (angular_velocity(run, body) - angular_velocity(run, against)) @ Z
 
 
 def _crank_pin(run: Trajectory) -> Array:
+    """Return the positions (n, 3) of the pin F at the end of the crank, m."""
     return position(run, "crank", F - _along(BETA, 0.00092))
 
 
@@ -139,4 +143,4 @@ FIGURES: dict[str, Quantity] = {
     **{f"{name}_dot": _rate(*entry[1:]) for name, entry in ANGLES.items()},
     **components(("F_x", "F_y"), _crank_pin),
 }
-"""The seven angles of the Test Set (rad, whole turns counted), their rates (rad/s), the crank's pin (m)."""
+"""Angles of the Test Set (rad, with revolutions), their rates (rad/s), position of the crank's pin (m)."""

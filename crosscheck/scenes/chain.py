@@ -1,4 +1,4 @@
-"""N rods in a row on hinges: an open tree of any size."""
+"""Chain of N rods on hinges, an open tree of any size."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
 MASS = 1.0
-"""kg."""
+"""Mass of a rod, kg."""
 
 LENGTH = 1.0
-"""m."""
+"""Length of a rod, m."""
 
 INERTIA = MASS * LENGTH**2 / 12.0
-"""About the center of mass across the rod, kg m^2: that of a thin rod."""
+"""Moment of inertia of a thin rod across the rod, about the center of mass, kg m^2."""
 
 AXIAL_INERTIA = 1e-3
-"""About the rod itself, kg m^2: that of a solid one 9 cm thick. A line has none, and no rigid body can."""
+"""Moment of inertia along the rod, kg m^2, that of a solid rod 9 cm thick. A rigid body needs one."""
 
 
 def rod(name: str, start: Array, axis: Array) -> Body:
-    """A rod from `start` (3,) m along a world axis, (3,) unit; its frame is parallel to the world."""
+    """Return a rod from `start` (3,), m, along a unit vector (3,). Its frame is parallel to the world."""
     along = np.outer(axis, axis)
     inertia = INERTIA * (np.eye(3) - along) + AXIAL_INERTIA * along
     return Body(name, MASS, start + 0.5 * LENGTH * axis, inertia)
@@ -34,15 +34,15 @@ def rod(name: str, start: Array, axis: Array) -> Body:
 X, Y, Z = np.eye(3)
 
 AXES = (Y + Z, Y - Z)
-"""Of the hinges in turn, across the rods and each other. Hinges along y would keep the fall in a plane;
-so would y and z in turn, as no force turns the hinges along z."""
+"""Axes of the hinges, used alternately, perpendicular to the rods and to each other. With hinges along y, or
+along y and z alternately, the chain would stay in a plane: no force turns a hinge along z."""
 
 
 def chain(N: Annotated[int, range(1, 1001)] = 5) -> Scene:
-    """N rods of 1 m and 1 kg that fall from rest, stretched out along x from a wall, 1 s.
+    """Return N rods of 1 m and 1 kg that fall from rest, stretched out along x from a wall, 1 s.
 
     Args:
-        N: rods, each with one hinge.
+        N: number of rods, each with one hinge.
     """
     names = ["ground", *(f"rod_{k}" for k in range(N))]
     starts = [k * LENGTH * X for k in range(N)]

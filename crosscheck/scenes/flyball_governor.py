@@ -1,10 +1,9 @@
-"""A flyball governor whose slider hangs on stiff, damped springs.
+"""Flyball governor: a slider that hangs on stiff, damped springs between two turning arms.
 
 Problem A05 of the IFToMM library of computational benchmark problems (M. Gonzalez, D. Dopico, U. Lugris,
-J. Cuadrado, A benchmarking system for MBS simulation software, Multibody System Dynamics 16, 2006), with its
-springs of 8e5 N/m and 4e4 N s/m. No motor: the shaft turns freely and its angular momentum is kept. The
-arms' angle is measured from horizontal, downwards. The problem goes on for 10 s; here it is the first one,
-a swing down and back, because explicit engines take thousands of steps for it.
+J. Cuadrado, A benchmarking system for MBS simulation software, Multibody System Dynamics 16, 2006). Its
+springs have 8e5 N/m and 4e4 N s/m, which makes the problem stiff: explicit methods need thousands of steps.
+The shaft has no motor. It turns freely and conserves its angular momentum.
 """
 
 from __future__ import annotations
@@ -22,41 +21,41 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 BAR_MASS, BAR_LENGTH, SECTION = 0.3, 1.0, 0.01
-"""Of the shaft and of each arm, kg and m."""
+"""Mass (kg), length and width of the square section (m) of the shaft and of each arm."""
 
 AXIAL = BAR_MASS * SECTION**2 / 6.0
 ACROSS = BAR_MASS * (BAR_LENGTH**2 + SECTION**2) / 12.0
-"""Their moments of inertia, kg m^2."""
+"""Moments of inertia of the shaft and of each arm along and across the bar, kg m^2."""
 
 BALL_MASS = 5.0
-"""Of the point mass at the end of each arm, kg."""
+"""Mass of the point at the end of each arm, kg."""
 
 SLIDER_MASS, SLIDER_WIDTH = 3.0, 0.1
-"""A cube, kg and m."""
+"""Mass (kg) and side (m) of the slider, a cube."""
 
 HINGE_RADIUS = 0.05
-"""Of the arms' hinges and the springs' ends from the shaft's axis, m."""
+"""Distance of the arms' hinges and of the springs' lower ends from the axis of the shaft, m."""
 
 STIFFNESS, DAMPING, REST_LENGTH = 8e5, 4e4, 0.5
-"""Of each spring, N/m, N s/m and m."""
+"""Stiffness (N/m), damping (N s/m) and rest length (m) of each spring."""
 
 HEIGHT = 0.5
-"""Of the slider at first, m."""
+"""Initial height of the slider, m."""
 
 ALPHA = np.pi / 6.0
-"""Of the arms below horizontal at first, rad."""
+"""Initial angle of the arms below the horizontal, rad."""
 
 SPEED = 2.0 * np.pi
-"""Of the shaft at first, rad/s."""
+"""Initial angular velocity of the shaft, rad/s."""
 
 X, Y, Z = np.eye(3)
 
 SIDES = {"right": X, "left": -X}
-"""Where the arms are at first."""
+"""Initial directions of the arms, outwards from the shaft."""
 
 
 def flyball_governor() -> Scene:
-    """Two balls of 5 kg turning at one revolution a second, the arms moving from 30 degrees, 10 s."""
+    """Return the governor: two balls of 5 kg, at first one revolution per second, 10 s; gravity along -z."""
     shaft = Body("shaft", BAR_MASS, 0.5 * BAR_LENGTH * Z, np.diag([ACROSS, ACROSS, AXIAL]))
     slider = Body("slider", SLIDER_MASS, HEIGHT * Z, SLIDER_MASS * SLIDER_WIDTH**2 / 6.0 * np.eye(3))
     joints = [
@@ -99,7 +98,7 @@ def flyball_governor() -> Scene:
 
 
 def _arm(name: str, hinge: Array, along: Array) -> Body:
-    """An arm with its ball, from its hinge along a unit vector (3,)."""
+    """Return an arm with its ball; the arm extends from its hinge (3,), m, along a unit vector (3,)."""
     mass = BAR_MASS + BALL_MASS
     lever = (0.5 * BAR_MASS + BALL_MASS) * BAR_LENGTH / mass  # of the center of mass
     parts = BAR_MASS * (lever - 0.5 * BAR_LENGTH) ** 2 + BALL_MASS * (BAR_LENGTH - lever) ** 2
@@ -109,12 +108,13 @@ def _arm(name: str, hinge: Array, along: Array) -> Body:
 
 
 def _alpha(run: Trajectory) -> Array:
-    """(n,) rad: how far the right arm points down."""
+    """Return the angle (n,), rad, of the right arm below the horizontal."""
     along = rotations(run.quaternion[:, run.body_names.index("arm_right")]) @ ARM
     return np.asarray(np.arctan2(-along[:, 2], np.hypot(along[:, 0], along[:, 1])))
 
 
 def _energy_dissipated(run: Trajectory) -> Array:
+    """Return the mechanical energy (n,), J, lost since the start."""
     assert run.kinetic_energy is not None
     assert run.potential_energy is not None
     energy = run.kinetic_energy + run.potential_energy
@@ -122,7 +122,10 @@ def _energy_dissipated(run: Trajectory) -> Array:
 
 
 ARM = np.cos(ALPHA) * X - np.sin(ALPHA) * Z
+"""Direction (3,) of the right arm, in its own frame."""
+
 CENTER = np.zeros(3)
+"""Center of mass (3,) of a body, in its own frame, m."""
 
 FIGURES: dict[str, Quantity] = {
     "s": lambda run: position(run, "slider", CENTER)[:, 2],
@@ -132,5 +135,5 @@ FIGURES: dict[str, Quantity] = {
     "shaft_omega": lambda run: angular_velocity(run, "shaft") @ Z,
     "energy_dissipated": _energy_dissipated,
 }
-"""Height (m) and velocity (m/s) of the slider, angle of the arms below horizontal (rad), angle (rad) and rate
-(rad/s) of the shaft, energy lost to the dampers (J)."""
+"""Height (m) and velocity (m/s) of the slider, angle of the arms below the horizontal (rad), angle (rad) and
+angular velocity (rad/s) of the shaft, energy lost to the dampers (J)."""

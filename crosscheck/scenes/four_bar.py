@@ -1,4 +1,4 @@
-"""Four-bar windows in a row: N parallelograms that share their vertical bars, one degree of freedom."""
+"""Four-bar linkages in a row: N parallelograms that share their vertical bars, one degree of freedom."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 
 SPEED = 1.0
-"""Of the couplers at the start, along x, m/s."""
+"""Initial velocity of the couplers along x, m/s."""
 
 X, Y, Z = np.eye(3)
 
 
 def four_bar(N: Annotated[int, range(1, 1001)] = 2) -> Scene:
-    """N windows of rods of 1 m and 1 kg, from upright with the couplers moving at 1 m/s, 10 s.
+    """Return N windows of rods of 1 m and 1 kg, upright at the start, couplers moving at 1 m/s, 10 s.
 
-    Problem A02 of the IFToMM library of computational benchmark problems. All bars stay parallel, so
-    one angle describes any number of windows and elliptic functions give it in closed form. Whenever
-    the bars lie flat every window could fold its own way: N + 1 freedoms in place of one.
+    Problem A02 of the IFToMM library of computational benchmark problems. All bars stay parallel, so one
+    angle describes any number of windows, and elliptic functions give this angle. When all bars lie on one
+    line, the configuration is singular: each window can fold in its own way, with N + 1 freedoms.
 
-    A window cut at a hinge has three equations too many, as any flat loop in space. The right end of
-    each coupler is a ball instead: cut there, it leaves just one, along z, which nothing can move.
+    A planar loop of hinges has three redundant constraints. The right end of each coupler is a ball joint,
+    which leaves one redundant constraint per window, along z.
 
     Args:
-        N: windows; there are N + 1 vertical bars and N couplers.
+        N: number of windows; there are N + 1 vertical bars and N couplers.
     """
     feet = [k * LENGTH * X for k in range(N + 1)]
     tops = [foot + LENGTH * Y for foot in feet]
@@ -59,7 +59,7 @@ def four_bar(N: Annotated[int, range(1, 1001)] = 2) -> Scene:
 
 
 def _swinging(mechanism: Mechanism, bars: int) -> State:
-    """The initial pose with the first `bars` moving bodies turning about their feet, the others carried."""
+    """Return the initial pose: the first `bars` moving bodies turn about their feet, the others translate."""
     state = State.initial(mechanism)
     state.linear_velocity[1 : 1 + bars] = 0.5 * SPEED * X
     state.angular_velocity[1 : 1 + bars] = -SPEED / LENGTH * Z
@@ -68,11 +68,11 @@ def _swinging(mechanism: Mechanism, bars: int) -> State:
 
 
 TOP = 0.5 * LENGTH * Y
-"""Of a bar in its own frame, m."""
+"""Top (3,) of a bar in its own frame, m."""
 
 FIGURES: dict[str, Quantity] = {
     **components(("B0_x", "B0_y"), lambda run: position(run, "bar_0", TOP)),
     **components(("B0_vx", "B0_vy"), lambda run: velocity(run, "bar_0", TOP)),
     "bar_omega_cw": lambda run: -angular_velocity(run, "bar_0") @ Z,
 }
-"""Of the top of the first bar: position (m) and velocity (m/s); the bars' rate, clockwise (rad/s)."""
+"""Position (m), velocity (m/s) of the first bar's top; clockwise angular velocity of the bars (rad/s)."""

@@ -1,9 +1,9 @@
-"""A fast symmetric top on a fixed point under gravity, which swings down to within 1e-6 rad of hanging.
+"""Heavy top: a fast symmetric top on a fixed point that swings down to within 1e-6 rad of hanging.
 
 M. Geradin, A. Cardona, Flexible Multibody Dynamics, 2001; parameters as in Z. Terze, A. Muller,
 D. Zlatar, Singularity-free time integration of rotational quaternions using non-redundant ordinary
-differential equations, Multibody System Dynamics 38, 2016. The moments of inertia are about the center of
-mass; the initial spin is in the body frame and -4.61538 rad/s as printed.
+differential equations, Multibody System Dynamics 38, 2016. The initial angular velocity of -4.61538 rad/s
+is as printed there.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 
 MASS = 15.0
-"""kg."""
+"""Mass of the top, kg."""
 
 MOMENTS = (0.234375, 0.46875, 0.234375)
-"""About the center of mass, kg m^2."""
+"""Principal moments of inertia about the center of mass, kg m^2."""
 
 CENTER_OF_MASS = np.array([0.0, 1.0, 0.0])
-"""From the fixed point, m."""
+"""Initial position (3,) of the center of mass from the fixed point, m."""
 
 SPIN = np.array([0.0, 150.0, -4.61538])
-"""Initial angular velocity, rad/s."""
+"""Initial angular velocity (3,), body and world frame, rad/s."""
 
 
 def heavy_top() -> Scene:
-    """A top of 15 kg spun at 150 rad/s about its horizontal axis, 1.5 s, two nutations; gravity along -z."""
+    """Return the top: 15 kg, 150 rad/s about a horizontal axis, 1.5 s, two nutations; gravity along -z."""
     top = Body("top", MASS, CENTER_OF_MASS, np.diag(MOMENTS))
     mechanism = Mechanism([Body.ground(), top], [Spherical("tip", "ground", "top", np.zeros(3))])
     state = State.initial(mechanism)
@@ -52,4 +52,4 @@ FIGURES: dict[str, Quantity] = {
     **components(("omega_x", "omega_y", "omega_z"), lambda run: spin(run, "top")),
     **components(("q0", "q1", "q2", "q3"), lambda run: quaternion(run, "top")),
 }
-"""Center of mass (m), angular velocity in the body frame (rad/s), orientation w-x-y-z."""
+"""Center of mass (m), angular velocity in the body frame (rad/s), orientation (w, x, y, z)."""

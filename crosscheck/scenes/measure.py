@@ -1,4 +1,4 @@
-"""Points and angles of bodies over the output times of a run, for figures of scenes."""
+"""Points, angles and velocities of bodies at the output times of a run, compared with published values."""
 
 from __future__ import annotations
 
@@ -18,13 +18,17 @@ Quantities = Mapping[str, Quantity]
 
 
 def position(run: Trajectory, body: str, offset: Array) -> Array:
-    """(n, 3) m, world: the point that lies at `offset` (3,) m from the center of mass in the body frame."""
+    """Return world positions (n, 3), m, of a point of a body.
+
+    Args:
+        offset: the point from the center of mass (3,), body frame, m.
+    """
     index = run.body_names.index(body)
     return np.asarray(run.position[:, index] + rotations(run.quaternion[:, index]) @ offset)
 
 
 def velocity(run: Trajectory, body: str, offset: Array) -> Array:
-    """(n, 3) m/s, world: of the same point."""
+    """Return world velocities (n, 3), m/s, of the point of a body that `position` describes."""
     assert run.linear_velocity is not None
     assert run.angular_velocity is not None
     index = run.body_names.index(body)
@@ -33,34 +37,36 @@ def velocity(run: Trajectory, body: str, offset: Array) -> Array:
 
 
 def angular_velocity(run: Trajectory, body: str) -> Array:
-    """(n, 3) rad/s, world."""
+    """Return angular velocities (n, 3) of a body, world frame, rad/s."""
     assert run.angular_velocity is not None
     return run.angular_velocity[:, run.body_names.index(body)]
 
 
 def spin(run: Trajectory, body: str) -> Array:
-    """(n, 3) rad/s: angular velocity in the body frame."""
+    """Return angular velocities (n, 3) of a body, body frame, rad/s."""
     turns = rotations(run.quaternion[:, run.body_names.index(body)])
     return np.einsum("nij,ni->nj", turns, angular_velocity(run, body))
 
 
 def quaternion(run: Trajectory, body: str) -> Array:
-    """(n, 4) w-x-y-z, continuous in sign."""
+    """Return orientations (n, 4) of a body, (w, x, y, z), continuous in sign."""
     return run.quaternion[:, run.body_names.index(body)]
 
 
 def angle(run: Trajectory, body: str, axis: Array) -> Array:
-    """(n,) rad, whole turns counted: how far a body has turned about a fixed axis, (3,) unit.
+    """Return the rotation angle (n,) of a body about a fixed axis, rad, with revolutions.
 
-    For a body whose frame is parallel to the world at first, and that turns about this axis only, less
-    than pi between two outputs.
+    The body starts parallel to the world, turns about this axis only, and by less than pi between outputs.
+
+    Args:
+        axis: unit vector (3,), world frame.
     """
     p = quaternion(run, body)
     return np.asarray(2.0 * np.unwrap(np.arctan2(p[:, 1:] @ axis, p[:, 0])))
 
 
 def components(names: tuple[str, ...], vector: Quantity) -> dict[str, Quantity]:
-    """One figure for each component of a measured (n, len(names)) array."""
+    """Return one quantity for each component of a measured array (n, len(names))."""
 
     def component(k: int) -> Quantity:
         return lambda run: vector(run)[:, k]

@@ -1,12 +1,12 @@
-"""A point mass on a massless bar, from a horizontal bar at rest: closed form in elliptic functions.
+"""Pendulum: a point mass on a massless bar, released horizontally. Elliptic functions give its motion.
 
 Problem A01 of the IFToMM library of computational benchmark problems (M. Gonzalez, D. Dopico, U. Lugris,
 J. Cuadrado, A benchmarking system for MBS simulation software, Multibody System Dynamics 16, 2006).
 
-A point has no inertia about its center of mass, and no rigid body is like that. The body here is exactly
-equivalent: a dumbbell with a second point of the same mass at the pivot, which never moves, so that motion,
-moment of inertia and energy are those of the point mass alone. The pivot carries the second point's weight
-besides the bar; `bar_tension` leaves it out.
+A point mass has no inertia about its center of mass, which no rigid body can have. The scene therefore uses a
+dumbbell with a second point of the same mass at the pivot. The second point never moves, so motion, moment of
+inertia about the pivot and kinetic energy equal those of the point mass alone. The reaction at the pivot
+includes the weight of the second point; `bar_tension` subtracts it.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 MASS = 1.0
-"""Of the point, kg."""
+"""Mass of the point, kg."""
 
 LENGTH = 1.0
-"""Of the bar, m."""
+"""Length of the bar, m."""
 
 BAR_INERTIA = 1e-3
-"""About the bar, kg m^2, so that the inertia is a rigid body's; the dumbbell never turns about it."""
+"""Moment of inertia about the bar, kg m^2. A rigid body needs one; the dumbbell never turns about the bar."""
 
 GRAVITY = np.array([0.0, -9.81, 0.0])
-"""m/s^2."""
+"""Acceleration (3,) of gravity, m/s^2."""
 
 X, Y, Z = np.eye(3)
 
 POINT = -0.5 * LENGTH * X
-"""The point mass in the dumbbell's frame, m."""
+"""Position (3,) of the point mass in the frame of the dumbbell, m."""
 
 
 def pendulum() -> Scene:
-    """A point of 1 kg on a bar of 1 m that falls from rest at x = -1 m, 10 s; gravity along -y."""
+    """Return the pendulum: 1 kg on a bar of 1 m that falls from rest at x = -1 m, 10 s; gravity along -y."""
     across = 0.5 * MASS * LENGTH**2
     dumbbell = Body("dumbbell", 2.0 * MASS, POINT, np.diag([BAR_INERTIA, across, across]))
     return Scene(
@@ -53,13 +53,14 @@ def pendulum() -> Scene:
 
 
 def _point(run: Trajectory) -> Array:
+    """Return the positions (n, 3) of the point mass, m."""
     return position(run, "dumbbell", POINT)
 
 
 def _bar_tension(run: Trajectory) -> Array:
-    """(n,) N: what the bar pulls the point mass with, positive towards the pivot.
+    """Return the tension (n,) of the bar, N, positive if the bar pulls the point mass towards the pivot.
 
-    On the point at the pivot, which rests: reaction + weight + tension along the bar = 0.
+    The point at the pivot is at rest: reaction + weight + tension along the bar = 0.
     """
     assert run.reaction_force is not None
     force = run.reaction_force[:, run.joint_names.index("pivot")] + MASS * GRAVITY
@@ -71,4 +72,4 @@ FIGURES: dict[str, Quantity] = {
     **components(("vx", "vy"), lambda run: velocity(run, "dumbbell", POINT)),
     "bar_tension": _bar_tension,
 }
-"""Of the point mass: position (m), velocity (m/s); tension of the bar (N)."""
+"""Position (m) and velocity (m/s) of the point mass, tension of the bar (N)."""

@@ -1,9 +1,9 @@
-"""A spatial slider-crank: crank, connecting rod on a ball and a universal joint, slider.
+"""Spatial slider-crank: a crank drives a slider through a rod with a ball and a universal joint.
 
 Problem "spatial rigid slider-crank mechanism" of the IFToMM library of computational benchmark problems,
 by R. Masoudi. The joint at the slider is universal, with one axis along the guide and fixed in the slider;
-a ball there would let the rod spin. The solutions handed in disagree on the rod's inertia. Variant A
-has the small moment along the rod, as rods do; variant B, of the problem's author, across it.
+with a ball joint the rod could spin. Published solutions use different inertias of the rod. Variant A has the
+small moment along the rod, as real rods have. Variant B, of the problem's author, has it across the rod.
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 PIVOT, PIN, WRIST = np.array([0.0, 0.1, 0.12]), np.array([0.0, 0.1, 0.2]), np.array([0.2, 0.0, 0.0])
-"""Crank's pivot, ball at its end and universal joint at the slider, m."""
+"""Initial positions of the crank's pivot, the ball joint and the universal joint at the slider, m."""
 
 MASSES = {"crank": 0.12, "rod": 0.5, "slider": 2.0}
-"""kg."""
+"""Masses of the bodies, kg."""
 
 CRANK_MOMENTS = (1e-4, 1e-4, 1e-5)
-"""About the center of mass; z is along the crank, kg m^2."""
+"""Moments of inertia of the crank about its center of mass, z along the crank, kg m^2."""
 
 ROD_MOMENTS = {"A": (4e-4, 4e-3, 4e-3), "B": (4e-3, 4e-3, 4e-4)}
-"""Along the rod, along the rod's own axis of the universal joint, and across both, kg m^2."""
+"""Moments of inertia of the rod by variant, kg m^2: along the rod, along the axis of the universal joint
+that is fixed in the rod, and across both."""
 
 SLIDER_MOMENT = 1e-4
-"""kg m^2; the slider never turns."""
+"""Moment of inertia of the slider, kg m^2. The slider never turns."""
 
 SPEED = 6.0
 """Initial angular velocity of the crank about x, rad/s."""
@@ -45,10 +46,10 @@ X, Y, Z = np.eye(3)
 
 
 def slider_crank(variant: Literal["A", "B"] = "A") -> Scene:
-    """A slider of 2 kg that a crank of 0.08 m at 6 rad/s moves through a rod of 0.3 m, 5 s; gravity along -z.
+    """Return the slider-crank: 0.08 m crank, 0.3 m rod, 2 kg slider, at first 6 rad/s, 5 s; gravity along -z.
 
     Args:
-        variant: the rod's moments of inertia, see `ROD_MOMENTS`.
+        variant: moments of inertia of the rod, see `ROD_MOMENTS`.
     """
     along = (WRIST - PIN) / np.linalg.norm(WRIST - PIN)
     cardan = np.cross(along, X)
@@ -80,7 +81,7 @@ def slider_crank(variant: Literal["A", "B"] = "A") -> Scene:
 
 
 def _turning(mechanism: Mechanism) -> State:
-    """The initial pose with the crank at `SPEED`."""
+    """Return the initial pose with the crank at `SPEED` and the other bodies at matching velocities."""
     state = State.initial(mechanism)
     pin = np.cross(SPEED * X, PIN - PIVOT)
     wrist = pin + np.cross(ROD_SPIN, WRIST - PIN)
@@ -90,6 +91,7 @@ def _turning(mechanism: Mechanism) -> State:
 
 
 CENTER: Array = np.zeros(3)
+"""Center of mass (3,) of a body, in its own frame, m."""
 
 FIGURES: dict[str, Quantity] = {
     "crank_angle": lambda run: angle(run, "crank", X),
@@ -97,4 +99,4 @@ FIGURES: dict[str, Quantity] = {
     "slider_x": lambda run: position(run, "slider", CENTER)[:, 0],
     "slider_vx": lambda run: velocity(run, "slider", CENTER)[:, 0],
 }
-"""Angle (rad) and rate (rad/s) of the crank about x; position (m) and velocity (m/s) of the slider."""
+"""Angle (rad), angular velocity (rad/s) of the crank about x; position (m), velocity (m/s) of the slider."""

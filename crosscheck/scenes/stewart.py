@@ -1,9 +1,8 @@
-"""A Stewart platform of six legs on universal joints that drops onto the springs in its legs.
+"""Stewart platform: six legs on universal joints, and springs in the legs on which the platform drops.
 
-Geometry and masses of the platform in the case study "Stewart platform" of The MathWorks' SimMechanics
-(edition of 2002): steel tubes and rods for legs, a disc for the platform. The springs, each of another
-stiffness, and the drop from rest at the home position are this library's own, and so are the reference
-figures.
+Geometry and masses are those of the case study "Stewart platform" of The MathWorks' SimMechanics (edition of
+2002): the legs are steel tubes and rods, the platform is a disc. The case study has no springs. Here each leg
+has a spring of a different stiffness, and the platform is released at rest in the home position.
 """
 
 from __future__ import annotations
@@ -24,39 +23,39 @@ X, Y, Z = np.eye(3)
 
 
 def _circle(radius: float, degrees: tuple[float, ...], height: float) -> Array:
-    """(len(degrees), 3) points, m."""
+    """Return points (len(degrees), 3), m, on a horizontal circle about the z axis."""
     angles = np.radians(degrees)
     return np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(len(degrees), height)])
 
 
 HOME = 2.0 * Z
-"""Center of mass of the platform at first, m, in the plane of its joints."""
+"""Initial center of mass of the platform, m. It lies in the plane of the platform's joints."""
 
 BASE = _circle(3.0, (-2.5, 2.5, 117.5, 122.5, 237.5, 242.5), 0.0)
 PLATFORM = _circle(1.0, (-50.0, 50.0, 70.0, 170.0, 190.0, 290.0), HOME[2])
-"""Joint points of the legs at first, (6, 3) m."""
+"""Initial joint points (6, 3) of the legs at the base and at the platform, m."""
 
 LEG_LENGTH = float(np.linalg.norm(PLATFORM[0] - BASE[0]))
-"""Of each leg at first, m."""
+"""Initial length of each leg, m."""
 
 PART_LENGTH = 0.75 * LEG_LENGTH
-"""Of the lower and of the upper part of a leg, m."""
+"""Length of the lower and of the upper part of a leg, m."""
 
 DENSITY = 76e3 / 9.81
-"""Of steel, kg/m^3."""
+"""Density of steel, kg/m^3: 76 kN/m^3 by weight."""
 
 LOWER_RADII, UPPER_RADII = (0.03, 0.05), (0.0, 0.03)
-"""Inner and outer ones of the parts of a leg, m."""
+"""Inner and outer radii of the parts of a leg, m."""
 
 PLATFORM_RADIUS, PLATFORM_THICKNESS = 1.0, 0.05
-"""m."""
+"""Size of the platform, a disc, m."""
 
 STIFFNESS = (30e3, 36e3, 42e3, 48e3, 54e3, 60e3)
-"""Of the springs in the legs, at rest at first, N/m."""
+"""Stiffness of the springs in legs 1 to 6, N/m. All springs are unstretched at the start."""
 
 
 def stewart() -> Scene:
-    """A platform of 1.2 t on six springs that drops from rest, 2 s; gravity along -z."""
+    """Return the platform, 1.2 t on six springs, which drops from rest, 2 s; gravity along -z."""
     mass = DENSITY * np.pi * PLATFORM_RADIUS**2 * PLATFORM_THICKNESS
     across = mass * (3.0 * PLATFORM_RADIUS**2 + PLATFORM_THICKNESS**2) / 12.0
     axial = 0.5 * mass * PLATFORM_RADIUS**2
@@ -93,7 +92,10 @@ def stewart() -> Scene:
 
 
 def _part(name: str, end: Array, along: Array, radii: tuple[float, float]) -> Body:
-    """A part of a leg from its end along a unit vector (3,); its frame is parallel to the world."""
+    """Return a part of a leg, a tube from its end (3,), m, along a unit vector (3,).
+
+    The frame of the part is parallel to the world. `radii` are the inner and the outer one, m.
+    """
     inner, outer = radii
     mass = DENSITY * np.pi * (outer**2 - inner**2) * PART_LENGTH
     axial = 0.5 * mass * (outer**2 + inner**2)
@@ -105,9 +107,12 @@ def _part(name: str, end: Array, along: Array, radii: tuple[float, float]) -> Bo
 
 
 CENTER = np.zeros(3)
+"""Center of mass (3,) of a body, in its own frame, m."""
 
 
 def _leg_length(k: int) -> Quantity:
+    """Return the quantity that measures the length (n,), m, of leg k, counted from 0, between its joints."""
+
     def length(run: Trajectory) -> Array:
         return np.asarray(np.linalg.norm(position(run, "platform", PLATFORM[k] - HOME) - BASE[k], axis=1))
 
@@ -121,5 +126,5 @@ FIGURES: dict[str, Quantity] = {
     **components(("wx", "wy", "wz"), lambda run: angular_velocity(run, "platform")),
     **{f"leg{k + 1}_length": _leg_length(k) for k in range(6)},
 }
-"""Of the platform: center of mass (m), velocity (m/s), orientation w-x-y-z, angular velocity (rad/s, world);
-lengths of the legs between their joints (m)."""
+"""Center of mass (m), velocity (m/s), orientation (w, x, y, z) and angular velocity (rad/s, world frame) of
+the platform, and lengths of the legs between their joints (m)."""

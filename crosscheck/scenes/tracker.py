@@ -31,7 +31,7 @@ from newton_euler.scalars import Array
 BODY_NAMES = ("base", "slider_2", "slider_3", "column_4", "leg_5", "leg_6", "panel_7")
 
 MASS = 1e-3 * np.array([475.09, 189.7, 189.7, 104.45, 53.25, 54.4, 890.5])
-"""Table 1, kg."""
+"""Masses of Table 1, kg."""
 
 CENTER_OF_MASS = 1e-3 * np.array(
     [
@@ -44,13 +44,13 @@ CENTER_OF_MASS = 1e-3 * np.array(
         [-34.28, 42.89, 136.56],
     ]
 )
-"""Table 2, m: centers of mass in the world at the initial position."""
+"""Centers of mass of Table 2 in the world at the initial position, m."""
 
 EULER_PARAMETERS = np.array([[1.0, 0.0, 0.0, 0.0]] * 6 + [[0.89043, -0.19791, -0.10481, 0.39619]])
-"""Table 3: orientations at the initial position."""
+"""Orientations (w, x, y, z) of Table 3 at the initial position."""
 
 INERTIA_SCALE = np.array([1e-4, 1e-4, 1.0, 1.0, 1e-4, 1e-4, 1e-4])
-"""Factors in front of the matrices of Table 4; two are missing in print."""
+"""Factors of the matrices of Table 4, kg m^2. Two factors are missing in print and stand here as 1."""
 
 INERTIA = np.array(
     [
@@ -63,13 +63,13 @@ INERTIA = np.array(
         [[12.0, 0.0, 1.0], [0.0, 12.0, 0.0], [1.0, 0.0, 24.0]],
     ]
 )
-"""Table 4 as printed, to be multiplied by `INERTIA_SCALE`, kg m^2. Of two renderings of the article
-one prints J2 (1,3) as -0.00102, the other as -0.0102; the first is kept here, where it can be seen."""
+"""Inertia matrices of Table 4 as printed, to be multiplied by `INERTIA_SCALE`. One rendering of the article
+prints J2 (1,3) as -0.00102, another as -0.0102. The first is kept here, so that the erratum is visible."""
 
 
 @dataclass
 class Tables:
-    """The four tables."""
+    """The four tables of Appendix C, with one row per body."""
 
     mass: Array
     center_of_mass: Array
@@ -79,18 +79,23 @@ class Tables:
 
     @classmethod
     def as_printed(cls) -> Tables:
+        """Return copies of the tables as printed."""
         return cls(
             MASS.copy(), CENTER_OF_MASS.copy(), EULER_PARAMETERS.copy(), INERTIA.copy(), INERTIA_SCALE.copy()
         )
 
     @property
     def scaled_inertia(self) -> Array:
-        """(7, 3, 3) kg m^2."""
+        """Inertia matrices (7, 3, 3), body frame, kg m^2."""
         return self.inertia * self.inertia_scale[:, None, None]
 
 
 def corrected_tables(*, literal_panel: bool = False) -> Tables:
-    """The tables with the errata of docs/explanation/errata.md; `literal_panel` leaves J7 as printed."""
+    """Return the tables with the errata of docs/explanation/errata.md applied.
+
+    Args:
+        literal_panel: leave J7 as printed, which no rigid body can have.
+    """
     tables = Tables.as_printed()
     tables.inertia[0, 2, 0] = -1.0  # erratum 5: symmetric
     tables.inertia[1, 0, 2] = tables.inertia[1, 2, 0] = -0.0102  # erratum 6: the mirror image of J3
@@ -102,10 +107,10 @@ def corrected_tables(*, literal_panel: bool = False) -> Tables:
 
 
 TARGET_HEIGHT = 0.046
-"""Wanted height of both sliders' centers of mass, m (section 4)."""
+"""Target height of the centers of mass of both sliders, m (section 4)."""
 
 PANEL = (0.07, 0.055)
-"""Half sizes of the panel that is drawn, m."""
+"""Half the side lengths of the panel, m, for drawing and for wind loads."""
 
 STIFFNESS = 50.0
 """K_p of both actuators, N/m (section 5)."""
@@ -115,7 +120,7 @@ DAMPING = (20.0, 25.0)
 
 
 def joint_data() -> dict[str, Any]:
-    """The reconstructed joint geometry, `tracker_joints.json`."""
+    """Return the reconstructed joint geometry of `tracker_joints.json`."""
     data: dict[str, Any] = json.loads(
         files("crosscheck.scenes").joinpath("tracker_joints.json").read_text(encoding="utf-8")
     )
@@ -123,10 +128,10 @@ def joint_data() -> dict[str, Any]:
 
 
 def tracker(panel_inertia: Literal["realisable", "literal"] = "realisable") -> Scene:
-    """The paper's simulation: no gravity, PD control of both sliders, from rest, 5 s.
+    """Return the paper's simulation: no gravity, PD control of both sliders, from rest, 5 s.
 
     Args:
-        panel_inertia: J7 that a rigid body can have, or as printed (erratum 8).
+        panel_inertia: J7 as a rigid body can have it, or as printed (erratum 8).
     """
     return _scene(
         "tracker",
@@ -136,14 +141,14 @@ def tracker(panel_inertia: Literal["realisable", "literal"] = "realisable") -> S
 
 
 def tracker_gravity() -> Scene:
-    """The paper's simulation under gravity along -z, which the control laws know nothing of."""
+    """Return the paper's simulation under gravity along -z, which the control laws do not compensate."""
     return _scene(
         "tracker_gravity", "dual-axis solar tracker, PD control, under gravity", gravity=(0.0, 0.0, -9.81)
     )
 
 
 def tracker_aligned() -> Scene:
-    """The paper's simulation with J4 to J6 turned with the links, not along the world's z (erratum 10)."""
+    """Return the paper's simulation with J4 to J6 along the links instead of the world's z (erratum 10)."""
     return _scene(
         "tracker_aligned",
         "dual-axis solar tracker, inertias of the legs along the legs, no gravity",
@@ -169,12 +174,12 @@ def tracker_on_boat(
     heave_period: Period = 6.0,
     poses: Annotated[str, Text("CSV")] = "",
 ) -> Scene:
-    """The tracker under gravity on the deck of a boat, whose middle rolls, pitches and heaves in sines.
+    """Return the tracker under gravity on the deck of a boat that rolls, pitches and heaves in sines.
 
     Args:
-        roll, pitch, heave: amplitudes.
-        roll_period, pitch_period, heave_period: of the sines, which begin at 0, rising.
-        poses: path of a CSV of the boat's poses instead, see `newton_euler.base_motion_from_csv`.
+        roll, pitch, heave: amplitudes of the sines.
+        roll_period, pitch_period, heave_period: periods of the sines, which start at 0 and rise.
+        poses: path of a CSV of the boat's poses to use instead, see `newton_euler.base_motion_from_csv`.
     """
     waves = {"roll": (roll, roll_period), "pitch": (pitch, pitch_period), "heave": (heave, heave_period)}
     motions: dict[str, TimeFunction] = {}
@@ -235,7 +240,7 @@ def _scene(
 
 
 def _link_axis(body: str, joints: list[Joint]) -> Array:
-    """Unit vector from a link's lower joint to its upper joint."""
+    """Return the unit vector (3,) from the lower to the upper joint of a link, world frame."""
     low, high = sorted(
         (joint.point for joint in joints if body in (joint.first, joint.second)), key=lambda p: p[2]
     )
@@ -243,14 +248,14 @@ def _link_axis(body: str, joints: list[Joint]) -> Array:
 
 
 def _along(axis: Array) -> Array:
-    """The smallest rotation that takes the world's z to `axis`."""
+    """Return the smallest rotation (3, 3) that turns the world's z to a unit vector (3,)."""
     z = np.array([0.0, 0.0, 1.0])
     p = np.array([1.0 + z @ axis, *np.cross(z, axis)])
     return rotation(p / np.linalg.norm(p))
 
 
 def _shapes(tables: Tables, joints: list[Joint]) -> list[tuple[Shape, ...]]:
-    """Base, sliders, column, legs and panel as in the paper's Figure 2; sizes are for the eye only."""
+    """Return the shapes of each body as in the paper's Figure 2, which have no effect on the motion."""
     point = {joint.name: joint.point for joint in joints}
     centers = tables.center_of_mass
     base = centers[0] * [1.0, 1.0, 0.0]
@@ -292,7 +297,7 @@ def _shapes(tables: Tables, joints: list[Joint]) -> list[tuple[Shape, ...]]:
 
 
 def _cells(tables: Tables) -> Mesh:
-    """Dark cells, six by four with lines between them, a little above the panel."""
+    """Return the solar cells, six by four, as a dark mesh slightly above the panel."""
     cells = (6, 4)
     x, y = ((2.0 * np.arange(n) + 1.0 - n) / n * half for n, half in zip(cells, PANEL, strict=True))
     centers = np.array([[a, b, 0.0025] for a in x for b in y])

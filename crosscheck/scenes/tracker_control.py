@@ -1,4 +1,4 @@
-"""The tracker under gravity on a smooth reference of both sliders, by one of four controllers."""
+"""Solar tracker under gravity: both sliders follow a smooth reference by one of four controllers."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ from newton_euler.model.smooth_functions import Sine
 from newton_euler.variation import start
 
 STIFFNESS, DAMPING = 400.0, 40.0
-"""1/s^2 and 1/s of computed torque: critical, errors vanish with exp(-20 t)."""
+"""Gains of computed torque, 1/s^2 and 1/s: critically damped, errors decay with exp(-20 t)."""
 
 INERTIA = {"slide_12": 2.5, "slide_13": 0.7}
-"""kg that the actuators move at the initial pose, for gains of PD laws that are about as quick."""
+"""Effective masses at the actuators at the initial pose, kg. They scale the gains of PD laws to be as fast as
+computed torque."""
 
 REFERENCE = {
     "slide_12": Sine(-0.01, np.pi, 0.5 * np.pi, offset=0.01),
     "slide_13": Sine(-0.0075, 2.0 * np.pi, 0.5 * np.pi, offset=0.0075),
 }
-"""m: up by 20 and 15 mm and back, once in 2 s and twice, from rest at the initial pose.
-A regulator is designed about the middle."""
+"""References of the sliders, m: up by 20 mm and back once in 2 s, up by 15 mm and back twice, from rest at
+the initial pose. The LQR is designed about the middle of this motion."""
 
 
 COMPUTER = Beside("period")
@@ -43,15 +44,15 @@ def tracker_computed_torque(
     force_limit: Annotated[float, Between(0.0, 1000.0, "N"), COMPUTER] = 0.0,
     mass_error: Annotated[float, Between(-0.5, 0.5, "of it"), Beside("controller", "computed_torque")] = 0.0,
 ) -> Scene:
-    """The tracker under gravity, both sliders on a smooth reference, 2 s.
+    """Return the tracker under gravity, both sliders on a smooth reference, 2 s.
 
     Args:
-        controller: computed torque; PD, without and with gravity compensation, or an LQR about the middle.
-        period: of the computer that executes it; 0 for none, at all times.
-        delay: of the computer, in periods.
-        resolution: of the computer's encoders; 0 for none.
-        force_limit: of the computer; 0 for none.
-        mass_error: of the panel's mass in the model that computed torque has.
+        controller: computed torque; PD without or with gravity compensation; or an LQR about the middle.
+        period: sampling period of a digital controller; 0 for a continuous controller.
+        delay: delay of the digital controller, in periods.
+        resolution: resolution of the encoders; 0 for exact measurements.
+        force_limit: largest force of an actuator; 0 for no limit.
+        mass_error: relative error of the panel's mass in the model of computed torque.
     """
     scene = replace(tracker_gravity(), duration=2.0)
     laws = _laws(scene, controller, mass_error)

@@ -1,16 +1,16 @@
-"""The tracker's joints, identified from the paper's tables, which print no joint at all.
+"""Identification of the tracker's joints from the paper's tables, which contain no joints.
 
 Run `python -m crosscheck.scenes.tracker_geometry` to repeat the identification and see its residuals.
 
-The design is taken to be symmetric about the vertical plane through (1, -1, 0): both sliders carry
-their joint at the same height and inward offset; the column stands on a hinge with axis (-1, 1, 0);
-the universal joint on top turns about the column's (1, 1, 0) and the panel's eta axis; two balls sit
-at (-a, b, c) and (a, b, c) of the panel; the legs are equally long; and with both sliders at 46 mm,
-the paper's target, the column is upright and the panel horizontal with a yaw of 45 degrees.
+Assumption: the design is symmetric about the vertical plane through (1, -1, 0). Both sliders carry their
+joint at the same height and inward offset. The column stands on a hinge with axis (-1, 1, 0). The universal
+joint on top turns about the column's (1, 1, 0) and the panel's eta axis. Two balls lie at (-a, b, c) and
+(a, b, c) of the panel. The legs have equal length. With both sliders at 46 mm, the paper's target, the column
+is upright and the panel is horizontal with a yaw of 45 degrees.
 
-That leaves eleven lengths and ratios, which least squares fits to fifteen published numbers: the
-centers of mass of bodies 4 to 7 and the orientation of body 7. A last step then moves the joint
-points the least so that both poses close exactly: the published one and the horizontal one.
+Eleven lengths and ratios remain. Least squares fits them to fifteen published numbers: the centers of mass
+of bodies 4 to 7 and the orientation of body 7. A last step moves the joint points as little as possible so
+that the published pose and the horizontal pose both close exactly.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PANEL = rotation(TABLES.euler_parameters[6])
 """Published orientation of the panel at the initial position."""
 
 RISE = TARGET_HEIGHT - CENTERS[1, 2]
-"""How far the sliders rise from the initial position to the target, m."""
+"""Rise of the sliders from the initial position to the target, m."""
 
 HINGE_AXIS = np.array([-1.0, 1.0, 0.0]) / np.sqrt(2.0)
 CROSS_AXIS = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
@@ -39,7 +39,7 @@ YAW = rotation(from_rotation_vector(np.array([0.0, 0.0, np.pi / 4])))
 """Orientation of the horizontal panel: xi = (1, 1, 0), eta = (-1, 1, 0), both over sqrt 2."""
 
 PANEL_RADIUS = 0.1
-"""m: turns a misorientation of the panel into a length beside the others."""
+"""Length that converts an orientation error of the panel (rad) into a length, m."""
 
 PARAMETERS = (
     "inward offset of the slider joints",
@@ -58,22 +58,23 @@ GUESS = np.array([0.016, 0.018, 0.046, 0.09, -0.03, -0.015, 0.05, -0.01, 0.053, 
 
 
 def turn(axis: Array, angle: float) -> Array:
+    """Return the rotation (3, 3) by an angle, rad, about a unit vector (3,)."""
     return rotation(from_rotation_vector(angle * axis))
 
 
 def mirror(point: Array) -> Array:
-    """The mirror image across the plane through (1, -1, 0) and the vertical."""
+    """Return the mirror image of a point (3,) across the plane through (1, -1, 0) and the vertical."""
     return np.array([-point[1], -point[0], point[2]])
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """The symmetric design with given parameters, at the published slider heights."""
+    """Symmetric design with given values of `PARAMETERS`, at the published heights of the sliders."""
 
     parameters: Array
 
     def points(self) -> tuple[Array, ...]:
-        """Slider joint of leg 6, hinge, universal in the panel, balls of legs 6 and 5 in the panel."""
+        """Return slider joint of leg 6, hinge, and in the panel universal joint, balls of legs 6 and 5, m."""
         offset, height, hinge, _, eta, zeta, a, c = self.parameters[:8]
         slider = np.array([CENTERS[1, 0] + offset, CENTERS[1, 1], height])
         foot = np.array([CENTERS[2, 0], CENTERS[1, 1], hinge])
@@ -81,7 +82,7 @@ class Design:
         return slider, foot, np.array([0.0, eta, zeta]), np.array([-a, a + eta, c]), np.array([a, a + eta, c])
 
     def panel(self, lean: float, pitch: float, roll: float) -> tuple[Array, Array]:
-        """Center of mass and rotation of the panel at given angles of the hinge and universal joint."""
+        """Return center of mass and rotation of the panel for angles (rad) of hinge and universal joint."""
         _, foot, universal, _, _ = self.points()
         column = turn(HINGE_AXIS, lean)
         top = foot + column @ [0.0, 0.0, self.parameters[3]]
@@ -89,7 +90,7 @@ class Design:
         return top - orientation @ universal, orientation
 
     def predict(self) -> tuple[Array, Array]:
-        """Centers of mass (4, 3) of bodies 4 to 7 and rotation of body 7 at the initial position."""
+        """Return the initial centers of mass (4, 3) of bodies 4 to 7, m, and the rotation of body 7."""
         slider, foot, _, ball_6, ball_5 = self.points()
         upright, yaw = self.panel(0.0, 0.0, 0.0)
         up = np.array([0.0, 0.0, RISE])
@@ -116,7 +117,7 @@ class Design:
         return np.array([column, leg_5, leg_6, center]), orientation
 
     def residuals(self) -> Array:
-        """(15,) m: predicted less published; the panel's rotation error times `PANEL_RADIUS`."""
+        """Return predicted minus published numbers (15,), m; the rotation error times `PANEL_RADIUS`."""
         centers, orientation = self.predict()
         error = orientation @ PANEL.T
         twist = 0.5 * np.array(
@@ -126,7 +127,7 @@ class Design:
 
 
 def fit() -> Design:
-    """The design that is nearest to the published numbers."""
+    """Return the design with the least-squares fit to the published numbers."""
     solution = least_squares(
         lambda x: Design(x).residuals(),
         GUESS,
@@ -139,11 +140,11 @@ def fit() -> Design:
 
 
 def close_exactly(design: Design) -> dict[str, Array]:
-    """Joint points (world, initial position) nearest to the design's that close both poses exactly.
+    """Return the joint points nearest to the design's that close both poses exactly, world frame, m.
 
-    Unknown are the points and the horizontal pose: panel center and column angle. The points are
-    seen on the published bodies. Six equations: the universal joint's point goes with the column,
-    both legs keep their length, leg 6 stays in its plane.
+    Unknowns are the points at the initial position and the horizontal pose (panel center and column angle).
+    Six equations: the point of the universal joint moves with the column (3), both legs keep their
+    lengths (2), leg 6 stays in its plane (1).
     """
     slider, foot, universal, ball_6, ball_5 = design.points()
     on_panel = [CENTERS[6] + PANEL @ s for s in (universal, ball_6, ball_5)]
@@ -188,7 +189,10 @@ def close_exactly(design: Design) -> dict[str, Array]:
 
 
 def _nearest_root(gaps: Callable[[Array], Array], start: Array, free: int) -> Array:
-    """The root of `gaps` nearest to `start`; the last `free` unknowns may move at no cost."""
+    """Return the root of `gaps` nearest to `start` by Newton steps of least norm.
+
+    The last `free` unknowns have a weight of 1e-3 in the norm.
+    """
     weight = np.ones(len(start))
     weight[-free:] = 1e3
     x = start.copy()
@@ -201,7 +205,7 @@ def _nearest_root(gaps: Callable[[Array], Array], start: Array, free: int) -> Ar
 
 
 def main() -> None:
-    """Print the identified design, its residuals, and the distance to the points in use."""
+    """Print the identified design, its residuals, and the distances to the joint points of the scene."""
     design = fit()
     for name, value in zip(PARAMETERS, design.parameters, strict=True):
         print(f"{name:55s} {value:8.4f}" if "share" in name else f"{name:55s} {1e3 * value:8.3f} mm")

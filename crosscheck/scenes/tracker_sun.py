@@ -22,14 +22,14 @@ PLACES = {"phnom_penh": Place(11.56, 104.92), "seville": Place(37.39, -5.99), "p
 DATES = {"march": "2026-03-21", "june": "2026-06-21", "september": "2026-09-23", "december": "2026-12-21"}
 
 FASTER = 300.0
-"""Times as fast as the sun: its hour around noon in 12 s, so that all engines can make the run."""
+"""Speed of the run relative to the sun: the hour before noon takes 12 s, which all engines can simulate."""
 
 SET_POINTS = 13
-"""One a second."""
+"""Number of set-points of the run, one per second."""
 
 
 def sun_tracker() -> Scene:
-    """The tracker under gravity with stiff PD laws, for days of any place, see `crosscheck.solar.day`."""
+    """Return the tracker under gravity with stiff PD laws, to follow the sun, see `crosscheck.solar.day`."""
     scene = tracker_gravity()
     control = tuple(
         replace(law, stiffness=STIFFNESS, damping=DAMPING) for law in scene.control if isinstance(law, PD)
@@ -41,11 +41,11 @@ def tracker_sun_day(
     place: Literal["phnom_penh", "seville", "potsdam"] = "phnom_penh",
     date: Literal["march", "june", "september", "december"] = "march",
 ) -> Scene:
-    """The hour before noon of a day, 300 times as fast: set-points that jump, weight fed forward.
+    """Return the hour before noon of a day, 300 times as fast: stepped set-points, weight fed forward.
 
     Args:
-        place: where the tracker stands.
-        date: which day: the begins of the seasons of 2026.
+        place: location of the tracker.
+        date: first day of a season of 2026.
     """
     at = PLACES[place]
     day = day_times(DATES[date], at.zone, FASTER)

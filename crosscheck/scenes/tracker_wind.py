@@ -1,4 +1,4 @@
-"""The tracker as it moves its panel in the wind, under its own weight."""
+"""Solar tracker that moves its panel under gravity and wind."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from newton_euler.model.smooth_functions import Sine
 from newton_euler.model.wind import WindLoad, wind_gust, wind_turbulence
 
 STIFFNESS, DAMPING = 5000.0, 100.0
-"""N/m and N s/m, a hundred and five times the paper's, whose gains let the panel sag by decimetres."""
+"""Gains of the PD laws, N/m and N s/m: 100 and 5 times the paper's, which let the panel sag by decimeters."""
 
 WEIGHT = (7.056, 5.767)
-"""N, feedforward of the actuators: what holds the tracker at the start, where stiff laws alone would sag by a
-millimetre."""
+"""Feedforward forces of the actuators, N. They hold the tracker at the start; without them it sags by a
+millimeter."""
 
 STROKE = (0.02, 0.015)
-"""m that the sliders are sent up and down by, from rest."""
+"""Strokes of the sliders, m: up and down again, from rest."""
 
 PERIODS = (5.0, 2.5)
-"""s, of their strokes."""
+"""Periods of the strokes, s."""
 
 INTENSITY, LEAST = 0.14, 5.6
-"""Of turbulence, for a deviation of INTENSITY (0.75 speed + LEAST m/s): class B of IEC 61400-1 (2005)."""
+"""Turbulence of class B of IEC 61400-1 (2005): standard deviation INTENSITY (0.75 speed + LEAST), m/s."""
 
 LENGTH = 5.67 * 2.0
-"""m, of turbulence 2 m above the ground, where the tracker is taken to stand: an assumption, as 5.67 times
-the height is the standard's for hubs of wind turbines."""
+"""Length scale of turbulence, m, for an assumed height of 2 m above the ground. The factor 5.67 is the
+standard's for hubs of wind turbines."""
 
 BAND = (0.1, 5.0)
-"""Hz, of turbulence: from half a period of the run to what moves the panel little."""
+"""Frequencies of turbulence, Hz: half a period in a run at least, and at most what still moves the panel."""
 
 SINES = 16
-"""Of turbulence."""
+"""Number of sines that make up the turbulence."""
 
 
 def tracker_wind(
@@ -48,13 +48,13 @@ def tracker_wind(
     direction: Annotated[float, Between(0.0, 360.0, "deg")] = 30.0,
     seed: Annotated[int, range(1000), Beside("wind", "turbulent")] = 1,
 ) -> Scene:
-    """The tracker under gravity and wind, its sliders sent up and down by stiff PD laws, 5 s.
+    """Return the tracker under gravity and wind, both sliders moved up and down by stiff PD laws, 5 s.
 
     Args:
         wind: turbulent, one gust of half the speed, or steady.
-        speed: m/s, its mean.
-        direction: degrees from the x axis about the vertical that the wind blows to.
-        seed: of turbulence.
+        speed: mean speed of the wind, m/s.
+        direction: direction that the wind blows to, degrees from the x axis about the vertical.
+        seed: seed of the turbulence.
     """
     scene = tracker_gravity()
     panel = scene.mechanism.body("panel_7")
@@ -77,11 +77,12 @@ def tracker_wind(
 
 
 def _up_and_down(stroke: float, period: float) -> Sine:
-    """Go from 0 to a stroke, m, and back in a period, s, beginning at rest."""
+    """Return a motion from 0 to a stroke (m) and back in a period (s), starting at rest."""
     return Sine(-0.5 * stroke, 2.0 * np.pi / period, 0.5 * np.pi, offset=0.5 * stroke)
 
 
 def _speed(wind: str, speed: float, seed: int) -> float | TimeFunction:
+    """Return the wind's speed, m/s, constant or over time."""
     if wind == "steady" or speed == 0.0:
         return speed
     if wind == "gust":
