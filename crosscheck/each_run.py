@@ -13,7 +13,13 @@ from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import SHORTER, limited
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory, check_finite
+from newton_euler.model.trajectory import (
+    IntegrationError,
+    StoppedError,
+    Trajectory,
+    UndeterminedStartError,
+    check_finite,
+)
 
 LEAST_OUTPUTS = 2
 """Of a run that stopped: with its start alone there is nothing to compare."""
@@ -27,11 +33,13 @@ class Stop:
         what: an engine, or a part of the comparison.
         reason: why, in one line.
         time: s, up to which there is a run; None without one.
+        undetermined: whether the scene does not determine the motion, so that no runs of it can be compared.
     """
 
     what: str
     reason: str
     time: float | None = None
+    undetermined: bool = False
 
     def __str__(self) -> str:
         return f"{self.what}: {self.reason}"
@@ -61,7 +69,8 @@ def each_run(
             if partial is not None and len(partial.time) >= LEAST_OUTPUTS:
                 runs[engine.name] = partial
             time = float(partial.time[-1]) if engine.name in runs and partial is not None else None
-            stops.append(Stop(engine.name, reason_of(error).removeprefix(f"{engine.name}: "), time))
+            reason = reason_of(error).removeprefix(f"{engine.name}: ")
+            stops.append(Stop(engine.name, reason, time, isinstance(error, UndeterminedStartError)))
     return runs, stops
 
 

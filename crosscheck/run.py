@@ -341,7 +341,9 @@ def crosscheck(
         with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
             mapping = watched(scene, unseen, next(iter(runs.values())))
     until = mapping.acting[0].since if mapping and mapping.acting else None
-    for what, stage in stages(scene, able, runs, _random_states(scene), until).items():
+    # runs of a motion that the scene does not determine say nothing about each other
+    comparable = {} if any(stop.undetermined for stop in stops) else runs
+    for what, stage in stages(scene, able, comparable, _random_states(scene), until).items():
         with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
             for row in finite(stage(tuple(rows))):
                 rows.append(row)
@@ -358,7 +360,7 @@ def crosscheck(
     found: Coverage | None = None
     what = "working out what the motion covers"
     with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
-        found = coverage(scene, runs, rows)
+        found = coverage(scene, comparable, rows)
     advice: tuple[Advice, ...] = ()
     if advised and not stops:
         what = "working out advice"
@@ -383,7 +385,7 @@ def crosscheck(
     odd = {diagnosis.odd for diagnosis in result.diagnosis}
     what = "measuring each engine's error"
     with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
-        off_by = errors_of_runs(scene, [engine for engine in able if engine.name not in odd], runs)
+        off_by = errors_of_runs(scene, [engine for engine in able if engine.name not in odd], comparable)
     wall_time = time.perf_counter() - start
     return replace(result, off_by=off_by, notes=tuple(map(str, beside)), wall_time=wall_time)
 

@@ -276,7 +276,7 @@ def _as_far_as_it_goes(engine: Callable[[Scene], Trajectory], scene: Scene) -> T
             warnings.simplefilter("ignore", NearlyRedundantWarning)
             return engine(scene)
     except StoppedError as error:
-        if error.partial is None:
+        if error.partial is None or len(error.partial.time) == 1:
             raise
         return error.partial
 

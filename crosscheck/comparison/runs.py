@@ -93,7 +93,7 @@ def errors_of_runs(scene: Scene, engines: Sequence[Engine], runs: Runs) -> dict[
         NewtonEulerError, CrosscheckError: where that run does not come to its end.
     """
     rigid = next((engine for engine in engines if engine.soft_start is None), None)
-    if rigid is None:
+    if rigid is None or not runs:
         return {}
     finest = rigid.refined(scene)
     return {name: distance(run, finest.first(len(run.time))) for name, run in runs.items()}

@@ -33,7 +33,7 @@ from newton_euler.integrators.projection import project, worst_joint
 from newton_euler.integrators.radau import Radau, integrate_radau
 from newton_euler.integrators.row_exchange import EXCHANGED, RowExchange, no_exchange
 from newton_euler.integrators.singular import NEAR
-from newton_euler.model.trajectory import IntegrationError
+from newton_euler.model.trajectory import IntegrationError, UndeterminedStartError
 from newton_euler.scalars import Array
 
 MOST_STEPS = 1_000_000
@@ -492,7 +492,8 @@ def failure(
         reason = f"projection cannot close joint {joint!r}, which is open by {residual:.3g} (m or rad)"
     else:
         reason = _reason(code, integrator, most, status, x)
-    return IntegrationError(reached, blamed(system.scene, state, reason, system.seen(q, v)))
+    stopped = UndeterminedStartError if status == m.UNDETERMINED else IntegrationError
+    return stopped(reached, blamed(system.scene, state, reason, system.seen(q, v)))
 
 
 def _reason(code: Code, integrator: str, most: int, status: int, x: Array) -> str:
@@ -510,7 +511,8 @@ def _reason(code: Code, integrator: str, most: int, status: int, x: Array) -> st
         m.TOO_MANY_STEPS: f"more than {most} steps{advice}{larger}",
         m.STEP_TOO_SMALL: f"steps have become too small{advice}{larger}",
         m.STRAYING: f"accelerations of a step contradict each other near {here}; another step may pass",
-        m.UNDETERMINED: f"the run starts at rest at {here}, and the direction of motion is undetermined",
+        m.UNDETERMINED: f"the run starts at rest at {here}, and the direction of motion is undetermined: "
+        "start it elsewhere, or with velocities",
         m.UNPROJECTED: f"the run starts without projection at {here}, and may go over to another motion",
     }[status]
 

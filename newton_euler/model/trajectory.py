@@ -377,6 +377,13 @@ class IntegrationError(StoppedError):
         super().__init__(time, reason, f"integration stopped at t = {time:.6g} s: {reason}")
 
 
+class UndeterminedStartError(IntegrationError):
+    """A run that starts at rest at a singular configuration, where no equation tells the direction of motion.
+
+    Runs of other engines may move in any of the possible directions, and say nothing about each other.
+    """
+
+
 def check_finite(times: Array, arrays: Mapping[str, Array]) -> None:
     """Raise `IntegrationError` for the first time at which an array, a row for each, is not finite."""
     wrong = {name: np.argwhere(~np.isfinite(array)) for name, array in arrays.items()}
