@@ -12,6 +12,7 @@ from newton_euler.codegen.compile import VERY_LARGE, Traced
 from newton_euler.codegen.expression import Graph, Program, differentiate_along, substitute
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.parameters import is_kinematic, places
+from newton_euler.equations.row_choice import dimensionless_rows
 from newton_euler.equations.sparse import RowsInUse, least_squares, solve_constrained, sparse_vector
 from newton_euler.integrators.compiled import used_by
 from newton_euler.integrators.options import FormulationName
@@ -140,7 +141,7 @@ class TangentCode(CompiledScene):
         for place in system.quaternions:
             moved[place] -= q[place] * (q[place] @ moved[place])
         phi, jacobian = system.phi_and_jacobian(q)
-        rows, units = self._dimensionless(system, jacobian), system.velocity_units
+        rows, units = dimensionless_rows(system, jacobian, self.rows.numbers), system.velocity_units
 
         def step(residuals: Sequence[Scalar]) -> Array:
             """The least step (nv,) for residuals (k,) along the direction."""

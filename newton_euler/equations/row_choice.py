@@ -28,7 +28,7 @@ from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.independence import independent, shares
 from newton_euler.equations.kinematics import TreeKinematics
 from newton_euler.equations.redundancy import mobility
-from newton_euler.equations.sparse import Rows, RowsInUse
+from newton_euler.equations.sparse import Rows, RowsInUse, gram_factor
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
@@ -120,6 +120,27 @@ def rows_in_use(
     )
     flags = dict(zip(*exchangeable[:2], strict=True)) or None
     return RowsInUse(choices[0][1].numbers, scales, mass_scales, flags)
+
+
+def constraint_scales(
+    system: Formulation, used: Sequence[int] | None = None, exchangeable: ExchangeableRows = NO_ROWS
+) -> list[float]:
+    """Find the usual sizes of the pivots of the constraints alone: those of the Gram matrix of their rows.
+
+    Arguments are as of `rows_in_use`.
+    """
+    pivots = []
+    for state, rows in regular_choices(system, used, exchangeable):
+        jacobian = system.phi_and_jacobian(system.coordinates(state)[0])[1]
+        factor = gram_factor(dimensionless_rows(system, jacobian, rows.numbers), rows)
+        pivots.append(in_use_alone(factor.pivots, rows))
+    return [float(max(column)) or 1.0 for column in zip(*pivots, strict=True)]
+
+
+def dimensionless_rows(system: Formulation, jacobian: Rows, numbers: Sequence[int]) -> Rows:
+    """Return some rows of Phi_q, dimensionless."""
+    units = system.velocity_units
+    return [{k: x * (units[k] / system.phi_units[i]) for k, x in jacobian[i].items()} for i in numbers]
 
 
 def regular_choices(

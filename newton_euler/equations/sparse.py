@@ -310,14 +310,17 @@ def solve_constrained(equations: Equations) -> Solution:
     return Solution(acceleration, multipliers, pivot_ratio, complement.pivots, factor.pivots)
 
 
-def gram_factor(rows: Rows, used: RowsInUse | None = None) -> Factor:
-    """Factorize the Gram matrix of dimensionless rows, of which those that are `used` now count."""
+def gram_factor(rows: Rows, used: RowsInUse | None = None, scales: Sequence[float] | None = None) -> Factor:
+    """Factorize the Gram matrix of dimensionless rows, of which those that are `used` now count.
+
+    The usual sizes of the pivots are `scales`, 1 if not given.
+    """
     products = gram(rows, rows)
     if used is not None:
         compliance = used.compliance(products)
         for n, i in enumerate(used.numbers):
             add(products[n], n, compliance.get(i, 0.0))
-    return factorize(products, minimum_degree(products), [1.0] * len(rows))
+    return factorize(products, minimum_degree(products), scales or [1.0] * len(rows))
 
 
 def least_squares(rows: Rows, right: Array, used: RowsInUse | None = None) -> tuple[dict[int, Any], Scalar]:

@@ -33,12 +33,19 @@ from newton_euler.equations.parameters import (
 )
 from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.row_choice import ExchangeableRows, exchangeable_rows, rows_in_use
-from newton_euler.equations.sparse import Rows, RowsInUse, add, dot, gram_factor, is_zero, least_squares
+from newton_euler.equations.row_choice import (
+    ExchangeableRows,
+    constraint_scales,
+    dimensionless_rows,
+    exchangeable_rows,
+    rows_in_use,
+)
+from newton_euler.equations.sparse import RowsInUse, add, dot, gram_factor, is_zero, least_squares
 from newton_euler.equations.system import Observation, at_time
 from newton_euler.errors import UnknownNameError
 from newton_euler.integrators.formulations import cheaper_formulation, formulate
 from newton_euler.integrators.options import baumgarte_alpha
+from newton_euler.integrators.singular import NEAR
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array, Scalar, minimum
@@ -81,7 +88,7 @@ class Code:
         piecewise: True if functions of time have pieces.
         size: length of (q, v).
         programs: traced so far, by name: derivative, position, velocity, rate, jacobian, output,
-            measured, retract, surface, shares.
+            measured, retract, surface, shares, ratio.
         functions: native code made or loaded so far, by the same names.
         trace_time, compile_time: s taken so far; loading from the cache counts as compiling.
     """
@@ -401,7 +408,7 @@ class Code:
         """
         units = system.velocity_units
         phi, jacobian = system.phi_and_jacobian(q)
-        rows, used = self._dimensionless(system, jacobian), used_by(system)
+        rows, used = dimensionless_rows(system, jacobian, self.rows.numbers), used_by(system)
         phi = phi / system.phi_units
         right = phi[self.rows.numbers]
         if v is not None:
@@ -411,13 +418,16 @@ class Code:
         least = np.array([units[k] * step.get(k, 0.0) for k in range(system.nv)])
         return phi, least, minimum(pivot_ratio, 1.0)
 
-    def _dimensionless(self, system: Formulation, jacobian: Rows) -> Rows:
-        """Return the rows of Phi_q that are in use, dimensionless."""
-        units = system.velocity_units
-        return [
-            {k: x * (units[k] / system.phi_units[i]) for k, x in jacobian[i].items()}
-            for i in self.rows.numbers
-        ]
+    def _trace_ratio(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
+        """Trace the pivot ratio of the constraints alone."""
+        rows = dimensionless_rows(system, system.phi_and_jacobian(q)[1], self.rows.numbers)
+        usual = constraint_scales(self.system, self._independent, self.exchangeable)
+        return [minimum(gram_factor(rows, used_by(system), usual).pivot_ratio, 1.0)]
+
+    def pivot_ratio(self, x: Array) -> float:
+        """Evaluate the pivot ratio at x (inputs,), as methods of integration see it."""
+        ratio = float(self.function("derivative")(x)[-1])
+        return max(ratio, float(self.function("ratio")(x)[0])) if ratio < NEAR else ratio
 
     def _trace_shares(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace the square of the largest share of a row in use in one left out, and the nonzeros of rows.
@@ -426,7 +436,7 @@ class Code:
         layout has the places of nonzeros in the matrix (k, nv) of all rows, dimensionless.
         """
         exchange, used = self.exchangeable, used_by(system)
-        rows = self._dimensionless(system, system.phi_and_jacobian(q)[1])
+        rows = dimensionless_rows(system, system.phi_and_jacobian(q)[1], self.rows.numbers)
         factor, flags, count = gram_factor(rows, used), used.flags or {}, len(exchange.numbers)
         weights = np.eye(count)
         if count > MOST_SUMS:

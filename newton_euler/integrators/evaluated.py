@@ -20,6 +20,7 @@ from newton_euler.equations.system import System, rate_of_phi
 from newton_euler.errors import AssemblyError, NewtonEulerError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.compiled import OPEN_TOLERANCE
+from newton_euler.integrators.constraint_ratio import no_ratio
 from newton_euler.integrators.dense_projection import ROUND_OFF, closing_of
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.projection import worst_joint
@@ -119,6 +120,7 @@ class EvaluatedSystem(Interruptible):
             derivative=derivative,
             dense=derivative,  # which finds no more either
             loses_rank=int(watches),
+            ratio=no_ratio(),
             projecting=int(options.projection and rows > 0),
             tolerance=ROUND_OFF,
             open_tolerance=OPEN_TOLERANCE,

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from newton_euler.codegen.compile import CALLBACK
+from newton_euler.codegen.compile import CALLBACK, lane_count
 from newton_euler.codegen.native import Callback, Record
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.equations.applied_forces import blamed
@@ -24,6 +24,7 @@ from newton_euler.equations.system import dimensionless_jacobian, fastest_joint
 from newton_euler.errors import NewtonEulerError, OptionError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.compiled import OPEN_TOLERANCE, Code
+from newton_euler.integrators.constraint_ratio import READY, UNPREPARED, ConstraintRatio
 from newton_euler.integrators.dense_projection import ROUND_OFF, Closing, closing_of, unprepared
 from newton_euler.integrators.dop853 import CONTROLS, Dop853, integrate_dop853
 from newton_euler.integrators.fixed_step import FixedStep, integrate_fixed
@@ -286,6 +287,7 @@ def equations(
         derivative=derivative,
         dense=python.derivative,
         loses_rank=int(code.loses_rank),
+        ratio=ratio_on_demand(code, python, in_lanes),
         projecting=int(code.projects),
         tolerance=ROUND_OFF,
         open_tolerance=OPEN_TOLERANCE,
@@ -319,6 +321,24 @@ def closing_on_demand(code: Code, python: Callbacks, in_lanes: bool) -> Closing:
 
     closing = unprepared(PythonCallback(prepare), code.system.nq, code.system.nv)
     return closing
+
+
+def ratio_on_demand(code: Code, python: Callbacks, in_lanes: bool) -> ConstraintRatio:
+    """Return a record of the constraints alone, whose function is compiled when pivots are first small; what
+    is raised then is left in `python`, and the run ends."""
+
+    def prepare(x: int, y: int, on: int) -> None:
+        try:
+            with PREPARING:
+                function = code.function("ratio", in_lanes)
+        except Exception as error:  # nothing may pass through native code
+            python.error = error
+            return
+        ratio.become(ConstraintRatio(READY, None, function, found))
+
+    found = np.zeros((1, lane_count() if in_lanes else 1))
+    ratio = ConstraintRatio(UNPREPARED, PythonCallback(prepare), None, found)
+    return ratio
 
 
 def exchange_of(code: Code, in_lanes: bool) -> RowExchange:
@@ -498,7 +518,7 @@ def failure(
 
 def _reason(code: Code, integrator: str, most: int, status: int, x: Array) -> str:
     known = status in (m.STRAYING, m.UNDETERMINED, m.UNPROJECTED)
-    near = known or (code.loses_rank and code.function("derivative")(x)[-1] < NEAR)
+    near = known or (code.loses_rank and code.pivot_ratio(x) < NEAR)
     advice = {True: "", False: "; for stiff equations use Radau"}[near or integrator != "DOP853"]
     joint, value = nearly_dependent(code, x) if near else ("", 0.0)
     here = f"a singular configuration, where joint {joint!r} loses rank"

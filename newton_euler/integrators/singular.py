@@ -5,9 +5,9 @@ ratio*, falls with the square of the distance to the singular configuration, and
 grows with the cube of the inverse of that distance. Without more, error control would shorten steps without
 end, and what passes may have gone over to another branch of the mechanism's motion. The algorithm:
 
-Masses that differ by large factors make pivots small too. `evaluate` does not take these for singular
-configurations if the mechanism is an open chain without couplings, whose constraints are independent in every
-configuration.
+Masses that differ by large factors make pivots small too. A singular configuration is a property of the
+constraint Jacobian, so `evaluate` compares small pivots with those of the constraints alone
+(`newton_euler.integrators.constraint_ratio`). An open chain without couplings has no singular configuration.
 
 1. `evaluate`: where the pivot ratio is not positive, accelerations come from the dense, rank-revealing form.
 2. A run may begin in a singular configuration if its velocities say which branch it takes, or if it stays at
@@ -36,6 +36,7 @@ from __future__ import annotations
 from math import sqrt
 
 from newton_euler.codegen.native import Vector, native
+from newton_euler.integrators.constraint_ratio import constraint_ratio
 from newton_euler.integrators.stepper import (
     DENSE_CALLS,
     DONE,
@@ -107,7 +108,7 @@ def evaluate(system: Equations, x: Vector, y: Vector) -> int:
 
     The dense form evaluates where the pivot ratio of the sparse form is not positive. If constraints cannot
     lose rank, a small pivot ratio comes from the masses alone. The pivot ratio is 1 then: no step has to be
-    placed, shortened or refused for it.
+    placed, shortened or refused for it. Otherwise the pivot ratio is at least that of the constraints alone.
     """
     system.derivative(x, y)
     system.counts[EVALUATIONS] += 1.0
@@ -119,6 +120,11 @@ def evaluate(system: Equations, x: Vector, y: Vector) -> int:
         y[system.n] = DENSE_PIVOT_RATIO
     if system.loses_rank == 0:
         y[system.n] = 1.0
+    elif y[system.n] < NEAR:
+        alone = constraint_ratio(system.ratio, x)
+        if alone < 0.0:
+            return SINGULAR
+        y[system.n] = max(y[system.n], alone)
     size = 0.0
     for i in range(system.n):
         size += abs(y[i])

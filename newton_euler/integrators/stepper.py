@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from math import pi, sqrt
 
 from newton_euler.codegen.native import Callback, Record, Shared, Vector, native
+from newton_euler.integrators.constraint_ratio import ConstraintRatio
 from newton_euler.integrators.dense_projection import Closing
 from newton_euler.integrators.row_exchange import RowExchange
 from newton_euler.scalars import Array
@@ -67,6 +68,7 @@ class Equations(Record):
         inputs: length of a state with time and parameters.
         derivative, dense: rates and pivot ratio of a state, compiled, and by the dense form.
         loses_rank: 1 if constraints may become dependent in some configuration, else 0.
+        ratio: pivot ratio of the constraints alone.
         projecting: 1 if states are kept on the constraints, else 0.
         tolerance: dimensionless residual below which projection has nothing to do.
         open_tolerance: dimensionless residual that a constraint may have after projection.
@@ -86,6 +88,7 @@ class Equations(Record):
     derivative: Callback
     dense: Callback
     loses_rank: int
+    ratio: ConstraintRatio
     projecting: int
     tolerance: float
     open_tolerance: float

@@ -11,6 +11,7 @@ import newton_euler
 from crosscheck.scenes import load
 from newton_euler import PD, compile_scene
 from newton_euler.codegen.native_functions import NativeFunctions
+from newton_euler.integrators.constraint_ratio import no_ratio
 from newton_euler.integrators.lu import factor_complex, factor_real, solve_complex, solve_real, zero_block
 from newton_euler.integrators.radau import ALPHA, BETA, GAMMA, Radau, integrate_radau
 from newton_euler.integrators.row_exchange import no_exchange
@@ -163,6 +164,7 @@ def test_outputs_between_steps_are_as_exact_as_the_steps():
         derivative=derivative,
         dense=derivative,
         loses_rank=1,
+        ratio=no_ratio(),
         projecting=0,
         tolerance=1e-12,
         open_tolerance=1e-12,

@@ -21,6 +21,7 @@ from newton_euler.equations.parameters import parameter_values
 from newton_euler.equations.system import MassProperties
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.compiled import OPEN_TOLERANCE
+from newton_euler.integrators.constraint_ratio import no_ratio
 from newton_euler.integrators.projection import NATIVE_STEPS, check_still_closed, project
 from newton_euler.integrators.row_exchange import no_exchange
 from newton_euler.integrators.singular import AT_END, GAP, crossing_factor
@@ -224,6 +225,7 @@ def test_what_the_last_newton_step_leaves_counts(steps, status):
         derivative=None,
         dense=None,
         loses_rank=1,
+        ratio=no_ratio(),
         projecting=1,
         tolerance=1e-16,
         open_tolerance=OPEN_TOLERANCE,
