@@ -23,8 +23,9 @@ from newton_euler.equations.parameters import PIECE, numbered, pieces, with_valu
 from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import MechanismError, SingularityError, is_finite_number
 from newton_euler.integrators.compiled import Code
+from newton_euler.integrators.failures import singular_joint
 from newton_euler.integrators.options import Options
-from newton_euler.integrators.run import Integrator, Projection, singular_joint
+from newton_euler.integrators.run import Integrator, Projection
 from newton_euler.integrators.singular import UNSAFE
 from newton_euler.integrators.stepper import COUNTS, EXCESS
 from newton_euler.model.control import Readings

@@ -16,9 +16,9 @@ from newton_euler.analysis.tangent_code import ALONG, RATES, REVERSING, SETTLED,
 from newton_euler.equations.parameters import pieces_along
 from newton_euler.errors import OptionError, SensitivityError
 from newton_euler.integrators import stepper as m
-from newton_euler.integrators.options import Options, StepControl
+from newton_euler.integrators.options import Options, StepControl, most_steps
 from newton_euler.integrators.outputs import at_rows
-from newton_euler.integrators.run import Fallback, Integrator, most_steps
+from newton_euler.integrators.run import Fallback, Integrator
 from newton_euler.integrators.singular import FAR, NEAR, UNSAFE
 from newton_euler.integrators.tangent_steps import follow, methods
 from newton_euler.integrators.tangents import REACHED, Tangents, evaluate_along

@@ -32,6 +32,12 @@ STABILIZATIONS: tuple[StabilizationName, ...] = get_args(StabilizationName)
 PAPER_ALPHA = 10.0
 """The paper's choice for K_D = 2 alpha, K_P = alpha^2 (Appendix B), 1/s."""
 
+MOST_STEPS = 1_000_000
+"""Steps after which an adaptive method gives up, if a run does not say."""
+
+COUNTED = 2**53
+"""Steps that doubles count one by one."""
+
 MOST_FIXED_STEPS = 20_000_000
 """Of a run, if it does not say; seconds of native code for a pendulum, minutes for the largest mechanisms."""
 
@@ -143,3 +149,8 @@ class Options:
         """Return what a run was asked for, by name."""
         control = {"step": self.step} if self.step else {"rtol": self.rtol, "atol": self.atol}
         return {"integrator": self.integrator} | control | ({"rest": self.rest} if self.rest else {})
+
+
+def most_steps(options: Options) -> int:
+    """Return the largest number of steps of an adaptive method."""
+    return min(options.most_steps or MOST_STEPS, COUNTED)

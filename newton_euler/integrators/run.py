@@ -15,33 +15,27 @@ import numpy as np
 from newton_euler.codegen.compile import CALLBACK, lane_count
 from newton_euler.codegen.native import Callback, Record
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.equations.applied_forces import blamed
 from newton_euler.equations.cartesian import Cartesian
-from newton_euler.equations.dense import largest_share, singular_values
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.row_choice import exchanged
-from newton_euler.equations.system import dimensionless_jacobian, fastest_joint
-from newton_euler.errors import NewtonEulerError, OptionError
+from newton_euler.errors import OptionError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.compiled import OPEN_TOLERANCE, Code
 from newton_euler.integrators.constraint_ratio import READY, UNPREPARED, ConstraintRatio
 from newton_euler.integrators.dense_projection import ROUND_OFF, Closing, closing_of, unprepared
 from newton_euler.integrators.dop853 import CONTROLS, Dop853, integrate_dop853
+from newton_euler.integrators.failures import failure
 from newton_euler.integrators.fixed_step import FixedStep, integrate_fixed
-from newton_euler.integrators.options import FIXED, Options
+from newton_euler.integrators.options import FIXED, Options, most_steps
 from newton_euler.integrators.outputs import Outputs, loops
-from newton_euler.integrators.projection import project, worst_joint
+from newton_euler.integrators.projection import project
 from newton_euler.integrators.radau import Radau, integrate_radau
 from newton_euler.integrators.row_exchange import EXCHANGED, RowExchange, no_exchange
-from newton_euler.integrators.singular import NEAR
-from newton_euler.model.trajectory import IntegrationError, UndeterminedStartError
+from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
-MOST_STEPS = 1_000_000
-"""Steps after which an adaptive method gives up, if a run does not say."""
-
-COUNTED = 2**53
-"""Steps that doubles count one by one."""
+MAX_EXAMINED = 8
+"""Outputs of a run that are examined to explain how it ended."""
 
 PREPARING = threading.Lock()
 """Held while functions are compiled: threads that need the same wait for one of them."""
@@ -98,11 +92,6 @@ def round_off_units(code: Code) -> Array:
     found[: system.carried.start] = system.coordinate_units
     found[system.carried] = 1.0
     return found
-
-
-def most_steps(options: Options) -> int:
-    """Return the largest number of steps of an adaptive method."""
-    return min(options.most_steps or MOST_STEPS, COUNTED)
 
 
 class PythonCallback:
@@ -223,14 +212,14 @@ class Integrator:
         functions = (f for each in code.scene.functions.values() for f in each)
         if options.rest and not all(f.is_constant for f in functions):
             raise OptionError("rest", options.rest, "0 for a scene with functions of time other than Steps")
-        self._code, self._python, self._integrator = code, Fallback(code, stopped), options.integrator
-        self.times, self._most = times.copy(), most_steps(options)
+        self._code, self._python, self._options = code, Fallback(code, stopped), options
+        self.times = times.copy()
         self.x, self.counts = np.zeros(code.inputs), np.zeros(m.COUNTS)
         self.table, self.steps = np.zeros((len(times), code.size)), np.zeros((room, code.flags.stop + 1))
         marked = marks(code, options.integrator)
         system = equations(code, self._python, code.function("derivative"), marked, self.counts)
         table = table_of(code, self.times, self.x[None], self.table[None], np.zeros((1, m.COUNTS)))
-        method = method_of(code, options, self._most, self.steps)
+        method = method_of(code, options, self.steps)
         self.outputs = Outputs(code, self.times, self.x[None], self.table[None], np.zeros(1))
         integrate = METHODS[options.integrator]
         self._run = native_method(integrate).bind(integrate, system, table, method)
@@ -250,7 +239,16 @@ class Integrator:
             raise KeyboardInterrupt
         if status != m.DONE:
             error = self._python.error
-            raise failure(self._code, self._integrator, self._most, status, self.x, self.counts, error)
+            raise failure(self._code, self._options, status, self._passed(x), self.counts, error)
+
+    def _passed(self, begun: Array) -> list[Array]:
+        """Return states (inputs,) of the run: its begin, some outputs if they are whole, and its end."""
+        written, size = int(self.counts[m.WRITTEN]), self._code.size
+        rows = range(1, written, written // MAX_EXAMINED + 1) if self._code.kept == size else range(0)
+        passed = [self.x.copy() for _ in rows]
+        for x, row in zip(passed, rows, strict=True):
+            x[: size + 1] = [*self.table[row], self.times[row]]
+        return [begun, *passed, self.x]
 
     def attempt(self, x: Array) -> tuple[Array, IntegrationError | None]:
         """Run from x (inputs,): results (n, outputs) at the n times that were reached, and the error before
@@ -379,9 +377,9 @@ def table_of(code: Code, times: Array, ends: Array, states: Array, tallies: Arra
     return m.Table(len(times), code.kept, len(ends), lanes, first, times, ends, states, tallies)
 
 
-def method_of(code: Code, options: Options, most: int, steps: Array, lanes: int = 1) -> Record:
+def method_of(code: Code, options: Options, steps: Array, lanes: int = 1) -> Record:
     """Return a method with its state and scratch, for a run in each lane, and room for steps of one."""
-    n = code.size
+    n, most = code.size, most_steps(options)
 
     def scratch(*shape: int) -> Array:
         return np.zeros((*shape, lanes))
@@ -487,69 +485,3 @@ class Projection:
             return False
         x[:] = self.x
         return True
-
-
-@np.errstate(all="ignore")  # of what is not finite the message tells
-def failure(
-    code: Code, integrator: str, most: int, status: int, x: Array, counts: Array, error: Exception | None
-) -> IntegrationError:
-    """Explain a run that could not go on: time, reason, fastest joint, largest force.
-
-    Args:
-        most: steps that it might take.
-        x: (inputs,) the last state that it reached.
-        error: what Python raised in it.
-    """
-    system, reached = code.float_system(x), float(counts[m.REACHED])
-    q, v = x[: system.nq], x[system.nq : code.size]
-    state = system.state(q, v)
-    if error is not None and status in (m.SINGULAR, m.OPEN):
-        if not isinstance(error, NewtonEulerError | np.linalg.LinAlgError):
-            raise error
-        reason = str(error)
-    elif status == m.OPEN:
-        joint, residual = worst_joint(system, state)
-        reason = f"projection cannot close joint {joint!r}, which is open by {residual:.3g} (m or rad)"
-    else:
-        reason = _reason(code, integrator, most, status, x)
-    stopped = UndeterminedStartError if status == m.UNDETERMINED else IntegrationError
-    return stopped(reached, blamed(system.scene, state, reason, system.seen(q, v)))
-
-
-def _reason(code: Code, integrator: str, most: int, status: int, x: Array) -> str:
-    known = status in (m.STRAYING, m.UNDETERMINED, m.UNPROJECTED)
-    near = known or (code.loses_rank and code.pivot_ratio(x) < NEAR)
-    advice = {True: "", False: "; for stiff equations use Radau"}[near or integrator != "DOP853"]
-    joint, value = nearly_dependent(code, x) if near else ("", 0.0)
-    here = f"a singular configuration, where joint {joint!r} loses rank"
-    remedy = "a larger one, up to 1e-8, may pass, unless dimensions miss that configuration by more"
-    larger = f"; round-off near {here} (singular value {value:.1e}), is larger than rtol allows; {remedy}"
-    larger = larger if near else ""
-    return {
-        m.NOT_FINITE: "the solution is not finite",
-        m.SINGULAR: "the equations of motion are singular",
-        m.TOO_MANY_STEPS: f"more than {most} steps{advice}{larger}",
-        m.STEP_TOO_SMALL: f"steps have become too small{advice}{larger}",
-        m.STRAYING: f"accelerations of a step contradict each other near {here}; another step may pass",
-        m.UNDETERMINED: f"the run starts at rest at {here}, and the direction of motion is undetermined: "
-        "start it elsewhere, or with velocities",
-        m.UNPROJECTED: f"the run starts without projection at {here}, and may go over to another motion",
-    }[status]
-
-
-def singular_joint(code: Code, x: Array) -> str:
-    """Find the joint or gear that weighs most in the constraint rows that are nearest to dependent."""
-    return nearly_dependent(code, x)[0]
-
-
-def nearly_dependent(code: Code, x: Array) -> tuple[str, float]:
-    """Return `singular_joint` and the smallest singular value, dimensionless, of the constraint rows in use.
-
-    Without constraints, the joint that moves fastest, and 1.
-    """
-    system, rows = code.float_system(x), code.rows_at(x).in_use
-    if not rows:
-        return fastest_joint(system.mechanism, system.state(x[: system.nq], x[system.nq : code.size])), 1.0
-    jacobian = dimensionless_jacobian(system, x[: system.nq])
-    combinations, values, _ = singular_values(jacobian[rows])
-    return largest_share([system.row_owners[row] for row in rows], combinations[:, -1]), float(values[-1])

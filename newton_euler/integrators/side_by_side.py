@@ -28,7 +28,6 @@ from newton_euler.integrators.run import (
     load,
     marks,
     method_of,
-    most_steps,
     native_method,
     table_of,
     vector_at,
@@ -117,7 +116,7 @@ class SideBySide:
         python = Departure(code, counts, stopped)
         derivative = code.function("derivative", in_lanes=True)
         system = equations(code, python, derivative, marks(code, options.integrator), counts)
-        method = method_of(code, options, most_steps(options), np.zeros((0, 0)), lane_count())
+        method = method_of(code, options, np.zeros((0, 0)), lane_count())
         integrate = METHODS[options.integrator]
         self._times = times.copy()
         self._states = np.zeros((self._group, len(times), code.size))

@@ -1,0 +1,69 @@
+"""Fixed steps that are too long for the rates of a motion: the limit is stated, and no singular joint."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from crosscheck.scenes import load
+from newton_euler.integrators.compiled import Code
+from newton_euler.integrators.failures import STABILITY_LIMITS, fastest_rate
+from newton_euler.model.forces import JointSpring
+from newton_euler.model.joint_kinds import Prismatic
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import IntegrationError
+from newton_euler.simulate import simulate
+from newton_euler.variation import start
+
+FORMULATIONS = ("relative", "cartesian")
+
+G = 9.81
+
+
+def stiff_slides():
+    """Return two slides in a row with a spring between them, and its rate sqrt(2 k / m), 1/s."""
+    bodies = [Body(name, 1.0, [x, 0.0, 0.0], 0.01 * np.eye(3)) for name, x in (("a", 0.0), ("b", 0.3))]
+    along = {"axis": np.array([1.0, 0.0, 0.0])}
+    slides = [
+        Prismatic("p", "ground", "a", np.zeros(3), **along),
+        Prismatic("q", "a", "b", np.array([0.3, 0.0, 0.0]), **along),
+    ]
+    springs = [JointSpring("p", stiffness=50.0), JointSpring("q", stiffness=1e8)]
+    scene = Scene("slides", Mechanism([Body.ground(), *bodies], slides), 1.0, 0.02, forces=springs)
+    return start(scene, p=(0.1, 0.0), q=(1e-6, 0.0)), np.sqrt(2e8)
+
+
+def stiff_windows():
+    """Return two four-bar windows of bars of 1 kg and 1 m with a spring at a pivot, and its rate, 1/s.
+
+    Kinetic energy is that of three bars about their ends and of two couplers, all of 1 rad/s.
+    """
+    scene, stiffness = load("four_bar"), 1e8
+    inertia, weight = 3.0 / 3.0 + 2.0, 3.0 / 2.0 + 2.0
+    spring = JointSpring("pivot_0", stiffness=stiffness)
+    return replace(scene, forces=[spring]), np.sqrt((stiffness - weight * G) / inertia)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("make", [stiff_slides, stiff_windows])
+def test_the_fastest_rate_is_that_of_the_stiff_spring(make, formulation):
+    scene, rate = make()
+    code = Code(scene, formulation)
+    x = code.packed(*code.system.coordinates(scene.initial_state))
+    assert fastest_rate(code, x) == pytest.approx(rate, rel=1e-3)
+
+
+@pytest.mark.parametrize("stabilization", ["projection", "baumgarte", "none"])
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("make", [stiff_slides, stiff_windows])
+@pytest.mark.parametrize("integrator", ["RK4", "Euler"])
+def test_a_step_that_is_too_long_is_no_singular_configuration(make, integrator, formulation, stabilization):
+    scene, rate = make()
+    with pytest.raises(IntegrationError) as caught:
+        simulate(scene, formulation, integrator, step=1e-3, stabilization=stabilization)
+    assert "singular" not in str(caught.value)
+    assert f"{STABILITY_LIMITS[integrator] / rate:.2g} s" in str(caught.value)
+    assert len(str(caught.value)) < 600
