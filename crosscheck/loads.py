@@ -57,7 +57,7 @@ SHARED = "stiffness decides how these joints share loads, which is not known her
 MOVE = "; --set exercise=on moves joints of model files and drives their actuators"
 """What to do about loads at rest."""
 
-GOVERNS = Column("governed by", brief=True)
+GOVERNS = Column("governed by", below=True)
 
 PARTS = {"force": ("axial force", "shear force"), "torque": ("axial torque", "bending torque")}
 """Of loads of joints with one axis."""

@@ -10,12 +10,12 @@ from crosscheck.activity import what_acted
 from crosscheck.outcome import Outcome
 from crosscheck.regress.compare import Checked, Comparison
 from crosscheck.report import render
-from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, Verdict, figures, texts
+from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, Verdict, figures, texts
 
 MOST_LINES = 12
 """Figures of a scene in tables of what moved; the table of all figures has the rest."""
 
-COLUMNS = [Column("figure", brief=True), *texts("where"), *figures("was", "moved by", "tolerances")]
+COLUMNS = [*texts("figure", "where"), *figures("was", "moved by", "tolerances")]
 
 CHEAPER = "cheaper"
 """Added to the tolerances by which a cost fell."""

@@ -144,19 +144,47 @@ def _blocks(table: Table, width: int) -> Iterator[Table]:
     yield _of_columns(table, chosen)
 
 
+def _lines(table: Table, number: int) -> list[tuple[str, int]]:
+    """Lines of the texts of a column, and the characters that each is indented by."""
+    column = table.columns[number]
+    found = [(line, 0) for line in column.heading.split("\n")]
+    sections = number == 0 and any(isinstance(row, str) for row in table.rows)
+    for row in table.rows:
+        if isinstance(row, str):
+            found += [(printable(row), 0)] if number == 0 else []
+        elif number < len(row):
+            lines = printable(_text(row[number])).split("\n")
+            found += [(line, INDENT if sections else 0) for line in lines]
+    return found
+
+
 def _least(table: Table, number: int) -> int:
     """Characters that a column needs: figures as they are, texts as far as they do not wrap."""
-    column = table.columns[number]
-    rows = [row for row in table.rows if not isinstance(row, str) and number < len(row)]
-    lines = [line for row in rows for line in _text(row[number]).split("\n")]
-    words = column.heading.split()
+    column, lines = table.columns[number], _lines(table, number)
     if not column.numeric:
-        lines += column.heading.split("\n")
-        lines = [line if len(line) <= LEAST else max(line.split(), key=len) for line in lines]
-        most = max(map(len, lines), default=0)
-        return min(LEAST if column.brief else LONGEST, most) + (INDENT if number == 0 else 0)
-    heads = [min(HEAD, len(line)) for line in column.heading.split("\n")]
-    return max([*map(len, [*lines, *words]), *heads])
+        short = (
+            (len(line) if len(line) <= LEAST else max(map(len, line.split()), default=0), indent)
+            for line, indent in lines
+        )
+        return max(min(LONGEST, length) + indent for length, indent in short)
+    heads = column.heading.split("\n")
+    words = [len(word) for word in column.heading.split()]
+    figures = [len(line) + indent for line, indent in lines[len(heads) :]]
+    return max([*figures, *words, *(min(HEAD, len(line)) for line in heads)])
+
+
+def _widths(table: Table, width: int) -> list[int]:
+    """Characters of each column in a terminal; texts that wrap share what the least widths leave."""
+    numbers = range(len(table.columns))
+    widths = [_least(table, number) for number in numbers]
+    room = width - sum(widths) - GUTTER * (len(widths) - 1)
+    whole = [max(len(line) + indent for line, indent in _lines(table, number)) for number in numbers]
+    wrapping = [number for number in numbers if not table.columns[number].numeric]
+    for count, number in enumerate(sorted(wrapping, key=lambda number: whole[number] - widths[number])):
+        more = max(0, min(whole[number] - widths[number], room // (len(wrapping) - count)))
+        widths[number] += more
+        room -= more
+    return widths
 
 
 def _of_columns(table: Table, numbers: Sequence[int]) -> Table:
@@ -188,14 +216,13 @@ def _rich_table(table: Table, width: int) -> RichTable:
     if not table.title:
         drawn.box, drawn.padding = None, (0, GUTTER, 0, 0)
     drawn.show_header = any(column.heading for column in table.columns)
-    least = [_least(table, number) for number in range(len(table.columns))]
-    room = width - sum(least) - GUTTER * (len(least) - 1)
-    for number, column in enumerate(table.columns):
+    for number, (column, each) in enumerate(zip(table.columns, _widths(table, width), strict=True)):
         drawn.add_column(
             Text(printable(_heading(table, number))),
             justify="right" if column.numeric else "left",
-            no_wrap=column.numeric or column.brief,
-            overflow="ellipsis" if column.brief else "fold",
+            no_wrap=column.numeric,
+            overflow="fold",
+            width=each,
         )
     indent = INDENT if any(isinstance(row, str) for row in table.rows) else 0
     for row in table.rows:
@@ -205,10 +232,6 @@ def _rich_table(table: Table, width: int) -> RichTable:
         else:
             cells = [cell if isinstance(cell, Cell) else Cell(cell) for cell in row]
             shown = [Text(printable(cell.text), style=STYLES[cell.verdict]) for cell in cells]
-            for number, (column, text) in enumerate(zip(table.columns, shown, strict=False)):
-                if column.brief:
-                    taken = least[number] - (0 if number else INDENT)
-                    text.truncate(taken + max(0, room), overflow="ellipsis")
             drawn.add_row(Padding(shown[0], (0, 0, 0, indent)), *shown[1:])
     return drawn
 

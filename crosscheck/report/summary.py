@@ -97,19 +97,20 @@ def nearest(rows: Sequence[Figure]) -> Cell:
 
 
 def engines_table(result: Crosscheck) -> Table:
-    """Make a row per engine: run time, distance from the finest run, method; or why it stopped."""
+    """Make a row per engine: run time, distance from the finest run, method; or when it stopped."""
     stopped = {stop.what: stop for stop in result.unfinished}
     rows: Rows = []
     for engine in result.engines:
         run, stop = result.trajectories.get(engine.name), stopped.get(engine.name)
         far = [f"{result.off_by[engine.name]:.1e}" if engine.name in result.off_by else ""]
         how = brief_settings(run.settings) if run else ""
-        ended = Cell(f"STOPPED: {stop.reason}", "fails") if stop else how
+        when = "" if stop is None or stop.time is None else f" at {stop.time:.3g} s"
+        ended = Cell(f"STOPPED{when}", "fails") if stop else how
         took = seconds(run.wall_time) if run else ""
         rows.append([engine.name, took, *(far if result.off_by else []), ended])
     heads = [Column(f"{result.scene.duration:g} s of motion"), *figures("run time")]
     heads += figures("off by") if result.off_by else []
-    return Table("", [*heads, Column("settings", brief=True)], rows)
+    return Table("", [*heads, Column("settings", below=True)], rows)
 
 
 def brief_settings(settings: Mapping[str, Any]) -> str:

@@ -37,13 +37,13 @@ class Column:
         name: may have several lines.
         unit: of all its figures.
         numeric: whether it holds figures, aligned at the right and never wrapped.
-        brief: whether the terminal cuts its texts to the room that the other columns leave.
+        below: whether pages put it, if it is the last one, below the others on narrow screens.
     """
 
     name: str
     unit: str = ""
     numeric: bool = False
-    brief: bool = False
+    below: bool = False
 
     @property
     def heading(self) -> str:

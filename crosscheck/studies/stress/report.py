@@ -50,7 +50,7 @@ def _bound(row: Row) -> str:
 
 def _cases(title: str, rows: Sequence[Row], engines: Sequence[str]) -> Table:
     """Make a row per case of which something does not pass, and one row of all others."""
-    heads = [*texts("case"), *figures(*engines), Column("what does not pass", brief=True)]
+    heads = [*texts("case"), *figures(*engines), Column("what does not pass", below=True)]
     cells: Rows = []
     lost = dict.fromkeys(row.case.name for row in rows if not row.passes)
     for name in lost:

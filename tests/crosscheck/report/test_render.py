@@ -129,10 +129,15 @@ def test_units_follow_the_last_comma():
     ]
 
 
-def test_long_texts_are_cut_where_they_may_be():
-    table = Table("", [Column("reason", brief=True)], [["a" * 100]])
-    assert "a" * 31 + "…" in terminal([table])
-    assert "a" * 100 in markdown(Report("", "", Cell(""), [table]))
+@pytest.mark.parametrize("width", [40, 60, 80])
+def test_no_word_of_a_narrow_table_is_cut(width, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(width))
+    names = ["relative: moving: angular acceleration, rad/s^2", "drift: joint acceleration of the loops"]
+    rows = ["heading", *([name, "universal_47, x", "0.00300711086", "+2.31e+09"] for name in names)]
+    text = terminal([Table("moved", [*texts("figure", "where"), *figures("was", "tolerances")], rows)])
+    words = text.split()
+    assert all(words.count(word) >= 1 for name in [*names, "0.00300711086"] for word in name.split())
+    assert max(map(len, text.splitlines())) <= width
 
 
 def test_entries_of_any_value():

@@ -76,7 +76,7 @@ def test_what_is_not_judged_is_not_counted_and_files_and_known_figures_are():
     assert found.keys() == {"reading", REFERENCE}
 
 
-def test_engines_have_their_time_their_error_and_why_they_stopped():
+def test_engines_have_their_time_their_error_and_when_they_stopped():
     settings = {"timestep": 1e-3, "integrator": "RK4", "solref": [0.002, 1.0], "steps": 5000}
     adaptive = {
         "formulation": "relative",
@@ -88,12 +88,12 @@ def test_engines_have_their_time_their_error_and_why_they_stopped():
         "newton_euler": SimpleNamespace(settings=adaptive, wall_time=2.5e-3),
         "mujoco": SimpleNamespace(settings=settings, wall_time=1.5),
     }
-    stopped = (Stop("pinocchio", "integration stopped"),)
+    stopped = (Stop("pinocchio", "integration stopped", 0.25),)
     table = engines_table(result(trajectories=runs, unfinished=stopped, off_by={"mujoco": 7e-8}))
     assert cells(table) == {
         "newton_euler": ["2.5 ms", "", "DOP853 rtol 1e-10, projection, relative"],
         "mujoco": ["1.5 s", "7.0e-08", "RK4 1 ms, solref 0.002 s"],
-        "pinocchio": ["", "", "STOPPED: integration stopped"],
+        "pinocchio": ["", "", "STOPPED at 0.25 s"],
     }
     assert brief_settings({}) == ""
 
