@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -171,3 +173,22 @@ def test_joints_that_move_no_mass_are_held_and_reported(tmp_path: Path) -> None:
     lines = [str(entry) for entry in found.report.of("left out")]
     assert "joint 'idle': left out: it moves no mass: held where it is" in lines
     assert "mimic of joint 'idle': left out: one of its joints moves nothing" in lines
+
+
+def test_a_mesh_whose_reading_is_ended_leaves_no_part_of_a_file(tmp_path: Path) -> None:
+    """The limits of time and memory may end the process while it writes."""
+    (tmp_path / "one.stl").write_text(
+        "solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
+        "endloop\nendfacet\nendsolid s\n"
+    )
+    out = tmp_path / "out"
+    out.mkdir()
+    script = Path(urdf.__file__).parent / "reading" / "load_meshes.py"
+    arguments = [str(script), str(out), "2000000000", str(tmp_path / "one.stl")]
+    code = (
+        "import numpy, os, runpy, sys\n"
+        "def ended(path, **arrays):\n    open(path, 'wb').write(b'PK')\n    os._exit(9)\n"
+        f"numpy.savez = ended\nsys.argv = {arguments!r}\nrunpy.run_path(sys.argv[0], run_name='__main__')"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 9
+    assert not list(out.glob("[0-9]*.npz"))

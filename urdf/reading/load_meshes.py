@@ -32,7 +32,9 @@ def main() -> None:
             mesh = loader.load(file, np.ones(3))
             rows = (mesh.tri_indices(k) for k in range(mesh.num_tris))
             triangles = [(row[0], row[1], row[2]) for row in rows]  # they cannot be iterated over
-            np.savez(Path(folder) / f"{number}.npz", vertices=mesh.vertices(), triangles=triangles)
+            partial = Path(folder) / "partial.npz"  # the limits may end this process while it writes
+            np.savez(partial, vertices=mesh.vertices(), triangles=triangles)
+            partial.replace(Path(folder) / f"{number}.npz")
 
 
 if __name__ == "__main__":
