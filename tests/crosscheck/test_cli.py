@@ -7,6 +7,7 @@ import re
 import shlex
 import subprocess
 import sys
+import textwrap
 import time
 
 import pytest
@@ -27,6 +28,23 @@ def test_matrices_have_one_thread_unless_the_user_says_otherwise(chosen):
     environment |= {"OPENBLAS_NUM_THREADS": chosen} if chosen else {}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
     assert done.stdout.splitlines()[1:] == [chosen or "1"], done.stderr
+
+
+def test_a_run_spends_no_time_on_pandas_or_the_search_for_cycles(tmp_path):
+    code = """
+        import atexit, gc, sys
+        atexit.register(lambda: print(gc.get_freeze_count() > 100_000))  # first registered, called last
+        import crosscheck.cli
+        before = [each["collections"] for each in gc.get_stats()]
+        try:
+            crosscheck.cli.main(["run", "pendulum"])
+        finally:
+            print("rerun" in sys.modules, "pandas" in sys.modules)
+            print(sum(each["collections"] for each in gc.get_stats()[1:]) - sum(before[1:]))
+    """
+    command = [sys.executable, "-P", "-c", textwrap.dedent(code)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-3:] == ["True False", "0", "True"], done.stderr
 
 
 def test_list_names_scenes_options_and_engines(capsys):
