@@ -23,6 +23,7 @@ from crosscheck.limit import SHORTER, limited
 from crosscheck.load import told_options
 from crosscheck.outcome import Outcome
 from crosscheck.scenes.options import titled
+from crosscheck.singularity import Passage, passage
 from crosscheck.versions import versions
 from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import NewtonEulerError
@@ -67,6 +68,7 @@ class Crosscheck:
             `notes` say why it is not known.
         notes: what else there is to say, a line each: what beside the comparison did not come to its end.
         off_by: by engine its run's distance from the finest, see `errors_of_runs`.
+        singular: singular configurations of the first engine's run; None if there are none.
     """
 
     source: str
@@ -84,6 +86,7 @@ class Crosscheck:
     coverage: Coverage | None = None
     notes: tuple[str, ...] = ()
     off_by: Mapping[str, float] = field(default_factory=dict)
+    singular: Passage | None = None
 
     @property
     def title(self) -> str:
@@ -285,6 +288,7 @@ class Crosscheck:
             "advice": [asdict(advice) for advice in self.advice],
             "coverage": self.coverage.summary() if self.coverage else None,
             "notes": list(self.notes),
+            "singular": asdict(self.singular) if self.singular else None,
         }
 
     def _ran(self, name: str) -> dict[str, Any]:
@@ -361,6 +365,10 @@ def crosscheck(
     what = "working out what the motion covers"
     with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
         found = coverage(scene, comparable, rows)
+    singular: Passage | None = None
+    what = "searching singular configurations"
+    with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
+        singular = passage(scene, next(iter(runs.values()))) if runs else None
     advice: tuple[Advice, ...] = ()
     if advised and not stops:
         what = "working out advice"
@@ -380,6 +388,7 @@ def crosscheck(
         advice,
         tuple(stops),
         found,
+        singular=singular,
     )
     off_by: dict[str, float] = {}
     odd = {diagnosis.odd for diagnosis in result.diagnosis}

@@ -185,6 +185,8 @@ def _settings(result: Crosscheck) -> Iterator[tuple[str, str]]:
 def limiting(result: Crosscheck) -> Iterator[str]:
     """Word what limits the verdict, a line each: stopped parts, another start, what was not simulated."""
     yield from result.notes
+    if result.singular:
+        yield str(result.singular)
     for _, read in _mappings(result):
         yield from (f"finding, {finding}" for finding in read.findings)
     if isinstance(result, Against):

@@ -1,0 +1,156 @@
+"""Singular configurations that a run starts in or passes, where a mechanism could change its branch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from crosscheck.comparison.samples import body_units
+from crosscheck.engines import native_method
+from newton_euler.equations.redundancy import constraint_rank
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import dimensionless_jacobian
+from newton_euler.errors import listed
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import StoppedError, Trajectory
+from newton_euler.scalars import Array
+from newton_euler.simulate import simulate
+
+SINGULAR = 1e-3
+"""Smallest singular value of the constraints next to a singular configuration, divided by the largest one
+along the run. A four-bar whose lengths are off by 1e-6 comes as near."""
+
+EVALUATIONS = 600
+"""Number of outputs at which the constraints of a run are evaluated, times the number of velocities."""
+
+FEWEST_OUTPUTS = 30
+
+MOST_ELEMENTS = 2000
+"""Elements of the constraint Jacobian of the largest mechanism that is searched, which takes about 2 s."""
+
+DIP = 0.5
+"""Smallest singular value at an output, divided by the larger one at its neighbors, below which the run is
+repeated with closer outputs. At a crossing between outputs it is a third or less."""
+
+CLOSER = 32
+"""Factor by which outputs of the repeated run are closer."""
+
+NARROWER = 4
+"""Factor by which the three outputs move together from which the vertex is computed anew."""
+
+MOST_CLOSER = 100_000
+"""Number of outputs of the repeated run, at most."""
+
+GAINED = 10.0
+"""Other singular values that vanish with the smallest one are at most so many times as large beside it."""
+
+LARGE_SHARE = 0.3
+"""Motion of a body in the freedoms that are gained, divided by the largest one, from which it is named."""
+
+
+@dataclass(frozen=True)
+class Passage:
+    """Singular configurations of a run.
+
+    Attributes:
+        times: (k,) s, at which the run is in a singular configuration or next to it; 0 is the start.
+        distance: smallest singular value of the constraints at the first time, divided by the largest one
+            along the run.
+        freedoms: number of freedoms that the mechanism gains there.
+        bodies: names of the bodies that these freedoms move.
+    """
+
+    times: tuple[float, ...]
+    distance: float
+    freedoms: int
+    bodies: tuple[str, ...]
+
+    def __str__(self) -> str:
+        first, *others = self.times
+        begins = "starts in" if first == 0.0 else "passes"
+        when = f"at {first:.4g} s{' and at other times' if others else ''}"
+        gained = f"{self.freedoms} freedom{'s' * (self.freedoms > 1)}"
+        return (
+            f"{begins} a singular configuration {when}: bodies {listed(self.bodies)} gain {gained} there and "
+            f"may go over to another branch"
+        )
+
+
+def passage(scene: Scene, run: Trajectory) -> Passage | None:
+    """Find the singular configurations that a run starts in or passes; None if there are none.
+
+    The smallest singular value of the independent constraints is evaluated at some outputs. Near a singular
+    configuration its square is a parabola of time, with a vertex at 0. Where it dips, the run is repeated
+    with closer outputs, and the vertex computed from three of them.
+    """
+    system = Relative(scene)
+    count = constraint_rank(system)
+    if not count or count * system.nv > MOST_ELEMENTS:
+        return None
+
+    def spectrum(run: Trajectory, output: int) -> tuple[Array, Array]:
+        """Singular values of the independent constraints, and their directions (count, nv)."""
+        q, _ = system.coordinates(run.state(output))
+        _, values, directions = np.linalg.svd(dimensionless_jacobian(system, q))
+        return values[:count], directions[:count]
+
+    def margin(run: Trajectory, output: int) -> float:
+        return float(spectrum(run, output)[0][-1])
+
+    number = max(FEWEST_OUTPUTS, EVALUATIONS // system.nv)
+    outputs = np.unique(np.linspace(0, len(run.time) - 1, number).astype(int)).tolist()
+    margins = [margin(run, k) for k in outputs]
+    largest = max(margins)
+    found: list[tuple[float, float, Trajectory, int]] = []
+    if margins[0] < SINGULAR * largest:
+        found.append((float(run.time[0]), margins[0], run, 0))
+    closer: Trajectory | None = None
+    for k in range(1, len(outputs) - 1):
+        if margins[k] > min(margins[k - 1], DIP * max(margins[k - 1], margins[k + 1]), margins[k + 1]):
+            continue
+        closer = closer or _closer(scene, len(run.time))
+        time, distance = _vertex(run.time[outputs[k - 1 : k + 2]], margins[k - 1 : k + 2])
+        apart = CLOSER * (outputs[k + 1] - outputs[k - 1])
+        while apart > 1:
+            apart = max(1, apart // NARROWER)
+            if 2 * apart >= len(closer.time):
+                continue
+            lowest = int(np.clip(np.searchsorted(closer.time, time), apart, len(closer.time) - 1 - apart))
+            near = [lowest - apart, lowest, lowest + apart]
+            time, distance = _vertex(closer.time[near], [margin(closer, each) for each in near])
+        if distance < SINGULAR * largest:
+            found.append((time, distance, closer, lowest))
+    if not found:
+        return None
+    _, distance, path, output = found[0]
+    values, directions = spectrum(path, output)
+    gained = int(np.sum(values < max(GAINED * values[-1], SINGULAR * largest)))
+    q, _ = system.coordinates(path.state(output))
+    turned = directions[count - gained :] / system.velocity_units
+    motion = np.abs(system.velocity_transformation(q) @ turned.T / body_units(scene)[:, None])
+    share = np.max(motion.reshape(len(scene.mechanism.bodies), -1), axis=1)
+    names = np.array(scene.mechanism.body_names)[share > LARGE_SHARE * np.max(share)]
+    return Passage(tuple(time for time, *_ in found), distance / largest, gained, tuple(names.tolist()))
+
+
+def _closer(scene: Scene, outputs: int) -> Trajectory:
+    """Repeat a run with closer outputs, as far as it comes."""
+    factor = max(1, min(CLOSER, MOST_CLOSER // outputs))
+    finer = replace(scene, output_period=scene.output_period / factor, outputs=frozenset())
+    try:
+        return simulate(finer, **native_method(finer, refined=False))
+    except StoppedError as error:
+        if error.partial is None:
+            raise
+        return error.partial
+
+
+def _vertex(times: Array, values: Sequence[float]) -> tuple[float, float]:
+    """Time of the vertex of the parabola through three squares, and the root of its value, 0 if negative."""
+    a, b, c = np.polyfit(times - times[1], np.square(values), 2)
+    if a <= 0.0:
+        return float(times[1]), float(values[1])
+    offset = float(np.clip(-0.5 * b / a, times[0] - times[1], times[2] - times[1]))
+    return float(times[1] + offset), float(np.sqrt(max(0.0, (a * offset + b) * offset + c)))
