@@ -16,7 +16,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Mapping as Given
-from collections.abc import Sized
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -176,15 +176,17 @@ def _exercised(where: str, model: Any, key: str | None, request: Request, found:
     start = found.start
     plan = exercised(found.scene, found.drives, np.array(start.data.ctrl), start.model.actuator_ctrladr)
     driven = _reading(where, copy.copy(model), key, request, plan.control, plan.swings)
+    names = [model.actuator(k).name or repr(k) for k in range(model.nactuator)]
     said = []
     if plan.swings:
         said.append(f"{_count(plan.swings, 'actuator')} driven at {LOWEST:g} to {HIGHEST:g} Hz")
     if plan.moved:
-        said.append(f"{_count(plan.moved, 'control')} moved off the ends of their ranges")
-    if kept := [k for k in range(model.nactuator) if k not in plan.swings]:
-        names = ", ".join(model.actuator(k).name or repr(k) for k in kept[:MOST_NAMES])
-        more = ", ..." if kept[MOST_NAMES:] else ""
-        said.append(f"{_count(kept, 'actuator')} with the controls of the file ({names}{more})")
+        moves = [f"{names[k]} from {old:g} to {new:g}" for k, (old, new) in plan.moved.items()]
+        said.append(
+            f"{_count(moves, 'control')} moved inside the ranges of control and force ({_first(moves)})"
+        )
+    if kept := [names[k] for k in range(model.nactuator) if k not in plan.swings]:
+        said.append(f"{_count(kept, 'actuator')} with the controls of the file ({_first(kept)})")
     if not np.any(start.data.qvel):
         moved, fastest = moving(driven.scene, driven.report.bounds)
         driven = replace(driven, scene=moved)
@@ -192,6 +194,11 @@ def _exercised(where: str, model: Any, key: str | None, request: Request, found:
     words = ", ".join(said) or "the velocities of the start are enough"
     driven.report.start.append(f"exercised: {words}")
     return driven
+
+
+def _first(texts: Sequence[str]) -> str:
+    """The first of some texts, with dots for more."""
+    return ", ".join(texts[:MOST_NAMES]) + (", ..." if texts[MOST_NAMES:] else "")
 
 
 def _count(elements: Sized, noun: str) -> str:

@@ -217,7 +217,10 @@ class Actuators:
         return Affine(*(float(x) for x in gain))
 
     def _tell(self, actuator: int, how: str, became: str) -> None:
-        silent = self._control(actuator) == 0.0 and actuator not in self._swings
+        given = float(self._data.ctrl[int(self._model.actuator_ctrladr[actuator])])
+        if given != (control := self._control(actuator)):
+            how += f"; its control {given:g} is clipped to {control:g} by its range, as in MuJoCo"
+        silent = control == 0.0 and actuator not in self._swings
         self._report.exactly(element_name(self._model, "actuator", actuator), how, became, inert=silent)
 
     def _report_limits(

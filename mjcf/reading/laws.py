@@ -24,12 +24,12 @@ class Exercise(NamedTuple):
     Attributes:
         control: (nu,) of the start.
         swings: what they swing by about those, by the actuators' numbers.
-        moved: actuators whose controls of the start are not those of the file.
+        moved: control of the file and of the start, by the numbers of actuators where these differ.
     """
 
     control: Array
     swings: dict[int, Sine]
-    moved: list[int]
+    moved: dict[int, tuple[float, float]]
 
 
 def exercise(scene: Scene, drives: Mapping[int, Drive], control: Array, places: Array) -> Exercise:
@@ -43,7 +43,7 @@ def exercise(scene: Scene, drives: Mapping[int, Drive], control: Array, places: 
         control: (nu,) of the file.
         places: (nactuator,) where each actuator has its control.
     """
-    control, found, moved = control.copy(), dict[int, Sine](), []
+    control, found, moved = control.copy(), dict[int, Sine](), dict[int, tuple[float, float]]()
     wanted = swings(scene, [drive.gains for drive in drives.values()])
     for (actuator, drive), swing in zip(drives.items(), wanted, strict=True):
         least = min(drive.control - drive.low, drive.high - drive.control)
@@ -51,8 +51,9 @@ def exercise(scene: Scene, drives: Mapping[int, Drive], control: Array, places: 
         if not room > 0.0:
             continue
         if not drive.rests and room > least:
-            control[places[actuator]] = np.clip(drive.control, drive.low + room, drive.high - room)
-            moved.append(actuator)
+            inside = float(np.clip(drive.control, drive.low + room, drive.high - room))
+            moved[actuator] = float(control[places[actuator]]), inside
+            control[places[actuator]] = inside
         found[actuator] = Sine(0.5 * room, swing.angular_frequency)
     return Exercise(control, found, moved)
 

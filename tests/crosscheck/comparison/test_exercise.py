@@ -95,12 +95,25 @@ def test_controls_swing_within_half_of_their_ranges(tmp_path: Path) -> None:
     assert "its control held at 0" in hows["actuator 'of_length'"]
     (line,) = [line for line in found.report.start if line.startswith("exercised: ")]
     assert line.startswith("exercised: 5 actuators driven at 0.7 to 1.9 Hz, ")
-    assert (
-        "1 control moved off the ends of their ranges, 1 actuator with the controls of the file (of_length)"
-        in line
-    )
+    assert "1 control moved inside the ranges of control and force (end from 0 to 0.025), " in line
+    assert "1 actuator with the controls of the file (of_length)" in line
     slow = driven["p", 0][1]  # what its filter leaves of the range, at its fastest
     assert 0.0 < slow.amplitude <= 3.0 * 0.5 * 0.2 / np.hypot(1.0, 0.05 * 2.0 * np.pi * 1.9) * (1 + 1e-12)
+
+
+def test_controls_that_the_file_clips_are_named(tmp_path: Path) -> None:
+    """A control of 1 asks for 2 N m of 0.1, and one of 5 is beyond its range."""
+    servos = (
+        '<position name="weak" joint="p" kp="2" ctrlrange="-3 3" forcerange="-0.1 0.1"/>'
+        '<motor name="far" joint="q" ctrlrange="-1 1"/>'
+    )
+    text = model(PAIR, f'<actuator>{servos}</actuator><keyframe><key name="go" ctrl="1 5"/></keyframe>')
+    found = reading(tmp_path, text, exercise=True)
+    (line,) = [line for line in found.report.start if line.startswith("exercised: ")]
+    assert "weak from 1 to " in line
+    found = reading(tmp_path, text)
+    hows = {entry.element: entry.how for entry in found.report.entries}
+    assert "its control 5 is clipped to 1 by its range" in hows["actuator 'far'"]
 
 
 def test_start_velocities_leave_room_to_the_force_of_a_damped_servo(tmp_path: Path) -> None:
