@@ -41,6 +41,7 @@ SEED = 0  # of the directions of start velocities
 RANDOM_AMPLITUDE = 0.2  # rad, and sizes, that `random_states` moves joints by before it closes the loops
 STRAY = 3.0  # how many times as far as that a joint may end up from where it started
 ATTEMPTS = 50
+ROUND_OFF = 1e-9  # relative, of velocities
 AT_REST = 1e-9  # rad/s and sizes/s, below which a mechanism that is given velocities cannot move
 
 
@@ -51,8 +52,8 @@ def moving(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[Scene, str]:
         scene: at its start.
         bounds: limits of what the velocities change at once, such as the force of a servo with damping, and
             of joint coordinates. The velocities use at most `ROOM_SHARE` of the room that each limit leaves,
-            for coordinates in the whole duration. A joint moves to the side where its limits leave more room,
-            unless a closed loop decides its direction.
+            for coordinates in the whole duration. A joint moves to the side where its limits leave more room.
+            If a closed loop decides its direction, all joints move the way that allows the higher speed.
 
     Returns:
         The scene, and how fast joints turn and slide, in words. A start where constraints lose rank stays at
@@ -75,9 +76,12 @@ def moving(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[Scene, str]:
         limits[acting] = np.minimum(limits[acting], 1.0 / (np.sum(acting) * np.abs(row[acting])))
     rng = np.random.default_rng(SEED)
     signs = rng.choice([-1.0, 1.0], system.nv)
-    for k, down, up in _rooms(system, bounds):
-        signs[k] = signs[k] if down == up else np.sign(up - down)
-        limits[k] *= np.clip(ROOM_SHARE * max(down, up) / (scene.duration * limits[k]), LEAST_SHARE, 1.0)
+    rooms, fastest = list(_rooms(system, bounds)), limits.copy()
+    for room in rooms:
+        k, (down, up) = room.place, (room.down, room.up)
+        if k is not None:
+            signs[k] = signs[k] if down == up else np.sign(up - down)
+            limits[k] *= np.clip(ROOM_SHARE * max(down, up) / (scene.duration * limits[k]), LEAST_SHARE, 1.0)
     wanted = limits * signs * rng.uniform(0.5, 1.0, system.nv)
     free = orthonormal_null(jacobian, constraint_rank(system))
     v = system.velocity_units * (free @ (free.T @ (wanted / system.velocity_units)))
@@ -85,6 +89,11 @@ def moving(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[Scene, str]:
     if max(np.max(np.abs(v) / limits, initial=0.0), np.max(spins, initial=0.0) / SPIN) * SPIN < AT_REST:
         return scene, "no start velocities, as constraints leave none"
     v /= max(np.max(np.abs(v) / limits), np.max(spins, initial=0.0) / SPIN, *(abs(row @ v) for row in rows))
+    forth, back = (_share_of_rooms(system, rooms, fastest, q, sign * v) for sign in (1.0, -1.0))
+    if min(forth, back) > 1.0 + ROUND_OFF:
+        v /= min(forth, back)
+    if forth > max(1.0, back) * (1.0 + ROUND_OFF):
+        v = -v
     state = assemble(scene, system.state(q, v))
     speeds = {
         "rad/s": float(np.max(_spins(scene, system, q, v), initial=0.0)),
@@ -115,24 +124,60 @@ def _rate_rows(system: Relative, q: Array, bounds: Iterable[Bounds]) -> list[Arr
     return rows
 
 
-def _rooms(system: Relative, bounds: Iterable[Bounds]) -> Iterator[tuple[int, float, float]]:
-    """Yield the number of a velocity, and the room below and above that limits of its coordinate leave.
+class Room(NamedTuple):
+    """Room that the limits of a joint coordinate leave at the start.
 
-    A coordinate that starts outside of its limits, m or rad, has no room on that side and may move inwards.
-    A range of no width, which exporters write for limits that they do not know, is none.
+    Attributes:
+        key: of the coordinate.
+        place: number of its velocity; None if the joint is cut.
+        down, up: distances to the limits, m or rad.
+    """
+
+    key: Key
+    place: int | None
+    down: float
+    up: float
+
+
+def _rooms(system: Relative, bounds: Iterable[Bounds]) -> Iterator[Room]:
+    """Yield the room that limits of each joint coordinate leave.
+
+    A coordinate that starts outside of its limits has no room on that side and may move inwards. A range of
+    no width, which exporters write for limits that they do not know, is none.
     """
     start = initial_state(system.scene)
     for bound in bounds:
         if bound.by_rate or len(bound.terms) != 1 or isinstance(bound.constant, TimeFunction):
             continue
         ((key, factor),) = bound.terms
-        slope, place = bound.by_value * factor, system.tree.place(*key)
-        if not slope or place is None or bound.low == bound.high:
+        slope = bound.by_value * factor
+        if not slope or bound.low == bound.high:
             continue
         value = bound.constant + slope * measured_coordinate(system.scene, start, key)[0]
-        rooms = max(0.0, value - bound.low) / abs(slope), max(0.0, bound.high - value) / abs(slope)
-        down, up = rooms if slope > 0.0 else rooms[::-1]
-        yield place[1], down, up
+        sides = max(0.0, value - bound.low) / abs(slope), max(0.0, bound.high - value) / abs(slope)
+        down, up = sides if slope > 0.0 else sides[::-1]
+        place = system.tree.place(*key)
+        yield Room(key, None if place is None else place[1], down, up)
+
+
+def _share_of_rooms(system: Relative, rooms: Iterable[Room], fastest: Array, q: Array, v: Array) -> float:
+    """Compute the largest rate of a limited coordinate by the rate that the room on its side allows.
+
+    Args:
+        system, rooms: of the scene at its start.
+        fastest: (nv,) rates that are allowed where there are no limits, m/s or rad/s.
+        q, v: coordinates and velocities of the tree.
+    """
+    scene, state, share = system.scene, system.state(q, v), 0.0
+    for room in rooms:
+        rate = measured_coordinate(scene, state, room.key)[1]
+        if room.place is not None:
+            most = fastest[room.place]
+        else:
+            most = SPEED * scene.mechanism.size if scene.mechanism.is_slide(*room.key) else SPIN
+        side = room.up if rate > 0.0 else room.down
+        share = max(share, abs(rate) / np.clip(ROOM_SHARE * side / scene.duration, LEAST_SHARE * most, most))
+    return float(share)
 
 
 def _spins(scene: Scene, system: Relative, q: Array, v: Array) -> Array:

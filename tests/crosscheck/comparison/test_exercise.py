@@ -148,6 +148,35 @@ def test_start_velocities_stay_within_the_limits_of_joints(tmp_path: Path) -> No
     assert acting == {"joint 'out'"}
 
 
+@pytest.mark.parametrize("joint", ["a", "b", "c"])
+@pytest.mark.parametrize(("limits", "inwards"), [("-0.5 90", 1.0), ("-90 0.5", -1.0)])
+def test_start_velocities_of_a_closed_loop_stay_within_the_limits_of_joints(
+    joint: str, limits: str, inwards: float, tmp_path: Path
+) -> None:
+    """The loop decides how joints move together: all move the way in which the limited one has room."""
+
+    def hinge(name: str) -> str:
+        limited = f'range="{limits}"' if name == joint else ""
+        return f'<joint name="{name}" axis="0 1 0" {limited}/>'
+
+    bodies = (
+        f'<body name="crank">{hinge("a")}{BOX.format("0 0 0.1")}'
+        f'<body name="coupler" pos="0 0 0.2">{hinge("b")}{BOX.format("0.25 0 0.05")}'
+        '<site name="p" pos="0.5 0 0.1"/></body></body>'
+        f'<body name="rocker" pos="0.5 0 0">{hinge("c")}{BOX.format("0 0 0.15")}'
+        '<site name="q" pos="0 0 0.3"/></body>'
+    )
+    loop = '<equality><connect name="loop" site1="p" site2="q"/></equality>'
+    option = '<option gravity="0 0 0"/>'
+    found = reading(tmp_path, model(bodies, loop, option), exercise=True, duration=0.5)
+    start = initial_state(found.scene)
+    rates = {name: found.scene.mechanism.measure((name, 0), start.frames())[1] for name in "abc"}
+    assert rates[joint] * inwards > 0.0
+    assert 0.4 * SPIN < max(map(abs, rates.values())) <= SPIN
+    course = Course(found.scene, newton_euler.simulate(found.scene))
+    assert not found.report.after(course).acting
+
+
 @pytest.mark.parametrize("dynamics", ["filter", "filterexact", "integrator"])
 def test_an_early_activation_is_read_as_that_of_the_state(tmp_path: Path, dynamics: str) -> None:
     """MuJoCo takes `actearly` activations from the end of its time step, which no motion in time has."""
