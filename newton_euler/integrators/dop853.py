@@ -22,7 +22,14 @@ from newton_euler.integrators.dop853_tableau import (
     SECOND_OF_STEP,
     STAGES,
 )
-from newton_euler.integrators.projection import begin_adaptive, finish_step, project_rows
+from newton_euler.integrators.projection import (
+    SHRINKS,
+    begin_adaptive,
+    change_by_projection,
+    finish_step,
+    project_end,
+    project_rows,
+)
 from newton_euler.integrators.round_off import ROUGH, ROUND_OFF_MARGIN, UNMEASURED, measure_round_off
 from newton_euler.integrators.row_exchange import RowExchange, copy_flags, exchange_rows
 from newton_euler.integrators.singular import HOP, HOPS, NEAR, UNSAFE, crossing_factor, evaluate
@@ -51,10 +58,10 @@ SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
 EXPONENT = -1.0 / 8.0
 """Of the error in the factor for the next step."""
 
-SIZE, GROWTH, HOPPED, DUE, UNCUT, BEYOND, LEAVES, SMOOTHNESS, NOISY = 0, 1, 2, 3, 4, 5, 6, 7, 8
+SIZE, GROWTH, HOPPED, DUE, UNCUT, BEYOND, LEAVES, SMOOTHNESS, NOISY, MOVED = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
 """Places in the vector `control`."""
 
-CONTROLS = 9
+CONTROLS = 10
 
 FAILED = 1e10
 """Stands for the error of a step that could not be evaluated or projected."""
@@ -70,7 +77,8 @@ class Dop853(Record):
         most: the largest number of steps.
         rest: rates, SI, below which a mechanism stays where it is until the end; 0 for never.
         units: (n,) of the state, SI: numbers below their unit have the absolute round-off of the unit.
-        now, at, end: states with time and parameters: where a step begins, of a stage, where it ends.
+        now, at, end, projected: states with time and parameters: where a step begins, of a stage, where it
+            ends, and the end on the constraints.
         k: (16, n + 1) derivatives of the stages.
         terms: (7, n) of the dense output.
         room: number of steps that are kept, the first ones.
@@ -81,7 +89,8 @@ class Dop853(Record):
             if steps may go beyond that end, 1 until the run has left a singular configuration where it
             began, the ratio of the squared error estimates of orders 3 and 5 of the last step, and 1 if
             round-off made most of the error estimate where it was measured last, or less than 0: minus the
-            steps that look like round-off until it is measured again.
+            steps that look like round-off until it is measured again, and the change by projection for which
+            the step was rejected last, in units of the tolerance.
     """
 
     rtol: float
@@ -94,6 +103,7 @@ class Dop853(Record):
     now: Vector
     at: Vector
     end: Vector
+    projected: Vector
     k: Vector
     terms: Vector
     room: int
@@ -342,11 +352,13 @@ def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853
     for i in range(system.inputs):
         method.at[i] = now[i]
         method.end[i] = now[i]
+        method.projected[i] = now[i]
     status = begin_adaptive(system, table, states, now, method.k)
     if status != DONE:
         return status
     copy_flags(system.exchange, now, method.at)
     copy_flags(system.exchange, now, method.end)
+    copy_flags(system.exchange, now, method.projected)
     for i in range(system.n):
         method.round_off[i] = 0.0
     method.control[DUE] = 1.0
@@ -358,6 +370,7 @@ def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853
     method.control[BEYOND] = 0.0
     method.control[LEAVES] = 1.0
     method.control[NOISY] = 0.0
+    method.control[MOVED] = HUGE
     return DONE
 
 
@@ -435,6 +448,21 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         control[SIZE] = h * max(SMALLEST, SAFETY * error**EXPONENT)
         control[GROWTH] = 1.0
         return DONE
+    status = project_end(system, near, end, method.projected, method.at)
+    moved = 0.0
+    if status != DONE:
+        moved = FAILED
+    elif near == 0 and system.projecting == 1:
+        moved = change_by_projection(system, method.at, method.projected, method.rtol, method.atol)
+    if status != DONE or (moved >= 1.0 and moved < SHRINKS * control[MOVED]):
+        counts[REJECTED] += 1.0
+        if status != DONE and h < 1e-10 * (stop - table.times[0]):
+            return status
+        control[SIZE] = h * max(SMALLEST, SAFETY * moved**EXPONENT)
+        control[GROWTH] = 1.0
+        control[MOVED] = moved
+        return DONE
+    control[MOVED] = HUGE
     keep_step(system.exchange, h, method, int(counts[STEPS]))
     counts[STEPS] += 1.0
     if near == 0 and excess >= 1.0:
@@ -445,17 +473,18 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         if status != DONE:
             return status
     for i in range(n):
-        now[i] = end[i]
+        now[i] = method.projected[i]
     now[n] = now[n] + h
     if control[BEYOND] == 1.0 and now[n] > stop:
         for i in range(n):
             now[i] = states[n * (table.count - 1) + i]
         now[n] = stop
-    status = finish_step(system, near, now, end)
+        status = finish_step(system, near, now, end)
     changed = exchange_rows(system.exchange, now)
     if changed == 1:
         copy_flags(system.exchange, now, method.at)
         copy_flags(system.exchange, now, end)
+        copy_flags(system.exchange, now, method.projected)
     if status == DONE and (system.projecting == 1 or changed == 1):
         status = evaluate(system, now, k)
     if status != DONE:

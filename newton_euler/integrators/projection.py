@@ -11,6 +11,8 @@ forms:
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from newton_euler.codegen.native import Vector, native
@@ -55,6 +57,10 @@ SURE = 1e-10
 SQUARING = 1e-4
 """A residual r leaves one of r^2 times a number that grows with the root of 1 / pivot ratio; a hundred such
 are allowed for."""
+
+SHRINKS = 0.5
+"""Factor by which projection has to change a shorter step less than the longer one before it. The change
+falls with a high power of the step; what does not fall is round-off."""
 
 COME_OPEN = 1e-2
 """Lengths of the mechanism's longest body, or rad, by which a joint may drift without projection before what
@@ -260,6 +266,48 @@ def finish_step(system: Equations, near: int, now: Vector, carried: Vector) -> i
     if near == 1:
         return project_densely(system, now, system.beside)
     return project(system, 1, now)
+
+
+@native
+def project_end(system: Equations, near: int, end: Vector, projected: Vector, unprojected: Vector) -> int:
+    """Complete a step that may still be rejected; returns a status.
+
+    Args:
+        near: 1 near a singular configuration, where projection is by the dense form, else 0.
+        end: state (n,) where the step ends, and the time.
+        projected: state with time and parameters, which becomes the completed end.
+        unprojected: (n,) becomes the end, with its angles in the revolutions of `projected`.
+    """
+    for i in range(system.n):
+        projected[i] = end[i]
+        unprojected[i] = end[i]
+    projected[system.n] = end[system.n]
+    return finish_step(system, near, projected, unprojected)
+
+
+@native
+def change_by_projection(
+    system: Equations, unprojected: Vector, projected: Vector, rtol: float, atol: float
+) -> float:
+    """Compute how far projection moved a state (n,): root mean square in units of the tolerance.
+
+    The change is the part of a step's error that opens the constraints. The error estimate of a step cannot
+    see the change. Coordinates and velocities are measured by their norms, not one by one: projection spreads
+    the change over all of them, those that are near zero included.
+    """
+    total = 0.0
+    for part in range(2):
+        first = 0 if part == 0 else system.nq
+        end = system.nq if part == 0 else system.n
+        change = 0.0
+        size = 0.0
+        for i in range(first, end):
+            change += (projected[i] - unprojected[i]) * (projected[i] - unprojected[i])
+            size += projected[i] * projected[i]
+        if end > first:
+            scale = atol + rtol * sqrt(size / (end - first))
+            total += change / (scale * scale)
+    return sqrt(total / system.n) if system.n > 0 else 0.0
 
 
 @np.errstate(invalid="ignore")  # of hinges in a row, which do not reach every orientation

@@ -15,7 +15,13 @@ import numpy as np
 
 from newton_euler.codegen.native import Callback, Record, Vector, native
 from newton_euler.integrators.lu import factor_complex, factor_real, solve_complex, solve_real, zero_block
-from newton_euler.integrators.projection import begin_adaptive, finish_step, project_rows
+from newton_euler.integrators.projection import (
+    SHRINKS,
+    begin_adaptive,
+    change_by_projection,
+    project_end,
+    project_rows,
+)
 from newton_euler.integrators.row_exchange import copy_flags, exchange_rows
 from newton_euler.integrators.singular import HOP, UNSAFE, evaluate
 from newton_euler.integrators.stepper import (
@@ -91,7 +97,8 @@ class Radau(Record):
     Attributes:
         rtol, atol, most: tolerances and the largest number of steps.
         jacobian: derivative (n, n) of the rates by a state.
-        now, at: states with time and parameters: where a step begins, of a stage.
+        now, at, projected: states with time and parameters: where a step begins, of a stage, and where the
+            step ends on the constraints.
         before: (n,) where the step before began.
         slope: (n + 2) derivative at `now`, and its pivot ratio.
         z, w: (3, n) stages, and their transforms.
@@ -109,6 +116,7 @@ class Radau(Record):
     jacobian: Callback
     now: Vector
     at: Vector
+    projected: Vector
     before: Vector
     slope: Vector
     z: Vector
@@ -303,12 +311,16 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
     counts = system.counts
     rtol = method.rtol
     atol = method.atol
+    projected = method.projected
+    unprojected = method.w  # which is free between two steps
     for i in range(system.inputs):
         at[i] = now[i]
+        projected[i] = now[i]
     status = begin_adaptive(system, table, states, now, slope)
     if status != DONE:
         return status
     copy_flags(system.exchange, now, at)
+    copy_flags(system.exchange, now, projected)
     stop = times[table.count - 1]
     d0 = scaled_norm(n, now, now, rtol, atol)
     d1 = scaled_norm(n, slope, now, rtol, atol)
@@ -319,6 +331,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
     factored = 0
     before_h = 0.0
     before_error = 0.0
+    moved_before = HUGE
     rejected = 0
     m = 0
     for i in range(3 * n):
@@ -383,6 +396,23 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
             factored = 0
             rejected = 1
             continue
+        for i in range(n):
+            f[i] = now[i] + z[2 * n + i]
+        f[n] = now[n] + h
+        status = project_end(system, 0, f, projected, unprojected)
+        moved = 0.0
+        if status == DONE and system.projecting == 1:
+            moved = change_by_projection(system, unprojected, projected, rtol, atol)
+        if status != DONE or (moved >= 1.0 and moved < SHRINKS * moved_before):
+            counts[REJECTED] += 1.0
+            if status != DONE and h < 1e-10 * (stop - times[0]):
+                return status
+            h = h * (max(SMALLEST, safety * moved**-0.25) if status == DONE else SMALLEST)
+            moved_before = moved if status == DONE else HUGE
+            factored = 0
+            rejected = 1
+            continue
+        moved_before = HUGE
         counts[STEPS] += 1.0
         rejected = 0
         factor = min(FASTEST, max(SMALLEST, safety * factor))
@@ -397,10 +427,10 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         if status != DONE:
             return status
         for i in range(n):
-            method.before[i] = now[i]
-            now[i] += z[2 * n + i]
+            revolutions = unprojected[i] - (now[i] + z[2 * n + i])
+            method.before[i] = now[i] + revolutions
+            now[i] = projected[i]
         now[n] = now[n] + h
-        status = finish_step(system, 0, now, method.before)
         changed = exchange_rows(system.exchange, now)
         if status == DONE:
             status = evaluate(system, now, slope)
@@ -411,6 +441,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         fresh = 0
         if changed == 1:
             copy_flags(system.exchange, now, at)
+            copy_flags(system.exchange, now, projected)
         if changed == 1 or (taken > 2 and convergence > 1e-3):
             method.jacobian(now, method.matrix)
             fresh = 1
