@@ -66,8 +66,11 @@ def time_limit(seconds: float, progress: Callable[[float], None] = lambda used: 
 
 
 @contextmanager
-def limited(what: str, advice: str, progress: Callable[[str], None]) -> Iterator[None]:
-    """Interrupt the block after the limit `time`; `progress` is told `what` it does, errors say `advice`.
+def limited(what: str, advice: str, progress: Callable[[str], None], name: str = "time") -> Iterator[None]:
+    """Interrupt the block after a limit; `progress` is told `what` it does, errors say `advice`.
+
+    Args:
+        name: of the limit, s of processor time.
 
     Outside of the main thread, which alone can be interrupted, there is no limit.
 
@@ -78,7 +81,7 @@ def limited(what: str, advice: str, progress: Callable[[str], None]) -> Iterator
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    most = limit("time")  # of processor time: a wait is no reason to give up
+    most = limit(name)  # of processor time: a wait is no reason to give up
 
     def tell(used: float) -> None:
         if used > PATIENCE:
@@ -89,7 +92,7 @@ def limited(what: str, advice: str, progress: Callable[[str], None]) -> Iterator
             yield
     except TooLongError:
         message = (
-            f"{what}: given up after {number_text(most)} s of processor time; {advice}; {too_small('time')}"
+            f"{what}: given up after {number_text(most)} s of processor time; {advice}; {too_small(name)}"
         )
         raise TooLongError(message) from None
 

@@ -41,6 +41,9 @@ FEWEST_STATES, MOST_STATES = 4, 20
 MOST_ACTING = 2
 """Elements that a verdict names of those that act and are not simulated."""
 
+NO_VERDICT = "it is left out, the verdict does not depend on it"
+"""What to do about coverage that takes too long."""
+
 MISREAD = "the scene is not what the file says: no engine was run, and nothing else was compared"
 """Note on a crosscheck that ends with the comparison with the file."""
 
@@ -363,7 +366,7 @@ def crosscheck(
                 measured.extend(measure(source, scene, engine, runs[engine.name], known))
     found: Coverage | None = None
     what = "working out what the motion covers"
-    with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
+    with as_far_as_it_goes(what, beside), limited(what, NO_VERDICT, progress, "coverage_time"):
         found = coverage(scene, comparable, rows)
     singular: Passage | None = None
     what = "searching singular configurations"

@@ -36,7 +36,7 @@ from mjcf.reading.laws import exercise as exercised
 from mjcf.reading.leftovers import report_leftovers
 from mjcf.reading.loops import Loops
 from mjcf.reading.plausibility import key_findings, mesh_findings
-from mjcf.reading.source import UNNAMED, SourceError, compiled, given, model_name
+from mjcf.reading.source import UNNAMED, SourceError, check_memory, compiled, given, model_name
 from mjcf.reading.start import Start
 from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.assemble import assemble
@@ -119,17 +119,18 @@ def read(
             where, made, sizes = given(model)
             if root is not None:
                 raise OptionError("root", root, "none, as a model in memory refers to no files")
+        check_memory(where, made)
+        found_of_file = [*mesh_findings(made), *key_findings(made, sizes)]
         found = _reading(where, copy.copy(made), key, request)
         try:
             originals = [_original(copy.copy(made), key, found)]
             if made.nu:
                 originals.append(_driven(where, made, key, request))
-            if request.exercise:
+            if request.exercise:  # the last use of the model, which takes no copy
                 found = _exercised(where, made, key, request, found)
             report = found.report
             report.originals.extend(originals)
             report.findings.extend(plausibility.findings(found.scene.mechanism))
-            found_of_file = [*mesh_findings(made), *key_findings(made, sizes)]
             report.findings.extend(plausibility.grouped(found_of_file))
             if request.verified:
                 report.start.append(check(report))
@@ -172,10 +173,10 @@ def _random_control(model: Any) -> Array:
 
 @np.errstate(all="ignore")  # what overflows is refused
 def _exercised(where: str, model: Any, key: str | None, request: Request, found: Reading) -> Reading:
-    """Drive actuators, and let joints move at the start unless the file does."""
+    """Drive actuators, and let joints move at the start unless the file does. The model is changed."""
     start = found.start
     plan = exercised(found.scene, found.drives, np.array(start.data.ctrl), start.model.actuator_ctrladr)
-    driven = _reading(where, copy.copy(model), key, request, plan.control, plan.swings)
+    driven = _reading(where, model, key, request, plan.control, plan.swings)
     names = [model.actuator(k).name or repr(k) for k in range(model.nactuator)]
     said = []
     if plan.swings:

@@ -59,6 +59,7 @@ LIMITS = {
     "array_size": Limit(200, "MB", "of the arrays of a run when unpacked"),
     "memory": Limit(None, "MB", "for a process that compiles a file or reads its meshes"),
     "compile_time": Limit(2, "s", "for MuJoCo to compile a file, beside 0.2 s for each MB of its assets"),
+    "coverage_time": Limit(60, "s", "of processor time to work out what the motion covers"),
     "time": Limit(600, "s", "of processor time for the run of one engine, and for one comparison"),
 }
 """By name."""

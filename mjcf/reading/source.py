@@ -17,6 +17,7 @@ import numpy as np
 from mjcf.errors import MjcfError
 from mjcf.reading.compile import compile_spec
 from newton_euler.errors import quoted
+from newton_euler.free_memory import free_memory
 from newton_euler.limits import MB, exceeded, limit, size_in_bytes, too_small
 from newton_euler.model import source_file
 from newton_euler.model.source_file import LARGEST, NOT_FINITE, read_text, scan
@@ -40,6 +41,9 @@ OUT_OF_MEMORY = ("MemoryError", "llocat", "bad_alloc")
 FULL = 0.5
 """Share of its memory above which a process that crashed did so for lack of it: models that need more have
 used 85 % of it by then, those that MuJoCo crashes on a few MB."""
+
+COPIES = 5
+"""Largest number of copies of a compiled model that its reading holds at a time."""
 
 UNKNOWN = "unknown exception"
 """Words of MuJoCo for an error of which it says nothing."""
@@ -154,6 +158,14 @@ def compiled(path: str, root: str | None = None) -> tuple[Any, KeySizes]:
     _check_counts(path, model)
     keys = scan.keys if len(scan.keys) == model.nkey else []  # others come from models that are attached
     return model, dict(enumerate(keys))
+
+
+def check_memory(where: str, model: Any) -> None:
+    """Raise `SourceError` if the copies of a compiled model that a reading makes exceed the free memory."""
+    size, free = model.nbuffer / MB, free_memory() / MB
+    if COPIES * size > free:
+        needed = f"its reading needs {COPIES * size:.0f} MB of memory, {free:.0f} MB are free"
+        raise SourceError(where, f"compiled it takes {size:.0f} MB, mostly of meshes; {needed}")
 
 
 def given(model: object) -> tuple[str, Any, KeySizes]:

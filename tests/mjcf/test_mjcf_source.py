@@ -81,3 +81,14 @@ def test_lack_of_memory_is_told_from_a_crash_by_what_was_used(
         compiled(str(path))
     assert ("--set memory=3600" in str(error.value)) == lacks
     assert ("unknown exception" in str(error.value)) != lacks
+
+
+def test_copies_of_a_model_that_exceed_the_free_memory_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before they are made; a run that takes all memory is ended by the system without a word."""
+    path = tmp_path / "model.xml"
+    path.write_text(model(PAIR), encoding="utf-8")
+    monkeypatch.setattr(source, "free_memory", lambda: 1000)
+    with pytest.raises(SourceError, match="MB of memory, 0 MB are free"):
+        mjcf.read(path)

@@ -196,3 +196,16 @@ def test_undamped_motions_whose_decay_is_round_off_bound_the_step() -> None:
         assert not is_stable_in_rk4(swings, 1e-3)
         assert is_stable_in_rk4(swings, 2e-4)
     assert is_stable_in_rk4(np.array([50.0]), 1e-2)  # what grows may
+
+
+def test_coverage_that_takes_too_long_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    def endless(*arguments: Any) -> None:
+        without_end(pendulum())
+
+    monkeypatch.setattr("crosscheck.run.coverage", endless)
+    monkeypatch.setattr(limit, "PERIOD", 0.1)
+    with changed({"coverage_time": 0.5}):
+        result = crosscheck(pendulum(), choose(["newton_euler", "mujoco"]), lambda _: None, "x", {})
+    assert (result.coverage, result.unfinished, result.differs) == (None, (), False)
+    (note,) = result.notes
+    assert note.endswith("to allow more: --set coverage_time=2")
