@@ -184,11 +184,12 @@ class Outputs:
     @np.errstate(all="ignore")  # what overflows fails
     def _settle_reactions(self, arrays: dict[str, Array], run: int) -> None:
         code, times, pivot_ratio = self._code, self._times, arrays["pivot_ratio"]
-        for row in range(len(pivot_ratio)) if code.redundant else np.flatnonzero(~(pivot_ratio > 0.0)):
-            system, state = (
-                at_time(code.float_system(self._x[run]), float(times[row])),
-                self._states[run, row],
-            )
+        open_rows = np.arange(len(pivot_ratio)) if code.redundant else np.flatnonzero(~(pivot_ratio > 0.0))
+        if not len(open_rows):
+            return
+        system_of_run = code.float_system(self._x[run])  # parameters make equations of their own
+        for row in open_rows:
+            system, state = at_time(system_of_run, float(times[row])), self._states[run, row]
             try:
                 evaluation = system.evaluate(state[: system.nq], state[system.nq :])
             except NewtonEulerError as error:

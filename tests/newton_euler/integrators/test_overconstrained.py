@@ -198,6 +198,15 @@ def test_states_where_the_first_rows_are_dependent_are_like_their_neighbors():
         assert own == pytest.approx(np.dot([-1.0, 4.0, 4.0, -1.0], others) / 6.0, rel=1e-6)
 
 
+def test_reactions_at_all_outputs_come_from_one_set_of_equations(monkeypatch):
+    """Equations with other parameter values are expensive to set up."""
+    compiled, made = newton_euler.compile_scene(linkage("bennett"), parameters=["gravity"]), []
+    make = type(compiled).float_system
+    monkeypatch.setattr(type(compiled), "float_system", lambda *given: made.append(make(*given)) or made[-1])
+    run = compiled.simulate()
+    assert len(made) < 3 < len(run.time)
+
+
 def test_where_shares_are_constant_no_rows_are_exchangeable():
     """Plane loops in space, redundant in the same way everywhere: their equations have no flags."""
     for name in ("four_bar", "andrews", "stewart", "tracker"):
