@@ -68,4 +68,5 @@ def what_acted(entry: ImportedElement) -> str:
     """Word which element acted."""
     if entry.topic == CONTACTS:
         return CONTACTS
-    return f"{entry.topic} of {entry.element}" if entry.topic else entry.element
+    named = entry.element.endswith(entry.topic)  # as "option density" of topic "density", and without a topic
+    return entry.element if named else f"{entry.topic} of {entry.element}"

@@ -198,7 +198,7 @@ class Crosscheck:
                 said.append(self._reduced)
             differ = "; ".join(filter(None, said))
             return f"{Outcome.DISAGREE}{self._of_engines}", f"{differ} ({self._failed})"
-        agree = f"{names} agree on {self.title} in all {self._judged} figures{self._beside}"
+        agree = f"{names} agree on {self.title} in all {len(self.judged)} figures{self._beside}"
         if self._reduced:
             agree = f"{self._reduced}; {agree}"
         some = self.outcome in (Outcome.AGREE_OF_SOME_ENGINES, Outcome.UNFINISHED)
@@ -227,22 +227,23 @@ class Crosscheck:
         """Those of a single engine."""
         failed = next((row for row in self.figures if not row.agrees), None)
         if failed is None:
-            return f"hold, all {self._judged}{self._beside}"
+            return f"hold, all {len(self.judged)}{self._beside}"
         return (
             f"fail at level '{failed.level}': {failed.quantity}: {failed.value:.3g} > "
             f"{failed.tolerance:.3g}, worst at {failed.where} ({self._failed})"
         )
 
     @property
-    def _judged(self) -> int:
-        return sum(not row.informs for row in self.figures)
+    def judged(self) -> tuple[Figure, ...]:
+        """Figures that decide the outcome; the verdict counts these."""
+        return tuple(row for row in self.figures if not row.informs)
 
     @property
     def _failed(self) -> str:
         """Word the number of figures that fail."""
         failed = sum(not row.agrees for row in self.figures)
         if failed:
-            return f"{failed} of {self._judged} figures fail"
+            return f"{failed} of {len(self.judged)} figures fail"
         wrong = sum(not measured.agrees for measured in self.measured)
         return f"{wrong} of {len(self.measured)} known figures fail"
 

@@ -41,10 +41,12 @@ class Verdict:
 
     Examples:
         >>> def worst(of: Verdict) -> float:
-        ...     return max(each.value / each.tolerance for each in of.figures if not each.informs)
+        ...     return max(each.value / each.tolerance for each in of.judged)
         >>> verdict = check("pendulum")
         >>> verdict.agrees, worst(verdict) <= 1.0
         (True, True)
+        >>> f"in all {len(verdict.judged)} figures" in repr(verdict)
+        True
         >>> verdict.trajectories["mujoco"].position.shape
         (1001, 2, 3)
     """
@@ -63,8 +65,13 @@ class Verdict:
 
     @property
     def figures(self) -> tuple[Figure, ...]:
-        """Compared figures, each with its tolerance and where it is worst."""
+        """All figures, `judged` ones and those that inform, with tolerance and where each is worst."""
         return self.crosscheck.figures
+
+    @property
+    def judged(self) -> tuple[Figure, ...]:
+        """Figures that decide the outcome; their number is that in the verdict's text."""
+        return self.crosscheck.judged
 
     @property
     def trajectories(self) -> Mapping[str, Trajectory]:

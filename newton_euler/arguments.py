@@ -41,6 +41,13 @@ T = TypeVar("T")
 
 PACKAGES = frozenset({"newton_euler", "mjcf", "urdf", "crosscheck"})
 
+MADE_BY = {
+    "Poses": "solve_poses(scene, ...)",
+    "State": "initial_state(scene)",
+    "Trajectory": "simulate(scene)",
+}
+"""Calls that make objects of classes that users rarely construct themselves, for messages."""
+
 UNCHECKED = "unchecked"
 """Marks hints of arguments that a function checks itself: `Annotated[Sequence[float], UNCHECKED]`."""
 
@@ -210,7 +217,8 @@ def _rule(hint: Any) -> Rule:
     if isinstance(hint, type):
         name = hint.__name__
         article = "an" if name[0] in "AEIOU" else "a"
-        return _simple(f"{article} {name}", f"{name} objects", lambda value: isinstance(value, hint))
+        made = f" ({MADE_BY[name]})" if name in MADE_BY else ""
+        return _simple(f"{article} {name}{made}", f"{name} objects", lambda value: isinstance(value, hint))
     raise TypeError(f"no rule for the type hint {hint!r}")
 
 

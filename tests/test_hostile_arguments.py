@@ -108,6 +108,13 @@ def test_errors_name_function_argument_and_value(arguments, option, value):
     assert all(part in str(error) for part in (error.function, option, repr(value), error.needed))
 
 
+def test_the_error_of_a_missing_state_names_how_to_get_one():
+    with pytest.raises(ArgumentError) as caught:
+        ne.inverse_dynamics(SWING, SWING.initial_state)
+    assert caught.value.value is None
+    assert "State (initial_state(scene))" in caught.value.needed
+
+
 @pytest.mark.parametrize(
     "call",
     [

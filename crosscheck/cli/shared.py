@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from newton_euler.model.scene import Scene
     from newton_euler.verification.import_report import ImportReport
 
+LISTS = frozenset({"ignore"})
+"""Options of scenes that have several values."""
+
 COLORS = {"": None, "holds": "green", "improved": "green", "doubtful": "yellow", "fails": "red"}
 """Of verdicts."""
 
@@ -83,15 +86,18 @@ def _heed_limits(context: click.Context, _: click.Parameter, settings: tuple[str
 
 
 def scene_options(settings: tuple[str, ...], given_as: str = "--set") -> dict[str, str]:
-    """Parse values of `--set`, or of what they are given as, into options of a scene by name."""
-    options = {}
+    """Parse values of `--set`, or of what they are given as, into options of a scene by name.
+
+    An option of `LISTS` that is given several times has all its values, between commas.
+    """
+    options: dict[str, str] = {}
     for setting in settings:
         key, equals, value = setting.partition("=")
         if not (key and equals and value):
             raise CrosscheckError(f"{given_as} {setting!r} is not of the form OPTION=VALUE")
-        if key in options:
+        if key in options and key not in LISTS:
             raise CrosscheckError(f"{given_as} {key} is given twice")
-        options[key] = value
+        options[key] = f"{options[key]},{value}" if key in options else value
     return options
 
 

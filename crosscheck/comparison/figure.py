@@ -47,9 +47,6 @@ UNRESOLVED = 1e-2
 
 EPSILON = float(np.finfo(float).eps)
 
-NOT_NEARER = "not much nearer when refined"
-"""What an unsettled engine is: nearer to the other, or to zero, by less than its own error would be."""
-
 ROUND_OFF = 1e-12
 """Relative: numbers written with 17 digits and rotated a few times, and some hundred operations in a row,
 each to 1e-16. Engines lose a fiftieth of it in the scenes of the library."""
@@ -156,10 +153,13 @@ def in_full(parts: Iterable[Iterator[Figure]]) -> Iterator[Figure]:
 def not_judged(rows: Sequence[Figure]) -> str:
     """Word the figures that are not judged for a verdict; empty if there are none."""
     found = [row.unsettled for row in rows if row.unsettled]
-    names = list(dict.fromkeys(found))
-    count = "1 more is" if len(found) == 1 else f"{len(found)} more are"
-    are = "is" if len(names) == 1 else "are"
-    return f"; {count} not judged: {' and '.join(names)} {are} {NOT_NEARER}" if found else ""
+    count = "1 more figure is" if len(found) == 1 else f"{len(found)} more figures are"
+    return f"; {count} not judged: {not_settled(found)}" if found else ""
+
+
+def not_settled(engines: Iterable[str]) -> str:
+    """Word why a figure is not judged: a finer run is not nearer by as much as its own error would be."""
+    return f"a finer run of {' and '.join(dict.fromkeys(engines))} reduces the difference too little"
 
 
 def not_compared(rows: Sequence[Figure]) -> Iterator[str]:

@@ -13,6 +13,7 @@ that and what they change by where their error control is tighter.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, cast
@@ -24,6 +25,7 @@ from crosscheck.comparison.energy import energy_balance
 from crosscheck.comparison.figure import OWN_ERROR, reach, round_off
 from crosscheck.comparison.samples import Samples, States, admissible_basis
 from crosscheck.engines import ENGINES
+from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.regress.baseline import (
     COUNTED,
     OPERATIONS,
@@ -108,7 +110,7 @@ def measure_group(group: GroupName, scene: Scene, plan: Plan) -> list[StoredFigu
     try:
         return list(GROUPS[group](Measurement(group, scene, plan)))
     except Exception as error:
-        return " ".join(f"{type(error).__name__}: {error}".split())
+        return reason_of(error)
 
 
 def with_own_errors(group: GroupName, scene: Scene, plan: Plan) -> list[StoredFigure] | str:
@@ -360,15 +362,30 @@ def _integrators(here: Measurement) -> Iterator[StoredFigure]:
     step, short = here.plan.step, here.short(STEPS["newton_euler"])
     compiled = compile_scene(short, MAIN)
     for integrator in ("RK4", "Euler"):
-        yield from here.end_of_run(integrator, compiled.simulate(integrator, step=step))
+        with _named(integrator):
+            run = compiled.simulate(integrator, step=step)
+        yield from here.end_of_run(integrator, run)
     small = compiled.operations["derivative"] <= MOST_OPERATIONS
     for formulation in FORMULATIONS if small else (MAIN,):
-        gains = compile_scene(short, formulation, "baumgarte").simulate("RK4", step=step)
-        yield from here.end_of_run(f"RK4, {formulation}, Baumgarte", gains, formulation)
+        name = f"RK4, {formulation}, Baumgarte"
+        with _named(name):
+            run = compile_scene(short, formulation, "baumgarte").simulate("RK4", step=step)
+        yield from here.end_of_run(name, run, formulation)
     if small:
         rtol = here.plan.rtol[RADAU]
-        yield from here.end_of_run(RADAU, compiled.simulate(RADAU, rtol=rtol, atol=0.01 * rtol))
+        with _named(RADAU):
+            run = compiled.simulate(RADAU, rtol=rtol, atol=0.01 * rtol)
+        yield from here.end_of_run(RADAU, run)
         yield from here.counts(compiled, RADAU)
+
+
+@contextmanager
+def _named(integrator: str) -> Iterator[None]:
+    """Name the integrator in the error of a run."""
+    try:
+        yield
+    except NewtonEulerError as error:
+        raise CrosscheckError(f"{integrator}: {error}") from error
 
 
 def _engine(here: Measurement) -> Iterator[StoredFigure]:

@@ -9,7 +9,7 @@ import numpy as np
 from crosscheck.activity import acted
 from crosscheck.against.compare import Against
 from crosscheck.comparison.coverage import Coverage
-from crosscheck.comparison.figure import FILE, NOT_NEARER, Figure, not_compared
+from crosscheck.comparison.figure import FILE, Figure, not_compared, not_settled
 from crosscheck.comparison.known_figures import Measured
 from crosscheck.comparison.runs import displacements
 from crosscheck.comparison.samples import admissible_basis, body_units
@@ -150,7 +150,7 @@ def _table(title: str, rows: list[Figure]) -> Table:
 def _cell(row: Figure) -> Cell:
     about = f"worst at {row.where}"
     if row.unsettled:
-        return Cell(f"{row.value:.1e} not judged", "", f"{row.unsettled} is {NOT_NEARER}; {about}")
+        return Cell(f"{row.value:.1e} not judged", "", f"{not_settled([row.unsettled])}; {about}")
     if row.informs:
         return Cell(f"{row.value:.1e}", "", about)
     return judged(row.value, row.tolerance, row.agrees, about)

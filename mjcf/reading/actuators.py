@@ -43,6 +43,16 @@ from newton_euler.verification.import_report import CONTROL, FORCE, ROTOR, Impor
 
 TRANSMISSION, DYNAMICS, GAIN, BIAS = mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
 
+JOINT = mujoco.mjtJoint
+
+FORCE_UNITS = {
+    JOINT.mjJNT_SLIDE: "N",
+    JOINT.mjJNT_HINGE: "N m",
+    JOINT.mjJNT_BALL: "N m",
+    JOINT.mjJNT_FREE: "N, N m",
+}
+"""Units of forces along the coordinates of joints; those of a free joint are both."""
+
 TO_JOINTS = (TRANSMISSION.mjTRN_JOINT, TRANSMISSION.mjTRN_JOINTINPARENT)
 
 LIMITS = ("actuator_force", "tendon_actfrc", "jnt_actfrc")
@@ -233,7 +243,8 @@ class Actuators:
             terms = tuple((self._joints.keys[k], moment) for k, moment in (moments or {}).items())
             constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
             moving = swinging(constant, tuple(self._of_control(actuator, 1.0)))
-            watch = Bounds(terms, low, high, "N or N m", moving, law.by_length, law.by_rate)
+            unit = self._force_unit(actuator)
+            watch = Bounds(terms, low, high, unit, moving, law.by_length, law.by_rate)
             known = moments is not None or not (law.by_length or law.by_rate)
             why = f"its limit of the force, {low:g} to {high:g}"
             report.left_out(element, why, topic="limit of the force", watches=[watch] if known else [])
@@ -243,6 +254,15 @@ class Actuators:
             low, high = (float(x) for x in model.tendon_actfrcrange[tendon])
             why = f"its tendon's limit of actuator forces, {low:g} to {high:g}"
             report.left_out(element, why, topic="limit of its tendon")
+
+    def _force_unit(self, actuator: int) -> str:
+        """Unit of an actuator's force: what it is on the length or the angle of its transmission."""
+        model, target = self._model, int(self._model.actuator_trnid[actuator, 0])
+        kind = TRANSMISSION(model.actuator_trntype[actuator])
+        if kind in TO_JOINTS:
+            return FORCE_UNITS[JOINT(model.jnt_type[target])]
+        turns = kind == TRANSMISSION.mjTRN_SITE and not np.any(model.actuator_gear[actuator, :3])
+        return "N m" if turns else "N"
 
     def _pull(self, tendon: int) -> float:
         """Of all actuators on a tendon together."""
@@ -261,7 +281,7 @@ class Actuators:
         if others := self._others(joint):
             self._report.left_out(element, f"{why}, which counts {others}", topic=topic)
         elif key is not None and law is not None:
-            watch = _watch(law, low, high)
+            watch = _watch(law, low, high, FORCE_UNITS[JOINT(model.jnt_type[joint])])
             self._report.left_out(element, why, topic=topic, watches=[watch] if watch else [])
         elif data.qfrc_actuator[model.jnt_dofadr[joint]]:
             self._report.left_out(element, why, topic=topic)
@@ -416,19 +436,19 @@ class Actuators:
         return True
 
 
-def _watch(acting: Acting, low: float, high: float) -> Bounds | None:
-    """Watch a limit of the force of actuators on a joint coordinate.
+def _watch(acting: Acting, low: float, high: float, unit: str) -> Bounds | None:
+    """Watch a limit of the force of actuators on a joint coordinate, in a unit.
 
     None if the stiffnesses and the dampings of its feedback are of different sums of joint coordinates.
     """
     keys, gains = list(acting.feedback), np.array(list(acting.feedback.values())).reshape(-1, 2)
     moving = swinging(acting.constant, acting.swings)
     if not keys:
-        return Bounds((), low, high, "N or N m", moving)
+        return Bounds((), low, high, unit, moving)
     first = int(np.argmax(np.abs(gains).max(axis=1)))
     by_value, by_rate = gains[first]
     factors = gains @ gains[first] / (gains[first] @ gains[first]) if np.any(gains) else np.ones(len(gains))
     if not np.allclose(np.outer(factors, gains[first]), gains, rtol=1e-12, atol=0.0):
         return None
     terms = tuple(zip(keys, factors.tolist(), strict=True))
-    return Bounds(terms, low, high, "N or N m", moving, -float(by_value), -float(by_rate))
+    return Bounds(terms, low, high, unit, moving, -float(by_value), -float(by_rate))

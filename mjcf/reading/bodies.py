@@ -75,8 +75,10 @@ class Bodies:
         model, data = self._model, self._data
         members = self.members(root)
         name = self.names[root]
-        if model.body_mass[members].sum() <= 0.0:
-            raise SourceError(path, f"body {name!r} has no mass")
+        mass = float(model.body_mass[members].sum())
+        if not mass > 0.0:
+            problem = "has no mass" if mass == 0.0 else f"has a mass of {mass:g} kg"
+            raise SourceError(path, f"body {name!r} {problem}; needed: a positive mass")
         axes = data.ximat.reshape(-1, 3, 3)
         found = total(
             [

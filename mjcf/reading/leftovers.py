@@ -114,7 +114,9 @@ def _of_tendon(start: Start, joints: Joints, poses: Poses, tendon: int) -> Watch
     low, high = (float(x) for x in model.tendon_range[tendon])
     margin, length = float(model.tendon_margin[tendon]), float(start.data.ten_length[tendon])
     terms = tuple((joints.keys[joint], weight) for joint, weight in weights.items())
-    return Bounds(terms, low + margin, high - margin, "m or rad", length)
+    slides = {bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE) for joint in weights}
+    unit = {True: "m", False: "rad"}[slides.pop()] if len(slides) == 1 else "m or rad"
+    return Bounds(terms, low + margin, high - margin, unit, length)
 
 
 def _report_contacts(start: Start, poses: Poses, report: ImportReport) -> None:

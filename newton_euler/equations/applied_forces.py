@@ -10,7 +10,8 @@ import numpy as np
 
 from newton_euler.equations.system import fastest_joint
 from newton_euler.model.constraints import Frame
-from newton_euler.model.elements import Surroundings
+from newton_euler.model.elements import Element, Surroundings
+from newton_euler.model.forces import SPRING_AND_DAMPER
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar
@@ -68,8 +69,16 @@ def blamed(scene: Scene, state: State, reason: str, at: Surroundings) -> str:
     """Complete the reason of a failure with the fastest joint and the largest force, if there is one."""
     reason = f"{reason}; fastest at joint {fastest_joint(scene.mechanism, state)!r}"
     with np.errstate(all="ignore"):
-        found = {f.element: f.magnitude(at) for f in (*scene.joint_forces, *scene.body_forces)}
+        found = {_called(f): f.magnitude(at) for f in (*scene.joint_forces, *scene.body_forces)}
     if not found:
         return reason
     largest = max(found, key=lambda element: np.nan_to_num(found[element], nan=np.inf))
     return f"{reason}, largest force: {largest}"
+
+
+def _called(force: Element) -> str:
+    """Name a force; a spring and damper by the parts that it has."""
+    if force.strengths is not SPRING_AND_DAMPER:
+        return force.element
+    parts = [part for part, (value,) in force.strengths.items() if getattr(force, value)]
+    return force.element.replace("spring", " and ".join(parts) or "spring", 1)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 from command_line import check_refused, run, scene_file, verdict_of
 
+from crosscheck.cli.shared import scene_options
 from crosscheck.comparison.figure import LEVELS, READING, Figure
 from crosscheck.scenes import load
 from newton_euler.model.trajectory import load_arrays
@@ -41,6 +42,10 @@ def test_engines_can_be_chosen_and_the_recording_put_elsewhere(capsys, tmp_path,
         "pinocchio.npz",
         "summary.json",
     }
+
+
+def test_elements_to_ignore_may_be_given_one_by_one():
+    assert scene_options(("ignore=a", "base=free", "ignore=b")) == {"ignore": "a,b", "base": "free"}
 
 
 @pytest.mark.parametrize(

@@ -369,6 +369,14 @@ def test_models_in_memory_are_read_as_their_file_is(tmp_path):
         np.testing.assert_array_equal(points, [joint.point for joint in scenes[0].mechanism.joints])
 
 
+@pytest.mark.parametrize(("mass", "problem"), [(0.0, "has no mass"), (-1.0, "has a mass of -1 kg")])
+def test_models_in_memory_without_a_positive_mass(mass: float, problem: str) -> None:
+    compiled = mujoco.MjModel.from_xml_string(TWO_BARS)
+    compiled.body_mass[1] = mass
+    with pytest.raises(NewtonEulerError, match=f"body 'a' {problem}"):
+        read(compiled)
+
+
 def test_models_in_memory_are_read_with_their_changes_and_stay_as_they_are():
     spec = mujoco.MjSpec.from_string(TWO_BARS)
     spec.body("b").pos[2] = -0.5

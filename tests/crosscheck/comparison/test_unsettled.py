@@ -84,7 +84,11 @@ def test_an_error_that_does_not_fall_excuses_nothing(far, finer, settled):
     assert row.unsettled == ("mujoco" if settled is False else "")
     others = [row for row in rows if row.unsettled and row.quantity != "positions, m"]
     assert others == []
-    more = "; 1 more is not judged: mujoco is not much nearer when refined" if settled is False else ""
+    more = (
+        "; 1 more figure is not judged: a finer run of mujoco reduces the difference too little"
+        if settled is False
+        else ""
+    )
     assert not_judged(rows) == more
 
 
@@ -150,7 +154,7 @@ def test_what_is_not_judged_is_said_in_the_verdict_tables_and_pages(tmp_path):
     engines = [ENGINES["newton_euler"], off("pinocchio", 1e-5, -1e-5)]
     result = run_crosscheck(scene, engines, lambda _: None, "pendulum.yaml", {})
     assert result.verdict.startswith("AGREE: newton_euler, pinocchio agree on pendulum in all ")
-    assert "figures; 1 more is not judged: pinocchio is not much nearer when refined" in result.verdict
+    assert "figures; 1 more figure is not judged: a finer run of pinocchio reduces" in result.verdict
     found = report(result)
     write(result, found, tmp_path, tmp_path / "pendulum.rrd", "pendulum")
     page = write_report(tmp_path, lambda _: None)

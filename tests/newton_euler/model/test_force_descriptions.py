@@ -128,3 +128,15 @@ def test_forces_that_a_scene_refuses(forces, message):
 def test_forces_that_overflow_end_in_an_error(formulation, integrator, step, force):
     with pytest.raises(IntegrationError, match=rf"stopped at t = 0 s: .* largest force: {force.element}$"):
         newton_euler.simulate(mass_on_rail(force, duration=1.0), formulation, integrator, step=step)
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "damping", "name"),
+    [(1e14, 0.0, "spring"), (0.0, 1e9, "damper"), (1e14, 1e3, "spring and damper")],
+)
+def test_the_force_that_ends_a_run_is_a_spring_or_a_damper(stiffness, damping, name):
+    scene = newton_euler.start(
+        mass_on_rail(JointSpring("rail", stiffness, damping), duration=1.0), rail=(0.1, 1.0)
+    )
+    with pytest.raises(IntegrationError, match=f"largest force: {name} of joint 'rail'$"):
+        newton_euler.simulate(scene, integrator="RK4", step=1e-2)

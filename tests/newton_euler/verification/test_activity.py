@@ -214,7 +214,9 @@ def test_limits_of_the_force_of_an_actuator(limit, fate, tmp_path):
         more=f'<actuator><position name="servo" joint="j" kp="3" forcerange="-{limit} {limit}"/></actuator>'
         + '<keyframe><key qvel="1"/></keyframe>',
     )
-    assert told(after(mjcf(tmp_path, text), 1.0), "actuator 'servo': its limit of the force")[0] == fate
+    found, how = told(after(mjcf(tmp_path, text), 1.0), "actuator 'servo': its limit of the force")
+    assert found == fate
+    assert "0.1 N m" in how
 
 
 @pytest.mark.parametrize(
