@@ -48,6 +48,7 @@ from newton_euler.equations.parameters import (
 from newton_euler.equations.redundancy import loosely_closed, mobility
 from newton_euler.errors import MechanismError, listed
 from newton_euler.integrators import stepper as m
+from newton_euler.integrators.callbacks import raise_fatal
 from newton_euler.integrators.compiled import NEUTRAL, Code
 from newton_euler.integrators.formulations import formulate
 from newton_euler.integrators.outputs import at_rows
@@ -377,14 +378,15 @@ class Assembly:
 
     def _assembled(self, own: Array, targets: Array, steps: Array) -> tuple[Array, Array]:
         """Return the states that are reached, and statuses (n,)."""
-        code, python = self.code, Fallback(self.code)
+        code, python = self.code, Fallback(self.code, np.zeros(m.COUNTS))
         # nothing here calls derivatives, and compiling them takes time
-        system = equations(code, python, python.derivative, np.zeros(code.size), np.zeros(m.COUNTS))
+        system = equations(code, python, python.derivative, np.zeros(code.size))
         found, statuses, x = targets.copy(), np.zeros(len(own)), np.zeros(code.inputs)
         passing = int(self._is_overdetermined(code))
         ways = np.ascontiguousarray(steps), np.ascontiguousarray(own), found
         course = Course(len(own), passing, *ways, x, statuses)
         native_method(assemble_all).bind(assemble_all, system, course)()
+        raise_fatal(python)
         return found, statuses
 
     def _error(self, run: int, x: Array, values: Mapping[str, Array], begun: str) -> MechanismError:

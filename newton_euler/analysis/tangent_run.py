@@ -16,9 +16,10 @@ from newton_euler.analysis.tangent_code import ALONG, RATES, REVERSING, SETTLED,
 from newton_euler.equations.parameters import pieces_along
 from newton_euler.errors import OptionError, SensitivityError
 from newton_euler.integrators import stepper as m
+from newton_euler.integrators.callbacks import Callbacks
 from newton_euler.integrators.options import Options, StepControl, most_steps
 from newton_euler.integrators.outputs import at_rows
-from newton_euler.integrators.run import Fallback, Integrator
+from newton_euler.integrators.run import Integrator
 from newton_euler.integrators.singular import FAR, NEAR, UNSAFE
 from newton_euler.integrators.tangent_steps import follow, methods
 from newton_euler.integrators.tangents import REACHED, Tangents, evaluate_along
@@ -231,7 +232,7 @@ class FollowedRun:
             for name, function in functions.items()
         }
         x, wide = np.zeros((2 * inputs, lanes)), next(iter(functions.values())).lanes
-        python, ends = Fallback(code), directions[:n].copy()
+        python, ends = Callbacks(np.zeros(m.COUNTS)), directions[:n].copy()
         tangents = Tangents(
             n=n,
             inputs=inputs,

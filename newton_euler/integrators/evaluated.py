@@ -17,8 +17,9 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import singular_values
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out
 from newton_euler.equations.system import System, rate_of_phi
-from newton_euler.errors import AssemblyError, NewtonEulerError
+from newton_euler.errors import AssemblyError
 from newton_euler.integrators import stepper as m
+from newton_euler.integrators.callbacks import Callbacks, PythonCallback, vector_at
 from newton_euler.integrators.compiled import OPEN_TOLERANCE
 from newton_euler.integrators.constraint_ratio import no_ratio
 from newton_euler.integrators.dense_projection import ROUND_OFF, closing_of
@@ -27,12 +28,9 @@ from newton_euler.integrators.projection import worst_joint
 from newton_euler.integrators.row_exchange import no_exchange
 from newton_euler.integrators.run import (
     METHODS,
-    Interruptible,
-    PythonCallback,
     dop853_of,
     native_method,
     radau_of,
-    vector_at,
 )
 from newton_euler.integrators.singular import DENSE_PIVOT_RATIO
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
@@ -81,23 +79,21 @@ def integrate_adaptive(
     return states[: int(evaluated.counts[m.WRITTEN])], found, stopped
 
 
-class EvaluatedSystem(Interruptible):
+class EvaluatedSystem(Callbacks):
     """A system whose equations native code asks Python for.
 
     Attributes:
         equations: the record of native code.
-        counts: (COUNTS,) of the run, see `newton_euler.integrators.stepper`.
         evaluations: of accelerations so far.
     """
 
     def __init__(self, system: System, options: Options) -> None:
-        super().__init__()
+        super().__init__(np.zeros(m.COUNTS))
         self._system = copy.copy(system)  # whose time changes
         self._kept = np.delete(np.arange(len(system.phi_units)), rows_left_out(system))
         self._phi_units = system.phi_units[self._kept]
         self._rank = constraint_rank(system)
-        self._error: BaseException | None = None
-        self.counts, self.evaluations = np.zeros(m.COUNTS), 0
+        self.evaluations = 0
         self._usual_ratio = 0.0
         # only DOP853 places its steps beside singular configurations, and projection keeps the branch
         watches = options.integrator == "DOP853" and options.projection and self._rank > 0
@@ -146,29 +142,20 @@ class EvaluatedSystem(Interruptible):
         )
 
     def callback(self, size: int, function: Callable[[Array, Array], Array]) -> PythonCallback:
-        """Return a native callback that writes `function(q, v)` (size,), or NaN and last -1.0 if it fails.
-
-        What is no error of the equations ends the run.
-        """
+        """Return a native callback that writes `function(q, v)` (size,), or NaN and last -1.0 if it fails."""
         system, inputs = self._system, self._system.nq + self._system.nv + 1
 
         def call(x: int, y: int, on: int) -> None:
-            try:
-                results = vector_at(y, size)
-                state = vector_at(x, inputs).copy()
-                system.time = float(state[-1])
-                results[:] = function(state[: system.nq], state[system.nq : -1])
-                self._error = None
-            except BaseException as error:  # nothing may pass through native code
-                self._error = error
-                results[:] = np.nan
-                results[-1] = -1.0
-                if not isinstance(error, NewtonEulerError | np.linalg.LinAlgError):
-                    self.counts[m.WISH] = m.STOP
-            if self._interrupted:
-                self.counts[m.WISH] = m.STOP
+            state = vector_at(x, inputs).copy()
+            system.time = float(state[-1])
+            vector_at(y, size)[:] = function(state[: system.nq], state[system.nq : -1])
 
-        return PythonCallback(call)
+        def failed(y: int, on: int) -> None:
+            results = vector_at(y, size)
+            results[:] = np.nan
+            results[-1] = -1.0
+
+        return self.guarded(call, failed)
 
     def _rates(self, q: Array, v: Array) -> Array:
         """Compute rates of q and v (n,)."""
@@ -244,11 +231,11 @@ class EvaluatedSystem(Interruptible):
         Raises:
             Exception: what is no error of the equations.
         """
-        status, error = int(self.counts[m.STATUS]), self._error
+        status, error = int(self.counts[m.STATUS]), self.error
         if status == m.DONE:
             return None
         if status == m.INTERRUPTED:
-            raise error or KeyboardInterrupt
+            raise self.fatal or KeyboardInterrupt
         system, time = self._system, float(self.counts[m.REACHED])
         system.time = time
         state = system.state(last[: system.nq], last[system.nq :])

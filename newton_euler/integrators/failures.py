@@ -9,7 +9,6 @@ import numpy as np
 from newton_euler.equations.applied_forces import blamed
 from newton_euler.equations.dense import largest_share, singular_values
 from newton_euler.equations.system import dimensionless_jacobian, fastest_joint
-from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.fixed_step import RK4_LIMIT
@@ -50,15 +49,13 @@ def failure(
         status: how the run ended.
         states: (inputs,) states of the run with time and parameters, the last one where it ended.
         counts: of the run, see `newton_euler.integrators.stepper`.
-        error: what Python raised in it.
+        error: of the equations in Python, if one ended the run.
     """
     x = states[-1]
     system, reached = code.float_system(x), float(counts[m.REACHED])
     q, v = x[: system.nq], x[system.nq : code.size]
     state = system.state(q, v)
-    if error is not None and status in (m.SINGULAR, m.OPEN):
-        if not isinstance(error, NewtonEulerError | np.linalg.LinAlgError):
-            raise error
+    if error is not None:
         reason = str(error)
     elif status in UNSTABLE and (found := _instability(code, options, _before_end(states, status))):
         reason = found

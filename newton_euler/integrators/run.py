@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-import ctypes
-import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from newton_euler.codegen.compile import CALLBACK, lane_count
+from newton_euler.codegen.compile import lane_count
 from newton_euler.codegen.native import Callback, Record
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.equations.cartesian import Cartesian
-from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.row_choice import exchanged
 from newton_euler.errors import OptionError
 from newton_euler.integrators import stepper as m
+from newton_euler.integrators.callbacks import (
+    EQUATION_ERRORS,
+    DenseCallbacks,
+    raise_fatal,
+    vector_at,
+)
 from newton_euler.integrators.compiled import OPEN_TOLERANCE, Code
 from newton_euler.integrators.constraint_ratio import READY, UNPREPARED, ConstraintRatio
 from newton_euler.integrators.dense_projection import ROUND_OFF, Closing, closing_of, unprepared
@@ -94,103 +96,24 @@ def round_off_units(code: Code) -> Array:
     return found
 
 
-class PythonCallback:
-    """A Python function that native code calls, with addresses of x and y and the lanes that are on.
+class Fallback(DenseCallbacks):
+    """Callbacks of a run into Python: singular states, by the dense float form, and interrupts."""
 
-    Attributes:
-        address: of the native callback, valid as long as this object lives.
-    """
-
-    def __init__(self, function: Callable[[int, int, int], None]) -> None:
-        self._callback = CALLBACK(function)
-        self.address = ctypes.c_void_p.from_buffer(self._callback).value
-
-
-class Callbacks(Protocol):
-    """Callbacks into Python, of `newton_euler.integrators.stepper.Equations`, and what was raised in it."""
-
-    derivative: PythonCallback
-    pause: PythonCallback
-    error: Exception | None
-
-
-class Interruptible:
-    """Interrupts of native code.
-
-    Attributes:
-        pause: callback that asks whether the user wants to stop.
-    """
-
-    def __init__(self, stopped: Sequence[bool] = ()) -> None:
-        """A run stops if `stopped`, which other threads may fill, holds something."""
-        self._stopped, self._interrupted = stopped, False
-        self.pause = PythonCallback(self._pause)
-
-    def _pause(self, counts: int, wish: int, on: int) -> None:
-        """Python runs signal handlers here, between two of its own instructions."""
-        if self._interrupted or self._stopped:
-            vector_at(wish, 1)[0] = m.STOP
-
-    @contextmanager
-    def interruptible(self) -> Iterator[None]:
-        """Turn an interrupt during native code into a wish to stop, and call its handler afterwards."""
-        handler = signal.getsignal(signal.SIGINT)
-        in_main = threading.current_thread() is threading.main_thread()  # which alone handles signals
-        if not in_main or not callable(handler):
-            yield
-            return
-
-        def note(number: int, frame: object) -> None:
-            self._interrupted = True
-
-        signal.signal(signal.SIGINT, note)
-        try:
-            yield
-        finally:
-            signal.signal(signal.SIGINT, handler)
-            if self._interrupted:
-                handler(signal.SIGINT, None)
-
-
-class Fallback(Interruptible):
-    """Callbacks of native code into Python: singular states, by the dense float form, and interrupts.
-
-    Attributes:
-        derivative: callback.
-        error: what Python raised last, if it did.
-    """
-
-    def __init__(self, code: Code, stopped: Sequence[bool] = ()) -> None:
-        super().__init__(stopped)
+    def __init__(self, code: Code, counts: Array, stopped: Sequence[bool] = ()) -> None:
+        super().__init__(counts, stopped)
         self._code = code
-        self.error: Exception | None = None
-        self.derivative = PythonCallback(self._derivative)
+        self.derivative = self.guarded(self._derivative, self._failed)
 
     def _derivative(self, x: int, y: int, on: int) -> None:
-        def rates(system: Formulation, state: Array) -> Array:
-            q, v = state[: system.nq], state[system.nq : self._code.size]
-            return np.concatenate([system.rate(q, v), system.acceleration(q, v)])
+        state, results = vector_at(x, self._code.inputs).copy(), vector_at(y, self._code.size + 1)
+        system = self._code.float_system(state)
+        q, v = state[: system.nq], state[system.nq : self._code.size]
+        with np.errstate(all="ignore"):  # the method checks what comes back
+            results[:-1] = np.concatenate([system.rate(q, v), system.acceleration(q, v)])
+        results[-1] = 1.0
 
-        self._guarded(x, y, rates)
-
-    def _guarded(self, x: int, y: int, function: Callable[[Formulation, Array], Array]) -> None:
-        """Write n results and 1.0, or anything and -1.0 if Python fails too."""
-        code = self._code
-        state, results = vector_at(x, code.inputs).copy(), vector_at(y, code.size + 1)
-        system = code.float_system(state)
-        results[-1] = -1.0
-        try:
-            with np.errstate(all="ignore"):  # the method checks what comes back
-                results[:-1] = function(system, state)
-        except Exception as error:  # nothing may pass through native code
-            self.error = error
-        else:
-            results[-1] = 1.0
-
-
-def vector_at(address: int, size: int) -> Array:
-    """Return the doubles at an address as an array."""
-    return np.ctypeslib.as_array((ctypes.c_double * size).from_address(address))
+    def _failed(self, y: int, on: int) -> None:
+        vector_at(y, self._code.size + 1)[-1] = -1.0
 
 
 class Integrator:
@@ -212,12 +135,12 @@ class Integrator:
         functions = (f for each in code.scene.functions.values() for f in each)
         if options.rest and not all(f.is_constant for f in functions):
             raise OptionError("rest", options.rest, "0 for a scene with functions of time other than Steps")
-        self._code, self._python, self._options = code, Fallback(code, stopped), options
-        self.times = times.copy()
-        self.x, self.counts = np.zeros(code.inputs), np.zeros(m.COUNTS)
+        self._code, self._options = code, options
+        self.times, self.x, self.counts = times.copy(), np.zeros(code.inputs), np.zeros(m.COUNTS)
+        self._python = Fallback(code, self.counts, stopped)
         self.table, self.steps = np.zeros((len(times), code.size)), np.zeros((room, code.flags.stop + 1))
         marked = marks(code, options.integrator)
-        system = equations(code, self._python, code.function("derivative"), marked, self.counts)
+        system = equations(code, self._python, code.function("derivative"), marked)
         table = table_of(code, self.times, self.x[None], self.table[None], np.zeros((1, m.COUNTS)))
         method = method_of(code, options, self.steps)
         self.outputs = Outputs(code, self.times, self.x[None], self.table[None], np.zeros(1))
@@ -231,14 +154,17 @@ class Integrator:
             IntegrationError: with the time reached, the reason and the joint.
         """
         self.x[:] = x
-        self._python.error = None
-        with self._python.interruptible():
+        python = self._python
+        python.begin()
+        with python.interruptible():
             self._run()
         status = int(self.counts[m.STATUS])
-        if status == m.INTERRUPTED:
+        if python.fatal is not None and not isinstance(python.fatal, EQUATION_ERRORS):
+            raise python.fatal
+        if status == m.INTERRUPTED and python.fatal is None:
             raise KeyboardInterrupt
-        if status != m.DONE:
-            error = self._python.error
+        if status != m.DONE or python.fatal is not None:
+            error = python.fatal or (python.error if status in (m.SINGULAR, m.OPEN) else None)
             raise failure(self._code, self._options, status, self._passed(x), self.counts, error)
 
     def _passed(self, begun: Array) -> list[Array]:
@@ -268,12 +194,10 @@ class Integrator:
         return results[:rows], stopped
 
 
-def equations(
-    code: Code, python: Callbacks, derivative: Callback, marked: Array, counts: Array
-) -> m.Equations:
-    """Return a scene's native functions as methods call them: in lanes, if counts (COUNTS, lanes) are of as
-    many runs."""
-    in_lanes = counts.ndim > 1
+def equations(code: Code, python: DenseCallbacks, derivative: Callback, marked: Array) -> m.Equations:
+    """Return a scene's native functions as methods call them: in lanes, if the counts (COUNTS, lanes) of the
+    callbacks are of as many runs."""
+    in_lanes = python.counts.ndim > 1
     position, velocity = (
         code.function(name, in_lanes) if code.projects else None for name in ("position", "velocity")
     )
@@ -293,53 +217,44 @@ def equations(
         position=position,
         velocity=velocity,
         closing=closing_on_demand(code, python, in_lanes),
-        exchange=exchange_of(code, in_lanes),
+        exchange=exchange_of(code, python, in_lanes),
         beside=np.zeros((code.inputs + code.size + 3, lanes)),
         pause=python.pause,
         marks=marked,
-        counts=counts,
+        counts=python.counts,
     )
 
 
-def closing_on_demand(code: Code, python: Callbacks, in_lanes: bool) -> Closing:
+def closing_on_demand(code: Code, python: DenseCallbacks, in_lanes: bool) -> Closing:
     """Return a record to close a scene with, whose functions are compiled when a run first comes near a
-    singular configuration; what is raised then is left in `python`, and the run ends."""
+    singular configuration."""
 
     def prepare(x: int, y: int, on: int) -> None:
-        try:
-            with PREPARING:
-                retract, surface = (code.function(name, in_lanes) for name in ("retract", "surface"))
-        except Exception as error:  # nothing may pass through native code
-            python.error = error
-            return
+        with PREPARING:
+            retract, surface = (code.function(name, in_lanes) for name in ("retract", "surface"))
         system, (constraints, places) = code.system, surface.layout
         functions, lanes = (retract, surface), surface.lanes
         units = system.velocity_units
         closing.become(closing_of(system.nq, units, code.inputs, places, constraints, functions, lanes))
 
-    closing = unprepared(PythonCallback(prepare), code.system.nq, code.system.nv)
+    closing = unprepared(python.guarded(prepare), code.system.nq, code.system.nv)
     return closing
 
 
-def ratio_on_demand(code: Code, python: Callbacks, in_lanes: bool) -> ConstraintRatio:
-    """Return a record of the constraints alone, whose function is compiled when pivots are first small; what
-    is raised then is left in `python`, and the run ends."""
+def ratio_on_demand(code: Code, python: DenseCallbacks, in_lanes: bool) -> ConstraintRatio:
+    """Return a record of the constraints alone, whose function is compiled when pivots are first small."""
 
     def prepare(x: int, y: int, on: int) -> None:
-        try:
-            with PREPARING:
-                function = code.function("ratio", in_lanes)
-        except Exception as error:  # nothing may pass through native code
-            python.error = error
-            return
+        with PREPARING:
+            function = code.function("ratio", in_lanes)
         ratio.become(ConstraintRatio(READY, None, function, found))
 
     found = np.zeros((1, lane_count() if in_lanes else 1))
-    ratio = ConstraintRatio(UNPREPARED, PythonCallback(prepare), None, found)
+    ratio = ConstraintRatio(UNPREPARED, python.guarded(prepare), None, found)
     return ratio
 
 
-def exchange_of(code: Code, in_lanes: bool) -> RowExchange:
+def exchange_of(code: Code, python: DenseCallbacks, in_lanes: bool) -> RowExchange:
     """Return the record of a scene's exchangeable rows."""
     rows = code.exchangeable
     if not rows.numbers:
@@ -366,7 +281,7 @@ def exchange_of(code: Code, in_lanes: bool) -> RowExchange:
         count=len(rows.numbers),
         first=code.flags.start,
         shares=shares,
-        exchange=PythonCallback(exchange),
+        exchange=python.guarded(exchange),
         found=np.zeros((shares.outputs, lanes)),
     )
 
@@ -472,10 +387,10 @@ class Projection:
     """Projection of states onto the constraints of a scene."""
 
     def __init__(self, code: Code) -> None:
-        self._python, self._projects = Fallback(code), code.projects
+        self._python, self._projects = Fallback(code, np.zeros(m.COUNTS)), code.projects
         self.x = np.zeros(code.inputs)
         rates = self._python.derivative  # projection calls none, and compiling them takes time
-        system = equations(code, self._python, rates, np.zeros(code.size), np.zeros(m.COUNTS))
+        system = equations(code, self._python, rates, np.zeros(code.size))
         self._run = native_method(project).bind(project, system, 1, self.x)
 
     def __call__(self, x: Array) -> bool:
@@ -483,7 +398,10 @@ class Projection:
         if not self._projects:
             return True
         self.x[:] = x
-        if self._run() != m.DONE:
+        self._python.begin()
+        status = self._run()
+        raise_fatal(self._python)
+        if status != m.DONE:
             return False
         x[:] = self.x
         return True

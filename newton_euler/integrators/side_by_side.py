@@ -17,20 +17,19 @@ import numpy as np
 from newton_euler.codegen.compile import lane_count
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators import stepper as m
+from newton_euler.integrators.callbacks import DenseCallbacks, vector_at
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.outputs import Outputs
 from newton_euler.integrators.run import (
     METHODS,
     Integrator,
-    PythonCallback,
     equations,
     load,
     marks,
     method_of,
     native_method,
     table_of,
-    vector_at,
 )
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
@@ -62,30 +61,33 @@ def load_lanes(code: Code, integrator: str) -> None:
             code.function(name, in_lanes=True)
 
 
-class Departure:
+class Departure(DenseCallbacks):
     """Callbacks of native code in lanes: those that would go on in Python leave.
 
-    Attributes:
-        derivative, pause: callbacks.
-        error: what Python raised; the runs that end with it are made again by scalar code, which names it.
+    Runs that leave, and those in which a callback raises an error, are made again by scalar code, which
+    reports the error.
     """
 
     def __init__(self, code: Code, counts: Array, stopped: Sequence[bool]) -> None:
-        """Of runs with these counts (COUNTS, lanes), that all stop if `stopped` holds something."""
-        self._size, self._counts, self._stopped = code.size, counts, stopped
-        self.error: Exception | None = None
-        self.derivative, self.pause = PythonCallback(self._leave), PythonCallback(self._pause)
+        """All runs stop if `stopped` holds something; `counts` are (COUNTS, lanes)."""
+        super().__init__(counts, stopped)
+        self._size = code.size
+        self.derivative = self.guarded(self._leave)
 
     def _leave(self, x: int, y: int, on: int) -> None:
-        count = self._counts.shape[1]
-        found = vector_at(y, (self._size + 1) * count).reshape(-1, count)
-        lanes = [lane for lane in range(count) if on >> lane & 1]
-        found[self._size, lanes] = -1.0
-        self._counts[m.WISH, lanes] = m.LEAVE
+        count = self.counts.shape[1]
+        vector_at(y, (self._size + 1) * count).reshape(-1, count)[self._size, self._lanes(on)] = -1.0
+        self._end(on)
+
+    def _end(self, on: int) -> None:
+        self.counts[m.WISH, self._lanes(on)] = m.LEAVE
+
+    def _lanes(self, on: int) -> list[int]:
+        return [lane for lane in range(self.counts.shape[1]) if on >> lane & 1]
 
     def _pause(self, counts: int, wish: int, on: int) -> None:
         if self._stopped:
-            self._counts[m.WISH] = m.STOP
+            self.counts[m.WISH] = m.STOP
 
 
 class Runs(NamedTuple):
@@ -115,7 +117,7 @@ class SideBySide:
         counts = np.zeros((m.COUNTS, lane_count()))
         python = Departure(code, counts, stopped)
         derivative = code.function("derivative", in_lanes=True)
-        system = equations(code, python, derivative, marks(code, options.integrator), counts)
+        system = equations(code, python, derivative, marks(code, options.integrator))
         method = method_of(code, options, np.zeros((0, 0)), lane_count())
         integrate = METHODS[options.integrator]
         self._times = times.copy()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from newton_euler.codegen.native_functions import NativeFunctions
+from newton_euler.integrators.callbacks import PythonCallback, vector_at
 from newton_euler.integrators.dense_projection import WEAK, close, closing_of
-from newton_euler.integrators.run import PythonCallback, vector_at
 
 
 def closed(form, jacobian, b, mass, units, q, v):

@@ -26,7 +26,7 @@ def recorded(code, times, table):
     """The rows after the first, and what came of it."""
     assert code.function("position").lanes == code.function("velocity").lanes == REGISTER > 1
     counts, table = np.zeros(m.COUNTS), table.copy()
-    system = equations(code, Fallback(code), code.function("derivative"), np.zeros(code.size), counts)
+    system = equations(code, Fallback(code, counts), code.function("derivative"), np.zeros(code.size))
     x = code.start.copy()
     target = m.Table(len(table), code.size, 1, 1, np.zeros(1), times, x, table, counts)
     status = NativeFunctions([project_rows])(project_rows, system, target, table, 1, len(table), 0, x)
