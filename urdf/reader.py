@@ -465,5 +465,5 @@ def _report_joints(joints: list[JointProperties], start: Start, tree: Tree, repo
 def _report_leftovers(root: ET.Element, report: ImportReport) -> None:
     """Report the contacts of a URDF, which are no bilateral constraints."""
     if touching := root.findall("link/collision"):
-        why = "contacts: a URDF does not say which bodies may touch, nor what ground there is"
+        why = "contacts: a URDF does not say which bodies may touch, nor what ground there is; an MJCF does"
         report.left_out(f"{len(touching)} collision elements", why, topic=CONTACTS, examined=False)

@@ -64,6 +64,13 @@ def combined(
             f"body {child!r}", "has slides between its hinges", "slides first, or slides last"
         )
     turning = [part for part in row if part.kind != "slide"]
+    hinges = [part for part in turning if part.kind == "hinge"]
+    for first in hinges:
+        parallel = [part.name for part in hinges if np.linalg.norm(np.cross(first.axis, part.axis)) < ALIGNED]
+        if len(parallel) > 2:
+            problem = f"has {len(parallel)} parallel hinges with no mass between them: {', '.join(parallel)}"
+            needed = "at most two, or mass and inertia of the links between them"
+            raise MechanismError(f"body {child!r}", problem, needed)
     single = [part for part in row if part.kind != "ball"]
     anchors = [part.anchor for part in turning]
     meeting = _meeting(turning) if turning else row[-1].anchor

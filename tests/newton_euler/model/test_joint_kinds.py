@@ -20,6 +20,7 @@ from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Planar, PointOnLine, Revolute, Rod, Spherical
+from newton_euler.model.joint_parts import Part, combined
 from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.spanning_tree import SpanningTree
 
@@ -267,3 +268,14 @@ def test_bodies_out_of_reach_are_refused():
             [Body.ground(), *(bar(n, ORIGIN, [1.0, 0, 0]) for n in "ab")],
             [Rod("rod", "ground", "a", ORIGIN, point_on_second=[1.0, 0, 0])],
         )
+
+
+def test_three_parallel_hinges_in_a_row_are_refused_by_their_names() -> None:
+    """Poses of the bodies do not determine the angles of three, of which two reach a point in two ways."""
+    axis = np.array([0.0, 1.0, 0.0])
+    row = [Part(f"j{k}", "hinge", axis, np.array([0.1 * k, 0.0, 0.01 * k])) for k in range(3)]
+    with pytest.raises(MechanismError) as caught:
+        combined("knee", "thigh", "shin", row, actuated=False)
+    assert "'shin'" in str(caught.value)
+    assert "3 parallel hinges" in str(caught.value)
+    assert "j0, j1, j2" in str(caught.value)
