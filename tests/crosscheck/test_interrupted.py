@@ -225,11 +225,17 @@ COMMANDS = (
 LOADED = """
 import contextlib, gc, io, signal, sys, threading, typing, warnings
 import crosscheck
-print("loaded", flush=True)
+set_handler = signal.signal
+def announce(*arguments):
+    signal.signal = set_handler
+    before = set_handler(*arguments)
+    print("loaded", flush=True)
+    return before
+signal.signal = announce
 from crosscheck.cli import main
 main(sys.argv[1:])
 """
-"""A command of which the test knows when its own code begins; before that Python answers interrupts."""
+"""A command that prints a line as soon as its own code handles interrupts. Before that, Python does."""
 
 
 @pytest.mark.parametrize(
