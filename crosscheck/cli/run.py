@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -407,11 +408,28 @@ def view_command(files: tuple[Path, ...], web: bool) -> int:
         sys.stdout.flush()
     # by itself it would listen to all of the network
     viewer = [sys.executable, "-P", "-m", "rerun", "--bind", HERE, *serve, *map(str, files)]
-    with suppress(KeyboardInterrupt):  # the way to end it
-        status = subprocess.run(viewer, check=False, env=os.environ | {"RUST_LOG": "error"}).returncode
-        if status != 0:
-            raise CrosscheckError(f"the viewer ended with status {status}")
+    status = _run_to_its_end(viewer)
+    if status != 0:
+        raise CrosscheckError(f"the viewer ended with status {status}")
     return AGREE
+
+
+def _run_to_its_end(viewer: Sequence[str]) -> int:
+    """Run a viewer until it ends or this process is interrupted or asked to end; return its exit status.
+
+    The viewer has a process group of its own, because Rerun's program starts the viewer as a child.
+    """
+    from crosscheck.limit import tidied_up
+
+    with tidied_up():
+        process = subprocess.Popen(viewer, start_new_session=True, env=os.environ | {"RUST_LOG": "error"})
+        try:
+            return process.wait()
+        except KeyboardInterrupt:  # the usual way to end a viewer
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGTERM)
+            process.wait()
+            return 0
 
 
 def _free_port(usual: int) -> int:

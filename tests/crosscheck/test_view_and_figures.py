@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
+import signal
 import socket
+import subprocess
 import sys
 from contextlib import suppress
 
 import pytest
 from command_line import run
+
+PYTHON = sys.executable
 
 
 @pytest.mark.parametrize("content", [None, b"", b"RRF", b"a picture"])
@@ -70,6 +74,18 @@ def test_view_in_a_browser_says_where_and_takes_ports_that_are_free(capsys, view
     assert arguments[6::2] == ["--web-viewer-port", "--port", "one.rrd"]
     assert address == arguments[7] != "9090"
     assert ports == f"rerun%2Bhttp%3A%2F%2Flocalhost%3A{arguments[9]}%2Fproxy"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_viewer_and_its_children_end_with_the_command(viewer, number):
+    (viewer.parent / "viewer").write_text("#!/bin/sh\nsleep 60 &\nsleep 2\necho shown\nwait\n")
+    code = f"import sys; from crosscheck.cli import main; sys.executable = {sys.executable!r}"
+    code += "; main(['view', 'one.rrd'])"
+    command = subprocess.Popen([PYTHON, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert command.stdout.readline() == "shown\n"
+    command.send_signal(number)
+    command.communicate(timeout=30.0)  # until no process has its output any more
+    assert command.returncode == 0
 
 
 def test_figures_draws_five_pictures(tmp_path, capsys):
