@@ -203,6 +203,11 @@ def limiting(result: Crosscheck) -> Iterator[str]:
         yield f"active, and left out: {entry.element}: {'; '.join(filter(None, [entry.seen, entry.how]))}"
     if more := [acted(entry) for entry in acting[MOST_ACTING_LINES:]]:
         yield f"active, and left out, too: {_named(more)}"
+    if result.until and any(line.startswith("exercised") for line in mapping.start):
+        yield (
+            f"the excitation may be the cause of what acts from {result.until:.4g} s on; "
+            "--set exercise=off runs the file without it"
+        )
     if unknown := [entry for entry in mapping.entries if not entry.examined]:
         yield "not examined whether they act: " + "; ".join(f"{e.element}: {e.how}" for e in unknown)
     if mapping.settings and result.trajectories:

@@ -78,6 +78,17 @@ def test_a_cube_that_falls_through_a_floor_is_no_plain_agreement(capsys, tmp_pat
     assert run(capsys, "run", *arguments, "--allow-reduced")[0] == ExitStatus.AGREE
 
 
+@pytest.mark.parametrize(("exercise", "named"), [("on", 1), ("off", 0)])
+def test_an_excitation_is_named_as_a_possible_cause_of_what_acts_later(exercise, named, tmp_path):
+    """Not of what acts from the start on, as in a cube that starts in the floor."""
+    late, early = (
+        crosscheck.check(file(tmp_path, DROP.format(height=height)), FAST, exercise=exercise, duration=0.2)
+        for height in (0.07, 0.01)
+    )
+    lines = [[line for line in limiting(each.crosscheck) if "exercise=off" in line] for each in (late, early)]
+    assert (len(lines[0]), lines[1]) == (named, [])
+
+
 def test_a_cube_that_does_not_arrive_agrees(tmp_path):
     verdict = crosscheck.check(file(tmp_path, DROP.format(height=9.0)), FAST)
     assert (verdict.crosscheck.acting, verdict.crosscheck.until) == ([], None)
