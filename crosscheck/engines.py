@@ -196,12 +196,12 @@ def _resolved(scene: Scene, run: Trajectory, way: Trajectory | None) -> Trajecto
     if way is None or len(way.time) != len(run.time):
         return run
     size = scene.mechanism.size
-    while (
-        distance(run, way, length=size) > UNRESOLVED
-        and scene.duration <= 0.5 * run.settings["timestep"] * RK4_STEPS
-    ):
+    while distance(run, way, length=size) > UNRESOLVED:
+        half = 0.5 * run.settings["timestep"]
+        if scene.duration > half * RK4_STEPS:
+            break
         try:
-            finer = mjcf.simulate(scene, timestep=0.5 * run.settings["timestep"])
+            finer = mjcf.simulate(scene, timestep=half)
         except DivergenceError:
             break
         change, run = distance(run, finer, length=size), finer

@@ -100,16 +100,16 @@ def check_revolutions(scene: Scene, state: State) -> None:
     frames = state.frames() if state.angles else []
     for key, angle in state.angles.items():
         x = float(scene.mechanism.measure(key, frames)[0])
-        gap = abs(x + state.revolutions(key, x) - angle)
-        if not gap <= _angle_allowed(angle):
+        if not _is_of_pose(angle, x):
             problem = f"coordinate {key[1]} is {angle:.9g} rad in a state whose poses have it at {x:.9g} rad"
             needed = "the same angle but for whole revolutions, 2 pi each"
             raise MechanismError(f"joint {key[0]!r}", problem, needed)
 
 
-def _angle_allowed(angle: Any) -> Any:
-    """Compute how far, rad, an angle of a state may be from its poses."""
-    return CLOSURE_TOLERANCE + 4.0 * np.finfo(float).eps * np.abs(angle)
+def _is_of_pose(angle: Any, x: Any) -> Any:
+    """True where the angle of a state, rad, is that of its poses, x, but for whole revolutions."""
+    gap = np.abs(x + whole_revolutions(angle - x) - angle)
+    return gap <= CLOSURE_TOLERANCE + 4.0 * np.finfo(float).eps * np.abs(angle)
 
 
 def measured_coordinate(scene: Scene, state: State, key: Key) -> tuple[float, float]:
@@ -235,8 +235,7 @@ def _are_consistent(scene: Scene, states: Sequence[State]) -> Array:
     for key in {key for each in states for key in each.angles}:
         angles = np.array([each.angles.get(key, np.nan) for each in states])
         x = unstacked([mechanism.measure(key, frames)[0]], count)[:, 0]
-        gap = np.abs(x + whole_revolutions(angles - x) - angles)
-        found &= np.isnan(angles) | (gap <= _angle_allowed(angles))
+        found &= np.isnan(angles) | _is_of_pose(angles, x)
     at = surroundings(scene, state)
     for span in (span for force in scene.forces for span in force.spans(at)):
         found &= unstacked([span @ span], count)[:, 0] > CLOSURE_TOLERANCE**2
