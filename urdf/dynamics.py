@@ -21,8 +21,6 @@ from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.model_control import EngineControl, roles, servo_forces
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, without
-from newton_euler.equations.relative import Relative
-from newton_euler.equations.row_choice import exchangeable_rows
 from newton_euler.equations.system import Evaluation, MassProperties, Observation
 from newton_euler.errors import SingularityError
 from newton_euler.model.constraints import Frame
@@ -118,8 +116,9 @@ class PinocchioSystem:
         self._alpha = alpha
         self._rank = constraint_rank(self)
         # off the constraints such rows contradict each other, which Pinocchio's solver spreads over all
-        exchangeable = exchangeable_rows(Relative(scene)).numbers
-        self._eliminates = bool(len(self._rows.units) or exchangeable) or mobility(scene).residual > 0.0
+        decided = mobility(scene)
+        exchanges = len(self._rows.units) > 0 or len(decided.exchangeable) > 0
+        self._eliminates = exchanges or decided.residual > 0.0
         self._solved: tuple[Any, tuple[Array, Array, Array]] | None = None
         if not self._eliminates:
             q, _ = self.coordinates(initial_state(scene))

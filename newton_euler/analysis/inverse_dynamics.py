@@ -374,7 +374,7 @@ class InverseDynamics:
     def flags(self, q: Array) -> Array:
         """Choose constraint rows at q (n, nq): flags (n, m) of exchangeable ones."""
         rows = self._exchangeable
-        chosen = [flags_at(self.system, each, self.servos.rows, rows) for each in q if rows.numbers]
+        chosen = [flags_at(self.system, each, self.servos.rows.numbers, rows) for each in q if rows.numbers]
         return np.array(chosen).reshape(len(q), len(rows.numbers))
 
     def velocities(self, q: Array, rates: Sequence[Array], time: Array) -> Array:

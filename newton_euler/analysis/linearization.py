@@ -45,8 +45,8 @@ from newton_euler.equations.parameters import (
     with_values,
 )
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.row_choice import exchangeable_rows, flags_at, rows_in_use
-from newton_euler.equations.sparse import dot
+from newton_euler.equations.row_choice import candidate_rows, exchangeable_rows, flags_at, rows_in_use
+from newton_euler.equations.sparse import RowsInUse, dot
 from newton_euler.equations.system import at_time, constraint_rate, dimensionless_jacobian, fastest_joint
 from newton_euler.errors import (
     MechanismError,
@@ -143,8 +143,9 @@ def _chosen(scene: Scene, state: State) -> tuple[int, ...] | None:
     exchangeable = exchangeable_rows(system)
     if not exchangeable.numbers:
         return None
-    rows = rows_in_use(system, exchangeable=exchangeable)
-    flags = flags_at(system, system.coordinates(state)[0], rows, exchangeable)
+    used, others = candidate_rows(system, exchangeable=exchangeable)
+    rows = RowsInUse(system.rows_of([*used, *others]))
+    flags = flags_at(system, system.coordinates(state)[0], rows.numbers, exchangeable)
     return tuple(rows._replace(flags=dict(zip(exchangeable.numbers, flags, strict=True))).in_use)
 
 

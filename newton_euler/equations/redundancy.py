@@ -36,6 +36,7 @@ from newton_euler.equations.independence import (
     remainder,
 )
 from newton_euler.equations.kinematics import TreeKinematics
+from newton_euler.equations.row_shares import MIN_REGULAR, ScaledRows, varying_rows
 from newton_euler.equations.sparse import Rows, to_array
 from newton_euler.equations.system import System, dimensionless_jacobian
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
@@ -44,6 +45,7 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 CONFIGURATIONS = 4  # number of configurations that decide
+MAX_CONFIGURATIONS = 16  # if fewer than `MIN_REGULAR` of them are regular
 REACH = 0.1  # distance between them: radians, and sizes of the mechanism
 
 LOOSE = 10.0
@@ -83,7 +85,9 @@ class Configuration(NamedTuple):
 
     q: Array
     rows: Rows
-    """Dimensionless."""
+    """Dimensionless, in units of `scales`."""
+    scales: Array
+    """(k,) natural magnitudes of the dimensionless rows."""
     chosen: Independent
 
     @property
@@ -99,6 +103,8 @@ class Mobility:
         degrees_of_freedom: number of independent velocities where no configuration is singular.
         independent: rows of the joint-coordinate form that imply all others.
         redundant: other rows that are not zero everywhere: with them multipliers are not unique.
+        exchangeable: rows among which a run chooses, and their natural magnitudes, see
+            `newton_euler.equations.row_choice`; none of rows that are redundant but for noise.
         nearly: constraints that are almost redundant, and how they are taken.
         residual: largest singular value that is taken as redundant; 0 if all are exactly so.
         configurations: those that were examined and are closed.
@@ -108,6 +114,7 @@ class Mobility:
     degrees_of_freedom: int
     independent: list[int]
     redundant: list[int]
+    exchangeable: dict[int, float]
     nearly: tuple[NearlyRedundant, ...]
     configurations: list[Configuration]
     states: list[State]
@@ -184,11 +191,15 @@ def _mobility(system: TreeKinematics) -> Mobility:
     seen, alive = _examine(system)
     best = max(seen, key=lambda at: at.rank)
     used, rest = best.chosen.rows, np.zeros(system.nv)
+    redundant = sorted(alive - set(used))
+    nearly = tuple(_nearly(system, [at for at in seen if at.rank == len(used)]))
+    exact = redundant if residual(nearly) == 0.0 else []
     return Mobility(
         system.nv - len(used),
         used,
-        sorted(alive - set(used)),
-        tuple(_nearly(system, [at for at in seen if at.rank == len(used)])),
+        redundant,
+        varying_rows([ScaledRows(at.rows, at.scales) for at in seen], used, exact),
+        nearly,
         seen,
         [system.state(at.q, rest) for at in seen],
     )
@@ -252,31 +263,35 @@ def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
     directions = _directions(system, v)
     alive: set[int] = set()
     seen: list[Configuration] = []
-    for number in range(CONFIGURATIONS):
-        phi, rows = _scaled(system, q)
+    for number in range(MAX_CONFIGURATIONS):
+        phi, rows, scales = _scaled(system, q)
         found = independent(rows, tolerance)
         others = np.delete(phi, found.rows)
         if number == 0 or (
             largest(phi[found.rows]) < CLOSED and largest(others) < max(CLOSED, LOOSE * tolerance)
         ):
             alive.update(i for i, row in enumerate(rows) if length(row) > ROUND_OFF)
-            seen.append(Configuration(q, rows, found))
+            seen.append(Configuration(q, rows, scales, found))
         best = max(seen, key=lambda at: at.rank)
         if number > 0 and best.rank == len(alive):
             break  # all that can be
+        regular = sum(at.rank == best.rank for at in seen)
+        if number + 1 >= CONFIGURATIONS and regular >= MIN_REGULAR:
+            break
         moved = number == 0 and not np.array_equal(own, q)
         q = own if moved else _neighbor(system, best.q, next(directions))
     return seen, alive
 
 
-def _scaled(system: TreeKinematics, q: Array) -> tuple[Array, Rows]:
-    """Compute dimensionless residuals and Jacobian rows, each in units of its own motions."""
+def _scaled(system: TreeKinematics, q: Array) -> tuple[Array, Rows, Array]:
+    """Compute dimensionless residuals and Jacobian rows in units of their own motions, and these units."""
     phi, jacobian = system.phi_and_jacobian(q)
-    units, scales = system.velocity_units, system.phi_units * system.row_scales(q)
+    natural = system.row_scales(q)
+    units, scales = system.velocity_units, system.phi_units * natural
     rows = [
         {k: x * units[k] / scale for k, x in row.items()} for row, scale in zip(jacobian, scales, strict=True)
     ]
-    return phi / scales, rows
+    return phi / scales, rows, natural
 
 
 def _directions(system: TreeKinematics, v: Array) -> Iterator[Array]:
@@ -297,12 +312,12 @@ def _neighbor(system: TreeKinematics, q: Array, direction: Array) -> Array:
     """Find another configuration that meets the independent constraints, some way off in a direction."""
     tolerance, unit = system.scene.redundancy_tolerance, system.velocity_units
     step = REACH * direction
-    _, rows = _scaled(system, q)
+    _, rows, _ = _scaled(system, q)
     rate = np.array([sum(x * step[k] / unit[k] for k, x in row.items()) for row in rows])
     back = least_step(rows, independent(rows, tolerance).factor, rate, system.nv)
     q = system.retract(q, step - unit * back)
     for _ in range(NEWTON_STEPS):
-        phi, rows = _scaled(system, q)
+        phi, rows, _ = _scaled(system, q)
         factor = independent(rows, tolerance).factor
         if largest(phi[factor.order]) < 0.01 * CLOSED:
             break

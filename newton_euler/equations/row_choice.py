@@ -25,16 +25,13 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.equations.formulation import Formulation
-from newton_euler.equations.independence import independent, shares
-from newton_euler.equations.kinematics import TreeKinematics
+from newton_euler.equations.independence import shares
 from newton_euler.equations.redundancy import mobility
+from newton_euler.equations.row_shares import CONSTANT, are_independent
 from newton_euler.equations.sparse import Rows, RowsInUse, gram_factor
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
-
-CONSTANT = 1e-6
-"""Difference of a share between configurations that is round-off, and share that is none."""
 
 MIN_EXCHANGED_SHARE = 1.1
 """Share above which rows are exchanged; the volume grows at least by this factor, so exchanges end."""
@@ -60,42 +57,28 @@ class ExchangeableRows(NamedTuple):
 NO_ROWS = ExchangeableRows([], [], [])
 
 
-def exchangeable_rows(system: Formulation, wanted: bool = True) -> ExchangeableRows:
-    """Find the rows that are exchangeable; none if they are not wanted, or redundant but for noise."""
-    decided = mobility(system.scene)
-    if not (wanted and decided.redundant) or decided.residual > 0.0:
-        return NO_ROWS
-    kinematics, used, others = TreeKinematics(system.scene), decided.independent, decided.redundant
-    first: list[dict[int, float]] = []
-    varying: set[int] = set()
-    linked: list[set[int]] = [{row} for row in others]
-    scales = np.zeros(len(kinematics.phi_units))
-    for at in decided.configurations:
-        if not _is_regular(at.rows, used):
-            continue
-        units = kinematics.row_scales(at.q)
-        scales = np.maximum(scales, units)
-        found = [
-            {i: x * (units[other] / units[i]) for i, x in each.items()}
-            for other, each in zip(others, shares(at.rows, used, others), strict=True)
-        ]
-        first = first or found
-        for other, own, now, link in zip(others, first, found, linked, strict=True):
-            link.update(i for i, x in now.items() if abs(x) > CONSTANT)
-            if any(abs(own.get(i, 0.0) - now.get(i, 0.0)) > CONSTANT for i in {*own, *now}):
-                varying.add(other)
-    rows: set[int] = set()
-    more = set(varying)
-    while more - rows:  # rows in use that have shares in one of them, and others in which these have shares
-        rows |= more
-        more = {row for link in linked if link & rows for row in link}
-    places = system.closing_rows()
-    ordered = sorted((places[row], row) for row in rows)
+def exchangeable_rows(system: Formulation) -> ExchangeableRows:
+    """Return the exchangeable rows of a form of the equations, as decided once for the scene."""
+    decided, places = mobility(system.scene), system.closing_rows()
+    ordered = sorted((places[row], row) for row in decided.exchangeable)
     return ExchangeableRows(
         [number for number, _ in ordered],
-        [float(row in others) for _, row in ordered],
-        [float(scales[row]) for _, row in ordered],
+        [float(row in decided.redundant) for _, row in ordered],
+        [decided.exchangeable[row] for _, row in ordered],
     )
+
+
+def candidate_rows(
+    system: Formulation, used: Sequence[int] | None = None, exchangeable: ExchangeableRows = NO_ROWS
+) -> tuple[list[int], list[int]]:
+    """Return the rows of the joint-coordinate form in use, and the others that are exchangeable.
+
+    Arguments are as of `rows_in_use`.
+    """
+    used = mobility(system.scene).independent if used is None else list(used)
+    flagged = set(exchangeable.numbers)
+    places = enumerate(system.closing_rows())
+    return used, [row for row, number in places if number in flagged and row not in used]
 
 
 def rows_in_use(
@@ -134,7 +117,7 @@ def constraint_scales(
         jacobian = system.phi_and_jacobian(system.coordinates(state)[0])[1]
         factor = gram_factor(dimensionless_rows(system, jacobian, rows.numbers), rows)
         pivots.append(in_use_alone(factor.pivots, rows))
-    return [float(max(column)) or 1.0 for column in zip(*pivots, strict=True)]
+    return [float(max(column)) for column in zip(*pivots, strict=True)]
 
 
 def dimensionless_rows(system: Formulation, jacobian: Rows, numbers: Sequence[int]) -> Rows:
@@ -150,16 +133,12 @@ def regular_choices(
 
     Arguments are as of `rows_in_use`.
     """
-    decided = mobility(system.scene)
-    used = decided.independent if used is None else list(used)
-    flagged = exchangeable.numbers
-    others = [
-        row for row, number in enumerate(system.closing_rows()) if number in flagged and row not in used
-    ]
+    decided, flagged = mobility(system.scene), exchangeable.numbers
+    used, others = candidate_rows(system, used, exchangeable)
     numbers = system.rows_of([*used, *others])
     for at, state in zip(decided.configurations, decided.states, strict=True):
         # elsewhere, as where the four-bar is flat, pivots are zero or round-off
-        if not _is_regular(at.rows, used):
+        if not are_independent(at.rows, used):
             continue
         choices = [used]
         for other, share in zip(others, shares(at.rows, used, others), strict=True):
@@ -179,10 +158,13 @@ def in_use_alone(pivots: Sequence[float], rows: RowsInUse) -> list[float]:
     return [0.0 if n in left_out else pivot for n, pivot in enumerate(pivots)]
 
 
-def flags_at(system: Formulation, q: Array, rows: RowsInUse, exchangeable: ExchangeableRows) -> Array:
-    """Choose rows that are well conditioned at q (nq,) alone: flags (m,), see `exchanged`."""
-    jacobian = dimensionless_jacobian(system, q)[rows.numbers]
-    places = [rows.numbers.index(number) for number in exchangeable.numbers]
+def flags_at(system: Formulation, q: Array, numbers: Sequence[int], exchangeable: ExchangeableRows) -> Array:
+    """Choose rows that are well conditioned at q (nq,) alone: flags (m,), see `exchanged`.
+
+    The numbers are those of all rows that are independent or exchangeable.
+    """
+    jacobian = dimensionless_jacobian(system, q)[list(numbers)]
+    places = [numbers.index(number) for number in exchangeable.numbers]
     return exchanged(jacobian, places, np.array(exchangeable.units), np.array(exchangeable.left_out))
 
 
@@ -213,8 +195,3 @@ def exchanged(jacobian: Array, rows: Sequence[int], units: Array, left_out: Arra
             break
         flags[used[row]], flags[out[other]] = 1.0, 0.0
     return flags
-
-
-def _is_regular(rows: Rows, used: Sequence[int]) -> bool:
-    """True if these rows are independent."""
-    return len(independent([rows[i] for i in used], 0.0).rows) == len(used)

@@ -34,6 +34,7 @@ from newton_euler.equations.parameters import (
 from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.row_choice import (
+    NO_ROWS,
     ExchangeableRows,
     constraint_scales,
     dimensionless_rows,
@@ -242,7 +243,7 @@ class Code:
                 return RowsInUse(*rows), ExchangeableRows(*exchangeable), bool(redundant), weak
         with np.errstate(all="ignore"):  # forces that overflow are for a run to report
             found = mobility(self.scene)
-            exchange = exchangeable_rows(self.system, self._independent is None)
+            exchange = exchangeable_rows(self.system) if self._independent is None else NO_ROWS
             chosen = rows_in_use(self.system, self._independent, exchange)._replace(flags=None)
         unused = len(self.system.phi_units) - len(chosen.numbers) + sum(exchange.left_out)
         if isinstance(self.system, Relative):  # where rows may be zero everywhere
