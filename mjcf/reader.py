@@ -175,7 +175,8 @@ def _random_control(model: Any) -> Array:
 def _exercised(where: str, model: Any, key: str | None, request: Request, found: Reading) -> Reading:
     """Drive actuators, and let joints move at the start unless the file does. The model is changed."""
     start = found.start
-    plan = exercised(found.scene, found.drives, np.array(start.data.ctrl), start.model.actuator_ctrladr)
+    control, places = np.array(start.data.ctrl), start.model.actuator_ctrladr
+    plan = exercised(found.scene, found.drives, control, places, found.report.bounds)
     driven = _reading(where, model, key, request, plan.control, plan.swings)
     names = [model.actuator(k).name or repr(k) for k in range(model.nactuator)]
     said = []

@@ -189,14 +189,23 @@ def _spins(scene: Scene, system: Relative, q: Array, v: Array) -> Array:
 
 
 class Swing(NamedTuple):
-    """A sine of time: amplitude, and angular frequency in rad/s."""
+    """A sine of time.
+
+    Attributes:
+        amplitude: by which joints move as far as they would without limits.
+        within: amplitude by which they move as far as their limits leave from where they start.
+        angular_frequency: rad/s.
+    """
 
     amplitude: float
+    within: float
     angular_frequency: float
 
 
-def swings(scene: Scene, forces: Sequence[Mapping[Key, float]]) -> Iterator[Swing]:
-    """Sines that drive joints so that each moves by about `SWING` or `SHIFT`.
+def swings(
+    scene: Scene, forces: Sequence[Mapping[Key, float]], bounds: Iterable[Bounds] = ()
+) -> Iterator[Swing]:
+    """Sines that drive joints so that each moves by about `SWING` or `SHIFT`, with and without its limits.
 
     A force of amplitude F and frequency w moves a mass m that is at rest by up to F (w T + 1) / (m w^2) in a
     time T, a spring by F / k and a damper by F / (d w). Constraints hold, and everything else may move.
@@ -204,8 +213,11 @@ def swings(scene: Scene, forces: Sequence[Mapping[Key, float]]) -> Iterator[Swin
     Args:
         scene: at its start.
         forces: on joint coordinates that have control laws, N or N m, for each unit of what is to swing.
+        bounds: limits of joint coordinates. A joint swings by at most the share of their room that start
+            velocities leave, but by a `LEAST_SHARE` of what it would without them.
     """
     system = Relative(scene)
+    rooms = {room.key: min(room.down, room.up) for room in _rooms(system, bounds)}
     q, v = system.coordinates(initial_state(scene))
     measured = system.measured(q, v)
     mass, _ = system.mass_and_force(q, v)
@@ -219,7 +231,7 @@ def swings(scene: Scene, forces: Sequence[Mapping[Key, float]]) -> Iterator[Swin
             for k, x in measured[key].jacobian.items():
                 push[k] += x * force
         answer = free @ np.linalg.solve(inertia, free.T @ push) if free.size else np.zeros(system.nv)
-        amplitude = np.inf
+        amplitude = within = np.inf
         for key, force in pushes.items():
             acceleration = abs(float(sum(x * answer[k] for k, x in measured[key].jacobian.items())))
             if not force or not acceleration:
@@ -227,8 +239,13 @@ def swings(scene: Scene, forces: Sequence[Mapping[Key, float]]) -> Iterator[Swin
             stiffness, damping, servo = _at(scene, key)
             impedance = abs(force) * w**2 / (acceleration * (1.0 + w * scene.duration))
             impedance = servo or impedance + stiffness + damping * w
-            amplitude = min(amplitude, _reach(scene, key) * impedance / abs(force))
-        yield Swing(float(amplitude) if np.isfinite(amplitude) else 0.0, float(w))
+            reach = _reach(scene, key)
+            room = (1.0 - ROOM_SHARE) * rooms.get(key, np.inf)
+            amplitude = min(amplitude, reach * impedance / abs(force))
+            within = min(within, np.clip(room, LEAST_SHARE * reach, reach) * impedance / abs(force))
+        if not np.isfinite(amplitude):
+            amplitude = within = 0.0
+        yield Swing(float(amplitude), float(within), float(w))
 
 
 def _at(scene: Scene, key: Key) -> tuple[float, float, float]:

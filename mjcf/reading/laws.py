@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -16,6 +16,7 @@ from newton_euler.model.motions import Sum
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.scalars import Array
+from newton_euler.verification.activity import Bounds
 
 
 class Exercise(NamedTuple):
@@ -32,7 +33,9 @@ class Exercise(NamedTuple):
     moved: dict[int, tuple[float, float]]
 
 
-def exercise(scene: Scene, drives: Mapping[int, Drive], control: Array, places: Array) -> Exercise:
+def exercise(
+    scene: Scene, drives: Mapping[int, Drive], control: Array, places: Array, bounds: Iterable[Bounds]
+) -> Exercise:
     """Choose sines within half of the room that the ranges leave about the start.
 
     Controls of the start are moved into their ranges if they lie at an end.
@@ -42,9 +45,10 @@ def exercise(scene: Scene, drives: Mapping[int, Drive], control: Array, places: 
         drives: its actuators that can be driven.
         control: (nu,) of the file.
         places: (nactuator,) where each actuator has its control.
+        bounds: limits of joint coordinates.
     """
     control, found, moved = control.copy(), dict[int, Sine](), dict[int, tuple[float, float]]()
-    wanted = swings(scene, [drive.gains for drive in drives.values()])
+    wanted = swings(scene, [drive.gains for drive in drives.values()], bounds)
     for (actuator, drive), swing in zip(drives.items(), wanted, strict=True):
         least = min(drive.control - drive.low, drive.high - drive.control)
         room = min(2.0 * swing.amplitude, least if drive.rests else 0.25 * (drive.high - drive.low))
@@ -54,6 +58,8 @@ def exercise(scene: Scene, drives: Mapping[int, Drive], control: Array, places: 
             inside = float(np.clip(drive.control, drive.low + room, drive.high - room))
             moved[actuator] = float(control[places[actuator]]), inside
             control[places[actuator]] = inside
+        else:  # controls that move take joints elsewhere, too
+            room = min(room, 2.0 * swing.within)
         found[actuator] = Sine(0.5 * room, swing.angular_frequency)
     return Exercise(control, found, moved)
 

@@ -79,6 +79,16 @@ def test_a_mass_slides_at_most_so_fast_and_a_motor_moves_it_about_so_far() -> No
     assert 0.5 * SHIFT * size < way < 1.1 * SHIFT * size
 
 
+@pytest.mark.parametrize(("room", "share"), [(10.0, 1.0), (0.5, 0.25), (0.0, 0.05)])
+def test_a_motor_moves_a_joint_by_half_of_the_room_that_its_limits_leave(room: float, share: float) -> None:
+    """Where the room is given in units of what the motor would move it by."""
+    scene = mass_on_rail(control=(PD("rail", 0.0, 0.0, 0.0),))
+    reach = SHIFT * scene.mechanism.size
+    bounds = [Bounds(((("rail", 0), 1.0),), -room * reach, 20.0 * reach, "m")]
+    (swing,) = swings(scene, [{("rail", 0): 3.0}], bounds)
+    assert swing.within == pytest.approx(share * swing.amplitude)
+
+
 def test_controls_swing_within_half_of_their_ranges(tmp_path: Path) -> None:
     found = reading(tmp_path, FILE, exercise=True)
     assert verified(found)
