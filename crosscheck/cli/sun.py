@@ -49,11 +49,12 @@ def sun_command(
 
     Of several latitudes or dates a table compares the days.
     """
+    from crosscheck.files import check_writable
     from crosscheck.limit import paced
     from crosscheck.scenes.tracker_sun import PANEL_NORMAL, sun_tracker
     from crosscheck.solar.day import check_period, tracker_day
     from crosscheck.solar.place import Place, seconds_of_day
-    from crosscheck.solar.report import day_report, survey_report, write, write_survey
+    from crosscheck.solar.report import day_report, files_of, survey_report, write, write_survey
     from crosscheck.solar.tracking import Tracking
     from crosscheck.solar.wind import wind_over_day
 
@@ -67,9 +68,10 @@ def sun_command(
     check_period(period)
     speeds = None if wind is None else wind_over_day(wind, seconds_of_day(period))
     places = [Place(latitude, numbers["longitude"], numbers["altitude"]) for latitude in latitudes]
+    pairs = list(product(places, dates))
+    check_writable(*files_of(output, several=len(pairs) > 1))
     scene, days = sun_tracker(), []
     with progress_shown() as progress:
-        pairs = list(product(places, dates))
         for place, date in paced(pairs, progress, "day"):
             days.append(tracker_day(scene, PANEL_NORMAL, place, date, zone, tracking, period, speeds))
         progress("sunlight on other panels, plots and recording")

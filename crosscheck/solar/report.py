@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crosscheck.files import check_writable, write_files
+from crosscheck.files import write_files
 from crosscheck.report.plots import own_style, png
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
 from crosscheck.solar.day import Day
@@ -27,6 +27,7 @@ SURVEYED = ("on sun\nh", "off\ndeg", "fixed\nkWh/m^2", "this\n%", "1 axis\n%", "
 """Columns of several days."""
 
 FILES = ("commands.csv", "day.png", "day.rrd")
+SURVEY_FILES = ("days.csv",)
 
 
 def hours(day: Day) -> Iterator[list[str | Cell]]:
@@ -38,7 +39,7 @@ def hours(day: Day) -> Iterator[list[str | Cell]]:
             f"{np.degrees(day.sun.azimuth[k]):.1f}",
             f"{np.degrees(day.sun.elevation[k]):.1f}",
             *(f"{1e3 * values[k]:.2f}" for values in day.commands.values()),
-            f"{np.degrees(np.arccos(day.normals[k, 2])):.1f}",
+            f"{np.degrees(np.arccos(np.clip(day.normals[k, 2], -1.0, 1.0))):.1f}",
             f"{np.degrees(day.errors[k]):.2f}",
             *([] if day.wind is None else [f"{day.wind[k]:.1f}"]),
         ]
@@ -178,10 +179,14 @@ def table_of_commands(day: Day) -> bytes:
     return text.getvalue().encode()
 
 
+def files_of(folder: Path, several: bool) -> list[Path]:
+    """Files that a day or several days are written to."""
+    return [folder / name for name in (SURVEY_FILES if several else FILES)]
+
+
 def write_survey(report: Report, folder: Path) -> list[Path]:
     """Write the table of days as CSV; raises `CrosscheckError` naming the path that cannot be written."""
-    path = folder / "days.csv"
-    check_writable(path)
+    (path,) = files_of(folder, several=True)
     table = next(part for part in report.parts if isinstance(part, Table))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -229,8 +234,7 @@ def write(day: Day, report: Report, folder: Path) -> list[Path]:
     """
     from crosscheck.recording.log import log_run, recorded
 
-    paths = [folder / name for name in FILES]
-    check_writable(*paths)
+    paths = files_of(folder, several=False)
     text = f"# {report.title}\n\n{report.verdict}\n"
     runs, directions = {"newton_euler": day.run}, {"sun": day.sun_seen}
     recording = recorded(log_run, day.scene, runs, text, report.title, directions=directions)

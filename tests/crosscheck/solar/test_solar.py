@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from command_line import run
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
@@ -11,7 +12,7 @@ from crosscheck.scenes.tracker_sun import PANEL_NORMAL, sun_tracker
 from crosscheck.solar.day import following, tracker_day
 from crosscheck.solar.energy import FACING, FIXED, FLAT, ONE_AXIS, THIS, ClearSky, over_day
 from crosscheck.solar.place import Place, Sun, day_times, seconds_of_day, sun_over
-from crosscheck.solar.report import table_of_commands, verdict
+from crosscheck.solar.report import hours, table_of_commands, verdict
 from crosscheck.solar.tracking import Tracking
 from crosscheck.solar.wind import wind_over_day
 from newton_euler import Sampled
@@ -264,3 +265,21 @@ def test_set_points_are_those_of_pd_laws():
     laws = tuple(Sampled(law.joint, lambda time, x, x_rate: 0.0, 0.01) for law in scene.control)
     with pytest.raises(CrosscheckError, match="not PD laws alone"):
         following(replace(scene, control=laws), PANEL_NORMAL, np.array([[0.0, 0.0, 1.0]] * 2), 60.0)
+
+
+def test_a_flat_panel_has_a_tilt_of_zero():
+    """Round-off makes the normal of a panel that hardly tilts longer than 1."""
+    place, tracking = Place(11.5, 0.0), Tracking(most_tilt=1e-9)
+    found = tracker_day(sun_tracker(), PANEL_NORMAL, place, "2026-03-21", None, tracking, 3600.0, None)
+    tilts = [row[5] for row in hours(found)]
+    assert set(tilts) == {"0.0"}
+
+
+def test_a_folder_that_cannot_be_is_refused_before_the_day_is_simulated(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("crosscheck.solar.day.tracker_day", lambda *_: pytest.fail("simulated"))
+    (tmp_path / "file").write_text("")
+    status, _, err = run(
+        capsys, "sun", "--latitude", "11.5", "--date", "2026-03-21", "--output", tmp_path / "file" / "out"
+    )
+    assert status == 2
+    assert err.startswith("crosscheck: error: cannot write ")
