@@ -212,7 +212,7 @@ def test_what_cannot_be_read_is_named(change, message, four_bar):
 
 def test_options_of_files_are_not_of_models(four_bar, tmp_path):
     for options, message in (
-        ({"q": [0.0, np.nan, 0.0]}, "q holds nan; needed: a finite number"),
+        ({"q": [0.0, np.nan, 0.0]}, r"q\[1\] is nan; needed: a finite number"),
         ({"q": [0.0]}, r"q has shape \(1,\), or"),
         ({"loops": "loops.yaml"}, "loops is 'loops.yaml'; needed: none, as it is of URDF files"),
         ({"base": "free"}, "base is 'free'; needed: none, as it is of URDF files"),
