@@ -29,6 +29,10 @@ NUDGE = 1e-7
 UNSTABLE = (m.NOT_FINITE, m.OPEN, m.STRAYING)
 """Statuses of runs that end so if their fixed step is too long."""
 
+LEFT_MOTION = 30.0
+"""Factor by which rates exceed the limit of stability, from one step to the next, in a run that has left its
+motion. Chosen between the 1.5 and the 100 or more of runs of light links in loops."""
+
 POWERS = 40
 """Steps of the power iteration for the fastest rate; the second half of them is used."""
 
@@ -47,7 +51,8 @@ def failure(
     Args:
         options: the method, and the steps that it might take.
         status: how the run ended.
-        states: (inputs,) states of the run with time and parameters, the last one where it ended.
+        states: (inputs,) states of the run with time and parameters, the last one where it ended. Of a run by
+            fixed steps there are some before.
         counts: of the run, see `newton_euler.integrators.stepper`.
         error: of the equations in Python, if one ended the run.
     """
@@ -57,40 +62,41 @@ def failure(
     state = system.state(q, v)
     if error is not None:
         reason = str(error)
-    elif status in UNSTABLE and (found := _instability(code, options, _before_end(states, status))):
+    elif status in UNSTABLE and (found := _instability(code, options, states[:-1])):
         reason = found
     elif status == m.OPEN:
         joint, residual = worst_joint(system, state)
         reason = f"projection cannot close joint {joint!r}, which is open by {residual:.3g} (m or rad)"
+        reason += "; a shorter step, or DOP853, may pass" if options.step is not None else ""
     else:
         reason = _reason(code, options, status, x)
     stopped = UndeterminedStartError if status == m.UNDETERMINED else IntegrationError
     return stopped(reached, blamed(system.scene, state, reason, system.seen(q, v)))
 
 
-def _before_end(states: Sequence[Array], status: int) -> Sequence[Array]:
-    """Return the states whose rates tell if steps are stable, without an end next to a singular one."""
-    return states[:-1] if status == m.STRAYING else states
-
-
 def _instability(code: Code, options: Options, states: Sequence[Array]) -> str:
     """Say that a fixed step is too long for the rates of the motion; empty if no state shows that.
 
-    The first state that shows it counts: later ones may be those of a run that has left the motion. States
+    The first state that shows it counts: later ones may be those of a run that has left the motion. So may be
+    the first one, if its rates are far beyond the limit and it is not the start: they are not quoted. States
     near a singular configuration do not count: rates have no bound there.
     """
     if options.step is None:
         return ""
     limit = STABILITY_LIMITS[options.integrator]
-    for x in states:
+    too_long = f"step={options.step:g} s is too long for {options.integrator}"
+    for number, x in enumerate(states):
         if code.loses_rank and not code.pivot_ratio(x) > FAR:
             continue
         rate = fastest_rate(code, x)
+        if number > 0 and rate * options.step > LEFT_MOTION * limit:
+            return (
+                f"{too_long}: the run leaves its motion; use a shorter step, or DOP853, which chooses its own"
+            )
         if rate * options.step > limit:
             return (
-                f"step={options.step:g} s is too long for {options.integrator}, which is unstable above "
-                f"{limit / rate:.2g} s at rates of {rate:.2g} 1/s; use step={0.5 * limit / rate:.1g}, "
-                "or Radau or DOP853, which choose their steps"
+                f"{too_long}, which is unstable above {limit / rate:.2g} s at rates of {rate:.2g} 1/s; "
+                f"use step={0.5 * limit / rate:.1g}, or Radau or DOP853, which choose their steps"
             )
     return ""
 

@@ -27,7 +27,7 @@ from newton_euler.integrators.constraint_ratio import READY, UNPREPARED, Constra
 from newton_euler.integrators.dense_projection import ROUND_OFF, Closing, closing_of, unprepared
 from newton_euler.integrators.dop853 import CONTROLS, Dop853, integrate_dop853
 from newton_euler.integrators.failures import failure
-from newton_euler.integrators.fixed_step import FixedStep, integrate_fixed
+from newton_euler.integrators.fixed_step import FixedStep, divisions, integrate_fixed
 from newton_euler.integrators.options import FIXED, Options, most_steps
 from newton_euler.integrators.outputs import Outputs, loops
 from newton_euler.integrators.projection import project
@@ -38,6 +38,10 @@ from newton_euler.scalars import Array
 
 MAX_EXAMINED = 8
 """Outputs of a run that are examined to explain how it ended."""
+
+MAX_REPEATED, LAST_STEPS = 10_000, 200
+"""Fixed steps since the last output that are made again to explain how a run ended; the last of them are
+examined."""
 
 PREPARING = threading.Lock()
 """Held while functions are compiled: threads that need the same wait for one of them."""
@@ -165,16 +169,38 @@ class Integrator:
             raise KeyboardInterrupt
         if status != m.DONE or python.fatal is not None:
             error = python.fatal or (python.error if status in (m.SINGULAR, m.OPEN) else None)
-            raise failure(self._code, self._options, status, self._passed(x), self.counts, error)
+            passed = [] if self._options.step is None else [x, *self._outputs_passed(), *self._steps_passed()]
+            raise failure(self._code, self._options, status, [*passed, self.x], self.counts, error)
 
-    def _passed(self, begun: Array) -> list[Array]:
-        """Return states (inputs,) of the run: its begin, some outputs if they are whole, and its end."""
-        written, size = int(self.counts[m.WRITTEN]), self._code.size
-        rows = range(1, written, written // MAX_EXAMINED + 1) if self._code.kept == size else range(0)
-        passed = [self.x.copy() for _ in rows]
-        for x, row in zip(passed, rows, strict=True):
-            x[: size + 1] = [*self.table[row], self.times[row]]
-        return [begun, *passed, self.x]
+    def _outputs_passed(self) -> list[Array]:
+        """Return some states (inputs,) of a run by fixed steps at its outputs."""
+        written = int(self.counts[m.WRITTEN])
+        return [self._row(row) for row in range(1, written, written // MAX_EXAMINED + 1)]
+
+    def _steps_passed(self) -> list[Array]:
+        """Return the last states (inputs,) of a run by fixed steps since its last output.
+
+        These steps are made once more, with an output at each.
+        """
+        assert self._options.step is not None
+        last = int(self.counts[m.WRITTEN]) - 1
+        if last < 0 or last + 1 >= len(self.times):
+            return []
+        begin, end = self.times[last : last + 2]
+        count = divisions(end - begin, self._options.step)
+        if count > MAX_REPEATED:
+            return []
+        again = Integrator(self._code, np.linspace(begin, end, count + 1), self._options)
+        again.x[:] = self._row(last)
+        again._run()
+        written = int(again.counts[m.WRITTEN])
+        return [again._row(row) for row in range(max(1, written - LAST_STEPS), written)]
+
+    def _row(self, row: int) -> Array:
+        """Return the state (inputs,) in a row of the table, of which the method has written all."""
+        x, n = self.x.copy(), self._code.size
+        x[: n + 1] = [*self.table[row], self.times[row]]
+        return x
 
     def attempt(self, x: Array) -> tuple[Array, IntegrationError | None]:
         """Run from x (inputs,): results (n, outputs) at the n times that were reached, and the error before

@@ -11,7 +11,7 @@ from crosscheck.scenes import load
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.failures import STABILITY_LIMITS, fastest_rate
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.joint_kinds import Prismatic
+from newton_euler.model.joint_kinds import Prismatic, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError
@@ -67,3 +67,29 @@ def test_a_step_that_is_too_long_is_no_singular_configuration(make, integrator, 
     assert "singular" not in str(caught.value)
     assert f"{STABILITY_LIMITS[integrator] / rate:.2g} s" in str(caught.value)
     assert len(str(caught.value)) < 600
+
+
+def snapping_links():
+    """Return four bars from the ground to a ball: two heavy ones, and two light ones that snap straight."""
+    angles = np.linspace(np.pi, -0.6, 5)
+    ring = 0.5 * np.column_stack([np.cos(angles) + 1.0, np.zeros(5), np.sin(angles)])
+    bodies, joints = [Body.ground()], []
+    for k, mass in enumerate([1.0, 1e-6, 1e-6, 1.0]):
+        center, inertia = 0.5 * (ring[k] + ring[k + 1]), mass * np.diag([0.01, 0.011, 0.009])
+        joints.append(Revolute(f"j{k}", bodies[k].name, f"b{k}", ring[k], axis=np.array([0.0, 1.0, 0.0])))
+        bodies.append(Body(f"b{k}", mass, center, inertia))
+    joints.append(Spherical("end", "b3", "ground", ring[4]))
+    return Scene("snap", Mechanism(bodies, joints), 0.5, 0.05, gravity=[0.0, 0.0, -G])
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_a_step_that_becomes_too_long_on_the_way_is_no_singular_configuration(formulation):
+    """At the outputs the step is short enough; DOP853 takes shorter ones between two of them."""
+    scene = snapping_links()
+    run = simulate(scene, formulation, rtol=1e-8, atol=1e-10)
+    assert run.time[-1] == pytest.approx(0.5)
+    with pytest.raises(IntegrationError) as caught:
+        simulate(scene, formulation, "RK4", step=1e-3)
+    assert 0.35 < caught.value.time < 0.45
+    assert "singular" not in str(caught.value)
+    assert "DOP853" in str(caught.value)
