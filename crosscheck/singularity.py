@@ -112,16 +112,18 @@ def passage(scene: Scene, run: Trajectory) -> Passage | None:
             continue
         closer = closer or _closer(scene, len(run.time))
         time, distance = _vertex(run.time[outputs[k - 1 : k + 2]], margins[k - 1 : k + 2])
+        path, lowest = run, outputs[k]
         apart = CLOSER * (outputs[k + 1] - outputs[k - 1])
         while apart > 1:
             apart = max(1, apart // NARROWER)
             if 2 * apart >= len(closer.time):
                 continue
-            lowest = int(np.clip(np.searchsorted(closer.time, time), apart, len(closer.time) - 1 - apart))
+            middle = np.clip(np.searchsorted(closer.time, time), apart, len(closer.time) - 1 - apart)
+            path, lowest = closer, int(middle)
             near = [lowest - apart, lowest, lowest + apart]
             time, distance = _vertex(closer.time[near], [margin(closer, each) for each in near])
         if distance < SINGULAR * largest:
-            found.append((time, distance, closer, lowest))
+            found.append((time, distance, path, lowest))
     if not found:
         return None
     _, distance, path, output = found[0]

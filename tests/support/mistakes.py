@@ -417,7 +417,7 @@ MISTAKES = {
         "mjcf/test_mjcf_read.py::test_what_is_left_out",
     ),
     "a file that is written in its place": (
-        "newton_euler/model/trajectory.py",
+        "newton_euler/model/written_file.py",
         "        temporary.replace(target)\n",
         "        target.write_bytes(temporary.read_bytes())\n",
         "newton_euler/model/test_scene.py::test_a_file_appears_whole_or_not_at_all",
