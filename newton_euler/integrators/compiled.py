@@ -46,7 +46,7 @@ from newton_euler.equations.system import Observation, at_time
 from newton_euler.errors import UnknownNameError
 from newton_euler.integrators.formulations import cheaper_formulation, formulate
 from newton_euler.integrators.options import baumgarte_alpha
-from newton_euler.integrators.singular import NEAR
+from newton_euler.integrators.singular import NEAR, ratio_for_steps
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array, Scalar, minimum
@@ -428,7 +428,7 @@ class Code:
     def pivot_ratio(self, x: Array) -> float:
         """Evaluate the pivot ratio at x (inputs,), as methods of integration see it."""
         ratio = float(self.function("derivative")(x)[-1])
-        return max(ratio, float(self.function("ratio")(x)[0])) if ratio < NEAR else ratio
+        return ratio_for_steps(ratio, float(self.function("ratio")(x)[0])) if ratio < NEAR else ratio
 
     def _trace_shares(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace the square of the largest share of a row in use in one left out, and the nonzeros of rows.

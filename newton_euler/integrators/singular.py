@@ -103,12 +103,26 @@ are not looked at: without projection they open joints, and
 
 
 @native
+def ratio_for_steps(with_masses: float, alone: float) -> float:
+    """Choose the pivot ratio that steps are placed, shortened and refused by.
+
+    Far from a singular configuration, the masses alone make pivots small: the constraints decide. Near a
+    singular configuration, accelerations lose as many digits as the pivots with masses show.
+
+    Args:
+        with_masses: pivot ratio of the equations of motion, below `NEAR`.
+        alone: pivot ratio of the constraints alone.
+    """
+    return alone if alone >= NEAR else with_masses
+
+
+@native
 def evaluate(system: Equations, x: Vector, y: Vector) -> int:
     """Evaluate y = derivative(x); return a status.
 
     The dense form evaluates where the pivot ratio of the sparse form is not positive. If constraints cannot
     lose rank, a small pivot ratio comes from the masses alone. The pivot ratio is 1 then: no step has to be
-    placed, shortened or refused for it. Otherwise the pivot ratio is at least that of the constraints alone.
+    placed, shortened or refused for it. Otherwise `ratio_for_steps` chooses.
     """
     system.derivative(x, y)
     system.counts[EVALUATIONS] += 1.0
@@ -124,7 +138,7 @@ def evaluate(system: Equations, x: Vector, y: Vector) -> int:
         alone = constraint_ratio(system.ratio, x)
         if alone < 0.0:
             return SINGULAR
-        y[system.n] = max(y[system.n], alone)
+        y[system.n] = ratio_for_steps(y[system.n], alone)
     size = 0.0
     for i in range(system.n):
         size += abs(y[i])
