@@ -12,13 +12,14 @@ from newton_euler.equations.dense import least_squares, singular_values
 from newton_euler.equations.system import MassProperties, dimensionless_jacobian
 from newton_euler.scalars import Array
 from newton_euler.verification.figure import SPREAD, Figure, figure, worst
-from newton_euler.verification.original import ROUND_OFF
+from newton_euler.verification.original import ROUND_OFF, Original
 from newton_euler.verification.placed import Place, Placed, shifted
 from newton_euler.verification.quantities import FREE, Freedom
 
 TIMES = 10.0  # offsets of loops, times the condition, by which starts of two readers may differ
 STALLED_RATIO = 10.0
-"""Loop-closure error of `Original.closest` by that of the scene's start. Above, `closest` is no reference."""
+"""Loop-closure error of `Original.closest` by that of the scene's start, of loops that share joints. Above,
+`closest` is no reference for them."""
 
 LEAST_STALLED = 1e-9
 """Loop-closure error, sizes or rad, that is round-off."""
@@ -151,7 +152,7 @@ def start_figures(placed: Placed) -> Iterator[Figure]:
     original, place = placed.original, placed.places[0]
     free, limit = place.sample.freedom, place.sample.tolerance
     closest, opened = original.open
-    of_rows, of_motions = _components(opened.jacobian)
+    of_rows, of_motions = _components(original)
     offsets = np.zeros(len(of_rows) + len(of_motions))
     np.maximum.at(offsets, of_rows, np.abs(closest.residual))
     limits = limit + TIMES * offsets * free.condition
@@ -159,10 +160,10 @@ def start_figures(placed: Placed) -> Iterator[Figure]:
         gaps, names = np.abs(opened.residual), opened.owners
         yield figure("loops open at the start, sizes or rad", gaps, limits[of_rows], names)
     away = np.abs(original.difference(original.closest, original.start)) / original.units
-    opening, opening_of_scene = (float(np.max(np.abs(each.residual), initial=0.0)) for each in original.open)
-    # Next to a singular configuration, closing the file's loops may stall and leave no start to compare with.
-    if opening <= max(LEAST_STALLED, STALLED_RATIO * opening_of_scene):
-        yield figure("start, sizes or rad", away, limits[of_motions], original.motions)
+    judged = np.flatnonzero(~_stalled(original))
+    if len(judged):
+        motions = [original.motions[k] for k in judged]
+        yield figure("start, sizes or rad", away[judged], limits[of_motions[judged]], motions)
     state = initial_state(placed.scene)
     reached = placed.of_parts(np.hstack([state.linear_velocity, state.angular_velocity]).ravel())
     rows = place.of_parts / placed.part_units[:, None] * original.units
@@ -178,9 +179,29 @@ def start_figures(placed: Placed) -> Iterator[Figure]:
     )
 
 
-def _components(jacobian: Array) -> tuple[Array, Array]:
-    """Label the connected component of each row (k,) and each velocity (nv,) of constraints (k, nv)."""
-    joined = np.abs(jacobian) > ROUND_OFF
+def starts_not_compared(original: Original) -> list[str]:
+    """Name the joints in loops of the file whose closing stalls, so that their start is unknown."""
+    return list(dict.fromkeys(original.motions[k] for k in np.flatnonzero(_stalled(original))))
+
+
+def _stalled(original: Original) -> Array:
+    """(nv,) true for velocities in loops that are further open in `Original.closest` than in the scene.
+
+    Next to a singular configuration, closing the file's loops may stall and leave no start to compare with.
+    Loops that share no joint are judged apart.
+    """
+    of_rows, of_motions = _components(original)
+    closest, opened = openings = np.zeros((2, len(of_rows) + len(of_motions)))
+    for opening, constraints in zip(openings, original.open, strict=True):
+        np.maximum.at(opening, of_rows, np.abs(constraints.residual))
+    return np.asarray(~(closest <= np.maximum(LEAST_STALLED, STALLED_RATIO * opened))[of_motions])
+
+
+def _components(original: Original) -> tuple[Array, Array]:
+    """Label the connected component of each row (k,) and each velocity (nv,) of a file's constraints."""
+    # a lever arm may vanish in one of both configurations
+    jacobian = np.maximum(*(np.abs(constraints.jacobian) for constraints in original.open))
+    joined = jacobian > ROUND_OFF
     of_rows, of_velocities = np.arange(len(jacobian)), np.arange(jacobian.shape[1]) + len(jacobian)
     for row, velocities in zip(of_rows.copy(), joined, strict=True):
         # all that a row joins takes its label

@@ -27,12 +27,18 @@ import numpy as np
 
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System
-from newton_euler.errors import NewtonEulerError, VerificationError
+from newton_euler.errors import NewtonEulerError, VerificationError, listed
 from newton_euler.verification.dynamics import system_figures
 from newton_euler.verification.figure import Figure, worst
 from newton_euler.verification.forces import force_figures
 from newton_euler.verification.import_report import ImportReport
-from newton_euler.verification.model import PLACES, body_figures, joint_figures, start_figures
+from newton_euler.verification.model import (
+    PLACES,
+    body_figures,
+    joint_figures,
+    start_figures,
+    starts_not_compared,
+)
 from newton_euler.verification.original import LOOSEST, Original
 from newton_euler.verification.placed import Placed
 
@@ -112,4 +118,7 @@ def check(report: ImportReport) -> str:
         limits.append("nothing can move")
     elif any(len(original.samples) == 1 for original in originals):
         limits.append("loops close nowhere but at the start")
+    unknown = dict.fromkeys(name for original in originals for name in starts_not_compared(original))
+    if unknown:
+        limits.append(f"the start of {listed(unknown)} is not compared, as its loops do not close")
     return "; ".join([said, *limits])

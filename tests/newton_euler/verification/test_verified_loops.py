@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,8 @@ from crosscheck.run import crosscheck
 from crosscheck.studies.faults.find import find_in_reading
 from crosscheck.studies.faults.misreadings import misreadings
 from crosscheck.verdict import check
+from mjcf.errors import MjcfError
+from mjcf.reading.start import Start
 from newton_euler.equations.relative import Relative
 from newton_euler.model.forces import JointSpring
 from newton_euler.verification.verify import verify
@@ -74,15 +77,18 @@ def test_offsets_that_loops_keep_hide_no_fault(tmp_path: Path) -> None:
     assert seen[0] == seen[1] == seen[2]
 
 
-def far_open(angles: str) -> str:
-    """A chain of links of 0.3, 0.4 and 0.35 m. Only the straight chain reaches where its end is held."""
+def far_open(angles: str, beside: str = "") -> str:
+    """A chain of links of 0.3, 0.4 and 0.35 m. Only the straight chain reaches where its end is held.
+
+    Other bodies may be beside it.
+    """
     links = (
         '<body name="a"><joint name="ja" axis="0 1 0"/>{0}<body name="b" pos="0.3 0 0">'
         '<joint name="jb" axis="0 1 0"/>{0}<body name="c" pos="0.4 0 0"><joint name="jc" axis="0 1 0"/>{0}'
         "</body></body></body>"
     ).format(BOX.format("0.15 0 0"))
     loop = '<equality><connect body1="c" body2="world" anchor="0.35 0 0"/></equality>'
-    return model(links, f'{loop}<keyframe><key name="bent" qpos="{angles}"/></keyframe>')
+    return model(links + beside, f'{loop}<keyframe><key name="bent" qpos="{angles}"/></keyframe>')
 
 
 @pytest.mark.filterwarnings("ignore::newton_euler.errors.NearlyRedundantWarning")
@@ -96,6 +102,27 @@ def test_loops_that_close_near_a_singular_configuration_are_not_misread(angles: 
     verdict = check(str(path), ["newton_euler", "pinocchio"], key="bent", duration=0.01)
     failing = [each for each in verdict.figures if each.level == "reading" and not each.agrees]
     assert not failing
+
+
+@pytest.mark.filterwarnings("ignore::newton_euler.errors.NearlyRedundantWarning")
+def test_a_loop_that_stalls_hides_no_wrong_start_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pendulum = f'<body pos="2 0 0"><joint name="p" axis="0 1 0"/>{BOX.format("0.1 0 0")}</body>'
+    text = far_open("0.57 -0.97 -0.65 0.2", pendulum)
+    (line,) = (x for x in reading(tmp_path, text, key="bent").report.start if x.startswith("verified"))
+    limited = line.partition("; ")[2]
+    assert all(f"joint '{name}'" in limited for name in ("ja", "jb", "jc"))
+    assert "joint 'p'" not in limited
+
+    def moved(self: Any, key: str | None, place: Any = Start._place) -> str:
+        found: str = place(self, key)
+        self.data.qpos[3] += 1e-6
+        return found
+
+    monkeypatch.setattr(Start, "_place", moved)
+    with pytest.raises(MjcfError, match=r"joint 'p': .*start, sizes or rad"):
+        reading(tmp_path, text, key="bent")
 
 
 def stretched(gap: float) -> str:
