@@ -53,7 +53,8 @@ def moving(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[Scene, str]:
         bounds: limits of what the velocities change at once, such as the force of a servo with damping, and
             of joint coordinates. The velocities use at most `ROOM_SHARE` of the room that each limit leaves,
             for coordinates in the whole duration. A joint moves to the side where its limits leave more room.
-            If a closed loop decides its direction, all joints move the way that allows the higher speed.
+            If a closed loop decides its direction, all joints that constraints connect with that loop move
+            the way that allows the higher speed. Joints that share no constraint do not slow each other down.
 
     Returns:
         The scene, and how fast joints turn and slide, in words. A start where constraints lose rank stays at
@@ -85,18 +86,24 @@ def moving(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[Scene, str]:
     wanted = limits * signs * rng.uniform(0.5, 1.0, system.nv)
     free = orthonormal_null(jacobian, constraint_rank(system))
     v = system.velocity_units * (free @ (free.T @ (wanted / system.velocity_units)))
-    spins = _spins(scene, system, q, v)
-    if max(np.max(np.abs(v) / limits, initial=0.0), np.max(spins, initial=0.0) / SPIN) * SPIN < AT_REST:
+    turning = _turning(scene, system, q)
+    turned = turning.reshape(-1, system.nv) * system.velocity_units
+    parts = list(_parts([*jacobian, *turned, *(row / np.max(np.abs(row)) for row in rows if np.any(row))]))
+    reaches = [_reach_of(v * part, limits, turning, rows) for part in parts]
+    if max(reaches, default=0.0) * SPIN < AT_REST:
         return scene, "no start velocities, as constraints leave none"
-    v /= max(np.max(np.abs(v) / limits), np.max(spins, initial=0.0) / SPIN, *(abs(row @ v) for row in rows))
-    forth, back = (_share_of_rooms(system, rooms, fastest, q, sign * v) for sign in (1.0, -1.0))
-    if min(forth, back) > 1.0 + ROUND_OFF:
-        v /= min(forth, back)
-    if forth > max(1.0, back) * (1.0 + ROUND_OFF):
-        v = -v
+    # parts that share no constraint keep the proportions that they were drawn with
+    drawn = np.abs(wanted) / limits
+    moving_parts = [pair for pair in zip(parts, reaches, strict=True) if pair[1] * SPIN >= AT_REST]
+    most = max(np.max(drawn[part]) for part, _ in moving_parts)
+    found = np.zeros(system.nv)
+    for part, reached in moving_parts:
+        of_part = np.where(part, v, 0.0) * np.max(drawn[part]) / (most * reached)
+        found += _within_rooms(system, rooms, fastest, q, of_part)
+    v = found
     state = assemble(scene, system.state(q, v))
     speeds = {
-        "rad/s": float(np.max(_spins(scene, system, q, v), initial=0.0)),
+        "rad/s": float(np.max(np.linalg.norm(turning @ v, axis=1), initial=0.0)),
         "m/s": float(np.max(np.abs(v[lengths]), initial=0.0)),
     }
     said = " and ".join(f"{speed:.2g} {unit}" for unit, speed in speeds.items() if speed > AT_REST)
@@ -160,32 +167,59 @@ def _rooms(system: Relative, bounds: Iterable[Bounds]) -> Iterator[Room]:
         yield Room(key, None if place is None else place[1], down, up)
 
 
-def _share_of_rooms(system: Relative, rooms: Iterable[Room], fastest: Array, q: Array, v: Array) -> float:
-    """Compute the largest rate of a limited coordinate by the rate that the room on its side allows.
+def _within_rooms(system: Relative, rooms: Iterable[Room], fastest: Array, q: Array, v: Array) -> Array:
+    """Turn round and slow down velocities of joints that move together, for the room that limits leave them.
 
     Args:
         system, rooms: of the scene at its start.
         fastest: (nv,) rates that are allowed where there are no limits, m/s or rad/s.
         q, v: coordinates and velocities of the tree.
     """
-    scene, state, share = system.scene, system.state(q, v), 0.0
+    scene, forth, back = system.scene, 0.0, 0.0
+    frames = system.state(q, v).frames()
     for room in rooms:
-        rate = measured_coordinate(scene, state, room.key)[1]
+        rate = float(scene.mechanism.measure(room.key, frames)[1])
         if room.place is not None:
             most = fastest[room.place]
         else:
             most = SPEED * scene.mechanism.size if scene.mechanism.is_slide(*room.key) else SPIN
-        side = room.up if rate > 0.0 else room.down
-        share = max(share, abs(rate) / np.clip(ROOM_SHARE * side / scene.duration, LEAST_SHARE * most, most))
-    return float(share)
+        up, down = (
+            np.clip(ROOM_SHARE * side / scene.duration, LEAST_SHARE * most, most)
+            for side in (room.up, room.down)
+        )
+        forth = max(forth, abs(rate) / (up if rate > 0.0 else down))
+        back = max(back, abs(rate) / (down if rate > 0.0 else up))
+    if min(forth, back) > 1.0 + ROUND_OFF:
+        v = v / min(forth, back)
+    return -v if forth > max(1.0, back) * (1.0 + ROUND_OFF) else v
 
 
-def _spins(scene: Scene, system: Relative, q: Array, v: Array) -> Array:
-    """(joints,) rad/s between the bodies of each joint."""
-    omega = system.state(q, v).angular_velocity
-    return np.array(
-        [np.linalg.norm(omega[each.second] - omega[each.first]) for each in scene.mechanism.equations]
-    )
+def _turning(scene: Scene, system: Relative, q: Array) -> Array:
+    """(joints, 3, nv) angular velocity between the bodies of each joint for each velocity."""
+    angular = system.velocity_transformation(q).reshape(-1, 6, system.nv)[:, 3:]
+    equations = scene.mechanism.equations
+    return angular[[each.second for each in equations]] - angular[[each.first for each in equations]]
+
+
+def _reach_of(v: Array, limits: Array, turning: Array, rows: Iterable[Array]) -> float:
+    """Compute the largest velocity, spin of a joint, or rate of a row (nv,), by what it may be at most."""
+    spins = np.linalg.norm(turning @ v, axis=1)
+    reached = np.max(np.abs(v) / limits, initial=0.0), np.max(spins, initial=0.0) / SPIN
+    return float(max(*reached, *(abs(row @ v) for row in rows)))
+
+
+def _parts(rows: Iterable[Array]) -> Iterator[Array]:
+    """Yield the velocities (nv,) that dimensionless rows (nv,) connect with each other, as masks.
+
+    Each row connects all velocities that it has entries for.
+    """
+    rows = np.array([*rows])
+    labels = np.arange(rows.shape[1])
+    for row in np.abs(rows) > ROUND_OFF:
+        connected = labels[row]
+        labels[np.isin(labels, connected)] = min(connected, default=0)
+    for label in np.unique(labels):
+        yield labels == label
 
 
 class Swing(NamedTuple):

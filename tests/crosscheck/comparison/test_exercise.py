@@ -187,6 +187,33 @@ def test_start_velocities_of_a_closed_loop_stay_within_the_limits_of_joints(
     assert not found.report.after(course).acting
 
 
+def test_start_velocities_of_loops_without_a_common_constraint_are_chosen_apart(tmp_path: Path) -> None:
+    """Two loops move inwards from opposite limits, and an arm beside them as fast as without limits."""
+
+    def loop(number: int, limits: str) -> tuple[str, str]:
+        bodies = (
+            f'<body pos="0 {number} 0"><joint name="a{number}" axis="0 1 0" range="{limits}"/>'
+            f'{BOX.format("0 0 0.1")}<body pos="0 0 0.2"><joint axis="0 1 0"/>{BOX.format("0.25 0 0.05")}'
+            f'<site name="p{number}" pos="0.5 0 0.1"/></body></body>'
+            f'<body pos="0.5 {number} 0"><joint axis="0 1 0"/>{BOX.format("0 0 0.15")}'
+            f'<site name="q{number}" pos="0 0 0.3"/></body>'
+        )
+        return bodies, f'<connect site1="p{number}" site2="q{number}"/>'
+
+    arm = f'<body pos="0 3 0"><joint name="arm" axis="0 1 0"/>{BOX.format("0.2 0 0")}</body>'
+    rates = []
+    for limits in (("-90 0.5", "-0.5 90"), ("-90 90", "-90 90")):
+        (one, first), (two, second) = (loop(k, each) for k, each in enumerate(limits))
+        text = model(one + two + arm, f"<equality>{first}{second}</equality>")
+        scene = reading(tmp_path, text, exercise=True, duration=0.5).scene
+        frames = initial_state(scene).frames()
+        rates.append([scene.mechanism.measure((name, 0), frames)[1] for name in ("a0", "a1", "arm")])
+    limited, free = rates
+    assert limited[0] < 0.0 < limited[1]
+    assert np.abs(limited) == pytest.approx(np.abs(free), rel=1e-9)
+    assert np.min(np.abs(limited)) > 0.5 * SPIN
+
+
 @pytest.mark.parametrize("dynamics", ["filter", "filterexact", "integrator"])
 def test_an_early_activation_is_read_as_that_of_the_state(tmp_path: Path, dynamics: str) -> None:
     """MuJoCo takes `actearly` activations from the end of its time step, which no motion in time has."""
