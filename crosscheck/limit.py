@@ -99,19 +99,28 @@ def limited(what: str, advice: str, progress: Callable[[str], None], name: str =
 
 @contextmanager
 def tidied_up() -> Iterator[None]:
-    """A block that a request to end interrupts as Ctrl-C does, so that it tidies up behind itself.
+    """Let a request to end, or the end of the terminal, interrupt a block as Ctrl-C does: it tidies up.
 
-    Elsewhere there is nothing to tidy up, and Python would hear of the request only after what runs in
-    native code.
+    A signal that this process ignores, such as a hangup after `nohup`, remains ignored. Elsewhere there is
+    nothing to tidy up, and Python would hear of the request only after what runs in native code.
     """
     if threading.current_thread() is not threading.main_thread():  # the only one that hears of signals
         yield
         return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    handlers = {signal.SIGTERM: signal.default_int_handler, signal.SIGHUP: _hung_up}
+    heard = [number for number in handlers if signal.getsignal(number) != signal.SIG_IGN]
+    before = {number: signal.signal(number, handlers[number]) for number in heard}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _hung_up(number: int, frame: object) -> None:
+    """Raise `KeyboardInterrupt` once: both the shell and the kernel may send the signal."""
+    signal.signal(number, signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 def paced(items: Sequence[Item], progress: Callable[[str], None], what: str) -> Iterator[Item]:

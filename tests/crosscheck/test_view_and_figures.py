@@ -76,10 +76,13 @@ def test_view_in_a_browser_says_where_and_takes_ports_that_are_free(capsys, view
     assert ports == f"rerun%2Bhttp%3A%2F%2Flocalhost%3A{arguments[9]}%2Fproxy"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_viewer_and_its_children_end_with_the_command(viewer, number):
     (viewer.parent / "viewer").write_text("#!/bin/sh\nsleep 60 &\nsleep 2\necho shown\nwait\n")
-    code = f"import sys; from crosscheck.cli import main; sys.executable = {sys.executable!r}"
+    code = (
+        "import signal, sys; signal.signal(signal.SIGHUP, signal.SIG_DFL); "  # also if tests run with nohup
+    )
+    code += f"from crosscheck.cli import main; sys.executable = {sys.executable!r}"
     code += "; main(['view', 'one.rrd'])"
     command = subprocess.Popen([PYTHON, "-c", code], stdout=subprocess.PIPE, text=True)
     assert command.stdout.readline() == "shown\n"
