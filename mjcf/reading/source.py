@@ -42,8 +42,10 @@ FULL = 0.5
 """Share of its memory above which a process that crashed did so for lack of it: models that need more have
 used 85 % of it by then, those that MuJoCo crashes on a few MB."""
 
-COPIES = 5
-"""Largest number of copies of a compiled model that its reading holds at a time."""
+COPIES, COPIES_WITH_ACTUATORS = 2, 4
+"""Largest number of copies of a compiled model that its reading holds at a time, beside the model.
+
+A model with actuators is read a second time, with all controls at random."""
 
 UNKNOWN = "unknown exception"
 """Words of MuJoCo for an error of which it says nothing."""
@@ -163,9 +165,10 @@ def compiled(path: str, root: str | None = None) -> tuple[Any, KeySizes]:
 def check_memory(where: str, model: Any) -> None:
     """Raise `SourceError` if the copies of a compiled model that a reading makes exceed the free memory."""
     size, free = model.nbuffer / MB, free_memory() / MB
-    if COPIES * size > free:
-        needed = f"its reading needs {COPIES * size:.0f} MB of memory, {free:.0f} MB are free"
-        raise SourceError(where, f"compiled it takes {size:.0f} MB, mostly of meshes; {needed}")
+    needed = (COPIES_WITH_ACTUATORS if model.nu else COPIES) * size
+    if needed > free:
+        lacks = f"its reading needs {needed:.0f} MB of memory more, {free:.0f} MB are free"
+        raise SourceError(where, f"compiled it takes {size:.0f} MB, mostly of meshes; {lacks}")
 
 
 def given(model: object) -> tuple[str, Any, KeySizes]:

@@ -83,12 +83,19 @@ def test_lack_of_memory_is_told_from_a_crash_by_what_was_used(
     assert ("unknown exception" in str(error.value)) != lacks
 
 
+@pytest.mark.parametrize(("actuators", "copies"), [("", 2), ('<motor joint="p"/>', 4)])
 def test_copies_of_a_model_that_exceed_the_free_memory_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    actuators: str, copies: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Before they are made; a run that takes all memory is ended by the system without a word."""
+    """Before they are made; a run that takes all memory is ended by the system without a word.
+
+    The copies are those beside the compiled model, which is no part of the free memory.
+    """
     path = tmp_path / "model.xml"
-    path.write_text(model(PAIR), encoding="utf-8")
-    monkeypatch.setattr(source, "free_memory", lambda: 1000)
-    with pytest.raises(SourceError, match="MB of memory, 0 MB are free"):
+    path.write_text(model(PAIR, f"<actuator>{actuators}</actuator>"), encoding="utf-8")
+    made, _ = compiled(str(path))
+    monkeypatch.setattr(source, "free_memory", lambda: copies * made.nbuffer)
+    mjcf.read(path)
+    monkeypatch.setattr(source, "free_memory", lambda: copies * made.nbuffer - 1)
+    with pytest.raises(SourceError, match="MB of memory more, 0 MB are free"):
         mjcf.read(path)
