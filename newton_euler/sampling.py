@@ -226,7 +226,7 @@ def integrate_intervals(
         if carry:
             carry(integrator, x, interval)
         x[:] = integrator.x
-        if code.projects and x[code.size] < end and code.function("derivative")(x)[-1] < UNSAFE:
+        if code.projects and x[code.size] < end and code.pivot_ratio(x) < UNSAFE:
             where = f"a singular configuration, where joint {singular_joint(code, x)!r} loses rank"
             error = IntegrationError(float(x[code.size]), f"a knot or sample of a law is at {where}")
             break

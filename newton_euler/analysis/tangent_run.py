@@ -27,6 +27,7 @@ from newton_euler.sampling import Interval, integrate_intervals
 from newton_euler.scalars import Array
 
 TOO_NEAR = "the run comes too near to a singular configuration"
+TOO_LIGHT = "masses differ too much: beside heavy bodies, light ones amplify the errors of derivatives"
 SPACING = 0.1  # rad, or share of the size, between states whose pivot ratios are looked at
 FINER = 20  # pivot ratios between two that are beside a least one, twice
 OF_TANGENTS = 100.0  # their tolerance in units of `rtol`: hardly a step of a scene that moves is divided
@@ -198,13 +199,15 @@ class FollowedRun:
         if steps > len(integrator.steps):
             integrator = Integrator(code, interval.times, self._options, room=steps)
             integrator(begun)
-        self._check(_Path(code, integrator.steps[:steps], begun, integrator.x))
+        path = _Path(code, integrator.steps[:steps], begun, integrator.x)
+        self._check(path)
         self._turn_pieces(begun, interval, directions)
         for rates in code.rates:
             found = self._carried(rates, integrator, begun, directions)
             if found is not None:
                 return found
-        raise SensitivityError(TOO_NEAR)
+        near = code.loses_rank and path.least_pivot_ratio() < NEAR
+        raise SensitivityError(TOO_NEAR if near else TOO_LIGHT)
 
     def _check(self, path: _Path) -> None:
         """Raise `SensitivityError` for the path of a run that has no derivatives, or none that are known."""

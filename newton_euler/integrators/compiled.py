@@ -427,6 +427,8 @@ class Code:
 
     def pivot_ratio(self, x: Array) -> float:
         """Evaluate the pivot ratio at x (inputs,), as methods of integration see it."""
+        if not self.loses_rank:
+            return 1.0
         ratio = float(self.function("derivative")(x)[-1])
         return ratio_for_steps(ratio, float(self.function("ratio")(x)[0])) if ratio < NEAR else ratio
 

@@ -86,7 +86,7 @@ def _instability(code: Code, options: Options, states: Sequence[Array]) -> str:
     limit = STABILITY_LIMITS[options.integrator]
     too_long = f"step={options.step:g} s is too long for {options.integrator}"
     for number, x in enumerate(states):
-        if code.loses_rank and not code.pivot_ratio(x) > FAR:
+        if not code.pivot_ratio(x) > FAR:
             continue
         rate = fastest_rate(code, x)
         if number > 0 and rate * options.step > LEFT_MOTION * limit:
@@ -124,7 +124,7 @@ def fastest_rate(code: Code, x: Array) -> float:
 def _reason(code: Code, options: Options, status: int, x: Array) -> str:
     integrator, most = options.integrator, most_steps(options)
     known = status in (m.STRAYING, m.UNDETERMINED, m.UNPROJECTED)
-    near = known or (code.loses_rank and code.pivot_ratio(x) < NEAR)
+    near = known or code.pivot_ratio(x) < NEAR
     advice = {True: "", False: "; for stiff equations use Radau"}[near or integrator != "DOP853"]
     joint, value = nearly_dependent(code, x) if near else ("", 0.0)
     here = f"a singular configuration, where joint {joint!r} loses rank"
