@@ -53,10 +53,11 @@ def sun_command(
     from crosscheck.limit import paced
     from crosscheck.scenes.tracker_sun import PANEL_NORMAL, sun_tracker
     from crosscheck.solar.day import check_period, tracker_day
-    from crosscheck.solar.place import Place, seconds_of_day
+    from crosscheck.solar.place import SUN, Place, seconds_of_day
     from crosscheck.solar.report import day_report, files_of, survey_report, write, write_survey
     from crosscheck.solar.tracking import Tracking
     from crosscheck.solar.wind import wind_over_day
+    from newton_euler.optional_packages import optional_package
 
     if (stow is None) != (wind is None):
         given, other = ("--wind", "--stow SPEED") if stow is None else ("--stow", "--wind SPEED|CSV")
@@ -69,6 +70,7 @@ def sun_command(
     speeds = None if wind is None else wind_over_day(wind, seconds_of_day(period))
     places = [Place(latitude, numbers["longitude"], numbers["altitude"]) for latitude in latitudes]
     pairs = list(product(places, dates))
+    optional_package("pvlib", SUN)  # a missing package leaves no folder
     check_writable(*files_of(output, several=len(pairs) > 1))
     scene, days = sun_tracker(), []
     with progress_shown() as progress:

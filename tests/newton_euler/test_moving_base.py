@@ -240,7 +240,7 @@ def test_a_file_that_is_missing():
     ("arguments", "words"),
     [
         ({"motions": {"rol": Sine(0.1, 1.0)}}, "unknown motion 'rol'; needed: did you mean 'roll'"),
-        ({"motions": {"roll": 0.1}}, "motions holds 0.1; needed: a Polynomial or a Sine"),
+        ({"motions": {"roll": 0.1}}, "motions['roll'] is 0.1; needed: a Polynomial or a Sine"),
         ({"motions": {}}, "motions is {}"),
         ({"motions": WAVES, "joint": "pivot"}, "joint is 'pivot', a name that is in use"),
         ({"motions": WAVES, "world": "ground"}, "world is 'ground', a name that is in use"),

@@ -183,7 +183,7 @@ def test_numpys_numbers_are_options():
     ids=str,
 )
 def test_a_batch_of_no_sequence_is_refused(arguments):
-    with pytest.raises(NewtonEulerError, match=r"(states|parameters|gravity|threads) is .*; needed: "):
+    with pytest.raises(NewtonEulerError, match=r"(states|parameters|gravity'\]|threads) is .*; needed: "):
         newton_euler.simulate_batch(pendulum(), **arguments)
 
 
