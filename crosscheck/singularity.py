@@ -11,7 +11,7 @@ from crosscheck.comparison.samples import body_units
 from crosscheck.engines import native_method
 from newton_euler.equations.redundancy import constraint_rank
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.system import dimensionless_jacobian
+from newton_euler.equations.system import at_time, dimensionless_jacobian
 from newton_euler.errors import listed
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory
@@ -20,7 +20,8 @@ from newton_euler.simulate import simulate
 
 SINGULAR = 1e-3
 """Smallest singular value of the constraints next to a singular configuration, divided by the largest one
-along the run. A four-bar whose lengths are off by 1e-6 comes as near."""
+along the run. A four-bar with bars of 0.5 and 1 m that misses the configuration by 1e-7 m comes to 4e-4, one
+that misses it by 1e-6 m to 1.2e-3."""
 
 EVALUATIONS = 600
 """Number of outputs at which the constraints of a run are evaluated, times the number of velocities."""
@@ -42,6 +43,12 @@ NARROWER = 4
 
 MOST_CLOSER = 100_000
 """Number of outputs of the repeated run, at most."""
+
+NEWTON_STEPS, CLOSED = 20, 1e-10
+"""Number of steps, at most, and dimensionless residual of constraints that are closed beside an output."""
+
+DAMPING = 1e-8
+"""Smallest singular value that closes constraints. Round-off of the residuals divided by it is 1e-8."""
 
 GAINED = 10.0
 """Other singular values that vanish with the smallest one are at most so many times as large beside it."""
@@ -83,64 +90,87 @@ def passage(scene: Scene, run: Trajectory) -> Passage | None:
 
     The smallest singular value of the independent constraints is evaluated at some outputs. Near a singular
     configuration its square is a parabola of time, with a vertex at 0. Where it dips, the run is repeated
-    with closer outputs, and the vertex computed from three of them.
+    with closer outputs, and the time of the vertex computed from three of them. The value there is that of
+    the run's configuration at this time. If the repeated run stops before, it is that of the output.
     """
     system = Relative(scene)
     count = constraint_rank(system)
     if not count or count * system.nv > MOST_ELEMENTS:
         return None
 
-    def spectrum(run: Trajectory, output: int) -> tuple[Array, Array]:
-        """Singular values of the independent constraints, and their directions (count, nv)."""
-        q, _ = system.coordinates(run.state(output))
-        _, values, directions = np.linalg.svd(dimensionless_jacobian(system, q))
-        return values[:count], directions[:count]
+    def margin(q: Array) -> float:
+        return float(_spectrum(system, q, count)[0][-1])
 
-    def margin(run: Trajectory, output: int) -> float:
-        return float(spectrum(run, output)[0][-1])
+    def margins_at(run: Trajectory, outputs: Sequence[int]) -> list[float]:
+        return [margin(system.coordinates(run.state(k))[0]) for k in outputs]
 
     number = max(FEWEST_OUTPUTS, EVALUATIONS // system.nv)
     outputs = np.unique(np.linspace(0, len(run.time) - 1, number).astype(int)).tolist()
-    margins = [margin(run, k) for k in outputs]
+    margins = margins_at(run, outputs)
     largest = max(margins)
-    found: list[tuple[float, float, Trajectory, int]] = []
-    if margins[0] < SINGULAR * largest:
-        found.append((float(run.time[0]), margins[0], run, 0))
+    candidates = [(float(run.time[0]), system.coordinates(run.state(0))[0])]
     closer: Trajectory | None = None
     for k in range(1, len(outputs) - 1):
         if margins[k] > min(margins[k - 1], DIP * max(margins[k - 1], margins[k + 1]), margins[k + 1]):
             continue
         closer = closer or _closer(scene, len(run.time))
-        time, distance = _vertex(run.time[outputs[k - 1 : k + 2]], margins[k - 1 : k + 2])
-        path, lowest = run, outputs[k]
-        apart = CLOSER * (outputs[k + 1] - outputs[k - 1])
+        if closer.time[-1] < run.time[outputs[k + 1]]:  # it stopped before
+            candidates.append((float(run.time[outputs[k]]), system.coordinates(run.state(outputs[k]))[0]))
+            continue
+        time = _vertex(run.time[outputs[k - 1 : k + 2]], margins[k - 1 : k + 2])
+        apart = min(CLOSER * (outputs[k + 1] - outputs[k - 1]), len(closer.time) - 1)
         while apart > 1:
             apart = max(1, apart // NARROWER)
-            if 2 * apart >= len(closer.time):
-                continue
-            middle = np.clip(np.searchsorted(closer.time, time), apart, len(closer.time) - 1 - apart)
-            path, lowest = closer, int(middle)
-            near = [lowest - apart, lowest, lowest + apart]
-            time, distance = _vertex(closer.time[near], [margin(closer, each) for each in near])
-        if distance < SINGULAR * largest:
-            found.append((time, distance, path, lowest))
+            middle = int(np.clip(np.searchsorted(closer.time, time), apart, len(closer.time) - 1 - apart))
+            near = [middle - apart, middle, middle + apart]
+            time = _vertex(closer.time[near], margins_at(closer, near))
+        candidates.append((time, _configuration(system, closer, time, count)))
+    found = [(time, q) for time, q in candidates if margin(q) < SINGULAR * largest]
     if not found:
         return None
-    _, distance, path, output = found[0]
-    values, directions = spectrum(path, output)
+    _, q = found[0]
+    values, directions = _spectrum(system, q, count)
     gained = int(np.sum(values < max(GAINED * values[-1], SINGULAR * largest)))
-    q, _ = system.coordinates(path.state(output))
     turned = directions[count - gained :] / system.velocity_units
     motion = np.abs(system.velocity_transformation(q) @ turned.T / body_units(scene)[:, None])
     share = np.max(motion.reshape(len(scene.mechanism.bodies), -1), axis=1)
     names = np.array(scene.mechanism.body_names)[share > LARGE_SHARE * np.max(share)]
-    return Passage(tuple(time for time, *_ in found), distance / largest, gained, tuple(names.tolist()))
+    return Passage(tuple(time for time, _ in found), margin(q) / largest, gained, tuple(names.tolist()))
+
+
+def _spectrum(system: Relative, q: Array, count: int) -> tuple[Array, Array]:
+    """Compute the largest singular values of the constraints (count,) and their directions (count, nv)."""
+    _, values, directions = np.linalg.svd(dimensionless_jacobian(system, q))
+    return values[:count], directions[:count]
+
+
+def _configuration(system: Relative, run: Trajectory, time: float, count: int) -> Array:
+    """Compute the configuration of a run between two outputs, (nq,).
+
+    The nearest output is moved by its velocity and by the acceleration between its neighbors. Newton's steps
+    then close the independent constraints, `count` of them. If they do not, it is the nearest output.
+    """
+    nearest = int(np.argmin(np.abs(run.time - time)))
+    before, after = max(nearest - 1, 0), min(nearest + 1, len(run.time) - 1)
+    (_, earlier), (q, v), (_, later) = (system.coordinates(run.state(k)) for k in (before, nearest, after))
+    acceleration = (later - earlier) / (run.time[after] - run.time[before])
+    step = time - run.time[nearest]
+    system = at_time(system, time)
+    closed = system.retract(q, step * v + 0.5 * step**2 * acceleration)
+    for _ in range(NEWTON_STEPS):
+        u, values, directions = np.linalg.svd(dimensionless_jacobian(system, closed), full_matrices=False)
+        residual = u[:, :count].T @ (system.phi(closed) / system.phi_units)
+        if np.max(np.abs(residual)) < CLOSED:
+            return closed
+        change = directions[:count].T @ (residual * values[:count] / (values[:count] ** 2 + DAMPING**2))
+        closed = system.retract(closed, -system.velocity_units * change)
+    return q
 
 
 def _closer(scene: Scene, outputs: int) -> Trajectory:
     """Repeat a run with closer outputs, as far as it comes."""
     factor = max(1, min(CLOSER, MOST_CLOSER // outputs))
-    finer = replace(scene, output_period=scene.output_period / factor, outputs=frozenset())
+    finer = replace(scene, output_period=scene.output_period / factor, outputs=frozenset(["velocities"]))
     try:
         return simulate(finer, **native_method(finer, refined=False))
     except StoppedError as error:
@@ -149,10 +179,9 @@ def _closer(scene: Scene, outputs: int) -> Trajectory:
         return error.partial
 
 
-def _vertex(times: Array, values: Sequence[float]) -> tuple[float, float]:
-    """Time of the vertex of the parabola through three squares, and the root of its value, 0 if negative."""
-    a, b, c = np.polyfit(times - times[1], np.square(values), 2)
+def _vertex(times: Array, values: Sequence[float]) -> float:
+    """Compute the time of the vertex of the parabola through three squares, within the three times."""
+    a, b, _ = np.polyfit(times - times[1], np.square(values), 2)
     if a <= 0.0:
-        return float(times[1]), float(values[1])
-    offset = float(np.clip(-0.5 * b / a, times[0] - times[1], times[2] - times[1]))
-    return float(times[1] + offset), float(np.sqrt(max(0.0, (a * offset + b) * offset + c)))
+        return float(times[1])
+    return float(times[1] + np.clip(-0.5 * b / a, times[0] - times[1], times[2] - times[1]))

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import mechanisms
 import numpy as np
 import pytest
 from command_line import run
 
 from crosscheck.scenes import load
 from crosscheck.singularity import passage
+from newton_euler.equations.redundancy import constraint_rank
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import dimensionless_jacobian
+from newton_euler.model.joint_kinds import Revolute
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
 from newton_euler.simulate import simulate
+from newton_euler.variation import start
 
 FLAT = """<mujoco model="flat"><option gravity="0 0 0"/>
 <default><joint axis="0 1 0"/><geom type="capsule" size="0.01" contype="0" conaffinity="0"/></default>
@@ -44,6 +52,52 @@ def test_flat_parallelograms_are_passed_where_their_bars_lie(windows):
     assert found.freedoms == windows
     assert found.distance < 1e-5
     assert "bar_1" in found.bodies
+
+
+def near_miss(gap, duration, period):
+    """A parallelogram with a coupler longer than its base of 1 m: it turns beside the flat configuration."""
+    coupler, tip = 1.0 + gap, np.array([0.0, 0.0, 0.5])
+    pivot = np.array([1.0, 0.0, 0.0])
+    across = np.linalg.norm(pivot - tip)
+    along = (coupler**2 - 0.25 + across**2) / (2.0 * across)
+    e = (pivot - tip) / across
+    end = tip + along * e + np.sqrt(coupler**2 - along**2) * np.array([-e[2], 0.0, e[0]])
+    points = {"A": np.zeros(3), "B": tip, "C": end, "D": pivot}
+    bodies = [
+        Body.ground(),
+        *(mechanisms.bar(pair, *(points[x] for x in pair)) for pair in ("AB", "BC", "DC")),
+    ]
+    pairs = {"A": ("ground", "AB"), "B": ("AB", "BC"), "C": ("BC", "DC"), "D": ("ground", "DC")}
+    axis = np.array([0.0, 1.0, 0.0])
+    joints = [Revolute(name, *pair, points[name], axis=axis) for name, pair in pairs.items()]
+    scene = Scene("near_miss", Mechanism(bodies, joints), duration, period, np.zeros(3))
+    return start(scene, A=(0.0, 3.0))
+
+
+def margins(scene, outputs=slice(None)):
+    """Smallest singular values of the independent constraints along a run."""
+    motion, system = simulate(scene), Relative(scene)
+    chosen = range(len(motion.time))[outputs]
+    found = [dimensionless_jacobian(system, system.coordinates(motion.state(k))[0]) for k in chosen]
+    return np.linalg.svd(np.array(found), compute_uv=False)[:, constraint_rank(system) - 1]
+
+
+def test_the_distance_of_a_near_miss_is_that_of_the_run():
+    """Against the same run with outputs that are 1e-5 s apart, near 0.5235 s."""
+    scene = near_miss(1e-7, 2.0, 0.02)
+    found = passage(scene, simulate(scene))
+    closer = margins(replace(scene, duration=0.53, output_period=1e-5), slice(52_200, 52_500))
+    assert found.distance == pytest.approx(np.min(closer) / np.max(margins(scene)), rel=0.02)
+    further = near_miss(1e-6, 2.0, 0.02)
+    assert passage(further, simulate(further)) is None
+
+
+def test_coarse_outputs_alone_invent_no_passage(monkeypatch):
+    """The smallest singular value there is beyond the threshold. A parabola through squares passes 0."""
+    scene = near_miss(1e-3, 3.64, 0.13)
+    motion = simulate(scene)
+    monkeypatch.setattr("crosscheck.singularity._closer", lambda *_: motion.first(1))  # it stops at once
+    assert passage(scene, motion) is None
 
 
 def test_a_run_that_ends_before_passes_none():
