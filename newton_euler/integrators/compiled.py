@@ -44,6 +44,7 @@ from newton_euler.equations.row_choice import (
 from newton_euler.equations.sparse import RowsInUse, add, dot, gram_factor, is_zero, least_squares
 from newton_euler.equations.system import Observation, at_time
 from newton_euler.errors import UnknownNameError
+from newton_euler.integrators.constraint_groups import constraint_groups
 from newton_euler.integrators.formulations import cheaper_formulation, formulate
 from newton_euler.integrators.options import baumgarte_alpha
 from newton_euler.integrators.singular import NEAR, ratio_for_steps
@@ -162,6 +163,11 @@ class Code:
         """True if runs are projected onto the constraints, or quaternions at least onto norm 1."""
         closes = len(self.system.phi_units) > 0 or len(self.system.quaternions) > 0
         return self.stabilization == "projection" and closes
+
+    @cached_property
+    def groups(self) -> Array:
+        """Groups (size,) that constraints connect, see `constraint_groups`; none if nothing is projected."""
+        return constraint_groups(self.system) if self.projects else np.zeros(0)
 
     @cached_property
     def loses_rank(self) -> bool:

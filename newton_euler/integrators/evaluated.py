@@ -21,6 +21,7 @@ from newton_euler.errors import AssemblyError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.callbacks import Callbacks, PythonCallback, vector_at
 from newton_euler.integrators.compiled import OPEN_TOLERANCE
+from newton_euler.integrators.constraint_groups import constraint_groups, group_places
 from newton_euler.integrators.constraint_ratio import no_ratio
 from newton_euler.integrators.dense_projection import ROUND_OFF, closing_of
 from newton_euler.integrators.options import Options
@@ -108,6 +109,7 @@ class EvaluatedSystem(Callbacks):
         marks[[place.start for place in system.quaternions]] = (
             m.QUATERNION_WITH_RATES if with_rates else m.QUATERNION
         )
+        groups = constraint_groups(system) if options.projection and rows > 0 else np.zeros(0)
         derivative = self.callback(n + 1, self._derivative)
         self.equations = m.Equations(
             n=n,
@@ -138,6 +140,8 @@ class EvaluatedSystem(Callbacks):
             beside=np.zeros(2 * n + 4),
             pause=self.pause,
             marks=marks,
+            groups=int(groups.max(initial=0.0)),
+            members=group_places(groups, nq),
             counts=self.counts,
         )
 

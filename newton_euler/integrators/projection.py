@@ -293,21 +293,29 @@ def change_by_projection(
 
     The change is the part of a step's error that opens the constraints. The error estimate of a step cannot
     see the change. Coordinates and velocities are measured by their norms, not one by one: projection spreads
-    the change over all of them, those that are near zero included.
+    the change over all of them, those that are near zero included. Each group that constraints connect is
+    measured by itself, and the largest change counts.
     """
-    total = 0.0
-    for part in range(2):
-        first = 0 if part == 0 else system.nq
-        end = system.nq if part == 0 else system.n
-        change = 0.0
-        size = 0.0
-        for i in range(first, end):
-            change += (projected[i] - unprojected[i]) * (projected[i] - unprojected[i])
-            size += projected[i] * projected[i]
-        if end > first:
-            scale = atol + rtol * sqrt(size / (end - first))
-            total += change / (scale * scale)
-    return sqrt(total / system.n) if system.n > 0 else 0.0
+    largest_change = 0.0
+    place = 0
+    for _group in range(system.groups):
+        total = 0.0
+        counted = 0
+        for _part in range(2):
+            count = int(system.members[place])
+            change = 0.0
+            size = 0.0
+            for j in range(count):
+                i = int(system.members[place + 1 + j])
+                change += (projected[i] - unprojected[i]) * (projected[i] - unprojected[i])
+                size += projected[i] * projected[i]
+            if count > 0:
+                scale = atol + rtol * sqrt(size / count)
+                total += change / (scale * scale)
+            place += count + 1
+            counted += count
+        largest_change = max(largest_change, total / counted)
+    return sqrt(largest_change)
 
 
 @np.errstate(invalid="ignore")  # of hinges in a row, which do not reach every orientation

@@ -23,6 +23,7 @@ from newton_euler.integrators.callbacks import (
     vector_at,
 )
 from newton_euler.integrators.compiled import OPEN_TOLERANCE, Code
+from newton_euler.integrators.constraint_groups import group_places
 from newton_euler.integrators.constraint_ratio import READY, UNPREPARED, ConstraintRatio
 from newton_euler.integrators.dense_projection import ROUND_OFF, Closing, closing_of, unprepared
 from newton_euler.integrators.dop853 import CONTROLS, Dop853, integrate_dop853
@@ -247,6 +248,8 @@ def equations(code: Code, python: DenseCallbacks, derivative: Callback, marked: 
         beside=np.zeros((code.inputs + code.size + 3, lanes)),
         pause=python.pause,
         marks=marked,
+        groups=int(code.groups.max(initial=0.0)),
+        members=group_places(code.groups, code.system.nq),
         counts=python.counts,
     )
 

@@ -79,6 +79,8 @@ class Equations(Record):
         beside: (inputs + n + 3, lanes) scratch.
         pause: asks whether the user wants to stop.
         marks: (n,) of angles and Euler parameters.
+        groups: number of groups of coordinates and velocities that constraints connect.
+        members: their places, see `newton_euler.integrators.constraint_groups.group_places`.
         counts: (COUNTS,) of the current run.
     """
 
@@ -100,6 +102,8 @@ class Equations(Record):
     beside: Vector
     pause: Callback
     marks: Shared
+    groups: int
+    members: Shared
     counts: Vector
 
 

@@ -10,7 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from overconstrained import LOOPS, centers, linkage, side_by_side
+from hanging_chains import hanging_chain
+from overconstrained import LOOPS, SPEED, centers, linkage, side_by_side
 from scipy.optimize import minimize_scalar
 
 import newton_euler
@@ -21,9 +22,13 @@ from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.row_choice import exchangeable_rows, exchanged
 from newton_euler.equations.system import dimensionless_jacobian
+from newton_euler.integrators.constraint_groups import constraint_groups
 from newton_euler.integrators.options import Options
+from newton_euler.model.joint_kinds import Revolute
+from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.state import State
 from newton_euler.simulate import run as run_system
+from newton_euler.variation import start
 
 FORMULATIONS = ("relative", "cartesian")
 POSES = frozenset[str]()
@@ -73,6 +78,41 @@ def test_a_step_that_projection_changes_by_more_than_the_tolerance_is_rejected(n
     scene = replace(linkage(name), outputs=POSES)
     run = newton_euler.simulate(scene, "relative", rtol=rtol, atol=0.1 * rtol)
     assert error(run, name) < 1.2 * rtol
+
+
+@pytest.mark.parametrize("integrator", ["DOP853", "Radau"])
+@pytest.mark.parametrize("speed", [0.0, 1000.0])
+@pytest.mark.parametrize("rtol", [1e-6, 1e-7])
+def test_a_rotor_beside_a_linkage_does_not_change_its_error(rtol, speed, integrator):
+    """The norm of all velocities is a hundred times that of the linkage's."""
+    scene = linkage("goldberg")
+    rotor = Body("rotor", 1.0, [0.0, 3.0, 0.0], 0.01 * np.eye(3))
+    axle = Revolute("axle", "ground", "rotor", [0.0, 3.0, 0.0], axis=np.array([1.0, 0.0, 0.0]))
+    mechanism = Mechanism([*scene.mechanism.bodies, rotor], [*scene.mechanism.joints, axle])
+    scene = start(
+        replace(scene, mechanism=mechanism, initial_state=None, outputs=POSES),
+        h0=(0.0, SPEED),
+        axle=(0.0, speed),
+    )
+    wanted = centers("goldberg")
+    run = newton_euler.simulate(scene, "relative", integrator, rtol=rtol, atol=0.1 * rtol)
+    allowed = {"DOP853": 1.2, "Radau": 10.0}[integrator]  # of more steps, each one tolerance
+    assert np.abs(run.position[:, 1:-1] - wanted).max() < allowed * rtol
+
+
+@pytest.mark.parametrize("formulation", [Relative, Cartesian])
+def test_groups_are_those_of_the_loops(formulation):
+    """Two linkages share no coordinate; a pendulum of two bars is held by its joints alone."""
+    system = formulation(side_by_side(["bennett", "goldberg"]), 0.0)
+    groups, count = constraint_groups(system), 3 + 4
+    of_v, each = groups[system.nq :], system.nv // count
+    if formulation is Relative:  # hinges: those of the cuts have no coordinates
+        assert sorted(of_v) == [1.0] * 3 + [2.0] * 4
+    else:
+        assert [*of_v] == [1.0] * 3 * each + [2.0] * 4 * each
+    assert sorted(groups[: system.nq]) == sorted(of_v)
+    chain = constraint_groups(formulation(hanging_chain([1.0, 1.0], 0.5, 1.0, 1.0), 0.0))
+    assert {*chain} == ({0.0} if formulation is Relative else {1.0})
 
 
 @pytest.mark.parametrize("engine", list(ENGINES.values()), ids=lambda engine: engine.name)

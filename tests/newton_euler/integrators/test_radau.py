@@ -176,6 +176,8 @@ def test_outputs_between_steps_are_as_exact_as_the_steps():
         beside=np.zeros(0),
         pause=pause,
         marks=np.zeros(n),
+        groups=0,
+        members=np.zeros(0),
         counts=np.zeros(COUNTS),
     )
     sizes = (n, n + 2, 3 * n, 3 * n, 3 * n + 3, 3 * n + 2, 3 * n, n * n, n * n, n * n, n * n, 2 * n)

@@ -241,6 +241,8 @@ def test_what_the_last_newton_step_leaves_counts(steps, status):
         beside=np.zeros(5),
         pause=None,
         marks=np.zeros(1),
+        groups=0,
+        members=np.zeros(0),
         counts=np.zeros(COUNTS),
     )
     assert project(system, 0, x) == status
