@@ -9,6 +9,7 @@ import numpy as np
 
 from crosscheck.comparison.samples import body_units
 from crosscheck.engines import native_method
+from crosscheck.errors import CrosscheckError
 from newton_euler.equations.redundancy import constraint_rank
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import at_time, dimensionless_jacobian
@@ -20,8 +21,8 @@ from newton_euler.simulate import simulate
 
 SINGULAR = 1e-3
 """Smallest singular value of the constraints next to a singular configuration, divided by the largest one
-along the run. A four-bar with bars of 0.5 and 1 m that misses the configuration by 1e-7 m comes to 4e-4, one
-that misses it by 1e-6 m to 1.2e-3."""
+along the run. A four-bar with bars of 0.5 and 1 m that misses the configuration by 1e-7 m comes to 3.5e-4,
+one that misses it by 1e-6 m to 1.1e-3."""
 
 EVALUATIONS = 600
 """Number of outputs at which the constraints of a run are evaluated, times the number of velocities."""
@@ -92,11 +93,17 @@ def passage(scene: Scene, run: Trajectory) -> Passage | None:
     configuration its square is a parabola of time, with a vertex at 0. Where it dips, the run is repeated
     with closer outputs, and the time of the vertex computed from three of them. The value there is that of
     the run's configuration at this time. If the repeated run stops before, it is that of the output.
+
+    Raises:
+        CrosscheckError: for a mechanism that is too large to search.
     """
     system = Relative(scene)
     count = constraint_rank(system)
-    if not count or count * system.nv > MOST_ELEMENTS:
+    if not count:
         return None
+    if count * system.nv > MOST_ELEMENTS:
+        size = f"{count} independent constraints of {system.nv} velocities are {count * system.nv} elements"
+        raise CrosscheckError(f"left out, as {size}; at most {MOST_ELEMENTS} are searched")
 
     def margin(q: Array) -> float:
         return float(_spectrum(system, q, count)[0][-1])

@@ -116,3 +116,14 @@ def test_a_start_in_one_is_in_the_default_output(tmp_path, monkeypatch, capsys):
     (tmp_path / "flat.xml").write_text(FLAT.format(length=0.1))
     status, out, _ = run(capsys, "run", "flat.xml", "--set", "key=go", "--set", "duration=0.5")
     assert "starts in a singular configuration" in out, (status, out)
+
+
+def test_a_mechanism_that_is_too_large_to_search_is_named_as_such(tmp_path, monkeypatch, capsys):
+    """Two independent constraints of three velocities."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("crosscheck.singularity.MOST_ELEMENTS", 5)
+    (tmp_path / "flat.xml").write_text(FLAT.format(length=0.1))
+    status, out, _ = run(capsys, "run", "flat.xml", "--set", "duration=0.1", "--set", "key=qpos0")
+    (line,) = (each for each in " ".join(out.split()).split("searching singular configurations: ")[1:])
+    assert line.startswith("left out, as 2 independent constraints of 3 velocities are 6 elements")
+    assert status == 0, out
