@@ -23,10 +23,10 @@ from newton_euler.integrators.dop853_tableau import (
     STAGES,
 )
 from newton_euler.integrators.projection import (
-    SHRINKS,
     begin_adaptive,
     change_by_projection,
     finish_step,
+    is_error_of_step,
     project_end,
     project_rows,
 )
@@ -59,9 +59,10 @@ EXPONENT = -1.0 / 8.0
 """Of the error in the factor for the next step."""
 
 SIZE, GROWTH, HOPPED, DUE, UNCUT, BEYOND, LEAVES, SMOOTHNESS, NOISY, MOVED = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+MOVED_NOISE = 10
 """Places in the vector `control`."""
 
-CONTROLS = 10
+CONTROLS = 11
 
 FAILED = 1e10
 """Stands for the error of a step that could not be evaluated or projected."""
@@ -371,6 +372,7 @@ def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853
     method.control[LEAVES] = 1.0
     method.control[NOISY] = 0.0
     method.control[MOVED] = HUGE
+    method.control[MOVED_NOISE] = 0.0
     return DONE
 
 
@@ -454,7 +456,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         moved = FAILED
     elif near == 0 and system.projecting == 1:
         moved = change_by_projection(system, method.at, method.projected, method.rtol, method.atol)
-    if status != DONE or (moved >= 1.0 and moved < SHRINKS * control[MOVED]):
+    if status != DONE or is_error_of_step(moved, control[MOVED], control[MOVED_NOISE]) == 1:
         counts[REJECTED] += 1.0
         if status != DONE and h < 1e-10 * (stop - table.times[0]):
             return status
@@ -463,6 +465,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         control[MOVED] = moved
         return DONE
     control[MOVED] = HUGE
+    control[MOVED_NOISE] = moved if moved >= 1.0 else 0.0
     keep_step(system.exchange, h, method, int(counts[STEPS]))
     counts[STEPS] += 1.0
     if near == 0 and excess >= 1.0:

@@ -62,6 +62,9 @@ SHRINKS = 0.5
 """Factor by which projection has to change a shorter step less than the longer one before it. The change
 falls with a high power of the step; what does not fall is round-off."""
 
+NOISE_GROWS = 2.0
+"""Factor by which the round-off in the change by projection may grow from one step to the next."""
+
 COME_OPEN = 1e-2
 """Lengths of the mechanism's longest body, or rad, by which a joint may drift without projection before what
 runs on is another mechanism: a hundredth can be seen."""
@@ -316,6 +319,22 @@ def change_by_projection(
             counted += count
         largest_change = max(largest_change, total / counted)
     return sqrt(largest_change)
+
+
+@native
+def is_error_of_step(moved: float, before: float, noise: float) -> int:
+    """Return 1 if a step has to be rejected for the change by projection, else 0.
+
+    Far from the origin, round-off of the constraints can exceed the tolerance. Shorter steps do not reduce
+    round-off, so a change that does not shrink with the step is accepted, and so are changes of about this
+    size in the steps that follow.
+
+    Args:
+        moved: change of this step, in tolerances.
+        before: change of the longer step that was rejected just before; `HUGE` if there was none.
+        noise: change of the step accepted last if it was 1 or more, else 0.
+    """
+    return 1 if moved >= 1.0 and moved >= NOISE_GROWS * noise and moved < SHRINKS * before else 0
 
 
 @np.errstate(invalid="ignore")  # of hinges in a row, which do not reach every orientation

@@ -16,9 +16,9 @@ import numpy as np
 from newton_euler.codegen.native import Callback, Record, Vector, native
 from newton_euler.integrators.lu import factor_complex, factor_real, solve_complex, solve_real, zero_block
 from newton_euler.integrators.projection import (
-    SHRINKS,
     begin_adaptive,
     change_by_projection,
+    is_error_of_step,
     project_end,
     project_rows,
 )
@@ -332,6 +332,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
     before_h = 0.0
     before_error = 0.0
     moved_before = HUGE
+    moved_noise = 0.0
     rejected = 0
     m = 0
     for i in range(3 * n):
@@ -403,7 +404,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         moved = 0.0
         if status == DONE and system.projecting == 1:
             moved = change_by_projection(system, unprojected, projected, rtol, atol)
-        if status != DONE or (moved >= 1.0 and moved < SHRINKS * moved_before):
+        if status != DONE or is_error_of_step(moved, moved_before, moved_noise) == 1:
             counts[REJECTED] += 1.0
             if status != DONE and h < 1e-10 * (stop - times[0]):
                 return status
@@ -413,6 +414,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
             rejected = 1
             continue
         moved_before = HUGE
+        moved_noise = moved if moved >= 1.0 else 0.0
         counts[STEPS] += 1.0
         rejected = 0
         factor = min(FASTEST, max(SMALLEST, safety * factor))
