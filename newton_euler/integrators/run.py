@@ -140,7 +140,7 @@ class Integrator:
         functions = (f for each in code.scene.functions.values() for f in each)
         if options.rest and not all(f.is_constant for f in functions):
             raise OptionError("rest", options.rest, "0 for a scene with functions of time other than Steps")
-        self._code, self._options = code, options
+        self._code, self._options, self._stopped = code, options, stopped
         self.times, self.x, self.counts = times.copy(), np.zeros(code.inputs), np.zeros(m.COUNTS)
         self._python = Fallback(code, self.counts, stopped)
         self.table, self.steps = np.zeros((len(times), code.size)), np.zeros((room, code.flags.stop + 1))
@@ -159,19 +159,30 @@ class Integrator:
             IntegrationError: with the time reached, the reason and the joint.
         """
         self.x[:] = x
+        error, status = self._execute(), int(self.counts[m.STATUS])
+        if status != m.DONE or error is not None:
+            error = error or (self._python.error if status in (m.SINGULAR, m.OPEN) else None)
+            passed = [] if self._options.step is None else [x, *self._outputs_passed(), *self._steps_passed()]
+            raise failure(self._code, self._options, status, [*passed, self.x], self.counts, error)
+
+    def _execute(self) -> Exception | None:
+        """Run from `x`, interruptibly; return the error of the equations that ended the run, if one did.
+
+        Raises:
+            KeyboardInterrupt: if the user or `stopped` asks for it.
+            BaseException: a mistake of the program.
+        """
         python = self._python
         python.begin()
         with python.interruptible():
             self._run()
-        status = int(self.counts[m.STATUS])
-        if python.fatal is not None and not isinstance(python.fatal, EQUATION_ERRORS):
+        if isinstance(python.fatal, EQUATION_ERRORS):
+            return python.fatal
+        if python.fatal is not None:
             raise python.fatal
-        if status == m.INTERRUPTED and python.fatal is None:
+        if self.counts[m.STATUS] == m.INTERRUPTED:
             raise KeyboardInterrupt
-        if status != m.DONE or python.fatal is not None:
-            error = python.fatal or (python.error if status in (m.SINGULAR, m.OPEN) else None)
-            passed = [] if self._options.step is None else [x, *self._outputs_passed(), *self._steps_passed()]
-            raise failure(self._code, self._options, status, [*passed, self.x], self.counts, error)
+        return None
 
     def _outputs_passed(self) -> list[Array]:
         """Return some states (inputs,) of a run by fixed steps at its outputs."""
@@ -191,9 +202,9 @@ class Integrator:
         count = divisions(end - begin, self._options.step)
         if count > MAX_REPEATED:
             return []
-        again = Integrator(self._code, np.linspace(begin, end, count + 1), self._options)
+        again = Integrator(self._code, np.linspace(begin, end, count + 1), self._options, self._stopped)
         again.x[:] = self._row(last)
-        again._run()
+        again._execute()  # to where it ended, whatever ended it
         written = int(again.counts[m.WRITTEN])
         return [again._row(row) for row in range(max(1, written - LAST_STEPS), written)]
 

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from crosscheck.scenes import load
+from newton_euler.assemble import initial_state
+from newton_euler.integrators.callbacks import Callbacks
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.failures import STABILITY_LIMITS, fastest_rate
+from newton_euler.integrators.options import Options
+from newton_euler.integrators.run import Integrator
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint_kinds import Prismatic, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
@@ -80,6 +85,30 @@ def snapping_links():
         bodies.append(Body(f"b{k}", mass, center, inertia))
     joints.append(Spherical("end", "b3", "ground", ring[4]))
     return Scene("snap", Mechanism(bodies, joints), 0.5, 0.05, gravity=[0.0, 0.0, -G])
+
+
+@pytest.mark.parametrize("how", ["signal", "other thread"])
+def test_an_interrupt_reaches_a_run_that_is_repeated_to_explain_it(monkeypatch, how):
+    """Most of the time of a failed run may be that of its explanation."""
+    scene = replace(snapping_links(), output_period=0.5)
+    code, stopped, made = Code(scene), [], []
+    pause, make = Callbacks._pause, Integrator.__init__
+
+    def interrupting(self, *arguments):
+        if len(made) == 2:
+            signal.raise_signal(signal.SIGINT) if how == "signal" else stopped.append(True)
+        pause(self, *arguments)
+
+    def counting(self, *arguments):
+        made.append(self)
+        make(self, *arguments)
+
+    monkeypatch.setattr(Callbacks, "_pause", interrupting)
+    monkeypatch.setattr(Integrator, "__init__", counting)
+    integrator = Integrator(code, scene.times, Options.of("RK4", {"step": 1e-3}), stopped)
+    with pytest.raises(KeyboardInterrupt):
+        integrator(code.packed(*code.system.coordinates(initial_state(scene))))
+    assert len(made) == 2
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
