@@ -27,7 +27,7 @@ from newton_euler.integrators.constraint_groups import group_places
 from newton_euler.integrators.constraint_ratio import READY, UNPREPARED, ConstraintRatio
 from newton_euler.integrators.dense_projection import ROUND_OFF, Closing, closing_of, unprepared
 from newton_euler.integrators.dop853 import CONTROLS, Dop853, integrate_dop853
-from newton_euler.integrators.failures import failure
+from newton_euler.integrators.failures import UNSTABLE, failure
 from newton_euler.integrators.fixed_step import FixedStep, divisions, integrate_fixed
 from newton_euler.integrators.options import FIXED, Options, most_steps
 from newton_euler.integrators.outputs import Outputs, loops
@@ -38,11 +38,11 @@ from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
 MAX_EXAMINED = 8
-"""Outputs of a run that are examined to explain how it ended."""
+"""Outputs of a run among which states are examined to explain how it ended."""
 
 MAX_REPEATED, LAST_STEPS = 10_000, 200
-"""Fixed steps since the last output that are made again to explain how a run ended; the last of them are
-examined."""
+"""Fixed steps since the last output that are made again to explain how a run ended; states are examined among
+the last of them."""
 
 PREPARING = threading.Lock()
 """Held while functions are compiled: threads that need the same wait for one of them."""
@@ -162,7 +162,9 @@ class Integrator:
         error, status = self._execute(), int(self.counts[m.STATUS])
         if status != m.DONE or error is not None:
             error = error or (self._python.error if status in (m.SINGULAR, m.OPEN) else None)
-            passed = [] if self._options.step is None else [x, *self._outputs_passed(), *self._steps_passed()]
+            passed: list[Array] = []
+            if self._options.step is not None and error is None and status in UNSTABLE:
+                passed = [x, *self._outputs_passed(), *self._steps_passed()]
             raise failure(self._code, self._options, status, [*passed, self.x], self.counts, error)
 
     def _execute(self) -> Exception | None:

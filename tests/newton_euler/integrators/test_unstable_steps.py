@@ -12,7 +12,7 @@ from crosscheck.scenes import load
 from newton_euler.assemble import initial_state
 from newton_euler.integrators.callbacks import Callbacks
 from newton_euler.integrators.compiled import Code
-from newton_euler.integrators.failures import STABILITY_LIMITS, fastest_rate
+from newton_euler.integrators.failures import STABILITY_LIMITS, fastest_rate, first_above
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.run import Integrator
 from newton_euler.model.forces import JointSpring
@@ -85,6 +85,24 @@ def snapping_links():
         bodies.append(Body(f"b{k}", mass, center, inertia))
     joints.append(Spherical("end", "b3", "ground", ring[4]))
     return Scene("snap", Mechanism(bodies, joints), 0.5, 0.05, gravity=[0.0, 0.0, -G])
+
+
+@pytest.mark.parametrize(
+    ("rates", "found"),
+    [
+        ([1.0] * 150 + [3.0] * 59, (150, 3.0)),
+        ([1.0] * 150 + [3.0] * 58 + [0.0], (150, 3.0)),  # as of a state that has left the motion
+        ([1.0] * 208 + [3.0], (208, 3.0)),
+        ([3.0] * 209, (0, 3.0)),
+        ([1.0] * 209, (0, 0.0)),
+        ([1.0], (0, 0.0)),
+        ([], (0, 0.0)),
+    ],
+)
+def test_few_states_are_examined_for_the_first_one_whose_rate_is_too_high(rates, found):
+    examined = []
+    assert first_above(lambda number: examined.append(number) or rates[number], len(rates), 2.0) == found
+    assert len(examined) <= 15
 
 
 @pytest.mark.parametrize("how", ["signal", "other thread"])
