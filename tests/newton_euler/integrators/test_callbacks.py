@@ -7,9 +7,12 @@ import pytest
 from overconstrained import linkage
 
 from newton_euler import simulate, simulate_batch
+from newton_euler.assemble import initial_state
 from newton_euler.integrators import run
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.callbacks import Callbacks
+from newton_euler.integrators.compiled import Code
+from newton_euler.integrators.options import Options
 from newton_euler.model.trajectory import IntegrationError
 
 
@@ -46,6 +49,25 @@ def test_a_mistake_of_the_program_is_raised_as_it_is(monkeypatch):
     with pytest.raises(ZeroDivisionError) as caught:
         simulate(linkage("bennett"))
     assert caught.value is mistake
+
+
+@pytest.mark.parametrize(
+    ("status", "quoted"), [(m.SINGULAR, True), (m.OPEN, False), (m.STEP_TOO_SMALL, False)]
+)
+def test_an_error_that_a_run_recovered_from_is_not_its_reason(monkeypatch, status, quoted):
+    """Projection that fails long after the dense form did has a reason of its own."""
+    scene = linkage("bennett")
+    code = Code(scene, "relative")
+    integrator = run.Integrator(code, scene.times, Options())
+
+    def ended():
+        integrator.counts[m.STATUS] = status
+        integrator._python.error = np.linalg.LinAlgError("of a state before")
+
+    monkeypatch.setattr(integrator, "_run", ended)
+    with pytest.raises(IntegrationError) as caught:
+        integrator(code.packed(*code.system.coordinates(initial_state(scene))))
+    assert ("of a state before" in caught.value.reason) == quoted
 
 
 def test_an_error_of_a_state_is_forgotten_at_the_next_one_that_has_an_answer():
