@@ -443,20 +443,20 @@ def _report_joints(joints: list[JointProperties], start: Start, tree: Tree, repo
         if joint.friction:
             why = f"its dry friction {joint.friction:g}"
             resting = [Rest((key,))] if key else []
-            report.left_out(element, why, topic=FRICTION, watches=resting)
+            report.left_out(element, why, topic=FRICTION, watches=resting, numbers=[joint.friction])
         if joint.limits:
             low, high, speed = joint.limits
             why = f"its limits {low:.4g} to {high:.4g}: limits are no bilateral constraints"
             watches = _limits(start, joint, key) if key else []
-            report.left_out(element, why, topic=LIMITS, watches=watches)
+            report.left_out(element, why, topic=LIMITS, watches=watches, numbers=[low, high])
             if math.isfinite(speed):
                 why = f"its limit of velocity, {speed:.4g} {joint.unit}/s"
                 watches = _speed_limit(joint, key) if key else []
-                report.left_out(element, why, topic=VELOCITY_LIMITS, watches=watches)
+                report.left_out(element, why, topic=VELOCITY_LIMITS, watches=watches, numbers=[speed])
         if joint.rotor:
             why = f"its rotor, rotorInertia times rotorGearRatio^2 of {joint.rotor:g}"
             remedy = "Pinocchio's dynamics have model.armature alone: add it there"
-            report.left_out(element, f"{why}: {remedy}", topic="rotor")
+            report.left_out(element, f"{why}: {remedy}", topic="rotor", numbers=[joint.rotor])
         if joint.has_safety:
             why = "its safety controller: a program that runs beside the mechanism"
             report.left_out(element, why, topic="safety controller", examined=False)

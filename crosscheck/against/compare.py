@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import os
-import re
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from crosscheck.against.align import Aligned, alignments
 from crosscheck.against.levels import LEVELS, SharedStates, bodies_row, differences, start_rows
+from crosscheck.against.unsimulated import NEVER_COMPARED, Model, Unsimulated, is_mjcf, unsimulated
 from crosscheck.comparison.diagnosis import Diagnosis
 from crosscheck.comparison.figure import Figure, not_judged
 from crosscheck.comparison.levels import compare_pair
@@ -22,10 +22,8 @@ from crosscheck.comparison.samples import Samples
 from crosscheck.each_run import Stop, as_far_as_it_goes, each_run, finite, stops_text
 from crosscheck.engines import ENGINES, Engine
 from crosscheck.limit import SHORTER, limited
-from crosscheck.model_files.read import is_model, is_urdf
 from crosscheck.outcome import Outcome
 from crosscheck.run import Crosscheck, Progress
-from crosscheck.scenes.options import titled
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation
@@ -36,13 +34,6 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import (
-    CONTACTS,
-    LIMITS,
-    VELOCITY_LIMITS,
-    ImportedElement,
-    ImportReport,
-)
 
 ENGINE = ENGINES["newton_euler"]
 """Whose equations both models are given."""
@@ -56,44 +47,13 @@ TO_THE_END = "not run to the end"
 """How it is said that a run stopped."""
 
 
-@dataclass(frozen=True)
-class Model:
-    """One of the two.
-
-    Attributes:
-        name: as in tables and files.
-        source: the name or the file that it was loaded from.
-        options: of the scene, as they were set.
-        scene: what was read.
-        mapping: what became of the elements of a model file; None for a scene of this package's own.
-    """
-
-    name: str
-    source: str
-    options: Mapping[str, str]
-    scene: Scene
-    mapping: ImportReport | None
-
-    @property
-    def title(self) -> str:
-        return titled(self.source, self.options)
-
-
-class Unsimulated(NamedTuple):
-    """An element that only one of the files has and that is not simulated as it is."""
-
-    text: str
-    moves: bool
-    """True if it makes the mechanism itself move otherwise; else it is how a tool runs or shows it."""
-
-
 @dataclass(frozen=True, eq=False)
 class Against(Crosscheck):
     """Result of a comparison of two models; runs are by the models' names, in the first's terms.
 
     Attributes:
         models: the two.
-        unsimulated: what only one of the files has and no figure is about.
+        unsimulated: what the files do not have alike and no figure is about.
         notes: also what was taken for what, and all that differs.
     """
 
@@ -145,6 +105,8 @@ class Against(Crosscheck):
                 agree += f"; not compared and different: {count}, first {others[0].text}"
             if self.unfinished:
                 return f"UNFINISHED: {stops_text(self.unfinished)}; as far as compared {agree}"
+            if all(map(is_mjcf, self.models)):
+                agree += f"; {NEVER_COMPARED}"
             return f"SAME: {agree}"
         row = failed[0]
         worst = max((each for each in failed if each.level == row.level), key=lambda each: each.share)
@@ -380,42 +342,3 @@ def _in_first(run: Trajectory, aligned: Aligned) -> Trajectory:
         constraint_violation=violation,
         actuator_force=actuation,
     )
-
-
-def unsimulated(first: Model, second: Model, aligned: Aligned) -> Iterator[Unsimulated]:
-    """Elements that were not carried over exactly from one file and that the other file does not have.
-
-    Of two formats only what moves the mechanism, of contacts only whether there are any. Limits that only a
-    URDF has are no difference: it demands them of hinges and slides.
-    """
-    kinds = [_format(model) for model in (first, second)]
-    others = {**aligned.names, **aligned.joint_names}
-    here, there = (
-        _unsimulated(model, names, kinds[0] == kinds[1]) for model, names in ((first, {}), (second, others))
-    )
-    for where, mine, theirs, kind in (("here", here, there, kinds[0]), ("there", there, here, kinds[1])):
-        for key, entry in mine.items():
-            demanded = kind == "URDF" and kinds[0] != kinds[1] and entry.topic in (LIMITS, VELOCITY_LIMITS)
-            if key not in theirs and not demanded:
-                yield Unsimulated(f"only {where}: {entry}", not entry.inert)
-
-
-def _format(model: Model) -> str:
-    if not is_model(model.source):
-        return "scene"
-    return "URDF" if is_urdf(model.source) else "MJCF"
-
-
-def _unsimulated(
-    model: Model, names: Mapping[str, str], alike: bool
-) -> dict[tuple[str, ...], ImportedElement]:
-    """Entries of a model's report by what they are about, with other `names` of bodies and joints."""
-    found: dict[tuple[str, ...], ImportedElement] = {}
-    for entry in model.mapping.entries if model.mapping else ():
-        element = re.sub(r"'(.*?)'", lambda name: repr(names.get(name[1], name[1])), entry.element)
-        if not alike and entry.topic == CONTACTS:
-            element = ""
-        if (entry.fate != "exactly" or entry.inert) and (alike or not entry.inert):
-            key = (re.sub(r"^\d+ ", "", element), entry.topic, entry.fate, str(entry.inert))
-            found.setdefault(key, entry)
-    return found

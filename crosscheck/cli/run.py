@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from types import ModuleType
 
-    from crosscheck.against.compare import Model
+    from crosscheck.against.unsimulated import Model
     from crosscheck.run import Crosscheck, Progress
     from newton_euler.model.scene import Scene
     from newton_euler.scalars import Array
@@ -179,7 +179,7 @@ def _own_folder(name: str, sources: Sequence[str]) -> Path:
 
 def _models(*named: tuple[str, tuple[str, ...]]) -> tuple[Model, Model]:
     """Load two models by name or file and settings, with names of their own."""
-    from crosscheck.against.compare import Model
+    from crosscheck.against.unsimulated import Model
     from crosscheck.load import load_scene
     from newton_euler.verification.import_report import unique_name
 

@@ -18,7 +18,7 @@ feedforward.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from collections.abc import Mapping as Given
 from dataclasses import replace
 from typing import Any
@@ -39,7 +39,7 @@ from newton_euler.model.joint import Key
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.scalars import Array
 from newton_euler.verification.activity import Bounds
-from newton_euler.verification.import_report import CONTROL, FORCE, ROTOR, ImportReport
+from newton_euler.verification.import_report import CONTROL, CONTROL_RANGE, FORCE, ROTOR, ImportReport
 
 TRANSMISSION, DYNAMICS, GAIN, BIAS = mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
 
@@ -227,11 +227,15 @@ class Actuators:
         return Affine(*(float(x) for x in gain))
 
     def _tell(self, actuator: int, how: str, became: str) -> None:
-        given = float(self._data.ctrl[int(self._model.actuator_ctrladr[actuator])])
+        model, numbers = self._model, dict[str, Sequence[float]]()
+        given = float(self._data.ctrl[int(model.actuator_ctrladr[actuator])])
         if given != (control := self._control(actuator)):
             how += f"; its control {given:g} is clipped to {control:g} by its range, as in MuJoCo"
         silent = control == 0.0 and actuator not in self._swings
-        self._report.exactly(element_name(self._model, "actuator", actuator), how, became, inert=silent)
+        if model.actuator_ctrllimited[actuator]:
+            numbers[CONTROL_RANGE] = model.actuator_ctrlrange[actuator].tolist()
+        element = element_name(model, "actuator", actuator)
+        self._report.exactly(element, how, became, inert=silent, numbers=numbers)
 
     def _report_limits(
         self, actuator: int, element: str, law: Affine, moments: dict[int, float] | None
@@ -247,13 +251,14 @@ class Actuators:
             watch = Bounds(terms, low, high, unit, moving, law.by_length, law.by_rate)
             known = moments is not None or not (law.by_length or law.by_rate)
             why = f"its limit of the force, {low:g} to {high:g}"
-            report.left_out(element, why, topic="limit of the force", watches=[watch] if known else [])
+            watches = [watch] if known else []
+            report.left_out(element, why, topic="limit of the force", watches=watches, numbers=[low, high])
         tendon = int(model.actuator_trnid[actuator, 0])
         on_tendon = model.actuator_trntype[actuator] == TRANSMISSION.mjTRN_TENDON
         if on_tendon and model.tendon_actfrclimited[tendon]:
             low, high = (float(x) for x in model.tendon_actfrcrange[tendon])
             why = f"its tendon's limit of actuator forces, {low:g} to {high:g}"
-            report.left_out(element, why, topic="limit of its tendon")
+            report.left_out(element, why, topic="limit of its tendon", numbers=[low, high])
 
     def _force_unit(self, actuator: int) -> str:
         """Unit of an actuator's force: what it is on the length or the angle of its transmission."""
@@ -275,16 +280,17 @@ class Actuators:
         """Report a limit of all that drives a joint."""
         model, data = self._model, self._data
         key, element = self._joints.keys.get(joint), element_name(self._model, "joint", joint)
-        low, high = (float(x) for x in model.jnt_actfrcrange[joint])
+        low, high = bounds = [float(x) for x in model.jnt_actfrcrange[joint]]
         why, topic = f"its limit of actuator forces, {low:g} to {high:g}", "limit of actuator forces"
         law = None if key is None else self._acting.get(key)
         if others := self._others(joint):
-            self._report.left_out(element, f"{why}, which counts {others}", topic=topic)
+            self._report.left_out(element, f"{why}, which counts {others}", topic=topic, numbers=bounds)
         elif key is not None and law is not None:
             watch = _watch(law, low, high, FORCE_UNITS[JOINT(model.jnt_type[joint])])
-            self._report.left_out(element, why, topic=topic, watches=[watch] if watch else [])
+            watches = [watch] if watch else []
+            self._report.left_out(element, why, topic=topic, watches=watches, numbers=bounds)
         elif data.qfrc_actuator[model.jnt_dofadr[joint]]:
-            self._report.left_out(element, why, topic=topic)
+            self._report.left_out(element, why, topic=topic, numbers=bounds)
 
     def _others(self, joint: int) -> str:
         """Word what a joint's limit of actuator forces counts beside its control law."""

@@ -106,7 +106,7 @@ class Forces:
 
     def _report_yield(self, element: str, limit: float) -> None:
         why = f"that its spring yields beyond {limit:g}: springs here are elastic"
-        self._report.left_out(element, why, topic="yield")
+        self._report.left_out(element, why, topic="yield", numbers=[limit])
 
     def _rest(self, number: int, place: int) -> Array:
         """(3,) where the spring of a ball rests, as of `BallSpring`; its quaternion is at `place` of qpos."""

@@ -60,20 +60,23 @@ def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Impor
         if model.tendon_limited[tendon]:
             why, off = "its limits: limits are no bilateral constraints", start.disabled("LIMIT")
             watches = [_of_tendon(start, joints, poses, tendon)]
-            report.left_out(element, why, topic=LIMITS, off=off, watches=watches)
+            bounds = model.tendon_range[tendon].tolist()
+            report.left_out(element, why, topic=LIMITS, off=off, watches=watches, numbers=bounds)
         if model.tendon_frictionloss[tendon]:
-            why = f"its dry friction {model.tendon_frictionloss[tendon]:g}"
+            friction = float(model.tendon_frictionloss[tendon])
+            why = f"its dry friction {friction:g}"
             off = start.disabled("FRICTIONLOSS")
             keys = [joints.keys.get(joint) for joint in fixed(start, tendon) or {-1: 0.0}]
             watches_of = [Rest(tuple(key for key in keys if key))] if all(keys) else []
-            report.left_out(element, why, topic=FRICTION, off=off, watches=watches_of)
+            report.left_out(element, why, topic=FRICTION, off=off, watches=watches_of, numbers=[friction])
     option = model.opt
     for name, number in (("density", option.density), ("viscosity", option.viscosity)):
         if number:
             why = f"{number:g}: nothing here moves in a fluid"
-            report.left_out(f"option {name}", why, topic=name)
+            report.left_out(f"option {name}", why, topic=name, numbers=[number])
     if np.any(option.wind):
-        report.left_out("option wind", "nothing here moves in a fluid")
+        wind = option.wind.tolist()
+        report.left_out("option wind", "nothing here moves in a fluid", topic="wind", numbers=wind)
     if model.nflex:
         why = "bodies are rigid: what holds their points together is missing"
         report.left_out(f"{model.nflex} flexes", why)
@@ -145,13 +148,13 @@ def _report_joint(start: Start, joints: Joints, number: int, report: ImportRepor
             watches.append(Bounds(((joints.keys[number], 1.0),), low + margin, high - margin, unit, x))
         why = f"its limits {low:.4g} to {high:.4g}{where}: limits are no bilateral constraints"
         off = start.disabled("LIMIT")
-        report.left_out(element, why, topic=LIMITS, off=off, watches=watches)
+        report.left_out(element, why, topic=LIMITS, off=off, watches=watches, numbers=[low, high])
     dof = int(model.jnt_dofadr[number])
     if friction := float(model.dof_frictionloss[dof]):
         off = start.disabled("FRICTIONLOSS")
         why, key = f"its dry friction {friction:g}", joints.keys.get(number)
         resting = [Rest((key,))] if key else []
-        report.left_out(element, why, topic=FRICTION, off=off, watches=resting)
+        report.left_out(element, why, topic=FRICTION, off=off, watches=resting, numbers=[friction])
 
 
 class Poses:

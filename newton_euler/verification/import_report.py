@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -18,6 +18,9 @@ Fate = Literal["exactly", "inactive", "left out"]
 FATES: tuple[Fate, ...] = ("exactly", "inactive", "left out")
 CONTACTS, LIMITS, VELOCITY_LIMITS, FRICTION = "contacts", "limits", "limit of velocity", "dry friction"
 """Topics of files."""
+
+CONTROL_RANGE = "control range"
+"""Name of the range that the control of an actuator is clipped to."""
 
 CONTROL, FORCE, ROTOR = "control law", "force", "rotor"
 """What elements became that not every format has; all have dampers along hinges and slides."""
@@ -41,6 +44,7 @@ class ImportedElement:
         seen: what a run shows of it.
         is_off: True if the file itself switches the element off, so that nobody simulates it.
         is_understood: False for an element that no rule of the reader knows.
+        numbers: values in the file that are not simulated, by what they are, such as "limits"; SI units.
         since: s, the first time of a run at which the element acts; None if it does not, and before a run.
         examined: False if neither the file nor a run shows whether the element acts.
     """
@@ -56,6 +60,7 @@ class ImportedElement:
     examined: bool = True
     is_off: bool = False
     is_understood: bool = True
+    numbers: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
     @property
     def is_unsimulated(self) -> bool:
@@ -123,9 +128,22 @@ class ImportReport:
         self.settings = ""
         self.moved: MovedStart | None = None
 
-    def exactly(self, element: str, how: str, became: str = "", inert: bool = False) -> None:
-        """`inert` is what moves nothing as the file has it, such as an idle motor."""
-        self.entries.append(ImportedElement(element, "exactly", how, became, inert=inert))
+    def exactly(
+        self,
+        element: str,
+        how: str,
+        became: str = "",
+        inert: bool = False,
+        numbers: Mapping[str, Sequence[float]] | None = None,
+    ) -> None:
+        """Report an element that is in the scene.
+
+        Args:
+            element, how, became, numbers: see `ImportedElement`.
+            inert: True if the element moves nothing as the file has it, such as an idle motor.
+        """
+        given = tuple((what, tuple(map(float, values))) for what, values in (numbers or {}).items())
+        self.entries.append(ImportedElement(element, "exactly", how, became, inert=inert, numbers=given))
 
     def left_out(
         self,
@@ -136,6 +154,7 @@ class ImportReport:
         watches: Sequence[Watch] = (),
         examined: bool = True,
         off: bool = False,
+        numbers: Sequence[float] = (),
     ) -> None:
         """Report an element that is not in the scene.
 
@@ -144,11 +163,14 @@ class ImportReport:
             watches: tell whether a limit and the like is active in a run; together they have to watch all of
                 the element. An element without watches acts from the start on.
             off: True if the file itself switches the element off.
+            numbers: values that the file has of the topic; SI units.
         """
         inert = inert or off
         if watches and not inert:
             self.watches[len(self.entries)] = watches
         entry = ImportedElement(element, "left out", why, "", topic, inert, examined=examined, is_off=off)
+        if numbers:
+            entry = replace(entry, numbers=((topic, tuple(map(float, numbers))),))
         self.entries.append(entry)
 
     def not_understood(self, element: str, why: str) -> None:

@@ -7,7 +7,8 @@ import pytest
 
 import mjcf
 import urdf
-from crosscheck.against.compare import Model, against
+from crosscheck.against.compare import against
+from crosscheck.against.unsimulated import Model
 from crosscheck.model_files.read import read_model
 from crosscheck.scenes.scene_file import read_scene, write_scene
 from mjcf import read

@@ -27,7 +27,7 @@ import pinocchio as pin
 from newton_euler.errors import choices
 from newton_euler.model.source_file import LARGEST, scan
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import ImportReport, unique_name
+from newton_euler.verification.import_report import FRICTION, ImportReport, unique_name
 from urdf.extensions import Extensions, PointSpringElement
 from urdf.loops import REVOLUTE, Loops
 from urdf.reading.source import SourceError
@@ -266,8 +266,8 @@ class _Reader:
         name = f"joint {element.get('name')!r} of gazebo"
         for part in ("damping", "friction", "spring_stiffness"):
             text = element.findtext(f"axis/dynamics/{part}")
-            if text is not None and self._number(element, text, part):
-                self._report.left_out(name, f"its {part} {text.strip()}", topic=part)
+            if text is not None and (number := self._number(element, text, part)):
+                self._report.left_out(name, f"its {part} {text.strip()}", topic=part, numbers=[number])
         if element.find("axis/limit") is not None:
             self._report.left_out(name, "its limits: limits are no bilateral constraints", topic="limits")
 
@@ -398,10 +398,9 @@ class _Reader:
             self._set_spring(joint, known.get("spring_stiffness"), known.get("spring_reference"))
             if known.get("damping"):
                 self.found.dampings[joint] = self.found.dampings.get(joint, 0.0) + known["damping"]
-            if known.get("friction"):
-                self._report.left_out(
-                    f"joint {joint!r}", f"its dry friction {known['friction']:g}", "dry friction"
-                )
+            if friction := known.get("friction"):
+                why = f"its dry friction {friction:g}"
+                self._report.left_out(f"joint {joint!r}", why, FRICTION, numbers=[friction])
             return
         value = self._number(element, element.text, tag)
         self._set_spring(joint, *((value, None) if tag == "springStiffness" else (None, value)))

@@ -17,8 +17,9 @@ import mjcf
 import urdf
 from crosscheck.against import compare
 from crosscheck.against.align import alignments
-from crosscheck.against.compare import Against, Model, against
+from crosscheck.against.compare import Against, against
 from crosscheck.against.levels import functions_apart
+from crosscheck.against.unsimulated import Model
 from crosscheck.cli.run import _short_name
 from crosscheck.comparison.figure import OF_EQUATIONS, OF_RUNS, START
 from crosscheck.scenes.scene_file import write_scene

@@ -1,4 +1,4 @@
-"""Elements that are not simulated and that only one of two models has: a difference if they move it."""
+"""Elements that are not simulated and that two models do not have alike: a difference if they move it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from command_line import run
 
 from crosscheck.against.align import alignments
-from crosscheck.against.compare import Model, unsimulated
+from crosscheck.against.unsimulated import NEVER_COMPARED, Model, unsimulated
 from crosscheck.model_files.read import read_model
 
 LINKAGE = Path(__file__).parents[3] / "examples" / "linkage.xml"
@@ -66,17 +66,78 @@ def apart(first: Model, second: Model) -> list[tuple[str, bool]]:
     return [tuple(found) for found in unsimulated(first, second, next(alignments(first.scene, second.scene)))]
 
 
-def test_values_and_counts_of_what_is_not_simulated_are_no_difference(tmp_path: Path) -> None:
+MOTOR = '<motor name="m" joint="a" gear="2" ctrlrange="-1 1" forcerange="-5 5"/>'
+
+DRIVEN = SINGLE.replace("</mujoco>", f"<actuator>{MOTOR}</actuator></mujoco>")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("-1 2", "-1 3", "limits of joint 'a': -1 to 2 in {}, -1 to 3 in {}"),
+        ("-1 2", "-1 2.0001", "limits of joint 'a': -1 to 2 in {}, -1 to 2.0001 in {}"),
+        ('loss="0.1"', 'loss="0.2"', "dry friction of joint 'a': 0.1 in {}, 0.2 in {}"),
+        ("-5 5", "-5 9", "limit of the force of actuator 'm': -5 to 5 in {}, -5 to 9 in {}"),
+        ("-1 1", "-1 8", "control range of actuator 'm': -1 to 1 in {}, -1 to 8 in {}"),
+    ],
+)
+def test_other_numbers_of_what_is_not_simulated_are_a_difference(tmp_path: Path, old, new, told) -> None:
+    assert DRIVEN.count(old) == 1
+    models = (
+        loaded(tmp_path, "one.xml", DRIVEN),
+        loaded(tmp_path, "two.xml", DRIVEN.replace(old, new)),
+    )
+    for first, second in (models, models[::-1]):
+        ((text, moves),) = apart(first, second)
+        assert moves
+        if first is models[0]:
+            assert text == told.format(*(model.source for model in models))
+
+
+def test_round_off_contacts_and_counts_of_what_is_not_simulated_are_no_difference(tmp_path: Path) -> None:
     first = loaded(tmp_path, "one.xml", SINGLE)
     geom = '<geom type="sphere" size="0.1" pos="0.1 0 0"/>'
     for old, new in (
-        ("-1 2", "-1 3"),
-        ('loss="0.1"', 'loss="0.2"'),
+        ("-1 2", "-1.00001 1.99999"),
+        ('loss="0.1"', 'loss="0.1000005"'),
         ("size", 'margin="1" size'),
         (geom, 2 * geom),
     ):
         assert old in SINGLE
         assert not apart(first, loaded(tmp_path, "two.xml", SINGLE.replace(old, new)))
+
+
+def test_limits_are_compared_in_the_counting_of_each_file(tmp_path: Path) -> None:
+    """A coordinate may count the other way, and from another pose."""
+    first = loaded(tmp_path, "one.xml", SINGLE)
+    for axis, limits, same in (
+        ("0 -1 0", "-2 1", True),
+        ("0 -1 0", "-1 2", False),
+    ):
+        other = SINGLE.replace('axis="0 1 0"', f'axis="{axis}"').replace("-1 2", limits)
+        assert (not apart(first, loaded(tmp_path, "two.xml", other))) == same
+    shifted = SINGLE.replace("-1 2", "-0.5 2.5").replace("limited", 'ref="0.5" limited')
+    assert not apart(first, loaded(tmp_path, "two.xml", shifted))
+    ((text, moves),) = apart(first, loaded(tmp_path, "arm.urdf", LIMITED.replace('upper="2"', 'upper="3"')))
+    assert moves
+    assert text.startswith("limits of joint 'a': -1 to 2 in ")
+
+
+def test_a_range_of_a_control_that_only_one_file_has_is_a_difference(tmp_path: Path) -> None:
+    free = DRIVEN.replace(' ctrlrange="-1 1"', "")
+    models = loaded(tmp_path, "one.xml", DRIVEN), loaded(tmp_path, "two.xml", free)
+    assert apart(*models) == [("only here: control range of actuator 'm': -1 to 1", True)]
+
+
+def test_the_verdict_of_two_mjcf_names_what_is_never_compared(capsys, tmp_path: Path) -> None:
+    other = tmp_path / "other.xml"
+    text = LINKAGE.read_text()
+    assert '<connect name="loop"' in text
+    other.write_text(text.replace('<connect name="loop"', '<connect name="loop" solref="0.5 1"'))
+    status, _, _ = run(capsys, "run", LINKAGE, "--against", other, *SHORT, "--output", tmp_path / "out")
+    assert status == 0
+    verdict = json.loads((tmp_path / "out" / "summary.json").read_text())["verdict"]
+    assert verdict.endswith(NEVER_COMPARED)
 
 
 def test_between_formats_what_both_can_have_is_compared(tmp_path: Path) -> None:
@@ -106,14 +167,14 @@ def test_what_a_file_disables_is_another_thing_than_what_moves(tmp_path: Path) -
     ]
 
 
-DRIVEN = SINGLE.replace("</mujoco>", '<actuator><motor name="m" joint="a" gear="2"/></actuator></mujoco>')
+IDLE = SINGLE.replace("</mujoco>", '<actuator><motor name="m" joint="a" gear="2"/></actuator></mujoco>')
 
 
 @pytest.mark.parametrize(
     ("one", "two", "told", "wanted"),
     [
         # a motor whose control is 0: no figure sees it, and nothing would move otherwise
-        (DRIVEN, SINGLE, "only here: actuator 'm': exactly: control law of joint", False),
+        (IDLE, SINGLE, "only here: actuator 'm': exactly: control law of joint", False),
     ],
 )
 def test_what_only_one_file_has_is_told_with_whether_it_moves(tmp_path: Path, one, two, told, wanted) -> None:

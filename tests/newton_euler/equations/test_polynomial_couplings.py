@@ -17,7 +17,8 @@ import mjcf
 import newton_euler
 import urdf
 from crosscheck import check
-from crosscheck.against.compare import Against, Model, against
+from crosscheck.against.compare import Against, against
+from crosscheck.against.unsimulated import Model
 from crosscheck.outcome import Outcome
 from crosscheck.scenes.scene_file import read_scene, write_scene
 from crosscheck.studies.faults.misreadings import misreadings
