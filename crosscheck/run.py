@@ -286,6 +286,9 @@ class Crosscheck:
             "findings": [asdict(each) for each in self.mapping.findings] if self.mapping else None,
             "start": self.mapping.start if self.mapping else None,
             "moved_start": asdict(moved) if self.mapping and (moved := self.mapping.moved) else None,
+            "changed_velocities": asdict(changed)
+            if self.mapping and (changed := self.mapping.changed_velocities)
+            else None,
             "settings_of_the_file": self.mapping.settings if self.mapping else None,
             "figures": [asdict(row) | {"agrees": row.agrees} for row in self.figures],
             "known_figures": [measured.summary() for measured in self.measured],

@@ -51,7 +51,7 @@ from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 from newton_euler.verification import plausibility
-from newton_euler.verification.import_report import ImportReport, unique_name
+from newton_euler.verification.import_report import ChangedVelocities, ImportReport, unique_name
 from newton_euler.verification.original import Original
 from newton_euler.verification.verify import check
 
@@ -293,9 +293,14 @@ def _moving(scene: Scene, start: Start, bodies: Bodies, report: ImportReport) ->
         linear[k], angular[k] = bodies.velocity(bodies.root(body.name), body.center_of_mass)
     rest = State.initial(mechanism)
     state = assemble(scene, replace(rest, linear_velocity=linear, angular_velocity=angular))
-    change = np.max(np.abs(state.linear_velocity - linear)), np.max(np.abs(state.angular_velocity - angular))
+    pairs = ((state.linear_velocity, linear), (state.angular_velocity, angular))
+    changes = [float(np.max(np.abs(found - given))) for found, given in pairs]
+    sizes = [float(np.max(np.abs(given))) for _, given in pairs]
+    share = max((change / size for change, size in zip(changes, sizes, strict=True) if size), default=0.0)
+    report.changed_velocities = ChangedVelocities(start.key, *changes, share)
     report.start.append(
-        f"velocities of {start.key}, changed by at most {change[0]:.2e} m/s and {change[1]:.2e} rad/s to fit"
+        f"velocities of {start.key}, changed by at most {changes[0]:.2e} m/s and {changes[1]:.2e} rad/s "
+        "to fit"
     )
     if max(np.max(np.abs(state.linear_velocity)), np.max(np.abs(state.angular_velocity))) < AT_REST:
         return scene

@@ -118,8 +118,8 @@ class Diagnosis:
             return f"{names} all part from each other"
         if self.agree:
             return f"{names} part; {_listed(self.agree)} agree{'s' if len(self.agree) == 1 else ''} with both"
-        another = "another engine" if FILE in self.parting else "a third engine"
-        return f"{names} part; {another} would settle it"
+        another = "other" if FILE in self.parting else "third"
+        return f"{names} part, and no {another} engine decides which is right"
 
     @property
     def place(self) -> str:

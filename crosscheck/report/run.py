@@ -215,7 +215,13 @@ def limiting(result: Crosscheck) -> Iterator[str]:
 
 
 def moved_start_lines(mapping: ImportReport, scene: Scene) -> Iterator[str]:
-    """Word how far the start is from the file's if closing the loops moved more than the file's digits."""
+    """Word how far the start is from the file's, if constraints change it by more than the file's digits."""
+    changed = mapping.changed_velocities
+    if changed and changed.share > START_DIGITS:
+        yield (
+            f"the start is not the file's: velocities of {changed.start} do not fit the constraints; they "
+            f"are changed by up to {changed.linear:.3g} m/s and {changed.angular:.3g} rad/s"
+        )
     moved = mapping.moved
     if moved is None:
         return

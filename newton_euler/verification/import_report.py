@@ -102,6 +102,22 @@ class Finding:
         return f"{self.name}: {self.element}: {self.what}; {self.consequence}; {self.remedy}"
 
 
+@dataclass(frozen=True)
+class ChangedVelocities:
+    """The change of a file's start velocities that makes them fit the constraints.
+
+    Attributes:
+        start: keyframe, or other name of the start in the file.
+        linear, angular: largest changes of a body's velocities, m/s and rad/s.
+        share: largest change, divided by the largest velocity of that kind in the file.
+    """
+
+    start: str
+    linear: float
+    angular: float
+    share: float
+
+
 class ImportReport:
     """Fate of every element, filled while a file is read.
 
@@ -116,6 +132,7 @@ class ImportReport:
         settings: how the file itself would be simulated: integrator, time step and softness, in words; empty
             if the file does not say.
         moved: what closing the loops changed of the file's start; None if there is nothing to close.
+        changed_velocities: how far the start's velocities are from the file's; None if the file has none.
     """
 
     def __init__(self) -> None:
@@ -127,6 +144,7 @@ class ImportReport:
         self.unsettled: frozenset[int] = frozenset()
         self.settings = ""
         self.moved: MovedStart | None = None
+        self.changed_velocities: ChangedVelocities | None = None
 
     def exactly(
         self,

@@ -133,6 +133,19 @@ def test_a_start_that_is_not_the_files_is_reported_first(reach, moved, tmp_path)
         assert verdict.crosscheck.summary()["moved_start"]["body"] == change.body
 
 
+@pytest.mark.parametrize(("rates", "changed"), [("0 0 0", False), ("1 2 3", True)])
+def test_velocities_of_a_file_that_do_not_fit_its_loops_are_reported(rates, changed, tmp_path):
+    key = f'<keyframe><key name="go" qvel="{rates}"/></keyframe></mujoco>'
+    path = file(tmp_path, LOOP.format(reach=0.4).replace("</mujoco>", key))
+    verdict = crosscheck.check(path, FAST, duration=0.1, key="go")
+    lines = [line for line in limiting(verdict.crosscheck) if "velocities of go" in line]
+    found = verdict.crosscheck.summary()["changed_velocities"]
+    assert (bool(lines), found is not None) == (changed, changed)
+    if changed:
+        assert found["share"] > 0.01
+        assert f"{found['angular']:.3g} rad/s" in lines[0]
+
+
 def test_two_models_whose_starts_are_not_their_files_are_both_named(capsys, tmp_path):
     one, two = (file(tmp_path, LOOP.format(reach=0.43), name) for name in ("one.xml", "two.xml"))
     arguments = ("--set", "duration=0.1", "--output", tmp_path / "out")

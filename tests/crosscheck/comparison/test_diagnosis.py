@@ -119,13 +119,13 @@ def test_what_the_others_part_in_later_is_told_too():
     first, then = diagnose(NAMES, rows)
     assert (first.odd, first.within, first.everywhere) == (MJ, 0.5, False)
     assert first.who == f"{MJ} differs; {NE} and {PIN} agree to 5e-01 (level 'model')"
-    assert then.who == f"{NE} and {PIN} part; a third engine would settle it"
+    assert then.who == f"{NE} and {PIN} part, and no third engine decides which is right"
 
 
 def test_two_engines_are_told_apart_by_what_else_is_known():
     apart = row("model", (NE, MJ), 5.0)
     (found,) = diagnose((NE, MJ), [apart])
-    assert (found.odd, found.who) == ("", f"{NE} and {MJ} part; a third engine would settle it")
+    assert (found.odd, found.who) == ("", f"{NE} and {MJ} part, and no third engine decides which is right")
     balance = row("energy", (MJ,), 5.0, quantity="momentum balance, rel")
     (found,) = diagnose((NE, MJ), [apart, balance])
     assert (found.odd, found.settled_by) == (MJ, "momentum balance, rel")
@@ -197,7 +197,7 @@ def test_the_reading_is_to_blame_only_for_what_all_engines_share():
     assert (first.odd, first.level) == (MJ, "model")
     assert (then.odd, then.agree) == (FILE, (NE, PIN))
     (found,) = diagnose((NE,), from_file(5.0, 0.0, 0.0)[:1])
-    assert found.who == f"{NE} and the file part; another engine would settle it"
+    assert found.who == f"{NE} and the file part, and no other engine decides which is right"
 
 
 def test_figures_that_hold_or_only_inform_blame_nobody():
