@@ -297,7 +297,7 @@ def _moving(scene: Scene, start: Start, bodies: Bodies, report: ImportReport) ->
     changes = [float(np.max(np.abs(found - given))) for found, given in pairs]
     sizes = [float(np.max(np.abs(given))) for _, given in pairs]
     share = max((change / size for change, size in zip(changes, sizes, strict=True) if size), default=0.0)
-    report.changed_velocities = ChangedVelocities(start.key, *changes, share)
+    report.changed_velocities = ChangedVelocities(start.key, changes[0], changes[1], share)
     report.start.append(
         f"velocities of {start.key}, changed by at most {changes[0]:.2e} m/s and {changes[1]:.2e} rad/s "
         "to fit"

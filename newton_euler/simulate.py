@@ -16,7 +16,7 @@ from newton_euler.arguments import caller_level, checked
 from newton_euler.assemble import coordinates_of, inherit_initial_state, initial_state
 from newton_euler.equations.couplings import counted_angles, couplings
 from newton_euler.equations.parameters import pieces
-from newton_euler.equations.redundancy import NearlyRedundant, inherit_mobility
+from newton_euler.equations.redundancy import NearlyRedundant, inherit_mobility, mobility
 from newton_euler.equations.system import Observation, System, at_time
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, RoundOffWarning
 from newton_euler.integrators.compiled import Code
@@ -37,7 +37,13 @@ from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State, stacked
-from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory, check_finite
+from newton_euler.model.trajectory import (
+    IntegrationError,
+    StoppedError,
+    Trajectory,
+    UndeterminedStartError,
+    check_finite,
+)
 from newton_euler.sampling import Controllers, holding, integrate_intervals, intervals
 from newton_euler.scalars import Array, unstacked
 
@@ -163,6 +169,13 @@ class CompiledScene(Code):
         options.check_steps(self.scene.duration)
         load(self, options.integrator)
         x = self.start.copy()
+        if joint := mobility(self.scene).between_branches:
+            raise UndeterminedStartError(
+                0.0,
+                f"the run starts at a singular configuration, where joint {joint!r} loses rank, and no "
+                "motion has its velocities: they lie between the branches; start with velocities of one "
+                "branch, or elsewhere",
+            )
         results, counts, stopped, wall_time = integrate_intervals(self, x, options)
         arrays = named(self, results)
         settings = self.settings | options.chosen() | counted(counts)

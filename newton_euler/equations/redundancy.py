@@ -18,12 +18,13 @@ Everything is sparse: scenes may have thousands of rows.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from newton_euler.equations.branches import joint_between_branches
 from newton_euler.equations.dense import largest, largest_share, singular_values
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.independence import (
@@ -109,6 +110,8 @@ class Mobility:
         residual: largest singular value that is taken as redundant; 0 if all are exactly so.
         configurations: those that were examined and are closed.
         states: the same, at rest.
+        between_branches: joint that loses rank at a singular start whose velocities no motion has; empty if a
+            motion has them. See `newton_euler.equations.branches`.
     """
 
     degrees_of_freedom: int
@@ -118,6 +121,7 @@ class Mobility:
     nearly: tuple[NearlyRedundant, ...]
     configurations: list[Configuration]
     states: list[State]
+    between_branches: str = ""
 
     @property
     def residual(self) -> float:
@@ -184,7 +188,7 @@ def without(rows: Array, left_out: Sequence[int]) -> Array:
 def inherit_mobility(scene: Scene, of: Scene) -> None:
     """Use the decision on another scene of the same geometry for this one, if it has been made."""
     if of in _KNOWN:
-        _KNOWN[scene] = _KNOWN[of]
+        _KNOWN[scene] = replace(_KNOWN[of], between_branches="")  # its start may be another one
 
 
 def _mobility(system: TreeKinematics) -> Mobility:
@@ -202,7 +206,15 @@ def _mobility(system: TreeKinematics) -> Mobility:
         nearly,
         seen,
         [system.state(at.q, rest) for at in seen],
+        _between_branches(system),
     )
+
+
+def _between_branches(system: TreeKinematics) -> str:
+    """Find the joint of a start between branches, see `Mobility`; large mechanisms are not examined."""
+    if system.scene.initial_state is None or len(system.phi_units) * system.nv > DENSE_LIMIT:
+        return ""
+    return joint_between_branches(system, *system.coordinates(system.scene.initial_state))
 
 
 def _nearly(system: TreeKinematics, seen: Sequence[Configuration]) -> Iterator[NearlyRedundant]:

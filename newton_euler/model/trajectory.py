@@ -378,9 +378,10 @@ class IntegrationError(StoppedError):
 
 
 class UndeterminedStartError(IntegrationError):
-    """A run that starts at rest at a singular configuration, where no equation tells the direction of motion.
+    """A run that starts at a singular configuration, where no equation determines its motion.
 
-    Runs of other engines may move in any of the possible directions, and say nothing about each other.
+    It starts at rest, or with velocities of no branch. Runs of other engines may move in any of the possible
+    directions, so they cannot be compared.
     """
 
 

@@ -350,6 +350,23 @@ def test_a_flat_start_at_rest_is_refused(formulation, options):
     assert re.search(message, caught.value.reason)
 
 
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_a_flat_start_between_the_branches_is_refused(formulation):
+    """Of a flat parallelogram the cranks turn alike, or as long as they lie flat the other way.
+
+    Velocities of both cranks at once, other than these, meet the constraints, and no motion has them.
+    """
+    scene = parallelogram(0.0, 1.0)
+    assert newton_euler.simulate(scene, formulation).settings["steps"] > 0
+    other = parallelogram(0.0, 0.0)
+    state = scene.initial_state
+    start = newton_euler.start(other, A=(0.0, 1.0))
+    assert not np.allclose(start.initial_state.angular_velocity, state.angular_velocity)
+    with pytest.raises(UndeterminedStartError, match="between the branches") as caught:
+        newton_euler.simulate(start, formulation)
+    assert caught.value.time == 0.0
+
+
 def test_runs_of_an_undetermined_start_are_not_compared():
     """Engines may take either branch; their equations are compared at regular states."""
     found = crosscheck(parallelogram(0.0, 0.0), choose([*ENGINES]), lambda _: None, "x", {})
