@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from newton_euler.errors import listed
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import Box, Mesh, Shape, Sphere
 from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body, Mechanism
@@ -49,9 +50,6 @@ SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r"), ("
 MOST_ALIKE = 3
 """Findings with one name that are told one by one."""
 
-MOST_TEXT = 200
-"""Characters of a list of elements."""
-
 MIN_LENGTH = 0.02
 """m, of geometry that tells of a volume; smaller geometry is a mark."""
 
@@ -72,10 +70,7 @@ def grouped(found: Sequence[Finding]) -> Iterator[Finding]:
         yield from alike[:MOST_ALIKE]
         if more := alike[MOST_ALIKE:]:
             element = f"{len(more)} more like {alike[MOST_ALIKE - 1].element}"
-            what = ", ".join(finding.element for finding in more)
-            yield replace(
-                more[0], element=element, what=what if len(what) < MOST_TEXT else f"{what[:MOST_TEXT]} ..."
-            )
+            yield replace(more[0], element=element, what=listed(finding.element for finding in more))
 
 
 @dataclass(frozen=True)
