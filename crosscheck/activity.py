@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from crosscheck.engines import native_method
@@ -16,6 +17,9 @@ CLOSER_OUTPUTS = (8, 64)
 """Factors by which outputs are closer in further runs, made while elements may act between outputs.
 
 Their errors are of fourth order in the output period: a factor of 8 divides them by 4096."""
+
+MOST_ACTING = 2
+"""Elements that a verdict names of those that act and are not simulated."""
 
 
 def watched(scene: Scene, mapping: ImportReport, run: Trajectory) -> ImportReport:
@@ -62,6 +66,19 @@ def acted(entry: ImportedElement) -> str:
     """Word an element that acted in a run: which, since when, and by how much a limit was passed."""
     passed = f" {entry.seen}" if entry.seen.startswith("passed") else f" from {entry.since:.4g} s on"
     return f"{what_acted(entry)}{passed}"
+
+
+def reduction(acting: Sequence[ImportedElement]) -> str:
+    """Word the elements that acted and were not simulated, and which part of the run is the file's.
+
+    Args:
+        acting: at least one element, in order of time.
+    """
+    more = f"; and {len(acting) - MOST_ACTING} more" if len(acting) > MOST_ACTING else ""
+    named = f"not simulated: {'; '.join(map(acted, acting[:MOST_ACTING]))}{more}"
+    if not (until := acting[0].since):
+        return f"{named}. The whole run is of the file without these"
+    return f"{named}. The run is of the file until {until:.4g} s, then of the file without these"
 
 
 def what_acted(entry: ImportedElement) -> str:

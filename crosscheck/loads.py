@@ -4,11 +4,12 @@ CSV, a plot and a recording."""
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+from crosscheck.activity import reduction, watched
 from crosscheck.comparison.runs import stays
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable, write_files
@@ -29,6 +30,7 @@ from newton_euler.analysis.envelope import (
 from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.simulate import simulate
+from newton_euler.verification.import_report import ImportedElement, ImportReport
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -81,19 +83,38 @@ def parse_cases(given: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     return cases or {ALONE: ()}
 
 
+class Loads(NamedTuple):
+    """Results of load cases.
+
+    Attributes:
+        report: tables of loads.
+        written: files; the last is the recording.
+        acting: elements of the file that act and are not simulated, by the name of the case in which they do.
+    """
+
+    report: Report
+    written: list[Path]
+    acting: Mapping[str, Sequence[ImportedElement]]
+
+
 def loads(
-    scenes: Mapping[str, Scene], at_rest: bool, folder: Path, progress: Callable[[str], None]
-) -> tuple[Report, list[Path]]:
+    source: str,
+    models: Mapping[str, tuple[Scene, ImportReport | None]],
+    at_rest: bool,
+    folder: Path,
+    progress: Callable[[str], None],
+) -> Loads:
     """Run load cases and write their loads to a folder.
 
     Args:
-        scenes: by the names of the cases; of one mechanism.
+        source: name or file of the model.
+        models: scenes by the names of the cases, of one mechanism, with what became of elements of a file.
         at_rest: whether to hold them at rest in their initial poses instead of running them.
         folder: of `loads.csv`, `loads.json`, `loads.png` and `loads.rrd`.
         progress: is told what is going on.
 
     Returns:
-        A report, and the files.
+        The report, the files, and what acted and was not simulated.
 
     Raises:
         CrosscheckError: naming the path that cannot be written, or a case that takes too long.
@@ -103,25 +124,47 @@ def loads(
 
     table, results, plot, recording = (folder / f"loads.{suffix}" for suffix in ("csv", "json", "png", "rrd"))
     check_writable(table, results, plot, recording)
-    runs = {}
-    for name, scene in scenes.items():
+    runs, acting = dict[str, Trajectory](), dict[str, list[ImportedElement]]()
+    for name, (scene, mapping) in models.items():
         with limited(f"case {name}", ADVICE, progress):
             complete = replace(scene, outputs=frozenset(OUTPUTS))
             runs[name] = rest_case(scene) if at_rest else simulate(complete)
-    first = next(iter(scenes.values()))
+            if mapping and (found := watched(scene, mapping, runs[name]).acting):
+                acting[name] = found
+    first, _ = next(iter(models.values()))
     envelope = load_envelope(first, runs)
     still = [] if at_rest else [name for name, run in runs.items() if stays({name: run}, first)]
-    report = _report(first, envelope, at_rest, still)
+    report = _report(first, envelope, at_rest, still, acting)
     progress("plot and recording")
     drawn = recorded(log_run, first, runs, markdown(report), report.title)
     shown = {plot: png(_figure(first, runs)), recording: drawn}
-    data = {"scene": first.name, "at_rest": at_rest, "cases": list(scenes)}
+    data = {
+        "scene": first.name,
+        "source": source,
+        "at_rest": at_rest,
+        "cases": list(models),
+        "not_simulated": {name: [asdict(entry) for entry in entries] for name, entries in acting.items()},
+    }
     write_files({table: envelope.to_csv().encode(), results: as_json(data, report, shown), **shown})
-    return report, [table, results, plot, recording]
+    return Loads(report, [table, results, plot, recording], acting)
 
 
-def _report(scene: Scene, envelope: LoadEnvelope, at_rest: bool, still: list[str]) -> Report:
-    """Report on loads; nothing moves in the cases that are `still`."""
+def _report(
+    scene: Scene,
+    envelope: LoadEnvelope,
+    at_rest: bool,
+    still: list[str],
+    acting: Mapping[str, Sequence[ImportedElement]],
+) -> Report:
+    """Report on loads.
+
+    Args:
+        scene: the first case.
+        envelope: the loads of all cases.
+        at_rest: True if the cases are held at rest.
+        still: cases in which nothing moves.
+        acting: elements by case that act and are not simulated.
+    """
     named = envelope.cases != (ALONE,)
     cases = f"cases {', '.join(envelope.cases)}" if named else "initial pose" if at_rest else "its run"
     title = f"{scene.name}: loads {'at rest,' if at_rest else 'over'} {cases}"
@@ -129,6 +172,10 @@ def _report(scene: Scene, envelope: LoadEnvelope, at_rest: bool, still: list[str
     verdict = f"largest force {most.peak:.3g} N at joint {most.element!r}, {_when(most)}"
     if most.peak <= least:
         verdict = "no joint carries a force"
+    for case, entries in acting.items():
+        verdict += f"; {f'case {case}: ' if named else ''}{reduction(entries)}"
+    if acting:
+        verdict = f"REDUCED MODEL: {verdict}"
     parts: list[Part] = [
         _of_joints(envelope, "force", "N", least),
         _of_joints(envelope, "torque", "N m", least * scene.mechanism.size),
@@ -139,7 +186,7 @@ def _report(scene: Scene, envelope: LoadEnvelope, at_rest: bool, still: list[str
         where = f"cases {', '.join(still)}" if named else "the run"
         parts.append(Lines("", [f"nothing moves in {where}: these are loads at rest{MOVE}"]))
     parts.extend(Lines("", [line, SHARED]) for line in undetermined_lines(scene))
-    return Report(title, verdict, Cell(""), parts, summary=parts)
+    return Report(title, verdict, Cell("", "doubtful" if acting else ""), parts, summary=parts)
 
 
 def _of(envelope: LoadEnvelope, quantity: str) -> list[LoadRange]:

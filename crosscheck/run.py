@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
-from crosscheck.activity import acted, watched
+from crosscheck.activity import reduction, watched
 from crosscheck.advice import Advice, advise
 from crosscheck.comparison.coverage import Coverage, coverage
 from crosscheck.comparison.diagnosis import Diagnosis, diagnose
@@ -37,9 +37,6 @@ SAMPLES = 200
 
 FEWEST_STATES, MOST_STATES = 4, 20
 """Of these: each is a sample of all joints of a large mechanism, and of few of a small one."""
-
-MOST_ACTING = 2
-"""Elements that a verdict names of those that act and are not simulated."""
 
 NO_VERDICT = "it is left out, the verdict does not depend on it"
 """What to do about coverage that takes too long."""
@@ -207,14 +204,7 @@ class Crosscheck:
     @property
     def _reduced(self) -> str:
         """Word the elements that acted and were not simulated, and which part of the run is the file's."""
-        acting = self.acting
-        if not acting:
-            return ""
-        more = f"; and {len(acting) - MOST_ACTING} more" if len(acting) > MOST_ACTING else ""
-        named = f"not simulated: {'; '.join(map(acted, acting[:MOST_ACTING]))}{more}"
-        if not self.until:
-            return f"{named}. The whole run is of the file without these"
-        return f"{named}. The run is of the file until {self.until:.4g} s, then of the file without these"
+        return reduction(self.acting) if self.acting else ""
 
     @property
     def _alone(self) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import write_files
 from crosscheck.palette import ENGINE_COLORS
+from crosscheck.report.output import record
 from crosscheck.report.plots import own_style, png
 from crosscheck.report.table import Cell, Column, Rows, Table, figures
 from mjcf.clearance import clearances
@@ -29,7 +30,7 @@ MOST_POINTS = 1_000_000
 STARTS = 4000
 """Random configurations that singular ones are searched from."""
 
-FILES = "workspace.png", "workspace.csv"
+FILES = "workspace.json", "workspace.png", "workspace.csv"
 
 
 class Mapped(NamedTuple):
@@ -138,12 +139,22 @@ def _unit(found: Mapped, name: str | Key) -> str:
     return "m" if found.scene.mechanism.is_slide(*found.scene.mechanism.coordinate(name)) else "rad"
 
 
-def write(found: Mapped, folder: Path) -> list[Path]:
-    """Write the CSV, and the picture of a workspace over two coordinates."""
+def write(found: Mapped, folder: Path, source: str, options: Mapping[str, str]) -> list[Path]:
+    """Write the CSV, and the picture of a workspace over two coordinates.
+
+    Args:
+        found: the workspace.
+        folder: of the files; there, `workspace.json` records the model.
+        source: name or file of the model.
+        options: of the model.
+
+    Returns:
+        The CSV and the picture.
+    """
     files = {folder / "workspace.csv": _csv(found).encode()}
     if len(found.space.grid) == 2:
         files[folder / "workspace.png"] = _picture(found)
-    write_files(files)
+    write_files({folder / "workspace.json": record(source, options), **files})
     return list(files)
 
 

@@ -52,17 +52,18 @@ def identify_command(
     """
     from crosscheck.files import check_no_source, check_writable, write_files
     from crosscheck.identification import data, report
+    from crosscheck.report.output import usual_folder
     from newton_euler.analysis.identification import identify
 
     options = without_exercise(scene_options(settings), "measured is the scene as it stands")
     loaded = load_and_tell(scene, options)
-    path = (output or Path("output/identify") / loaded.name) / "identify.json"
+    path = (output or usual_folder(Path("output/identify"), scene, "fit")) / "identify.json"
     check_no_source([path], [scene, *measured])
     check_writable(path)
     with progress_shown() as progress:
         progress("fitting")
         found = identify(loaded, names, measured, rtol=rtol)
     made = report(found)
-    write_files({path: as_json(data(found), made)})
+    write_files({path: as_json({"source": scene, **data(found)}, made)})
     show(made, f"wrote {path}", f"more  {next_step('report', path.parent)}")
     return UNFINISHED if found.doubts else AGREE

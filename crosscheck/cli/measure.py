@@ -10,6 +10,7 @@ import click
 from crosscheck.cli.shared import (
     AGREE,
     DISAGREE,
+    REDUCED,
     cli,
     engines_option,
     folder_option,
@@ -119,9 +120,19 @@ def controllers_command(scene: str, settings: tuple[str, ...], engines: list[str
     help="A load case, and its options beside those of --set; repeatable.  [default: one, as --set has it]",
 )
 @click.option("--at-rest", is_flag=True, help="Hold cases at rest in their initial poses instead of runs.")
+@click.option(
+    "--allow-reduced",
+    is_flag=True,
+    help="Exit with 0 if elements of the file act that are not simulated.",
+)
 @folder_option("output/loads/SCENE")
 def loads_command(
-    scene: str, settings: tuple[str, ...], cases: tuple[str, ...], at_rest: bool, output: Path | None
+    scene: str,
+    settings: tuple[str, ...],
+    cases: tuple[str, ...],
+    at_rest: bool,
+    allow_reduced: bool,
+    output: Path | None,
 ) -> int:
     """Compute loads of joints and actuators over load cases.
 
@@ -131,22 +142,23 @@ def loads_command(
     """
     from crosscheck.load import load_scene
     from crosscheck.loads import loads, parse_cases
+    from crosscheck.report.output import usual_folder
 
-    scenes = {}
+    models = {}
     for name, own in parse_cases(cases).items():
         options = scene_options(settings) | scene_options(own, f"--case {name}:")
-        scenes[name], mapping = load_scene(scene, options)
-        if len(scenes) == 1:
-            tell(scene, mapping, scenes[name])
-    folder = output or Path("output/loads") / next(iter(scenes.values())).name
+        loaded, mapping = models[name] = load_scene(scene, options)
+        if len(models) == 1:
+            tell(scene, mapping, loaded)
+    folder = output or usual_folder(Path("output/loads"), scene, "load table")
     with progress_shown() as progress:
-        found, written = loads(scenes, at_rest, folder, progress)
+        found, written, acting = loads(scene, models, at_rest, folder, progress)
     after = (
         f"look  {next_step('view', written[-1])}",
         f"more  {next_step('report', folder)}",
     )
     show(found, "wrote " + ", ".join(map(str, written)), *after)
-    return AGREE
+    return REDUCED if acting and not allow_reduced else AGREE
 
 
 @cli.command("modes")
@@ -158,7 +170,7 @@ def loads_command(
     "--save",
     type=click.Path(path_type=Path),
     default=None,
-    help="Recording.  [default: output/modes/SCENE.rrd]",
+    help="Recording.  [default: output/modes/SCENE/modes.rrd]",
 )
 @verbose_option
 def modes_command(
@@ -171,14 +183,16 @@ def modes_command(
     from crosscheck.files import check_no_source, check_writable, write_files
     from crosscheck.recording.log import recorded
     from crosscheck.recording.modes import log_modes, report
+    from crosscheck.report.output import record, usual_folder
     from newton_euler.analysis.equilibrium import at_rest, equilibrium
     from newton_euler.analysis.linearization import linearize
 
     options = without_exercise(scene_options(settings), "modes are those of the scene as it stands")
     loaded = load_and_tell(scene, options)
-    path = save or Path("output/modes") / f"{loaded.name}.rrd"
-    check_no_source([path], [scene])
-    check_writable(path)
+    path = save or usual_folder(Path("output/modes"), scene, "modal analysis") / "modes.rrd"
+    beside = {} if save else {path.with_name("modes.json"): record(scene, options)}
+    check_no_source([path, *beside], [scene])
+    check_writable(path, *beside)
     with progress_shown() as progress:
         progress("linearizing")
         if not at_start:
@@ -187,7 +201,7 @@ def modes_command(
         model = linearize(loaded, state, closed_loop=not open_loop)
         modes = model.modes()
         progress("recording")
-        write_files({path: recorded(log_modes, loaded, model, modes)})
+        write_files({**beside, path: recorded(log_modes, loaded, model, modes)})
     show(report(loaded, model, modes), f"wrote {path}", "more  -v")
     return AGREE
 
@@ -213,18 +227,21 @@ def workspace_command(
     SCENE is a name or a file, as of run.
     """
     from crosscheck import workspace
-    from crosscheck.files import check_writable
+    from crosscheck.files import check_no_source, check_writable
+    from crosscheck.report.output import usual_folder
 
     options = without_exercise(scene_options(settings), "a workspace is that of the scene as it stands")
     loaded = load_and_tell(scene, options)
     grid = dict(workspace.range_of(loaded, each) for each in ranges)
     pointing = None if axis is None else workspace.axis_of(axis)
-    folder = output or Path("output/workspace") / loaded.name
-    check_writable(*(folder / name for name in workspace.FILES))
+    folder = output or usual_folder(Path("output/workspace"), scene, "workspace")
+    paths = [folder / name for name in workspace.FILES]
+    check_no_source(paths, [scene])
+    check_writable(*paths)
     with progress_shown() as progress:
         found = workspace.measure(loaded, grid, pointing, progress)
         progress("writing")
-        written = workspace.write(found, folder)
+        written = workspace.write(found, folder, scene, options)
     click.echo(terminal([workspace.table(found)]), nl=False)
     say(*filter(None, [workspace.statement(found)]), "wrote " + ", ".join(str(path) for path in written))
     return AGREE
@@ -283,6 +300,7 @@ def faults_command(
     """
     from crosscheck.files import check_no_source, check_writable, write_files
     from crosscheck.load import load_scene
+    from crosscheck.report.output import usual_folder
     from crosscheck.studies.faults.find import find_faults, find_in_reading
     from crosscheck.studies.faults.report import data, holds, report
 
@@ -292,7 +310,7 @@ def faults_command(
     loaded, mapping = load_scene(scene, options)
     if reading and mapping is None:
         raise CrosscheckError(f"{scene} is read from no model file; --reading needs an MJCF or a URDF")
-    path = (output or Path("output/faults") / loaded.name) / "faults.json"
+    path = (output or usual_folder(Path("output/faults"), scene, "fault search")) / "faults.json"
     check_no_source([path], [scene])
     check_writable(path)
     start = time.perf_counter()
@@ -304,7 +322,7 @@ def faults_command(
             search = find_faults(loaded, progress, names=tuple(dict.fromkeys(names)))
     wall_time = time.perf_counter() - start
     found = report(loaded.name, search, wall_time)
-    write_files({path: as_json(data(loaded.name, options, search), found)})
+    write_files({path: as_json({"source": scene, **data(loaded.name, options, search)}, found)})
     show(found, f"wrote {path}", f"more  -v; {next_step('report', path.parent)}")
     return AGREE if holds(search) else DISAGREE
 

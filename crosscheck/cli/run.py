@@ -153,11 +153,11 @@ def _run(
     from crosscheck.engines import choose
     from crosscheck.files import check_no_source
     from crosscheck.load import exercised, load_scene
-    from crosscheck.report.output import own_name
+    from crosscheck.report.output import own_name, usual_folder
     from crosscheck.run import crosscheck
 
     chosen = choose(engines)
-    folder = output or _own_folder(own_name(scene), [scene])
+    folder = output or usual_folder(OUTPUT, scene, "crosscheck")
     check_no_source([folder / "summary.json"], [scene])
     options = scene_options(settings)
     taken = exercised(scene, options)
@@ -167,14 +167,6 @@ def _run(
         return crosscheck(loaded, chosen, progress, scene, taken, mapping, advised)
 
     return _carry_out(work, own_name(scene), [engine.name for engine in chosen], folder, save, allow_reduced)
-
-
-def _own_folder(name: str, sources: Sequence[str]) -> Path:
-    """Return the default folder of these models' results; an error if another's are there."""
-    from crosscheck.report.output import check_own
-
-    check_own(OUTPUT / name, sources)
-    return OUTPUT / name
 
 
 def _models(*named: tuple[str, tuple[str, ...]]) -> tuple[Model, Model]:
@@ -207,12 +199,15 @@ def _short_name(path: Path, other: Path) -> str:
 
 def _run_against(models: tuple[Model, Model], output: Path | None, save: Path | None) -> int:
     from crosscheck.against.compare import against, together
+    from crosscheck.report.output import check_own
 
     def work(progress: Progress) -> Crosscheck:
         return against(*models, progress)
 
     name = together(models)
-    folder = output or _own_folder(name, [model.source for model in models])
+    folder = output or OUTPUT / name
+    if output is None:
+        check_own(folder, [model.source for model in models])
     return _carry_out(work, name, [model.name for model in models], folder, save)
 
 

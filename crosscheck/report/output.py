@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,8 +28,13 @@ MOMENT = re.compile(r"(?:(.*) at )?(\S+) s")
 RECORDS = {
     "crosscheck": ("summary.json",),
     "benchmark": ("bench.json", "rhs.json", "batch.json", "sensitivities.json"),
+    "load table": ("loads.json",),
+    "modal analysis": ("modes.json",),
+    "workspace": ("workspace.json",),
+    "fault search": ("faults.json",),
+    "fit": ("identify.json",),
 }
-"""Files that tell whose results a folder has."""
+"""Files that record of which model the results in a folder are, by the kind of the results."""
 
 
 def write(result: Crosscheck, report: Report, folder: Path, recording: Path, name: str) -> list[Path]:
@@ -94,6 +99,22 @@ def own_name(source: str) -> str:
     return Path(source).stem.strip(".") or "scene"
 
 
+def usual_folder(parent: Path, source: str, results: str) -> Path:
+    """Return the folder in `parent` for results of a model, by its name or its file's without suffix.
+
+    Raises:
+        CrosscheckError: if the folder has results of another model.
+    """
+    folder = parent / own_name(source)
+    check_own(folder, [source], results)
+    return folder
+
+
+def record(source: str, options: Mapping[str, str]) -> bytes:
+    """JSON that records of which model the results in a folder are."""
+    return (json.dumps({"source": source, "options": dict(options)}, indent=1) + "\n").encode()
+
+
 def check_own(folder: Path, sources: Sequence[str], results: str = "crosscheck") -> None:
     """Raise `CrosscheckError` if a folder has results of others than these models, in this order.
 
@@ -103,7 +124,8 @@ def check_own(folder: Path, sources: Sequence[str], results: str = "crosscheck")
     Args:
         results: a key of `RECORDS`.
     """
-    elsewhere = "name another folder (--output), or this one to overwrite it"
+    option = "--save" if results == "modal analysis" else "--output"
+    elsewhere = f"name another folder ({option}), or this one to overwrite it"
     earlier = [found for name in RECORDS[results] if (found := _sources(folder / name))]
     # what begins with a dot was never ended
     runs = [path for path in folder.glob("*.npz") if not path.name.startswith(".")]
@@ -126,4 +148,4 @@ def _sources(path: Path) -> list[str]:
     models = [found] if isinstance(found, dict) else []
     if models and isinstance(found.get("models"), list):
         models = [model for model in found["models"] if isinstance(model, dict)]
-    return [str(model.get("source", "")) for model in models]
+    return [str(model.get("source") or "an unknown model") for model in models]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crosscheck.activity import what_acted
+from crosscheck.activity import MOST_ACTING, what_acted
 from crosscheck.files import check_writable, write_files
 from crosscheck.outcome import Outcome
 from crosscheck.report.render import as_json, markdown
@@ -30,7 +30,6 @@ from crosscheck.report.table import (
     judged,
     texts,
 )
-from crosscheck.run import MOST_ACTING
 from crosscheck.sweeps.analysis import (
     LEVELS,
     Analysis,

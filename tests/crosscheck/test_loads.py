@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 
 import pytest
@@ -76,6 +77,31 @@ def test_loads_that_are_not_determined_are_told(capsys, tmp_path, scene, told):
     _, out, _ = run(capsys, "loads", scene, "--output", tmp_path)
     assert f"reactions not unique: {told}" in " ".join(out.split())
     assert "stiffness decides how these joints share loads" in out
+
+
+def test_elements_that_act_and_are_not_simulated_are_named(capsys, tmp_path):
+    """A pendulum that falls from the horizontal past its limit, with a case whose run ends before."""
+    model = tmp_path / "falls.xml"
+    model.write_text(
+        '<mujoco><compiler angle="radian"/><worldbody><body><joint name="j" axis="0 1 0" range="-1 0.1"/>'
+        '<inertial pos="1 0 0" mass="1" diaginertia="0.001 0.001 0.001"/></body></worldbody></mujoco>'
+    )
+    output = ("--output", tmp_path / "out")
+    cases = ("--case", "long:duration=0.5", "--case", "short:duration=0.1")
+    status, out, _ = run(capsys, "loads", model, *cases, *output)
+    assert status == 4
+    told = " ".join(out.split())
+    assert "REDUCED MODEL: largest force " in told
+    assert "; case long: not simulated: limits of joint 'j' passed from " in told
+    assert "case short: not" not in told
+    content = json.loads((tmp_path / "out" / "loads.json").read_text())
+    ((case, (entry,)),) = content["not_simulated"].items()
+    assert (case, entry["element"], entry["topic"]) == ("long", "joint 'j'", "limits")
+    # x = g t^2 / 2 l as long as x is small
+    assert entry["since"] == pytest.approx((2.0 * 0.1 * 1.001 / 9.81) ** 0.5, rel=0.05)
+    assert run(capsys, "loads", model, *cases, *output, "--allow-reduced")[0] == 0
+    status, out, _ = run(capsys, "loads", model, "--set", "duration=0.1", *output)
+    assert (status, "REDUCED" in out) == (0, False)
 
 
 @pytest.mark.parametrize(

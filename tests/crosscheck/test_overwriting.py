@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from command_line import run, scene_file, short_example
 
+from crosscheck.report.output import RECORDS
+
 
 def test_results_of_other_models_are_not_overwritten_unasked(capsys, monkeypatch, tmp_path):
     """Models of one name, and scenes of the library beside files of their names."""
@@ -71,7 +73,7 @@ def test_runs_of_other_models_that_were_not_ended_are_not_overwritten_unasked(ca
 def test_benchmarks_of_other_models_are_not_overwritten_unasked(capsys, monkeypatch, tmp_path, earlier):
     monkeypatch.chdir(tmp_path)
     scene_file(tmp_path, short_example() | {"name": "mine"}, "scene.yaml")
-    folder = Path("output", "bench", "mine")
+    folder = Path("output", "bench", "scene")
     folder.mkdir(parents=True)
     (folder / earlier).write_text('{"source": "other.yaml"}')
     refused = (
@@ -81,6 +83,42 @@ def test_benchmarks_of_other_models_are_not_overwritten_unasked(capsys, monkeypa
         status, _, err = run(capsys, "bench", "scene.yaml", *arguments)
         assert status == 2
         assert err.startswith(f"crosscheck: error: {refused}")
+
+
+QUICK = {
+    "loads": (("--at-rest",), "load table"),
+    "modes": ((), "modal analysis"),
+    "workspace": (("--vary", "pivot=-1:1:2"), "workspace"),
+    "faults": (("--engine", "newton_euler"), "fault search"),
+    "identify": (("measured.csv", "--fit", "bob.mass"), "fit"),
+}
+"""Arguments for each command whose folder is named by the model, and the kind of its results."""
+
+
+@pytest.mark.parametrize("command", QUICK)
+def test_results_of_every_command_are_those_of_one_file(capsys, monkeypatch, tmp_path, command):
+    """Folders are named by the file, not by the name of the model in it; one of another file is refused."""
+    monkeypatch.chdir(tmp_path)
+    arguments, results = QUICK[command]
+    home = Path("output", command, "one")
+    record = home / RECORDS[results][0]
+    for path in ("one.yaml", "other/one.yaml"):
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        scene_file((tmp_path / path).parent, short_example() | {"name": "mine"}, "one.yaml")
+    if command in ("faults", "identify"):  # which take long
+        home.mkdir(parents=True)
+        record.write_text('{"source": "one.yaml"}')
+    else:
+        assert run(capsys, command, "one.yaml", *arguments)[0] == 0
+        assert run(capsys, command, "one.yaml", *arguments)[0] == 0
+    assert [path.name for path in home.parent.iterdir()] == ["one"]
+    assert json.loads(record.read_text())["source"] == "one.yaml"
+    files = {path: path.read_bytes() for path in home.iterdir()}
+    (tmp_path / "measured.csv").write_text("time\n0\n")
+    status, out, err = run(capsys, command, "other/one.yaml", *arguments)
+    assert (status, out) == (2, "")
+    assert f"{home} holds a {results} of one.yaml, not of other/one.yaml; name another folder" in err
+    assert {path: path.read_bytes() for path in home.iterdir()} == files
 
 
 def test_a_pipe_is_not_replaced_by_a_file(capsys, tmp_path):

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_no_source, check_writable, write_files
-from crosscheck.report.output import check_own
+from crosscheck.report.output import usual_folder
 from crosscheck.report.render import as_json
 from crosscheck.report.table import Cell, Lines, Part, Report
 from crosscheck.scenes.options import titled
@@ -68,9 +68,7 @@ def bench(wanted: Wanted, kind: str, output: Path | None, progress: Progress) ->
         needed = f"{SMALLEST_ERROR:g} or more (m and rad), which is as exact as references are"
         raise CrosscheckError(f"--error is {wanted.error:g}; needed: {needed}")
     names, measured = KINDS[kind]
-    folder = output or Path("output") / "bench" / wanted.scene.name
-    if output is None:
-        check_own(folder, [wanted.source], "benchmark")
+    folder = output or usual_folder(Path("output/bench"), wanted.source, "benchmark")
     paths = [folder / name for name in names]
     check_no_source(paths, [wanted.source])
     check_writable(*paths)
