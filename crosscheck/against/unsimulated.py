@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -80,8 +80,10 @@ def unsimulated(first: Model, second: Model, aligned: Aligned) -> Iterator[Unsim
                 yield Unsimulated(f"only {where}: {entry}", not entry.inert)
     given = [_numbers(model, names, alike) for model, names in named]
     yield from _of_other_values(first, second, aligned, *given)
-    yield from _only_in_one("here", given[0], given[1])
-    yield from _only_in_one("there", given[1], given[0])
+    if alike:
+        elements = [_elements(model, names) for model, names in named]
+        yield from _only_in_one("here", given[0], given[1], elements[1])
+        yield from _only_in_one("there", given[1], given[0], elements[0])
 
 
 class Given(NamedTuple):
@@ -184,14 +186,23 @@ def _zero(bounds: Bounds, given: Given) -> float:
 
 
 def _only_in_one(
-    where: str, mine: Mapping[tuple[str, str], Given], theirs: Mapping[tuple[str, str], Given]
+    where: str,
+    mine: Mapping[tuple[str, str], Given],
+    theirs: Mapping[tuple[str, str], Given],
+    elements: Container[str],
 ) -> Iterator[Unsimulated]:
     """Yield numbers of simulated elements that only one file gives, such as a range of a control.
 
-    Elements that are left out are compared as a whole.
+    Elements that are left out, or that only one file has, are compared as a whole.
+
+    Args:
+        where: name of the file that has `mine`.
+        mine: numbers of one file.
+        theirs: numbers of the other file.
+        elements: all elements of the other file.
     """
     for key, given in mine.items():
-        if given.entry.fate == "exactly" and key not in theirs:
+        if given.entry.fate == "exactly" and key not in theirs and key[0] in elements:
             text = f"only {where}: {given.name}: {given.text(4)}"
             yield Unsimulated(text, not given.entry.is_off)
 
@@ -220,6 +231,11 @@ def _unsimulated(
             key = (re.sub(r"^\d+ ", "", element), entry.topic, entry.fate, str(entry.inert))
             found.setdefault(key, entry)
     return found
+
+
+def _elements(model: Model, names: Mapping[str, str]) -> set[str]:
+    """All elements of a model's report, with other `names` of bodies and joints."""
+    return {_renamed(entry.element, names) for entry in (model.mapping.entries if model.mapping else ())}
 
 
 def _renamed(element: str, names: Mapping[str, str]) -> str:

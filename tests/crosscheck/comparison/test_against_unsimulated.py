@@ -127,6 +127,10 @@ def test_a_range_of_a_control_that_only_one_file_has_is_a_difference(tmp_path: P
     free = DRIVEN.replace(' ctrlrange="-1 1"', "")
     models = loaded(tmp_path, "one.xml", DRIVEN), loaded(tmp_path, "two.xml", free)
     assert apart(*models) == [("only here: control range of actuator 'm': -1 to 1", True)]
+    # a URDF has no actuators, and an idle motor that only one file has is compared as a whole
+    driven = loaded(tmp_path, "idle.xml", DRIVEN.replace(' forcerange="-5 5"', ""))
+    assert not apart(driven, loaded(tmp_path, "arm.urdf", LIMITED))
+    assert [moves for _, moves in apart(driven, loaded(tmp_path, "bare.xml", SINGLE))] == [False]
 
 
 def test_the_verdict_of_two_mjcf_names_what_is_never_compared(capsys, tmp_path: Path) -> None:
