@@ -32,7 +32,7 @@ SCENE_EDITS: dict[str, tuple[Keys, object, str]] = {
     "a name that is a list": (("bodies", 0, "name"), ["a"], "bodies.0.name: Input should be a valid string"),
     "an escape in a name": (("bodies", 0, "name"), "a\x1b[31m", "body 'a\\x1b[31m': has an unusable name"),
     "a turned name": (("bodies", 0, "name"), "a\u202eb", "body 'a\\u202eb': has an unusable name"),
-    "a long name": (("bodies", 0, "name"), "x" * 100_000, "needed: one of frame, xxx"),
+    "a long name": (("bodies", 0, "name"), "x" * 100_000, "needed: one of frame and 3 others"),
     "a long unknown key": (("k" * 100_000,), 1, "unknown key"),
     "no joints": (("joints",), [], "body 'crank': no joint leads to it"),
     "no bodies": (("bodies",), [], "mechanism"),

@@ -371,7 +371,8 @@ def test_runs_of_an_undetermined_start_are_not_compared():
     """Engines may take either branch; their equations are compared at regular states."""
     found = crosscheck(parallelogram(0.0, 0.0), choose([*ENGINES]), lambda _: None, "x", {})
     assert found.outcome is Outcome.UNFINISHED
-    assert [(stop.what, stop.undetermined) for stop in found.unfinished] == [("newton_euler", True)]
+    # round-off decides whether another engine leaves the singular configuration or stops there
+    assert [stop.what for stop in found.unfinished if stop.undetermined] == ["newton_euler"]
     assert (found.diagnosis, found.notes, found.off_by) == ((), (), {})
     levels = {row.level for row in found.figures}
     assert levels >= set(OF_EQUATIONS)
