@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from dataclasses import replace
 
@@ -126,11 +127,14 @@ def lines_run(action):
         return trace
 
     before = sys.gettrace()
+    gc.collect()
+    gc.disable()  # a collection would run finalizers of objects of other tests, and count their lines
     sys.settrace(trace)
     try:
         action()
     finally:
         sys.settrace(before)
+        gc.enable()
     return count
 
 
