@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from crosscheck.errors import CrosscheckError
-    from crosscheck.outcome import Outcome
+    from crosscheck.report.outcome import Outcome
+    from crosscheck.support.errors import CrosscheckError
     from crosscheck.sweeps.sweep import Sweep, sweep
     from crosscheck.verdict import Verdict, check
 else:
@@ -19,9 +19,9 @@ else:
         if name in ("Sweep", "sweep"):
             from crosscheck.sweeps import sweep as module
         elif name == "CrosscheckError":
-            from crosscheck import errors as module
+            from crosscheck.support import errors as module
         elif name == "Outcome":
-            from crosscheck import outcome as module
+            from crosscheck.report import outcome as module
         else:
             from crosscheck import verdict as module
 

@@ -31,7 +31,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @contextmanager
 def _failing() -> Iterator[None]:
     """Fail a test with the error of a block, as of a missing file or an unknown engine, in one line."""
-    from crosscheck.errors import CrosscheckError
+    from crosscheck.support.errors import CrosscheckError
     from newton_euler.errors import NewtonEulerError
 
     __tracebackhide__ = True

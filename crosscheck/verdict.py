@@ -11,25 +11,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crosscheck.comparison.diagnosis import Diagnosis
-from crosscheck.comparison.figure import Figure
-from crosscheck.engines import ENGINES, choose
-from crosscheck.files import check_writable, path_of
-from crosscheck.load import exercised, load_scene
-from crosscheck.outcome import Outcome
+from crosscheck.compare.crosscheck import Crosscheck, crosscheck
+from crosscheck.compare.diagnosis import Diagnosis
+from crosscheck.compare.figure import Figure
+from crosscheck.engines.engine import ENGINES, choose
+from crosscheck.loading.load import exercised, load_scene
+from crosscheck.report.outcome import Outcome
 from crosscheck.report.output import own_name, to_record, write
 from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal, wrapped
 from crosscheck.report.run import report
 from crosscheck.report.table import Report
-from crosscheck.run import Crosscheck, crosscheck
+from crosscheck.support.files import check_writable, path_of
 from newton_euler.arguments import checked
 from newton_euler.errors import items_of
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Floats
 
 if TYPE_CHECKING:
-    from crosscheck.load import Model
+    from crosscheck.loading.load import Model
 
 
 @dataclass(frozen=True, eq=False)

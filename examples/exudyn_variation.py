@@ -26,17 +26,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from crosscheck.studies.benchmark.batch import Own, cheapest
 from crosscheck.studies.benchmark.ladders import poses_only
 from crosscheck.studies.benchmark.reference import batch_references, pose_errors
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.relative import Relative
-from newton_euler.exercise import random_states
 from newton_euler.model.joint import Pose, perpendicular_pair
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.reading.exercise import random_states
 from newton_euler.scalars import Array
 
 vars(sys)["exudynFast"] = True  # without range checks, if set before the import

@@ -14,9 +14,9 @@ import mujoco
 import numpy as np
 
 from mjcf.layout import element_name
+from newton_euler.reading.import_report import ImportReport
+from newton_euler.reading.quantities import Constraints
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import ImportReport
-from newton_euler.verification.quantities import Constraints
 
 TORQUE_SCALE = 10
 """Place in `eq_data` of a weld's factor on its angles."""

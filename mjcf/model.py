@@ -23,8 +23,8 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import coordinate_name, weld_loops
 from newton_euler.model.state import State
+from newton_euler.reading.wrenches import wind_on_plate
 from newton_euler.scalars import Array, Scalar
-from newton_euler.verification.wrenches import wind_on_plate
 
 LIGHTEST = 1e-14
 """kg, and kg m^2 of principal moments: MuJoCo's compiler takes more alone."""

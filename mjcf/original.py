@@ -1,6 +1,6 @@
 """An MJCF file as MuJoCo holds it, to verify a scene that was read from it.
 
-See `newton_euler.verification`. Shares nothing with `mjcf.reading` but the compiled model and the names of
+See `newton_euler.reading`. Shares nothing with `mjcf.reading` but the compiled model and the names of
 elements: where loops close, what is rigid and what acts is worked out here with MuJoCo's own functions. What
 the report of a reading says was left out is switched off in a copy, by the names of elements alone.
 """
@@ -17,11 +17,11 @@ from mjcf.accounts import Equalities, switch_off, unaccounted, without_force
 from mjcf.layout import element_name
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.scene import Scene
+from newton_euler.reading.activity import Bounds
+from newton_euler.reading.import_report import ImportReport, left_out, unique_name
+from newton_euler.reading.original import SEVERAL_HINGES, Original, Sample, wholes
+from newton_euler.reading.quantities import Constraints, ForceLimit, Forces, Kinematics
 from newton_euler.scalars import Array, cross
-from newton_euler.verification.activity import Bounds
-from newton_euler.verification.import_report import ImportReport, left_out, unique_name
-from newton_euler.verification.original import SEVERAL_HINGES, Original, Sample, wholes
-from newton_euler.verification.quantities import Constraints, ForceLimit, Forces, Kinematics
 
 ROUND_OFF = 1e-14
 """Relative, of what is left of MuJoCo's sum of passive forces without its parts."""

@@ -4,7 +4,7 @@ MuJoCo compiles the file, so that its defaults, includes, angles and inertias ar
 the scene is made from the compiled model at the pose that it starts from: a keyframe or qpos0, with the
 loops closed. Bodies that are fixed to each other are one body.
 
-What was read is verified against MuJoCo's own model of the file, see `newton_euler.verification` and
+What was read is verified against MuJoCo's own model of the file, see `newton_euler.reading` and
 `mjcf.original`. The reading is a function of the model and of the controls, and so that actuators show it is
 made and verified once more, with all controls at random.
 
@@ -39,9 +39,7 @@ from mjcf.reading.plausibility import key_findings, mesh_findings
 from mjcf.reading.source import UNNAMED, SourceError, check_memory, compiled, given, model_name
 from mjcf.reading.start import Start
 from newton_euler.arguments import UNCHECKED, checked
-from newton_euler.assemble import assemble
 from newton_euler.errors import NewtonEulerError, OptionError
-from newton_euler.exercise import HIGHEST, LOWEST, moving
 from newton_euler.model.forces import Armature, BallArmature
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -49,11 +47,13 @@ from newton_euler.model.smooth_functions import Sine
 from newton_euler.model.source_file import ReadOptions, Request, path_text
 from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.model.state import State
+from newton_euler.reading import plausibility
+from newton_euler.reading.exercise import HIGHEST, LOWEST, moving
+from newton_euler.reading.import_report import ChangedVelocities, ImportReport, unique_name
+from newton_euler.reading.original import Original
+from newton_euler.reading.verify import check
+from newton_euler.runs.assemble import assemble
 from newton_euler.scalars import Array
-from newton_euler.verification import plausibility
-from newton_euler.verification.import_report import ChangedVelocities, ImportReport, unique_name
-from newton_euler.verification.original import Original
-from newton_euler.verification.verify import check
 
 MOST_NAMES = 5
 """Of actuators in one line of a report."""

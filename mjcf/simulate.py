@@ -14,16 +14,16 @@ import numpy as np
 from mjcf.errors import DivergenceError, heard_warnings
 from mjcf.write import SOLIMP, TIMESTEP
 from newton_euler.arguments import checked
-from newton_euler.assemble import initial_state
 from newton_euler.equations.applied_forces import blamed, surroundings
 from newton_euler.equations.parameters import pieces
 from newton_euler.errors import OptionError, UnknownNameError
 from newton_euler.integrators.options import MOST_FIXED_STEPS
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory
-from newton_euler.sampling import Controllers, Interval, holding, intervals
+from newton_euler.runs.assemble import initial_state
+from newton_euler.runs.sampling import Controllers, Interval, holding, intervals
+from newton_euler.runs.simulate import trajectory_from
 from newton_euler.scalars import Array
-from newton_euler.simulate import trajectory_from
 
 if TYPE_CHECKING:
     from mjcf.soft import SoftMuJoCo

@@ -19,8 +19,8 @@ from mjcf.errors import DivergenceError, MjcfError, heard_warnings
 from mjcf.forces import wind_loads
 from mjcf.soft import SoftMuJoCo, stiffest
 from mjcf.write import controls
-from newton_euler.assemble import initial_state
 from newton_euler.model.scene import Scene
+from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
 UNUSED = (

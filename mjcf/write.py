@@ -34,7 +34,6 @@ from mjcf.forces import (
 )
 from mjcf.layout import Layout, number, numbers
 from newton_euler.arguments import checked
-from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import Coupling, TreeCouplings, couplings
 from newton_euler.equations.model_control import roles
 from newton_euler.equations.relative import Relative
@@ -54,8 +53,9 @@ from newton_euler.model.spanning_tree import (
     weld_loops,
 )
 from newton_euler.model.written_file import atomic_file
+from newton_euler.reading.wrenches import Wrenches
+from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
-from newton_euler.verification.wrenches import Wrenches
 
 TIMESTEP = 0.001
 """Time step of a written model, s."""

@@ -1,25 +1,23 @@
 """Newton-Euler dynamics of any mechanism with closed loops, written by hand.
 
 Examples in docstrings, here and in the other packages, follow `from newton_euler import *`,
-`from crosscheck.scenes import load`, `from crosscheck import *`, `from dataclasses import replace`,
+`from crosscheck.library import load`, `from crosscheck import *`, `from dataclasses import replace`,
 `import numpy as np` and `import mjcf, urdf`.
 """
 
-from newton_euler.analysis.branches import Branches, assembly_branches
-from newton_euler.analysis.configurations import Axis
-from newton_euler.analysis.envelope import LoadEnvelope, LoadRange, load_envelope, rest_case
-from newton_euler.analysis.equilibrium import equilibrium
-from newton_euler.analysis.identification import Identification, identify
-from newton_euler.analysis.inverse_dynamics import Loads, inverse_dynamics, statics
-from newton_euler.analysis.linear_model import LinearModel, Modes
-from newton_euler.analysis.linearization import linearize
-from newton_euler.analysis.measurements import Measurements, measurements_from_csv
-from newton_euler.analysis.poses import Poses, solve_poses
-from newton_euler.analysis.regulator import lqr
-from newton_euler.analysis.sensitivity import Sensitivities, sensitivities
-from newton_euler.analysis.workspace import Workspace, singular_poses, workspace
-from newton_euler.assemble import assemble, initial_state
-from newton_euler.batch import simulate_batch
+from newton_euler.analysis.identification.identify import Identification, identify
+from newton_euler.analysis.identification.measurements import Measurements, measurements_from_csv
+from newton_euler.analysis.kinematics.branches import Branches, assembly_branches
+from newton_euler.analysis.kinematics.configurations import Axis
+from newton_euler.analysis.kinematics.poses import Poses, solve_poses
+from newton_euler.analysis.kinematics.workspace import Workspace, singular_poses, workspace
+from newton_euler.analysis.linear.linear_model import LinearModel, Modes
+from newton_euler.analysis.linear.linearization import linearize
+from newton_euler.analysis.linear.regulator import lqr
+from newton_euler.analysis.loads.envelope import LoadEnvelope, LoadRange, load_envelope, rest_case
+from newton_euler.analysis.loads.equilibrium import equilibrium
+from newton_euler.analysis.loads.inverse_dynamics import Loads, inverse_dynamics, statics
+from newton_euler.analysis.sensitivity.sensitivities import Sensitivities, sensitivities
 from newton_euler.errors import (
     ArgumentError,
     IdentificationWarning,
@@ -56,9 +54,11 @@ from newton_euler.model.splines import Spline, Steps
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.model.wind import WindLoad, wind_gust, wind_turbulence
-from newton_euler.moving_base import base_motion_from_csv, on_moving_base
-from newton_euler.simulate import compile_scene, simulate
-from newton_euler.variation import start, with_parameters
+from newton_euler.runs.assemble import assemble, initial_state
+from newton_euler.runs.batch import simulate_batch
+from newton_euler.runs.moving_base import base_motion_from_csv, on_moving_base
+from newton_euler.runs.simulate import compile_scene, simulate
+from newton_euler.runs.variation import start, with_parameters
 
 __all__ = [
     "PD",

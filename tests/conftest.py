@@ -20,14 +20,14 @@ from hostile_process import Server
 import mjcf.reading.source
 import newton_euler
 from crosscheck.cli import shared
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler.errors import MissingPackageError
-from newton_euler.exercise import random_states
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.exercise import random_states
 
 # shells have what they start in the background ignore interrupts, which some tests send
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -18,7 +18,7 @@ import crosscheck
 import mjcf
 import newton_euler as ne
 import urdf
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler.arguments import caller_level, checked
 from newton_euler.errors import ArgumentError, OptionError
 

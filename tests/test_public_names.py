@@ -23,11 +23,11 @@ import crosscheck
 import mjcf
 import newton_euler
 import urdf
-from crosscheck.scenes import load
-from newton_euler.analysis.measurements import Measurements
+from crosscheck.library import load
+from newton_euler.analysis.identification.measurements import Measurements
 from newton_euler.errors import UnknownNameError
 from newton_euler.model.joint_kinds import JOINT_KINDS
-from newton_euler.simulate import CompiledScene
+from newton_euler.runs.simulate import CompiledScene
 
 PACKAGES = {name: importlib.import_module(name) for name in ("newton_euler", "mjcf", "urdf", "crosscheck")}
 
@@ -38,7 +38,7 @@ from dataclasses import replace
 import numpy as np
 import crosscheck, mjcf, newton_euler, urdf
 from crosscheck import *
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler import *
 """
 """What examples follow."""

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.model_control import EngineControl, roles, servo_forces
@@ -32,6 +31,7 @@ from newton_euler.model.joint_kinds import Rod
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import weld_loops
 from newton_euler.model.state import State
+from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array, Scalar
 from urdf.constraints import Closures, Rows, frame_jacobian
 from urdf.errors import UrdfError

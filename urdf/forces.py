@@ -21,8 +21,8 @@ from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.wind import WindLoad
+from newton_euler.reading.wrenches import wind_on_plate
 from newton_euler.scalars import Array
-from newton_euler.verification.wrenches import wind_on_plate
 
 ZERO = np.zeros(3)
 

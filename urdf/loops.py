@@ -15,7 +15,7 @@ from newton_euler.errors import choices
 from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.model.source_file import LARGEST, SourceError
 from newton_euler.model.yaml_source import parse_yaml
-from newton_euler.verification.import_report import unique_name
+from newton_euler.reading.import_report import unique_name
 from urdf.errors import LoopFileError
 
 CLOSURE_TYPES = ("3d", "6d", "rod")

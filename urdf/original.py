@@ -1,6 +1,6 @@
 """A URDF with its loop file, or a model in memory, as Pinocchio has them, to verify scenes read from them.
 
-See `newton_euler.verification`. Pinocchio parses the file anew. What the loop file says, and mimics, are rows
+See `newton_euler.reading`. Pinocchio parses the file anew. What the loop file says, and mimics, are rows
 of constraints here; nothing is shared with `urdf.reading` but the names of elements.
 """
 
@@ -16,10 +16,10 @@ import pinocchio as pin
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.model.scene import Scene
+from newton_euler.reading.import_report import ImportReport, left_out, unique_name
+from newton_euler.reading.original import SEVERAL_HINGES, Original, Sample, wholes
+from newton_euler.reading.quantities import Constraints, Forces, Kinematics
 from newton_euler.scalars import Array, cross, tilde
-from newton_euler.verification.import_report import ImportReport, left_out, unique_name
-from newton_euler.verification.original import SEVERAL_HINGES, Original, Sample, wholes
-from newton_euler.verification.quantities import Constraints, Forces, Kinematics
 from urdf.constraints import power_sums
 from urdf.extensions import Extensions
 from urdf.loops import NO_LOOPS, REVOLUTE, UNIVERSAL, Loops, closure_names, parse_loops

@@ -2,7 +2,7 @@
 
 Pinocchio parses the URDF and adds up what fixed joints hold together; the scene is made of its model at
 coordinates 0, with followers of mimics where their offsets put them, or next to that where the loops close.
-It is verified against Pinocchio's own model of the file, see `newton_euler.verification` and `urdf.original`.
+It is verified against Pinocchio's own model of the file, see `newton_euler.reading` and `urdf.original`.
 Models in memory, with their constraints, go the same way.
 
 The loop file has the keys of Gepetto's example-parallel-robots, see `urdf.loops`.
@@ -24,7 +24,6 @@ import numpy as np
 
 from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.errors import NewtonEulerError, OptionError, check_choice, finite_array
-from newton_euler.exercise import moving as exercised
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling, PolynomialCoupling
 from newton_euler.model.forces import Force
 from newton_euler.model.joint import Joint, Key
@@ -33,10 +32,10 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import ReadOptions, Request, path_text, read_text
 from newton_euler.model.spanning_tree import unweld_loops
-from newton_euler.scalars import Array
-from newton_euler.verification import plausibility
-from newton_euler.verification.activity import Bounds, Rest, Watch
-from newton_euler.verification.import_report import (
+from newton_euler.reading import plausibility
+from newton_euler.reading.activity import Bounds, Rest, Watch
+from newton_euler.reading.exercise import moving as exercised
+from newton_euler.reading.import_report import (
     CONTACTS,
     FRICTION,
     LIMITS,
@@ -45,8 +44,9 @@ from newton_euler.verification.import_report import (
     ImportReport,
     unique_name,
 )
-from newton_euler.verification.original import Original
-from newton_euler.verification.verify import check
+from newton_euler.reading.original import Original
+from newton_euler.reading.verify import check
+from newton_euler.scalars import Array
 from urdf.errors import UrdfError
 from urdf.extensions import Extensions, PointSpringElement
 from urdf.loops import NO_LOOPS, REVOLUTE, Loops

@@ -16,7 +16,7 @@ from newton_euler.integrators.options import (
 )
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.simulate import run
+from newton_euler.runs.simulate import run
 
 
 @checked

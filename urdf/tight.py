@@ -15,7 +15,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.lib.stride_tricks import as_strided
 
-from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import couplings
 from newton_euler.equations.system import at_time
 from newton_euler.model.control import PD
@@ -24,6 +23,7 @@ from newton_euler.model.joint_kinds import Rod
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import weld_loops
 from newton_euler.model.trajectory import IntegrationError
+from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import UrdfError

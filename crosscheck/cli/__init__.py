@@ -54,8 +54,8 @@ with _interrupt_calls(_end):
 
     from crosscheck.cli import identify, measure, regress, run, sun, sweep
     from crosscheck.cli.shared import BAD_INPUT, cli
-    from crosscheck.errors import CrosscheckError, reason_of, short_of_memory
     from crosscheck.report.render import shortened_values, wrapped
+    from crosscheck.support.errors import CrosscheckError, reason_of, short_of_memory
 
 NOT_READ = 128 + 13
 """Exit status, as shells have it, of what ends by SIGPIPE."""

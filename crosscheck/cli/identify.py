@@ -50,10 +50,10 @@ def identify_command(
 
     SCENE is a name or a file, as of run. Columns are time and joint coordinates, rates, poses or forces; SI.
     """
-    from crosscheck.files import check_no_source, check_writable, write_files
-    from crosscheck.identification import data, report
+    from crosscheck.design.identification import data, report
     from crosscheck.report.output import usual_folder
-    from newton_euler.analysis.identification import identify
+    from crosscheck.support.files import check_no_source, check_writable, write_files
+    from newton_euler.analysis.identification.identify import identify
 
     options = without_exercise(scene_options(settings), "measured is the scene as it stands")
     loaded = load_and_tell(scene, options)

@@ -25,16 +25,16 @@ from crosscheck.cli.shared import (
     verbose_option,
     without_exercise,
 )
-from crosscheck.errors import CrosscheckError
 from crosscheck.report.render import as_json, terminal
 from crosscheck.studies.faults import PLANTED_IN
+from crosscheck.support.errors import CrosscheckError
 
 
 @cli.command("figures")
 @folder_option("output/figures")
 def figures_command(output: Path) -> int:
     """Redraw the paper's Figures 5 to 9 from the three engines."""
-    from crosscheck.figures import draw
+    from crosscheck.studies.paper_figures import draw
 
     with progress_shown() as progress:
         written = draw(output, progress)
@@ -72,7 +72,7 @@ def bench_command(
 
     SCENE is a name or a file, as of run.
     """
-    from crosscheck.load import exercised
+    from crosscheck.loading.load import exercised
     from crosscheck.studies.benchmark.run import Wanted, bench
 
     asked = {"rhs": rhs, "batch": batch is not None, "sensitivities": sensitivities}
@@ -99,8 +99,8 @@ def controllers_command(scene: str, settings: tuple[str, ...], engines: list[str
     SCENE is a name or a file, as of run; one with the option controller is run with each of its values. The
     default makes 12 runs in some minutes; --engines newton_euler takes seconds.
     """
-    from crosscheck.controllers import compared
-    from crosscheck.engines import ENGINES
+    from crosscheck.design.controllers import compared
+    from crosscheck.engines.engine import ENGINES
 
     options = without_exercise(scene_options(settings), "controllers are those of the scene")
     with progress_shown() as progress:
@@ -140,8 +140,8 @@ def loads_command(
 
     SCENE is a name or a file, as of run.
     """
-    from crosscheck.load import load_scene
-    from crosscheck.loads import loads, parse_cases
+    from crosscheck.design.loads import loads, parse_cases
+    from crosscheck.loading.load import load_scene
     from crosscheck.report.output import usual_folder
 
     models = {}
@@ -180,12 +180,12 @@ def modes_command(
 
     SCENE is a name or a file, as of run.
     """
-    from crosscheck.files import check_no_source, check_writable, write_files
     from crosscheck.recording.log import recorded
     from crosscheck.recording.modes import log_modes, report
     from crosscheck.report.output import record, usual_folder
-    from newton_euler.analysis.equilibrium import at_rest, equilibrium
-    from newton_euler.analysis.linearization import linearize
+    from crosscheck.support.files import check_no_source, check_writable, write_files
+    from newton_euler.analysis.linear.linearization import linearize
+    from newton_euler.analysis.loads.equilibrium import at_rest, equilibrium
 
     options = without_exercise(scene_options(settings), "modes are those of the scene as it stands")
     loaded = load_and_tell(scene, options)
@@ -226,9 +226,9 @@ def workspace_command(
 
     SCENE is a name or a file, as of run.
     """
-    from crosscheck import workspace
-    from crosscheck.files import check_no_source, check_writable
+    from crosscheck.design import workspace
     from crosscheck.report.output import usual_folder
+    from crosscheck.support.files import check_no_source, check_writable
 
     options = without_exercise(scene_options(settings), "a workspace is that of the scene as it stands")
     loaded = load_and_tell(scene, options)
@@ -255,9 +255,9 @@ def workspace_command(
 @click.option("--only", "letters", default="", metavar="LETTERS", help="Topics, such as bd.  [default: all]")
 def stress_command(full: bool, output: Path, letters: str) -> int:
     """Push every engine until something breaks, and report where."""
-    from crosscheck.files import check_writable
     from crosscheck.studies.stress.report import FILES, report, write
     from crosscheck.studies.stress.topics import stress
+    from crosscheck.support.files import check_writable
 
     check_writable(*(output / name for name in FILES))
     start = time.perf_counter()
@@ -298,11 +298,11 @@ def faults_command(
 
     Each is in one engine's model of SCENE, or with --reading in what was read from its file.
     """
-    from crosscheck.files import check_no_source, check_writable, write_files
-    from crosscheck.load import load_scene
+    from crosscheck.loading.load import load_scene
     from crosscheck.report.output import usual_folder
     from crosscheck.studies.faults.find import find_faults, find_in_reading
     from crosscheck.studies.faults.report import data, holds, report
+    from crosscheck.support.files import check_no_source, check_writable, write_files
 
     options = scene_options(settings)
     if reading:

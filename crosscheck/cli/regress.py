@@ -18,8 +18,8 @@ from crosscheck.cli.shared import (
     tell,
     verbose_option,
 )
-from crosscheck.errors import CrosscheckError
 from crosscheck.report.render import terminal
+from crosscheck.support.errors import CrosscheckError
 
 if TYPE_CHECKING:
     from crosscheck.regress.run import Guarded
@@ -96,8 +96,8 @@ def _guarded(
     sources: tuple[str, ...], options: dict[str, str], baseline: Path | None
 ) -> tuple[list[Guarded], dict[str, str]]:
     """Load what is compared, and name the scenes of the library whose optional packages are not installed."""
+    from crosscheck.library import SCENES
     from crosscheck.regress.run import guard
-    from crosscheck.scenes import SCENES
     from newton_euler.errors import MissingPackageError
 
     found: list[Guarded] = []

@@ -32,15 +32,15 @@ from crosscheck.cli.shared import (
     verbose_option,
     without_exercise,
 )
-from crosscheck.errors import CrosscheckError
 from crosscheck.report.render import printable, terminal
+from crosscheck.support.errors import CrosscheckError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from types import ModuleType
 
-    from crosscheck.against.unsimulated import Model
-    from crosscheck.run import Crosscheck, Progress
+    from crosscheck.compare.crosscheck import Crosscheck, Progress
+    from crosscheck.compare.two_models.unsimulated import Model
     from newton_euler.model.scene import Scene
     from newton_euler.scalars import Array
 
@@ -101,7 +101,7 @@ def run_command(
     SCENE is a name, a scene file, an MJCF or a URDF; the tracker if not given. What OPTION can be is told
     by crosscheck list.
     """
-    from crosscheck.engines import ENGINES
+    from crosscheck.engines.engine import ENGINES
 
     output, save = files["output"], files["save"]
     if library:
@@ -126,9 +126,9 @@ def run_command(
 
 
 def _run_all(engines: list[str], output: Path | None) -> int:
+    from crosscheck.cli.run_all import outcome_lines, outcomes_table, run_all
+    from crosscheck.library import SCENES
     from crosscheck.report.output import check_own
-    from crosscheck.run_all import outcome_lines, outcomes_table, run_all
-    from crosscheck.scenes import SCENES
 
     folder = output or OUTPUT
     for name in SCENES if output is None else ():
@@ -150,11 +150,11 @@ def _run(
     advised: bool,
     allow_reduced: bool,
 ) -> int:
-    from crosscheck.engines import choose
-    from crosscheck.files import check_no_source
-    from crosscheck.load import exercised, load_scene
+    from crosscheck.compare.crosscheck import crosscheck
+    from crosscheck.engines.engine import choose
+    from crosscheck.loading.load import exercised, load_scene
     from crosscheck.report.output import own_name, usual_folder
-    from crosscheck.run import crosscheck
+    from crosscheck.support.files import check_no_source
 
     chosen = choose(engines)
     folder = output or usual_folder(OUTPUT, scene, "crosscheck")
@@ -171,9 +171,9 @@ def _run(
 
 def _models(*named: tuple[str, tuple[str, ...]]) -> tuple[Model, Model]:
     """Load two models by name or file and settings, with names of their own."""
-    from crosscheck.against.unsimulated import Model
-    from crosscheck.load import load_scene
-    from newton_euler.verification.import_report import unique_name
+    from crosscheck.compare.two_models.unsimulated import Model
+    from crosscheck.loading.load import load_scene
+    from newton_euler.reading.import_report import unique_name
 
     paths = [Path(source) for source, *_ in named]
     found: list[Model] = []
@@ -198,7 +198,7 @@ def _short_name(path: Path, other: Path) -> str:
 
 
 def _run_against(models: tuple[Model, Model], output: Path | None, save: Path | None) -> int:
-    from crosscheck.against.compare import against, together
+    from crosscheck.compare.two_models.compare import against, together
     from crosscheck.report.output import check_own
 
     def work(progress: Progress) -> Crosscheck:
@@ -220,12 +220,12 @@ def _carry_out(
     allow_reduced: bool = False,
 ) -> int:
     """Do what was asked for of the models, with `runs` of these names, write it and tell of it."""
-    from crosscheck.against.compare import Against
-    from crosscheck.files import check_writable
-    from crosscheck.load import told_options
+    from crosscheck.compare.two_models.compare import Against
+    from crosscheck.loading.load import told_options
     from crosscheck.recording.mesh_budget import meshes_left_out
     from crosscheck.report.output import write
     from crosscheck.report.run import report
+    from crosscheck.support.files import check_writable
 
     recording = save or folder / f"{name}.rrd"
     arrays = [folder / f"{run}.npz" for run in runs]
@@ -287,10 +287,10 @@ def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
         return AGREE
     if settings:
         raise CrosscheckError("--set has no effect here: it is of a scene")
-    from crosscheck.engines import ENGINES
-    from crosscheck.model_files.read import MJCF_OPTIONS, URDF_OPTIONS
-    from crosscheck.scenes import SCENES
-    from crosscheck.scenes.options import options_of
+    from crosscheck.engines.engine import ENGINES
+    from crosscheck.library import SCENES
+    from crosscheck.library.options import options_of
+    from crosscheck.loading.model_files import MJCF_OPTIONS, URDF_OPTIONS
     from newton_euler.errors import MissingPackageError
     from newton_euler.limits import LIMITS
 
@@ -319,8 +319,8 @@ def _parameters(scene: Scene) -> Iterator[str]:
     Displacements are followed by the points that they start from.
     """
     from newton_euler.equations.parameters import origins, parameter_values
-    from newton_euler.starts import initial_names
-    from newton_euler.variation import own_values, units_of
+    from newton_euler.runs.starts import initial_names
+    from newton_euler.runs.variation import own_values, units_of
 
     starts = own_values(scene, initial_names(scene))
     values = parameter_values(scene)
@@ -356,10 +356,10 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int
 
     IN is a scene, MJCF or URDF; OUT is in the format that its name ends in.
     """
-    from crosscheck.files import check_no_source, check_writable
-    from crosscheck.load import load_scene
-    from crosscheck.model_files.convert import check_target, files_of, scene_report, write_as
-    from crosscheck.model_files.read import report_lines
+    from crosscheck.loading.convert import check_target, files_of, scene_report, write_as
+    from crosscheck.loading.load import load_scene
+    from crosscheck.loading.model_files import report_lines
+    from crosscheck.support.files import check_no_source, check_writable
 
     check_target(target)
     options = scene_options(settings)
@@ -414,7 +414,7 @@ def _run_to_its_end(viewer: Sequence[str]) -> int:
 
     The viewer has a process group of its own, because Rerun's program starts the viewer as a child.
     """
-    from crosscheck.limit import tidied_up
+    from crosscheck.support.time_limits import tidied_up
 
     with tidied_up():
         process = subprocess.Popen(viewer, start_new_session=True, env=os.environ | {"RUST_LOG": "error"})

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Self
 
 import click
 
-from crosscheck.errors import CrosscheckError
-from crosscheck.outcome import ExitStatus
+from crosscheck.report.outcome import ExitStatus
 from crosscheck.report.render import printable, terminal, wrapped
+from crosscheck.support.errors import CrosscheckError
 
 if TYPE_CHECKING:
     from crosscheck.report.table import Part, Report
     from newton_euler.model.scene import Scene
-    from newton_euler.verification.import_report import ImportReport
+    from newton_euler.reading.import_report import ImportReport
 
 LISTS = frozenset({"ignore"})
 """Options of scenes that have several values."""
@@ -112,7 +112,7 @@ def engines_option(command: Callable[..., int]) -> Callable[..., int]:
     """Parse names of engines; it is None by default, for all."""
 
     def names(context: click.Context, _: click.Parameter, given: str | None) -> list[str] | None:
-        from crosscheck.engines import choose
+        from crosscheck.engines.engine import choose
 
         if given is None:
             return None
@@ -177,7 +177,7 @@ def show(report: Report, *after: str) -> None:
 
 def load_and_tell(scene: str, options: dict[str, str]) -> Scene:
     """A scene, with a line on standard error for each element of its file that is not in it as it was."""
-    from crosscheck.load import load_scene
+    from crosscheck.loading.load import load_scene
 
     loaded, mapping = load_scene(scene, options)
     tell(scene, mapping, loaded)

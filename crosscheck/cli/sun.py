@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from crosscheck.cli.shared import AGREE, cli, folder_option, progress_shown, say, show, verbose_option
-from crosscheck.errors import CrosscheckError
+from crosscheck.support.errors import CrosscheckError
 
 
 @cli.command("sun")
@@ -49,14 +49,14 @@ def sun_command(
 
     Of several latitudes or dates a table compares the days.
     """
-    from crosscheck.files import check_writable
-    from crosscheck.limit import paced
-    from crosscheck.scenes.tracker_sun import PANEL_NORMAL, sun_tracker
+    from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
     from crosscheck.solar.day import check_period, tracker_day
     from crosscheck.solar.place import SUN, Place, seconds_of_day
     from crosscheck.solar.report import day_report, files_of, survey_report, write, write_survey
     from crosscheck.solar.tracking import Tracking
     from crosscheck.solar.wind import wind_over_day
+    from crosscheck.support.files import check_writable
+    from crosscheck.support.time_limits import paced
     from newton_euler.optional_packages import optional_package
 
     if (stow is None) != (wind is None):

@@ -82,7 +82,7 @@ def sweep_command(
     SCENE is a name or a file, which is exercised, as of run. A sweep that was interrupted goes on where it
     was.
     """
-    from crosscheck.load import exercised, load_scene
+    from crosscheck.loading.load import exercised, load_scene
     from crosscheck.sweeps.distributions import parse_vary
     from crosscheck.sweeps.store import NAME, interruptible
     from crosscheck.sweeps.sweep import own_scene, sweep

@@ -34,11 +34,11 @@ import numpy as np
 import rerun as rr
 from rerun import bindings
 
-from crosscheck.palette import palette, rgb
 from crosscheck.recording.blueprint import TIME, blueprint, send_layout
 from crosscheck.recording.mesh_budget import engines_with_meshes, without_meshes
 from crosscheck.recording.plots import Plot, Tolerances, platforms, plots, rotated
 from crosscheck.recording.shapes import Style, log_shapes, paths, xyzw
+from crosscheck.support.palette import palette, rgb
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene

@@ -14,18 +14,18 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from crosscheck.palette import palette, rgb
 from crosscheck.recording.blueprint import laid_out, scene_view, send_layout
 from crosscheck.recording.log import log_bodies, log_ground, log_text
 from crosscheck.recording.shapes import Style
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Cell, Column, Part, Report, Rows, Table, figures, texts
-from newton_euler.analysis.linear_model import LinearModel, Modes, label
-from newton_euler.assemble import measured_coordinate
+from crosscheck.support.palette import palette, rgb
+from newton_euler.analysis.linear.linear_model import LinearModel, Modes, label
 from newton_euler.model.euler_parameters import from_rotation_vector, product
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.runs.assemble import measured_coordinate
 from newton_euler.scalars import Array
 
 AMPLITUDE = 0.15

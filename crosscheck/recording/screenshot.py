@@ -16,7 +16,7 @@ from pathlib import Path
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
-from crosscheck.errors import CrosscheckError
+from crosscheck.support.errors import CrosscheckError
 
 LOOPBACK = "127.0.0.1"
 

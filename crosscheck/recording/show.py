@@ -9,9 +9,9 @@ from typing import Any
 
 from rerun import bindings
 
-from crosscheck.errors import CrosscheckError
 from crosscheck.recording.log import new_recording
-from crosscheck.workers import safe_path
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.processes import safe_path
 from newton_euler.model.scene import Scene
 
 LONGEST_SENDING = 60.0

@@ -16,10 +16,10 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from crosscheck.palette import palette, rgb
 from crosscheck.recording.blueprint import laid_out, scene_view, send_layout
 from crosscheck.recording.log import PLAIN_COLOR, log_bodies, log_ground, log_text, send_columns
 from crosscheck.recording.shapes import Style
+from crosscheck.support.palette import palette, rgb
 from crosscheck.sweeps.analysis import LEVELS
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory

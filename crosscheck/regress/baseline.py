@@ -24,11 +24,11 @@ from pydantic import (
     model_validator,
 )
 
-from crosscheck.checksum import sealed
-from crosscheck.errors import CrosscheckError
-from crosscheck.results import read_json
-from crosscheck.scenes.entries import Number, Quaternion, Vector
-from crosscheck.versions import versions
+from crosscheck.library.entries import Number, Quaternion, Vector
+from crosscheck.support.checksum import sealed
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.results import read_json
+from crosscheck.support.versions import versions
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 

@@ -16,15 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.activity import acted, watched_in_own_run, what_acted
-from crosscheck.comparison.figure import Figure
-from crosscheck.outcome import Outcome
+from crosscheck.compare.activity import acted, watched_in_own_run, what_acted
+from crosscheck.compare.figure import Figure
 from crosscheck.regress.baseline import Baseline, Record, StoredFigure
 from crosscheck.regress.measure import MAIN, measure_group, regress_scene
-from crosscheck.versions import versions
+from crosscheck.report.outcome import Outcome
+from crosscheck.support.versions import versions
 from newton_euler.model.scene import Scene
+from newton_euler.reading.import_report import ImportedElement, ImportReport
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import ImportedElement, ImportReport
 
 MODEL_FILE = "model file"
 """In place of the group of a figure: what a file holds and no scene does."""

@@ -6,7 +6,7 @@ their code, costs the same for every scene, and lets round-off grow little. The 
 evaluated at the initial state and at one that the scene passes through, those of newton_euler also with the
 joints open, where Baumgarte's gains act.
 
-Tolerances are those of the levels of `crosscheck.comparison`: of equations round-off times condition, of runs
+Tolerances are those of the levels of `crosscheck.compare`: of equations round-off times condition, of runs
 that and what they change by where their error control is tighter.
 """
 
@@ -21,11 +21,10 @@ from typing import Final, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crosscheck.comparison.energy import energy_balance
-from crosscheck.comparison.figure import OWN_ERROR, reach, round_off
-from crosscheck.comparison.samples import Samples, States, admissible_basis
-from crosscheck.engines import ENGINES
-from crosscheck.errors import CrosscheckError, reason_of
+from crosscheck.compare.energy import energy_balance
+from crosscheck.compare.figure import OWN_ERROR, reach, round_off
+from crosscheck.compare.samples import Samples, States, admissible_basis
+from crosscheck.engines.engine import ENGINES
 from crosscheck.regress.baseline import (
     COUNTED,
     OPERATIONS,
@@ -34,18 +33,19 @@ from crosscheck.regress.baseline import (
     StoredFigure,
     StoredState,
 )
+from crosscheck.support.errors import CrosscheckError, reason_of
 from newton_euler import compile_scene
-from newton_euler.assemble import initial_state
+from newton_euler.compiled.formulations import FORMULATIONS, formulate
 from newton_euler.equations.system import Evaluation, System, at_time
 from newton_euler.equations.undetermined import determined
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators.formulations import FORMULATIONS, formulate
 from newton_euler.integrators.options import PAPER_ALPHA, FormulationName, IntegratorName
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.simulate import CompiledScene
+from newton_euler.runs.assemble import initial_state
+from newton_euler.runs.simulate import CompiledScene
 
 OUTPUT_COUNT = 25
 """Output times of a whole run beside the start: enough to tell when it parts from the baseline."""

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from crosscheck.activity import what_acted
-from crosscheck.outcome import Outcome
+from crosscheck.compare.activity import what_acted
 from crosscheck.regress.compare import Checked, Comparison
 from crosscheck.report import render
+from crosscheck.report.outcome import Outcome
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, Verdict, figures, texts
 
 MOST_LINES = 12

@@ -8,23 +8,23 @@ from pathlib import Path
 
 import numpy as np
 
-from crosscheck.activity import watched_in_own_run
-from crosscheck.errors import CrosscheckError
-from crosscheck.files import check_no_source, check_writable, write_files
-from crosscheck.load import exercised, load_scene
-from crosscheck.model_files.read import is_model
+from crosscheck.compare.activity import watched_in_own_run
+from crosscheck.library import SCENES
+from crosscheck.library.options import titled
+from crosscheck.loading.load import exercised, load_scene
+from crosscheck.loading.model_files import is_model
 from crosscheck.regress.baseline import Baseline, GroupName, Record, StoredFigure, read
 from crosscheck.regress.compare import Comparison, compare, unsimulated
 from crosscheck.regress.measure import GROUPS, MAIN, main_run, make_plan, regress_scene, with_own_errors
 from crosscheck.regress.report import as_json, junit, report
 from crosscheck.report.render import markdown
-from crosscheck.scenes import SCENES
-from crosscheck.scenes.options import titled
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.files import check_no_source, check_writable, write_files
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import ImportReport
 
 REPORTS = ("regress.json", "junit.xml", "summary.md")
 """Files that a comparison writes, beside recordings."""

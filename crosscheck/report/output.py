@@ -10,13 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from crosscheck.comparison.figure import OF_RUNS, Figure
-from crosscheck.engines import ENGINES
-from crosscheck.errors import CrosscheckError
-from crosscheck.files import write_files
+from crosscheck.compare.crosscheck import Crosscheck
+from crosscheck.compare.figure import OF_RUNS, Figure
+from crosscheck.engines.engine import ENGINES
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.table import Report
-from crosscheck.run import Crosscheck
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.files import write_files
 from newton_euler.model.source_file import SourceError, read_content
 
 PLAIN = re.compile(r"[\w:/.-]+", re.ASCII)

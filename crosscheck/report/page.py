@@ -14,12 +14,12 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from pydantic import BaseModel, field_validator
 
-from crosscheck.errors import CrosscheckError
-from crosscheck.files import check_writable, write_files
 from crosscheck.report import plots
 from crosscheck.report.render import printable
 from crosscheck.report.table import Part, Report
-from crosscheck.results import digest, read_json
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.files import check_writable, write_files
+from crosscheck.support.results import digest, read_json
 from newton_euler.model.source_file import SourceError, read_content
 from newton_euler.model.trajectory import load_arrays
 from newton_euler.scalars import Array

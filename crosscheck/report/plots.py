@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crosscheck.comparison.figure import OPEN, POSES
-from crosscheck.palette import palette
+from crosscheck.compare.figure import OPEN, POSES
 from crosscheck.report.table import seconds
+from crosscheck.support.palette import palette
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.scalars import Array
 

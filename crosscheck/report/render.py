@@ -20,8 +20,8 @@ from rich.padding import Padding
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from crosscheck.checksum import sealed
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table
+from crosscheck.support.checksum import sealed
 
 NARROWEST = 40
 """Characters of lines, however narrow a terminal is said to be."""

@@ -6,14 +6,16 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from crosscheck.activity import acted
-from crosscheck.against.compare import Against
-from crosscheck.comparison.coverage import Coverage
-from crosscheck.comparison.figure import FILE, Figure, not_compared, not_settled
-from crosscheck.comparison.known_figures import Measured
-from crosscheck.comparison.runs import displacements
-from crosscheck.comparison.samples import admissible_basis, body_units
-from crosscheck.model_files.read import fates_line, report_lines
+from crosscheck.compare.activity import acted
+from crosscheck.compare.coverage import Coverage
+from crosscheck.compare.crosscheck import Crosscheck
+from crosscheck.compare.figure import FILE, Figure, not_compared, not_settled
+from crosscheck.compare.known_figures import Measured
+from crosscheck.compare.runs import displacements
+from crosscheck.compare.samples import admissible_basis, body_units
+from crosscheck.compare.two_models.compare import Against
+from crosscheck.engines.stiffness import explicit_steps, fastest_decay
+from crosscheck.loading.model_files import fates_line, report_lines
 from crosscheck.report.summary import summary
 from crosscheck.report.table import (
     Cell,
@@ -28,16 +30,14 @@ from crosscheck.report.table import (
     judged,
     texts,
 )
-from crosscheck.run import Crosscheck
-from crosscheck.stiffness import explicit_steps, fastest_decay
-from newton_euler.assemble import initial_state
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.undetermined import undetermined_joints, worded
 from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import distance
-from newton_euler.verification.import_report import ImportReport
+from newton_euler.reading.import_report import ImportReport
+from newton_euler.runs.assemble import initial_state
 
 MOST_NAMED = 12
 """Elements in one line."""

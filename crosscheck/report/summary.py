@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from crosscheck.comparison.figure import FILE, OF_EQUATIONS, OF_RUNS, OPEN, READING, REFERENCE, START, Figure
+from crosscheck.compare.crosscheck import Crosscheck
+from crosscheck.compare.figure import FILE, OF_EQUATIONS, OF_RUNS, OPEN, READING, REFERENCE, START, Figure
 from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, figures, seconds
-from crosscheck.run import Crosscheck
 
 MOST_NOTES = 3
 """Sentences, which wrap."""

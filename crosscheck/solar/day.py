@@ -8,13 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError
 from crosscheck.solar.energy import THIS, ClearSky, over_day
 from crosscheck.solar.place import Place, Sun, day_times, sun_over
 from crosscheck.solar.tracking import Tracking
+from crosscheck.support.errors import CrosscheckError
 from newton_euler import Axis, Loads, Poses, simulate, solve_poses, statics
-from newton_euler.analysis.configurations import smallest_turns
-from newton_euler.analysis.envelope import work_and_energy
+from newton_euler.analysis.kinematics.configurations import smallest_turns
+from newton_euler.analysis.loads.envelope import work_and_energy
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.scene import Scene

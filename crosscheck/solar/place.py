@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError
+from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import is_finite_number
 from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array

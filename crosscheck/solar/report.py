@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crosscheck.files import write_files
 from crosscheck.report.plots import own_style, png
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
 from crosscheck.solar.day import Day
 from crosscheck.solar.energy import FACING, FIXED, ONE_AXIS, THIS
+from crosscheck.support.files import write_files
 from newton_euler.scalars import Array
 
 if TYPE_CHECKING:

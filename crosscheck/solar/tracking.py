@@ -10,8 +10,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError
 from crosscheck.solar.place import Sun, tilted
+from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import is_finite_number
 from newton_euler.scalars import Array
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError
+from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import listed, plain_number
 from newton_euler.model.source_file import TimeTable, csv_rows, read_text
 from newton_euler.scalars import Array

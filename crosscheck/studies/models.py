@@ -25,15 +25,15 @@ import click
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from crosscheck.activity import what_acted
-from crosscheck.errors import CrosscheckError
-from crosscheck.files import write_files
-from crosscheck.model_files.read import is_urdf
-from crosscheck.outcome import ExitStatus, Outcome
+from crosscheck.compare.activity import what_acted
+from crosscheck.loading.model_files import is_urdf
+from crosscheck.report.outcome import ExitStatus, Outcome
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, texts
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.files import write_files
 from newton_euler.folders import make_folder
-from newton_euler.verification.import_report import ACTING, FATES, ImportedElement, ImportReport
+from newton_euler.reading.import_report import ACTING, FATES, ImportedElement, ImportReport
 
 MAX_PROCESSOR_TIME = 600
 """s for one model; processor time, so that other work on the machine changes no verdict."""

@@ -14,7 +14,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from newton_euler.assemble import initial_state
 from newton_euler.equations.dense import largest, rank
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import dimensionless_jacobian
@@ -34,6 +33,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
 from newton_euler.model.wind import STANDARD_AIR, WindLoad
+from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array, cross
 
 GRAVITY = 9.81

@@ -11,24 +11,24 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.comparison.figure import OWN_ERROR, UNRESOLVED, Figure
-from crosscheck.comparison.runs import FALLS
-from crosscheck.engines import ENGINES, EXACT_ATOL, EXACT_RTOL, Engine
-from crosscheck.errors import CrosscheckError
-from crosscheck.limit import paced
-from crosscheck.run import Crosscheck, crosscheck
+from crosscheck.compare.crosscheck import Crosscheck, crosscheck
+from crosscheck.compare.figure import OWN_ERROR, UNRESOLVED, Figure
+from crosscheck.compare.runs import FALLS
+from crosscheck.engines.engine import ENGINES, EXACT_ATOL, EXACT_RTOL, Engine
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.time_limits import paced
 from crosscheck.sweeps.analysis import Scalar
 from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.reductions import WHEN, Reduction
 from crosscheck.sweeps.results import Results
-from newton_euler.assemble import initial_state
 from newton_euler.equations.undetermined import undetermined_joints
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.import_report import ImportedElement, ImportReport
+from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import ImportedElement, ImportReport
 
 RUNS_PER_CHECK, DEFAULT_CHECKS = 1_000, (2, 6)
 """Runs that take about as long as a check of one does, and the fewest and the most checks by default."""

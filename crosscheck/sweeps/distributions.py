@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from crosscheck.errors import CrosscheckError
+from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import choices, is_finite_number, plain_number, quoted, real_array
 from newton_euler.scalars import Array
 

@@ -19,13 +19,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from crosscheck.errors import CrosscheckError
-from crosscheck.limit import span
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.processes import safe_path
+from crosscheck.support.time_limits import span
 from crosscheck.sweeps.store import KEPT_GOES_ON, SWEEP
-from crosscheck.workers import safe_path
-from newton_euler.batch import thread_count
 from newton_euler.errors import OptionError
 from newton_euler.optional_packages import optional_package
+from newton_euler.runs.batch import thread_count
 
 if TYPE_CHECKING:
     from distributed import Client

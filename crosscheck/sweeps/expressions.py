@@ -19,16 +19,16 @@ from functools import cache, cached_property, partial, reduce
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError
+from crosscheck.support.errors import CrosscheckError
 from crosscheck.sweeps.distributions import wrong_syntax
-from newton_euler.assemble import initial_state
-from newton_euler.batch import Batch
 from newton_euler.errors import UnknownNameError, choices, plain_number
 from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import coordinate_name
 from newton_euler.model.trajectory import QUANTITIES, SHAPES, JointMotion, Trajectory, coordinate_names
+from newton_euler.runs.assemble import initial_state
+from newton_euler.runs.batch import Batch
 from newton_euler.scalars import Array
 
 LONGEST = 2_000

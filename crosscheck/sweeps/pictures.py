@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from crosscheck.palette import ENGINE_COLORS
 from crosscheck.report.plots import own_style, png
+from crosscheck.support.palette import ENGINE_COLORS
 from crosscheck.sweeps.analysis import Effect, Scalar, with_unit
 from newton_euler.scalars import Array
 

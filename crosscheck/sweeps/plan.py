@@ -15,11 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError
+from crosscheck.support.errors import CrosscheckError
 from crosscheck.sweeps.expressions import DIMENSIONS, Outputs, labels
 from crosscheck.sweeps.reductions import Reduction, pruned, reductions
 from crosscheck.sweeps.sampling import Samples
-from newton_euler.batch import Batch, make_batch
 from newton_euler.codegen.compile import lane_count, llvm_binding
 from newton_euler.codegen.fingerprint import SOURCE, fingerprint
 from newton_euler.equations.parameters import parameter_values, with_values
@@ -28,9 +27,10 @@ from newton_euler.integrators.options import Options
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import QUANTITIES
+from newton_euler.runs.batch import Batch, make_batch
+from newton_euler.runs.starts import initial_numbers
+from newton_euler.runs.variation import with_parameters
 from newton_euler.scalars import Array
-from newton_euler.starts import initial_numbers
-from newton_euler.variation import with_parameters
 
 ROOM = 48_000_000
 """Bytes of the outputs of runs that are in memory together."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError
+from crosscheck.support.errors import CrosscheckError
 from crosscheck.sweeps.expressions import SOURCES, Expression, Outputs, Value, labels, norm
 from newton_euler.errors import choices, plain_number, quoted
 from newton_euler.integrators.options import FIXED

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crosscheck.activity import MOST_ACTING, what_acted
-from crosscheck.files import check_writable, write_files
-from crosscheck.outcome import Outcome
+from crosscheck.compare.activity import MOST_ACTING, what_acted
+from crosscheck.report.outcome import Outcome
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.run import undetermined_lines
 from crosscheck.report.table import (
@@ -30,6 +29,7 @@ from crosscheck.report.table import (
     judged,
     texts,
 )
+from crosscheck.support.files import check_writable, write_files
 from crosscheck.sweeps.analysis import (
     LEVELS,
     Analysis,
@@ -50,9 +50,9 @@ from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.results import Results
 from newton_euler.equations.parameters import origins
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.runs.starts import initial_numbers
+from newton_euler.runs.variation import own_values, units_of
 from newton_euler.scalars import Array
-from newton_euler.starts import initial_numbers
-from newton_euler.variation import own_values, units_of
 
 if TYPE_CHECKING:
     from crosscheck.recording.sweep import Envelope

@@ -14,18 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError
-from crosscheck.files import check_writable
-from crosscheck.limit import tidied_up
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.files import check_writable
+from crosscheck.support.time_limits import tidied_up
 from crosscheck.sweeps.execute import Pace, Workers, in_any_order, probed
 from crosscheck.sweeps.expressions import labels
 from crosscheck.sweeps.plan import STOPPED, Chunk, Parameters, Plan, make_runs, run_all
 from crosscheck.sweeps.store import BLOCK, ERROR, NAME, OF_TASKS, STATUS, Store, intact, store_runs
 from crosscheck.sweeps.store_files import locked
 from newton_euler.errors import NewtonEulerError
+from newton_euler.runs.starts import assembly_of
+from newton_euler.runs.variation import own_values, run_values
 from newton_euler.scalars import Array
-from newton_euler.starts import assembly_of
-from newton_euler.variation import own_values, run_values
 
 TASK = 1.0
 """s that a task takes about: its overhead is small beside it, and little is lost with one."""

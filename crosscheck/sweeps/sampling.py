@@ -12,7 +12,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError
+from crosscheck.support.errors import CrosscheckError
 from crosscheck.sweeps.distributions import Correlated, Distribution, Vary, parse
 from newton_euler.errors import check_choice, is_count, items_of, quoted
 from newton_euler.scalars import Array

@@ -21,15 +21,15 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError, short_of_memory
-from crosscheck.files import remove_abandoned
+from crosscheck.support.errors import CrosscheckError, short_of_memory
+from crosscheck.support.files import remove_abandoned
 from crosscheck.sweeps.plan import CONDITIONS, DONE, STOPPED, Chunk, Plan, make_runs
 from crosscheck.sweeps.sampling import EXTENDED, UNEXTENDED
 from crosscheck.sweeps.store_files import PARTIAL, check_files, chunk_file, stored_chunks
 from newton_euler.folders import make_folder
 from newton_euler.optional_packages import optional_package
+from newton_euler.runs.variation import units_of
 from newton_euler.scalars import Array
-from newton_euler.variation import units_of
 
 NAME = "sweep.zarr"
 

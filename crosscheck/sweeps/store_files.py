@@ -17,8 +17,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StrictInt, StringConstraints
 
-from crosscheck.errors import CrosscheckError
-from crosscheck.results import read_json
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.results import read_json
 from newton_euler.folders import make_folder
 from newton_euler.limits import size_in_bytes
 

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any, Unpack, cast
 
 import numpy as np
 
-from crosscheck.engines import ENGINES, choose
-from crosscheck.errors import CrosscheckError
-from crosscheck.files import path_of
-from crosscheck.load import exercised, load_scene
+from crosscheck.engines.engine import ENGINES, choose
+from crosscheck.loading.load import exercised, load_scene
 from crosscheck.report.output import own_name
 from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal
 from crosscheck.report.run import moved_start_lines
 from crosscheck.report.table import Report
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.files import path_of
 from crosscheck.sweeps.analysis import scalars, telling
 from crosscheck.sweeps.checks import Checked, check_runs, chosen, default_count
 from crosscheck.sweeps.distributions import Vary
@@ -36,13 +36,13 @@ from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import OptionError, check_choices, is_count
 from newton_euler.integrators.options import IntegratorName, Options, StepControl
 from newton_euler.model.scene import OUTPUTS, Scene
-from newton_euler.simulate import warn_of
-from newton_euler.verification.import_report import ImportReport
+from newton_euler.reading.import_report import ImportReport
+from newton_euler.runs.simulate import warn_of
 
 if TYPE_CHECKING:
     from distributed import Client
 
-    from crosscheck.load import Model
+    from crosscheck.loading.load import Model
 
 
 class Execution(StepControl, total=False):

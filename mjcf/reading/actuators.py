@@ -37,9 +37,9 @@ from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.forces import Wrench
 from newton_euler.model.joint import Key
 from newton_euler.model.smooth_functions import Sine
+from newton_euler.reading.activity import Bounds
+from newton_euler.reading.import_report import CONTROL, CONTROL_RANGE, FORCE, ROTOR, ImportReport
 from newton_euler.scalars import Array
-from newton_euler.verification.activity import Bounds
-from newton_euler.verification.import_report import CONTROL, CONTROL_RANGE, FORCE, ROTOR, ImportReport
 
 TRANSMISSION, DYNAMICS, GAIN, BIAS = mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
 

@@ -18,8 +18,8 @@ from mjcf.reading.start import Start
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import Box, Capsule, Cylinder, Inertia, Mesh, Shape, Sphere, total
 from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body
+from newton_euler.reading.import_report import ImportReport, unique_name
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import ImportReport, unique_name
 
 FIRST_HIDDEN_GROUP = 3
 """Geom groups from here on are not shown at first; models keep shapes for collisions there."""

@@ -15,8 +15,8 @@ from mjcf.reading.loops import fixed, straight
 from mjcf.reading.start import Start
 from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint import Key
+from newton_euler.reading.import_report import FORCE, ROTOR, ImportReport, unique_name
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import FORCE, ROTOR, ImportReport, unique_name
 
 
 class Forces:

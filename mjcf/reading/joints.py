@@ -13,7 +13,7 @@ from newton_euler.model.couplings import Gear, JointCoupling
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Free
 from newton_euler.model.joint_parts import Part, combined, common_name
-from newton_euler.verification.import_report import ImportReport, unique_name
+from newton_euler.reading.import_report import ImportReport, unique_name
 
 BALL, FREE = mujoco.mjtJoint.mjJNT_BALL, mujoco.mjtJoint.mjJNT_FREE
 

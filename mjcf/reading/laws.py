@@ -9,14 +9,14 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from newton_euler.exercise import HIGHEST, swings
 from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import Sum
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine
+from newton_euler.reading.activity import Bounds
+from newton_euler.reading.exercise import HIGHEST, swings
 from newton_euler.scalars import Array
-from newton_euler.verification.activity import Bounds
 
 
 class Exercise(NamedTuple):

@@ -19,9 +19,9 @@ from mjcf.reading.joints import Joints
 from mjcf.reading.loops import fixed
 from mjcf.reading.start import Start
 from newton_euler.model.euler_parameters import rotations
+from newton_euler.reading.activity import PARTS, UNSETTLED, Bounds, Course, Judged, Rest, Watch
+from newton_euler.reading.import_report import CONTACTS, FRICTION, LIMITS, ImportReport
 from newton_euler.scalars import Array
-from newton_euler.verification.activity import PARTS, UNSETTLED, Bounds, Course, Judged, Rest, Watch
-from newton_euler.verification.import_report import CONTACTS, FRICTION, LIMITS, ImportReport
 
 UNMOVING = {
     "sensor": "sensors",

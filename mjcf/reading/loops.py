@@ -14,8 +14,8 @@ from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Fixed, Rod, Spherical
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.smooth_functions import Polynomial
+from newton_euler.reading.import_report import ImportReport, unique_name
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import ImportReport, unique_name
 
 RIGID = "held rigidly, where MuJoCo's solref and solimp let it give way"
 

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
+from newton_euler.reading.import_report import Finding
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import Finding
 
 MAX_MESH_DIFFERENCE = 0.05
 """Relative difference of moments by mass or of volumes, above which a mesh's inertia is not its own."""

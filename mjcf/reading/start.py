@@ -14,8 +14,8 @@ from mjcf.reading.source import SourceError
 from newton_euler.equations.loop_closure import FileStart, Units, reach
 from newton_euler.errors import choices
 from newton_euler.model.mechanism import spread
+from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import ImportReport
 
 TORQUE_SCALE = 10
 """Where `eq_data` of a weld has the factor on its last three residuals, the vector part of a quaternion."""

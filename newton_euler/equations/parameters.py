@@ -44,9 +44,9 @@ Joint coordinates of runs in batches, sweeps, sensitivities and fits stay zero w
 as in the initial pose, and a joint's points as far apart as they are described. Those of the scene that
 `with_parameters` makes of `point_on_first`, `point_on_second` and `length` are counted from its own initial
 pose, which is another one. Parameters of bodies' centers and frames, joints, couplings and motions move
-the closed configurations: `newton_euler.starts` assembles a start for each run, and has initial coordinates
-as further parameters. The mechanism has the constraints that the description has: where its own numbers make
-some of them redundant, values with which they would lock it leave a loop open.
+the closed configurations: `newton_euler.runs.starts` assembles a start for each run, and has
+initial coordinates as further parameters. The mechanism has the constraints that the description has: where
+its own numbers make some of them redundant, values with which they would lock it leave a loop open.
 
 A name may go on with one component of the value, which is then a number: `gravity.z`, `BODY.inertia.xy`,
 which is `yx` as well, `JOINT.point.z`, and places from 0 in other values, as in `JOINT.target.0` and

@@ -26,7 +26,7 @@ constraint Jacobian, so `evaluate` compares small pivots with those of the const
 7. Steps of RK4 cannot be placed: a step whose stages contradict each other (`contradiction`) ends the run.
 
 Equations that Python evaluates have no sparse form, so 1 changes nothing; their pivot ratio is that of
-`newton_euler.integrators.evaluated`.
+`newton_euler.compiled.evaluated`.
 
 Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
 """

@@ -80,7 +80,7 @@ class Equations(Record):
         pause: asks whether the user wants to stop.
         marks: (n,) of angles and Euler parameters.
         groups: number of groups of coordinates and velocities that constraints connect.
-        members: their places, see `newton_euler.integrators.constraint_groups.group_places`.
+        members: their places, see `newton_euler.compiled.constraint_groups.group_places`.
         counts: (COUNTS,) of the current run.
     """
 

@@ -16,7 +16,7 @@ from urdf_files import CHAIN
 
 from crosscheck.cli import shared
 from crosscheck.cli.shared import progress_shown
-from crosscheck.scenes import load
+from crosscheck.library import load
 
 
 @pytest.mark.parametrize("chosen", [None, "7"])

@@ -10,8 +10,8 @@ import pytest
 from command_line import run
 from mechanisms import mass_on_rail
 
-from crosscheck.controllers import performance
-from crosscheck.scenes import load
+from crosscheck.design.controllers import performance
+from crosscheck.library import load
 from newton_euler import simulate
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.digital_control import Digital

@@ -9,13 +9,13 @@ import pytest
 
 import mjcf
 import urdf
-from crosscheck.comparison.figure import UNRESOLVED
-from crosscheck.comparison.runs import compare_runs
-from crosscheck.engines import ENGINES, LESS_REFINED, REFINED_RTOL
-from crosscheck.scenes import load
-from newton_euler.assemble import initial_state
+from crosscheck.compare.figure import UNRESOLVED
+from crosscheck.compare.runs import compare_runs
+from crosscheck.engines.engine import ENGINES, LESS_REFINED, REFINED_RTOL
+from crosscheck.library import load
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError, Trajectory, distance
+from newton_euler.runs.assemble import initial_state
 
 COARSE = 2e-4
 """s, MuJoCo's step for a run of 0.1 s."""

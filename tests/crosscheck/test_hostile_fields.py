@@ -17,18 +17,18 @@ from command_line import short_example
 from elements import ELEMENTS
 from hostile_schemas import PLACE, VALUES, attempt, distinct, fields, fields_with_values, template
 
+from crosscheck.library import load
+from crosscheck.library.entries import SCENE
+from crosscheck.library.scene_file import _content, read_scene
+from crosscheck.loading.size import check_scene
 from crosscheck.regress.baseline import Baseline
 from crosscheck.regress.baseline import read as read_baseline
 from crosscheck.regress.run import usual_path
-from crosscheck.scenes import load
-from crosscheck.scenes.entries import SCENE
-from crosscheck.scenes.scene_file import _content, read_scene
-from crosscheck.scenes.size import check_scene
 from crosscheck.solar.wind import wind_over_day
 from newton_euler import Scene, simulate
-from newton_euler.analysis.measurements import Measurements, measurements_from_csv
-from newton_euler.assemble import initial_state
-from newton_euler.moving_base import base_motion_from_csv
+from newton_euler.analysis.identification.measurements import Measurements, measurements_from_csv
+from newton_euler.runs.assemble import initial_state
+from newton_euler.runs.moving_base import base_motion_from_csv
 from urdf.loops import KEYS, Loops, parse_loops
 
 SAMPLED = pytest.mark.parametrize("step", [pytest.param(1, marks=pytest.mark.slow), 41])

@@ -13,9 +13,9 @@ from mechanisms import planar_four_bar
 from scipy.stats import binom, chi2, norm
 
 import urdf
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler import JointSpring, Measurements, identify, with_parameters
-from newton_euler.analysis.tangent_starts import own_numbers
+from newton_euler.analysis.sensitivity.tangent_starts import own_numbers
 
 RARE = 1e-6
 """Probability with which chance fails a test that is right."""

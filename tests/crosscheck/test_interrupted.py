@@ -18,7 +18,7 @@ import pytest
 from command_line import command, run, scene_file, short_example
 from rerun.chunk import RrdReader
 
-from crosscheck.files import ABANDONED
+from crosscheck.support.files import ABANDONED
 from newton_euler.model.trajectory import load_arrays
 
 ENGINES = ("newton_euler", "pinocchio")
@@ -189,8 +189,8 @@ def test_a_full_disk_and_a_benchmark(tmp_path, good):
 def test_a_full_disk_leaves_nothing(tmp_path):
     """Of files that are written together."""
     code = (
-        "from pathlib import Path; from crosscheck.files import write_files\n"
-        "from crosscheck.errors import CrosscheckError\n"
+        "from pathlib import Path; from crosscheck.support.files import write_files\n"
+        "from crosscheck.support.errors import CrosscheckError\n"
         "try: write_files({Path('out/a'): b'', Path('out/scaling.png'): bytes(10_000)})\n"
         "except CrosscheckError as error: print(error)"
     )

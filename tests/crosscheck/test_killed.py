@@ -19,11 +19,11 @@ import pytest
 from command_line import scene_file, short_example
 
 import newton_euler
+from crosscheck.library import load
 from crosscheck.regress.baseline import read
-from crosscheck.scenes import load
 from newton_euler.codegen.cache import CACHE_VARIABLE
-from newton_euler.integrators.compiled import Code
-from newton_euler.integrators.run import needed
+from newton_euler.compiled.equations import Code
+from newton_euler.compiled.run import needed
 from newton_euler.model.trajectory import load_arrays
 
 ENGINES = "newton_euler,pinocchio"

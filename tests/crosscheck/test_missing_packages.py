@@ -82,14 +82,14 @@ def test_the_library_is_compared_without_scenes_whose_packages_are_missing(
     """Two scenes stand for the library: the omission is printed and stored, and the others decide."""
     from command_line import run
 
-    from crosscheck import scenes
+    from crosscheck import library as scenes
 
     def missing():
         raise MissingPackageError("pandas", "sun")
 
     chosen = {"pendulum": scenes.SCENES["pendulum"]} | ({"tracker_sun_day": missing} if left_out else {})
     monkeypatch.setattr(scenes, "SCENES", chosen)
-    for module in ("crosscheck.regress.run", "crosscheck.scenes"):
+    for module in ("crosscheck.regress.run", "crosscheck.library"):
         monkeypatch.setattr(f"{module}.SCENES", chosen)
     monkeypatch.chdir(tmp_path)
     status, out, _ = run(capsys, "regress")

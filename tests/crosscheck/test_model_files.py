@@ -6,9 +6,9 @@ import pytest
 from command_line import run
 
 from crosscheck.cli.shared import tell
-from crosscheck.errors import CrosscheckError
-from crosscheck.scenes import load
-from newton_euler.verification.import_report import ImportReport
+from crosscheck.library import load
+from crosscheck.support.errors import CrosscheckError
+from newton_euler.reading.import_report import ImportReport
 
 CLOSED_LOOP = "closed_loop: []\ntype: []\nname_mot: []\n"
 

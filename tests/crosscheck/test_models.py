@@ -18,16 +18,16 @@ from urdf_files import CHAIN, joint, link, robot
 
 import mjcf
 import urdf
-from crosscheck.model_files.read import MJCF_OPTIONS, URDF_OPTIONS, read_model
-from crosscheck.scenes import load
-from crosscheck.scenes.scene_file import write_scene
+from crosscheck.library import load
+from crosscheck.library.scene_file import write_scene
+from crosscheck.loading.model_files import MJCF_OPTIONS, URDF_OPTIONS, read_model
 from mjcf import read as read_mjcf
-from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import Request
+from newton_euler.runs.assemble import initial_state
 
 FOUR_BAR = FOUR_BARS["cut at C by a connect"]
 

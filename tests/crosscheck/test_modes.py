@@ -6,11 +6,11 @@ import numpy as np
 from command_line import run
 from rerun.chunk import RrdReader
 
+from crosscheck.library import load
 from crosscheck.recording.modes import AMPLITUDE, stability, swinging
-from crosscheck.scenes import load
-from newton_euler.analysis.equilibrium import equilibrium
-from newton_euler.analysis.linear_model import Modes
-from newton_euler.analysis.linearization import linearize
+from newton_euler.analysis.linear.linear_model import Modes
+from newton_euler.analysis.linear.linearization import linearize
+from newton_euler.analysis.loads.equilibrium import equilibrium
 from newton_euler.model.euler_parameters import rotation
 
 

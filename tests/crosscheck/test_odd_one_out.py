@@ -12,8 +12,8 @@ from command_line import run
 
 import mjcf
 import urdf
-from crosscheck.engines import ENGINES
-from crosscheck.scenes.scene_file import write_scene
+from crosscheck.engines.engine import ENGINES
+from crosscheck.library.scene_file import write_scene
 from crosscheck.studies.faults import plant
 from newton_euler.model.forces import JointSpring
 

@@ -12,15 +12,15 @@ from mjcf_models import LOOP
 
 import crosscheck
 import mjcf
-from crosscheck.comparison.figure import READING
-from crosscheck.each_run import Stop, stops_text
-from crosscheck.engines import ENGINES
-from crosscheck.errors import CrosscheckError
-from crosscheck.load import load_scene
-from crosscheck.outcome import ExitStatus, Outcome
+from crosscheck.compare.crosscheck import MISREAD
+from crosscheck.compare.crosscheck import crosscheck as run_crosscheck
+from crosscheck.compare.figure import READING
+from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.engine_runs import Stop, stops_text
+from crosscheck.loading.load import load_scene
+from crosscheck.report.outcome import ExitStatus, Outcome
 from crosscheck.report.run import limiting
-from crosscheck.run import MISREAD
-from crosscheck.run import crosscheck as run_crosscheck
+from crosscheck.support.errors import CrosscheckError
 
 FAST = ["newton_euler", "mujoco"]
 
@@ -102,7 +102,7 @@ def test_elements_that_could_not_be_watched_count_as_acting(tmp_path, monkeypatc
     def stops(*_):
         raise CrosscheckError("not finished")
 
-    monkeypatch.setattr("crosscheck.run.watched", stops)
+    monkeypatch.setattr("crosscheck.compare.crosscheck.watched", stops)
     verdict = crosscheck.check(file(tmp_path, DROP.format(height=9.0)), FAST)
     assert verdict.outcome is Outcome.AGREE_ON_A_REDUCED_MODEL
     assert verdict.crosscheck.until == 0.0

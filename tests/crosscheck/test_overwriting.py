@@ -52,7 +52,7 @@ def test_runs_of_other_models_that_were_not_ended_are_not_overwritten_unasked(ca
         scene_file(tmp_path / folder, short_example(), "pendulum.yaml")
     quick, folder = ("--engines", "newton_euler"), Path("output", "pendulum")
     with monkeypatch.context() as broken:
-        broken.setattr("crosscheck.run.stages", lambda *_: {"comparing": lambda _: 1 / 0})
+        broken.setattr("crosscheck.compare.crosscheck.stages", lambda *_: {"comparing": lambda _: 1 / 0})
         for _ in range(2):
             status, out, _ = run(capsys, "run", "one/pendulum.yaml", *quick)
             assert (status, "crosscheck report output/pendulum" in out) == (3, True)

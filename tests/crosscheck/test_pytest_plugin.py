@@ -18,7 +18,7 @@ LINKAGE = Path(__file__).parents[2] / "examples" / "linkage.xml"
 SUITE = """
     import dataclasses
     import mujoco
-    from crosscheck.engines import ENGINES
+    from crosscheck.engines.engine import ENGINES
 
     def wrong(scene):
         bodies = list(scene.mechanism.bodies)

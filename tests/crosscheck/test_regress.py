@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from command_line import run
 
-from crosscheck.comparison.figure import OWN_ERROR
+from crosscheck.compare.figure import OWN_ERROR
+from crosscheck.library import load
+from crosscheck.library.scene_file import write_scene
 from crosscheck.regress import measure
 from crosscheck.regress import run as regress
 from crosscheck.regress.baseline import Record, StoredFigure, read
 from crosscheck.regress.compare import MODEL_FILE, Comparison, check, check_unsimulated, compare, divergence
 from crosscheck.regress.run import Guarded
-from crosscheck.scenes import load
-from crosscheck.scenes.scene_file import write_scene
 
 ROOT = Path(__file__).parents[2]
 

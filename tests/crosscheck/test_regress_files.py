@@ -11,12 +11,12 @@ import pytest
 import yaml
 from command_line import run
 
-from crosscheck.checksum import sealed
 from crosscheck.cli.shared import cli
+from crosscheck.library import SCENES
 from crosscheck.regress import measure
 from crosscheck.regress import run as regress
 from crosscheck.regress.baseline import Baseline, Plan, Record, StoredFigure, StoredState, read
-from crosscheck.scenes import SCENES
+from crosscheck.support.checksum import sealed
 from newton_euler.model.state import State
 
 ROOT = Path(__file__).parents[2]

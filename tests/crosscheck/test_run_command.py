@@ -9,8 +9,8 @@ import pytest
 from command_line import check_refused, run, scene_file, verdict_of
 
 from crosscheck.cli.shared import scene_options
-from crosscheck.comparison.figure import LEVELS, READING, Figure
-from crosscheck.scenes import load
+from crosscheck.compare.figure import LEVELS, READING, Figure
+from crosscheck.library import load
 from newton_euler.model.trajectory import load_arrays
 
 
@@ -83,7 +83,7 @@ def test_an_interrupt_is_one_line(tmp_path, capsys, good, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("crosscheck.run.stages", interrupted)
+    monkeypatch.setattr("crosscheck.compare.crosscheck.stages", interrupted)
     out = tmp_path / "out"
     status, printed, err = run(capsys, "run", scene_file(tmp_path, good), "--output", out)
     assert (status, printed, err) == (130, "", "crosscheck: error: interrupted\n")
@@ -94,7 +94,7 @@ def test_what_nobody_foresaw_is_one_line_and_what_there_is_is_kept(tmp_path, cap
     def broken(_):
         raise ZeroDivisionError("division\nby zero")
 
-    monkeypatch.setattr("crosscheck.run.stages", lambda *_: {"comparing": broken})
+    monkeypatch.setattr("crosscheck.compare.crosscheck.stages", lambda *_: {"comparing": broken})
     path, out = scene_file(tmp_path, good), tmp_path / "out"
     status, said, err = run(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", out)
     assert (status, err) == (3, "")
@@ -107,7 +107,8 @@ def test_what_nobody_foresaw_is_one_line_and_what_there_is_is_kept(tmp_path, cap
 def test_a_figure_that_is_not_a_number_is_none(tmp_path, capsys, good, monkeypatch):
     row = Figure("drift", "open joints", ("mujoco",), float("nan"), 1.0, "elbow")
     monkeypatch.setattr(
-        "crosscheck.run.stages", lambda *_: {"comparing": lambda _: [row, replace(row, value=0.5)]}
+        "crosscheck.compare.crosscheck.stages",
+        lambda *_: {"comparing": lambda _: [row, replace(row, value=0.5)]},
     )
     path, out = scene_file(tmp_path, good), tmp_path / "out"
     status, said, err = run(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", out)
@@ -139,7 +140,7 @@ def test_one_engine_alone_agrees_with_nobody(tmp_path, capsys, good):
 
 def test_one_engine_alone_can_fail(tmp_path, capsys, good, monkeypatch):
     row = Figure("drift", "open joints, m or rad", ("mujoco",), 2.0, 1.0, "elbow at 0 s")
-    monkeypatch.setattr("crosscheck.run.stages", lambda *_: {"comparing": lambda _: [row]})
+    monkeypatch.setattr("crosscheck.compare.crosscheck.stages", lambda *_: {"comparing": lambda _: [row]})
     path = scene_file(tmp_path, good)
     status, out, _ = run(capsys, "run", path, "--engines", "mujoco", "--output", tmp_path / "out")
     assert status == 1
@@ -167,7 +168,7 @@ def test_a_recording_is_named_as_one(tmp_path, capsys, good):
 
 def test_summary_tells_what_was_run(tmp_path, capsys, monkeypatch, good):
     short = replace(load("tracker", panel_inertia="literal"), duration=0.02)
-    monkeypatch.setattr("crosscheck.load.load", lambda *_, **__: short)
+    monkeypatch.setattr("crosscheck.loading.load.load", lambda *_, **__: short)
     arguments = ("--set", "panel_inertia=literal", "--engines", "pinocchio", "--output", tmp_path)
     _, out, _ = run(capsys, "run", "tracker", *arguments)
     summary = json.loads((tmp_path / "summary.json").read_text())

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from command_line import run
 
-from crosscheck.scenes import load
-from crosscheck.singularity import passage
+from crosscheck.compare.singularity import passage
+from crosscheck.library import load
 from newton_euler.equations.redundancy import constraint_rank
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.simulate import simulate
-from newton_euler.variation import start
+from newton_euler.runs.simulate import simulate
+from newton_euler.runs.variation import start
 
 FLAT = """<mujoco model="flat"><option gravity="0 0 0"/>
 <default><joint axis="0 1 0"/><geom type="capsule" size="0.01" contype="0" conaffinity="0"/></default>
@@ -96,7 +96,9 @@ def test_coarse_outputs_alone_invent_no_passage(monkeypatch):
     """The smallest singular value there is beyond the threshold. A parabola through squares passes 0."""
     scene = near_miss(1e-3, 3.64, 0.13)
     motion = simulate(scene)
-    monkeypatch.setattr("crosscheck.singularity._closer", lambda *_: motion.first(1))  # it stops at once
+    monkeypatch.setattr(
+        "crosscheck.compare.singularity._closer", lambda *_: motion.first(1)
+    )  # it stops at once
     assert passage(scene, motion) is None
 
 
@@ -121,7 +123,7 @@ def test_a_start_in_one_is_in_the_default_output(tmp_path, monkeypatch, capsys):
 def test_a_mechanism_that_is_too_large_to_search_is_named_as_such(tmp_path, monkeypatch, capsys):
     """Two independent constraints of three velocities."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("crosscheck.singularity.MOST_ELEMENTS", 5)
+    monkeypatch.setattr("crosscheck.compare.singularity.MOST_ELEMENTS", 5)
     (tmp_path / "flat.xml").write_text(FLAT.format(length=0.1))
     status, out, _ = run(capsys, "run", "flat.xml", "--set", "duration=0.1", "--set", "key=qpos0")
     (line,) = (each for each in " ".join(out.split()).split("searching singular configurations: ")[1:])

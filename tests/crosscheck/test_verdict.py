@@ -15,9 +15,9 @@ from rerun.chunk import RrdReader
 
 import crosscheck
 import urdf
-from crosscheck.errors import CrosscheckError
+from crosscheck.library import load
 from crosscheck.report.output import to_record
-from crosscheck.scenes import load
+from crosscheck.support.errors import CrosscheckError
 
 LINKAGE = Path(__file__).parents[2] / "examples" / "linkage.xml"
 

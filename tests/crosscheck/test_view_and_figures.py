@@ -101,7 +101,7 @@ def test_figures_draws_five_pictures(tmp_path, capsys):
 
 
 def test_figures_checks_its_folder_first(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("crosscheck.figures.load", lambda *_: pytest.fail("simulates first"))
+    monkeypatch.setattr("crosscheck.studies.paper_figures.load", lambda *_: pytest.fail("simulates first"))
     (tmp_path / "file").write_text("")
     status, _, err = run(capsys, "figures", "--output", tmp_path / "file")
     assert status == 2

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from crosscheck.support.processes import in_processes
 from crosscheck.sweeps.execute import workers
-from crosscheck.workers import in_processes
 
 PATIENCE = 60.0
 """s that processes may take to start and to end: half a second each, unless others have the processors."""

@@ -15,8 +15,7 @@ from mjcf.model import CompiledScene
 from mjcf.reader import Reading
 from mjcf.reading.joints import Ties
 from newton_euler import NewtonEulerError
-from newton_euler.assemble import initial_state
-from newton_euler.integrators.formulations import FORMULATIONS, formulate
+from newton_euler.compiled.formulations import FORMULATIONS, formulate
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.couplings import Gear
 from newton_euler.model.joint_kinds import (
@@ -29,6 +28,7 @@ from newton_euler.model.joint_kinds import (
     Spherical,
     Universal,
 )
+from newton_euler.runs.assemble import initial_state
 
 
 @pytest.mark.parametrize("name", ELEMENTS)

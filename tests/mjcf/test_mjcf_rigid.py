@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from mechanisms import planar_four_bar
 
-from crosscheck.scenes.tracker import tracker as make_tracker
+from crosscheck.library.tracker import tracker as make_tracker
 from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
-from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation, System
-from newton_euler.exercise import random_states
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Fixed, Free, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.reading.exercise import random_states
+from newton_euler.runs.assemble import initial_state
 
 KINEMATICS = 1e-12
 """A few dozen products of order 1, each good to 1e-16, and velocities that meet constraints."""

@@ -12,15 +12,15 @@ import pytest
 
 import mjcf
 import newton_euler
-from crosscheck.scenes.tracker import tracker as make_tracker
+from crosscheck.library.tracker import tracker as make_tracker
 from mjcf.errors import DivergenceError
 from mjcf.soft import simpson
-from newton_euler.assemble import initial_state
 from newton_euler.errors import OptionError, UnknownNameError
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.runs.assemble import initial_state
 
 Runs = Callable[..., Trajectory]
 

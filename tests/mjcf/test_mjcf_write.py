@@ -17,19 +17,19 @@ from mechanisms import at_rest
 
 import mjcf
 import urdf
-from crosscheck.scenes.tracker import tracker as make_tracker
+from crosscheck.library.tracker import tracker as make_tracker
 from mjcf import read as read_mjcf
 from mjcf.errors import ModelError
 from mjcf.model import CompiledScene
 from newton_euler.equations.system import MassProperties
 from newton_euler.errors import NewtonEulerError
-from newton_euler.exercise import random_states
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import angle_between, rotation
 from newton_euler.model.joint_kinds import Free, Revolute, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import unweld_loops, weld_loops
+from newton_euler.reading.exercise import random_states
 from urdf import read as read_urdf
 from urdf.write import loops_path
 
@@ -59,7 +59,7 @@ def test_tracker_xml_is_what_the_writer_writes(tracker: Scene) -> None:
 
 def test_import_and_writing_do_not_need_mujoco() -> None:
     code = (
-        "import sys, mjcf; from crosscheck.scenes.tracker import tracker; mjcf.to_xml(tracker()); "
+        "import sys, mjcf; from crosscheck.library.tracker import tracker; mjcf.to_xml(tracker()); "
         "sys.exit('mujoco' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

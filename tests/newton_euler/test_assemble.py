@@ -10,14 +10,14 @@ from armed_scenes import COMPOUNDS
 from elements import COUPLED, ELEMENTS
 from mechanisms import ball_loop, pendulum
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler import State, assemble
-from newton_euler.assemble import check_states, coordinates_of, initial_state
+from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.errors import MechanismError
-from newton_euler.exercise import random_states
-from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
-from newton_euler.simulate import CompiledScene
+from newton_euler.reading.exercise import random_states
+from newton_euler.runs.assemble import check_states, coordinates_of, initial_state
+from newton_euler.runs.simulate import CompiledScene
 
 
 def moved(state: State, quantity: str, body: int, change: list[float]) -> State:

@@ -10,10 +10,8 @@ import pytest
 from mechanisms import line_spring, mass_on_rail
 
 import newton_euler
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler import simulate, simulate_batch, with_parameters
-from newton_euler.assemble import initial_state
-from newton_euler.batch import thread_count
 from newton_euler.equations.parameters import parameter_values
 from newton_euler.errors import MechanismError, OptionError, UnknownNameError
 from newton_euler.model.control import PD, ComputedTorque
@@ -22,6 +20,8 @@ from newton_euler.model.forces import Armature
 from newton_euler.model.motions import Sum
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.trajectory import IntegrationError
+from newton_euler.runs.assemble import initial_state
+from newton_euler.runs.batch import thread_count
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,6 @@ from mjcf import tight as mjcf_tight
 from mjcf.errors import MjcfError
 from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
-from newton_euler.assemble import initial_state
 from newton_euler.equations.system import System
 from newton_euler.errors import OptionError
 from newton_euler.model.euler_parameters import angle_between
@@ -29,6 +28,7 @@ from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.runs.assemble import initial_state
 from urdf import tight as urdf_tight
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import UrdfError

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 import newton_euler
 import urdf
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler.errors import ArgumentError, MechanismError, NewtonEulerError
 from newton_euler.model.control import ComputedTorque
 from newton_euler.model.euler_parameters import from_rotation_vector, product, rotations
@@ -22,7 +22,7 @@ from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Spline
-from newton_euler.moving_base import base_motion_from_csv, on_moving_base
+from newton_euler.runs.moving_base import base_motion_from_csv, on_moving_base
 
 WAVES = {
     "surge": Sine(0.1, 0.7, phase=0.4),

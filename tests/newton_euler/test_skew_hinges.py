@@ -7,16 +7,16 @@ import pytest
 
 import mjcf
 import urdf
-from crosscheck.against.compare import against
-from crosscheck.against.unsimulated import Model
-from crosscheck.model_files.read import read_model
-from crosscheck.scenes.scene_file import read_scene, write_scene
+from crosscheck.compare.two_models.compare import against
+from crosscheck.compare.two_models.unsimulated import Model
+from crosscheck.library.scene_file import read_scene, write_scene
+from crosscheck.loading.model_files import read_model
 from mjcf import read
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
-from newton_euler.exercise import random_states
 from newton_euler.model.compound_joint import Compound
+from newton_euler.reading.exercise import random_states
 from urdf import read as read_urdf
 
 PAIR = """

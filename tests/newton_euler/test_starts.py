@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from mechanisms import planar_four_bar, slider_tree
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler import simulate, simulate_batch, start, with_parameters
-from newton_euler.assemble import VELOCITY_TOLERANCE, initial_state, measured_coordinate
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.model.state import State
-from newton_euler.starts import initial_names, initial_numbers
+from newton_euler.runs.assemble import VELOCITY_TOLERANCE, initial_state, measured_coordinate
+from newton_euler.runs.starts import initial_names, initial_numbers
 
 VELOCITIES = ("linear_velocity", "angular_velocity")
 

@@ -10,7 +10,7 @@ from armed_scenes import COMPOUNDS
 from elements import ELEMENTS, JOINTS
 from mechanisms import line_spring, mass_on_rail
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler import simulate, simulate_batch, with_parameters
 from newton_euler.equations.parameters import (
     parameter_names,
@@ -28,7 +28,7 @@ from newton_euler.model.motions import Sum
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Steps
 from newton_euler.model.wind import WindLoad
-from newton_euler.variation import run_values, units_of
+from newton_euler.runs.variation import run_values, units_of
 
 
 @pytest.fixture(scope="module")

@@ -43,8 +43,8 @@ from newton_euler import (
     statics,
     with_parameters,
 )
+from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.errors import MechanismError, OptionError
-from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.scene import MAXIMUM_ANGLE
 from newton_euler.model.source_file import SourceError
 from newton_euler.model.trajectory import load_arrays

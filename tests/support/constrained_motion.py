@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from crosscheck.comparison.samples import admissible_basis, body_units
-from newton_euler.assemble import initial_state
+from crosscheck.compare.samples import admissible_basis, body_units
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System, at_time
 from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
 

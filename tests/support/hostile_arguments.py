@@ -18,7 +18,7 @@ import crosscheck
 import mjcf
 import newton_euler as ne
 import urdf
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler import Body, Mechanism, Revolute, Scene
 from newton_euler.model.scene import OUTPUTS
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import click
 
 from crosscheck.cli.shared import cli
-from crosscheck.scenes import SCENES
-from crosscheck.scenes.options import options_of
+from crosscheck.library import SCENES
+from crosscheck.library.options import options_of
 from newton_euler.limits import LIMITS
 
 NUMBERS = (

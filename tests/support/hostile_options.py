@@ -88,7 +88,7 @@ def option_cases() -> Iterator[Refused]:
     ):
         name = " ".join(f"{argument[:40]}{argument[40:][-5:]}" for argument in arguments)
         yield Refused(f"options {name}", arguments, message, nothing)
-    stored = Path(__file__).parents[2] / "crosscheck" / "baselines" / "pendulum.json"
+    stored = Path(__file__).parents[2] / "crosscheck" / "regress" / "baselines" / "pendulum.json"
     yield Refused(
         "a report over the baseline",
         ("regress", "pendulum", "--baseline", "regress.json", "--output", "."),

@@ -19,9 +19,9 @@ import numpy as np
 from command_line import short_example
 from hostile_files import MJCF, SEED, TEXTS, URDF, sparse
 
-from crosscheck.checksum import sealed
 from crosscheck.report.page import RESULTS
-from crosscheck.results import digest
+from crosscheck.support.checksum import sealed
+from crosscheck.support.results import digest
 from newton_euler.model.trajectory import NEEDED, SHAPES, load_arrays
 
 Prepare = Callable[[Path], None]
@@ -131,7 +131,7 @@ def baseline_cases() -> Iterator[Refused]:
         )
     message = "base.json: 20.000001 MB, at most 20; to allow it: --set result_size=21"
     yield Refused("baseline too large", arguments, message, sparse("base.json", 20_000_001))
-    stored = Path(__file__).parents[2] / "crosscheck" / "baselines" / "pendulum.json"
+    stored = Path(__file__).parents[2] / "crosscheck" / "regress" / "baselines" / "pendulum.json"
     for name, text in damaged(stored.read_text(), random.Random(SEED)):
         yield Refused(
             f"baseline {name}",

@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 from command_line import NoAliases
 
-from crosscheck.errors import CrosscheckError
+from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import NewtonEulerError
 
 Path = tuple[str | int, ...]

@@ -16,9 +16,10 @@ import mujoco  # noqa: F401
 import pinocchio  # noqa: F401
 import scipy.integrate  # noqa: F401
 
-from crosscheck import engines, run  # noqa: F401
 from crosscheck.cli import main
-from crosscheck.scenes import scene_file  # noqa: F401
+from crosscheck.compare import crosscheck  # noqa: F401
+from crosscheck.engines import engine as engines  # noqa: F401
+from crosscheck.library import scene_file  # noqa: F401
 
 WALL_TIME = 300.0
 """s, after which a command hangs; other processes may take most of the machine."""

@@ -18,8 +18,8 @@ from scipy.integrate import solve_ivp
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
+from newton_euler.runs.variation import start
 from newton_euler.scalars import Array
-from newton_euler.variation import start
 
 GRAVITY = np.array([0.3, -0.5, -1.0])
 SPEED = 7.0  # rad/s of the first hinge: enough for full revolutions

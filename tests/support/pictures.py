@@ -34,12 +34,12 @@ from rich.text import Text
 
 import newton_euler
 from crosscheck.cli import main
-from crosscheck.engines import ENGINES, Engine
+from crosscheck.engines.engine import ENGINES, Engine
+from crosscheck.library import load
 from crosscheck.recording.log import log_run, recorded
 from crosscheck.recording.screenshot import MECHANISM, screenshots
 from crosscheck.report import page
 from crosscheck.report.page import PAGE, telling
-from crosscheck.scenes import load
 from crosscheck.studies.faults import plant
 from newton_euler.model.scene import Scene
 

@@ -1,6 +1,6 @@
 """Elements that a run is said to test, confirmed: they show when they are changed by 10 %, and no others do.
 
-By a path that shares nothing with `crosscheck.comparison.coverage`: another engine gets a scene with the
+By a path that shares nothing with `crosscheck.compare.coverage`: another engine gets a scene with the
 change, planted as `crosscheck faults` plants its faults, and its run is compared with newton_euler's of the
 scene as any two engines' are. A joint shows if any tilt of its axes or any shift of its point does. Model
 files are exercised.
@@ -14,16 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.comparison.coverage import Coverage, coverage
-from crosscheck.comparison.figure import Figure
-from crosscheck.comparison.runs import compare_runs
-from crosscheck.engines import ENGINES, Engine
-from crosscheck.errors import CrosscheckError
-from crosscheck.model_files.read import is_model
-from crosscheck.scenes import load
+from crosscheck.compare.coverage import Coverage, coverage
+from crosscheck.compare.figure import Figure
+from crosscheck.compare.runs import compare_runs
+from crosscheck.engines.engine import ENGINES, Engine
+from crosscheck.library import load
+from crosscheck.loading.model_files import is_model
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant
-from newton_euler.assemble import assemble, initial_state
+from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
@@ -33,6 +32,7 @@ from newton_euler.model.motions import Sum, TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.spanning_tree import SpanningTree
+from newton_euler.runs.assemble import assemble, initial_state
 from newton_euler.scalars import Array
 
 SIZE = 0.1

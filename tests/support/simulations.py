@@ -13,7 +13,7 @@ from newton_euler.equations.relative import Relative
 from newton_euler.integrators.options import Options
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.simulate import run
+from newton_euler.runs.simulate import run
 
 SIMULATIONS: dict[str, Callable[[Scene], Trajectory]] = {
     "relative": newton_euler.simulate,

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crosscheck.scenes.tracker import joint_data
+from crosscheck.library.tracker import joint_data
 
 JOINTS = {joint["name"]: joint for joint in joint_data()["joints"]}
 

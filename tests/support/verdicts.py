@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from crosscheck.comparison.figure import Figure
-from crosscheck.comparison.levels import compare
-from crosscheck.engines import ENGINES, Engine
+from crosscheck.compare.figure import Figure
+from crosscheck.compare.levels import compare
+from crosscheck.engines.engine import ENGINES, Engine
 from newton_euler.model.scene import Scene
 
 ALL = tuple(ENGINES.values())

@@ -14,8 +14,8 @@ import newton_euler
 import urdf
 from newton_euler import NewtonEulerError
 from newton_euler.model.euler_parameters import rotation
+from newton_euler.reading.activity import Bounds
 from newton_euler.scalars import Array
-from newton_euler.verification.activity import Bounds
 from urdf.reading.given import JOINTS
 
 Q = np.array([-1.2, 0.9, -1.5])

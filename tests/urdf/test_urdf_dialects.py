@@ -12,7 +12,7 @@ from urdf_files import joint, link, robot
 
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.forces import JointSpring, PointSpring
-from newton_euler.simulate import simulate
+from newton_euler.runs.simulate import simulate
 from urdf import read
 from urdf.errors import UrdfError
 from urdf.reader import Reading

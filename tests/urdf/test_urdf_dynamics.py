@@ -20,10 +20,8 @@ from mechanisms import (
     seven_hinges,
 )
 
-from newton_euler.assemble import initial_state
 from newton_euler.equations.system import MassProperties
 from newton_euler.errors import SingularityError
-from newton_euler.exercise import random_states
 from newton_euler.model.couplings import Gear
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Cylindrical, Revolute, Spherical, Universal
@@ -31,6 +29,8 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
+from newton_euler.reading.exercise import random_states
+from newton_euler.runs.assemble import initial_state
 from urdf import to_loops, to_urdf
 from urdf.dynamics import PinocchioSystem
 from urdf.loops import parse_loops

@@ -13,12 +13,12 @@ from mechanisms import pendulum
 
 import newton_euler
 import urdf
-from crosscheck.scenes import load
-from newton_euler.assemble import initial_state
+from crosscheck.library import load
 from newton_euler.equations.system import at_time
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.trajectory import IntegrationError
+from newton_euler.runs.assemble import initial_state
 from urdf.tight import equations_of
 
 

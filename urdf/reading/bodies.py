@@ -11,8 +11,8 @@ from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Free
 from newton_euler.model.joint_parts import Part, combined, common_name
 from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body
+from newton_euler.reading.import_report import ImportReport, unique_name
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import ImportReport, unique_name
 from urdf.reading.source import SourceError
 from urdf.reading.start import Start
 

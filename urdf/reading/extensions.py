@@ -26,8 +26,8 @@ import pinocchio as pin
 
 from newton_euler.errors import choices
 from newton_euler.model.source_file import LARGEST, scan
+from newton_euler.reading.import_report import FRICTION, ImportReport, unique_name
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import FRICTION, ImportReport, unique_name
 from urdf.extensions import Extensions, PointSpringElement
 from urdf.loops import REVOLUTE, Loops
 from urdf.reading.source import SourceError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from newton_euler.model.forces import Armature, JointSpring, PointSpring
-from newton_euler.verification.import_report import FORCE, ImportReport
+from newton_euler.reading.import_report import FORCE, ImportReport
 from urdf.extensions import PointSpringElement
 from urdf.original import ARMATURE, STIFFNESS
 from urdf.reading.bodies import Tree

@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from newton_euler.verification.import_report import Finding, ImportReport
+from newton_euler.reading.import_report import Finding, ImportReport
 
 
 def report_complaints(words: Sequence[str], report: ImportReport) -> None:

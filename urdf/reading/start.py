@@ -10,8 +10,8 @@ import pinocchio as pin
 
 from newton_euler.equations.loop_closure import FileStart, Units, reach
 from newton_euler.model.mechanism import spread
+from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import ImportReport
 from urdf.constraints import Closures, power_sums
 from urdf.loops import Loops
 from urdf.model import ClosedLoopModel

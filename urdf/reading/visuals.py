@@ -19,8 +19,8 @@ from newton_euler.errors import NewtonEulerError
 from newton_euler.limits import size_in_bytes
 from newton_euler.model.geometry import Box, Cylinder, Mesh, Shape, Sphere
 from newton_euler.model.mechanism import Body
+from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import ImportReport
 from urdf.reading.bodies import Tree
 from urdf.reading.start import Start
 

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 
 from newton_euler.model.source_file import SourceError as FileError
-from newton_euler.verification.import_report import ImportReport
+from newton_euler.reading.import_report import ImportReport
 
 DRAKE = "drake:"
 

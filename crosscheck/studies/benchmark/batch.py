@@ -22,8 +22,6 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError, reason_of
-from crosscheck.limit import time_limit
 from crosscheck.report.table import Lines, Part, Rows, Table, figures, texts
 from crosscheck.studies.benchmark.ladders import (
     JUDGED,
@@ -39,20 +37,22 @@ from crosscheck.studies.benchmark.ladders import (
 from crosscheck.studies.benchmark.reference import batch_references, pose_errors
 from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
 from crosscheck.studies.bisection import smallest
-from newton_euler.batch import simulate_batch, thread_count
+from crosscheck.support.errors import CrosscheckError, reason_of
+from crosscheck.support.time_limits import time_limit
 from newton_euler.codegen.compile import uncollected
+from newton_euler.compiled.formulations import FORMULATIONS
+from newton_euler.compiled.lanes import load_lanes
+from newton_euler.compiled.outputs import named
+from newton_euler.compiled.run import Integrator
 from newton_euler.errors import NewtonEulerError
-from newton_euler.exercise import random_states
-from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.integrators.options import STABILIZATIONS
 from newton_euler.integrators.options import Options as OfMethod
-from newton_euler.integrators.outputs import named
-from newton_euler.integrators.run import Integrator
-from newton_euler.integrators.side_by_side import load_lanes
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import IntegrationError
-from newton_euler.simulate import compile_scene
+from newton_euler.reading.exercise import random_states
+from newton_euler.runs.batch import simulate_batch, thread_count
+from newton_euler.runs.simulate import compile_scene
 
 REPEATS = 5
 """Of every batch, engines and numbers of threads taking turns."""

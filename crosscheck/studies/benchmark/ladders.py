@@ -18,11 +18,11 @@ from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
 
-from crosscheck.errors import CrosscheckError
+from crosscheck.support.errors import CrosscheckError
 from newton_euler import compile_scene
-from newton_euler.integrators.formulations import FORMULATIONS
+from newton_euler.compiled.formulations import FORMULATIONS
+from newton_euler.compiled.run import load
 from newton_euler.integrators.options import STABILIZATIONS, FormulationName, StabilizationName
-from newton_euler.integrators.run import load
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 

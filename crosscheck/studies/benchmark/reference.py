@@ -17,10 +17,10 @@ import numpy as np
 
 import newton_euler
 import urdf
-from crosscheck.errors import CrosscheckError, reason_of
-from crosscheck.limit import time_limit
 from crosscheck.studies.benchmark.ladders import Poses
 from crosscheck.studies.benchmark.timing import Progress
+from crosscheck.support.errors import CrosscheckError, reason_of
+from crosscheck.support.time_limits import time_limit
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.scene import Scene

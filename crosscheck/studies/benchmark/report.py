@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.palette import ENGINE_COLORS
 from crosscheck.report.plots import own_style, png
 from crosscheck.report.table import Cell, Lines, Part, Rows, Table, figures, texts
 from crosscheck.studies.benchmark.ladders import ENGINES, JUDGED
 from crosscheck.studies.benchmark.reference import Reference
 from crosscheck.studies.benchmark.timing import rounded, shown
 from crosscheck.studies.benchmark.work_precision import Measured, Measurement
+from crosscheck.support.palette import ENGINE_COLORS
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 

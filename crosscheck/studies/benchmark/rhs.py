@@ -18,15 +18,15 @@ from functools import partial
 from timeit import Timer
 from typing import NamedTuple
 
-from crosscheck.errors import reason_of
 from crosscheck.report.table import Lines, Part, Rows, Table, figures, texts
 from crosscheck.studies.benchmark.ladders import JUDGED, poses_only
 from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
-from crosscheck.workers import LostError, in_processes
+from crosscheck.support.errors import reason_of
+from crosscheck.support.processes import LostError, in_processes
 from newton_euler import compile_scene
 from newton_euler.codegen.cache import CACHE_VARIABLE
+from newton_euler.compiled.outputs import time_function
 from newton_euler.integrators.options import FormulationName
-from newton_euler.integrators.outputs import time_function
 from newton_euler.model.scene import Scene
 
 BATCH = 1e-3

@@ -8,17 +8,17 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from crosscheck.errors import CrosscheckError
-from crosscheck.files import check_no_source, check_writable, write_files
+from crosscheck.library.options import titled
 from crosscheck.report.output import usual_folder
 from crosscheck.report.render import as_json
 from crosscheck.report.table import Cell, Lines, Part, Report
-from crosscheck.scenes.options import titled
 from crosscheck.studies.benchmark import batch, report, rhs, sensitivities
 from crosscheck.studies.benchmark.ladders import ENGINES, poses_only
 from crosscheck.studies.benchmark.reference import reference
 from crosscheck.studies.benchmark.timing import Progress, machine
 from crosscheck.studies.benchmark.work_precision import measure
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.files import check_no_source, check_writable, write_files
 from newton_euler.model.scene import Scene
 
 SMALLEST_ERROR = 1e-13

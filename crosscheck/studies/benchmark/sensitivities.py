@@ -17,13 +17,13 @@ from crosscheck.report.table import Lines, Part, Rows, Table, figures, texts
 from crosscheck.studies.benchmark.ladders import poses_only
 from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns, shown
 from newton_euler import compile_scene
-from newton_euler.analysis.tangent_code import tangent_code
-from newton_euler.analysis.tangent_run import FollowedRun, tangent_options
-from newton_euler.analysis.tangent_starts import Starts, own_numbers
+from newton_euler.analysis.sensitivity.tangent_code import tangent_code
+from newton_euler.analysis.sensitivity.tangent_run import FollowedRun, tangent_options
+from newton_euler.analysis.sensitivity.tangent_starts import Starts, own_numbers
 from newton_euler.equations.parameters import parameter_names
 from newton_euler.errors import SensitivityError
 from newton_euler.model.scene import Scene
-from newton_euler.sampling import integrate_intervals
+from newton_euler.runs.sampling import integrate_intervals
 from newton_euler.scalars import Array
 
 COUNTS = (1, 2, 4, 8)

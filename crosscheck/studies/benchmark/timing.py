@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.versions import versions
+from crosscheck.support.versions import versions
 from newton_euler.codegen.compile import uncollected
 
 MESSAGES = 5

@@ -14,11 +14,11 @@ from functools import partial
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError, reason_of
-from crosscheck.limit import time_limit
 from crosscheck.studies.benchmark.ladders import Ladder, Models, Options, Poses, Run
 from crosscheck.studies.benchmark.reference import pose_errors
 from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
+from crosscheck.support.errors import CrosscheckError, reason_of
+from crosscheck.support.time_limits import time_limit
 from newton_euler.codegen.compile import uncollected
 
 LONGEST = 1.5

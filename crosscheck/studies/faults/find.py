@@ -15,25 +15,25 @@ from itertools import combinations
 
 import numpy as np
 
-from crosscheck.comparison.diagnosis import Diagnosis, diagnose
-from crosscheck.comparison.figure import Figure
-from crosscheck.comparison.levels import EQUATION_LEVELS, Level, compare_pair
-from crosscheck.comparison.samples import Samples, States
-from crosscheck.engines import ENGINES, Engine
-from crosscheck.errors import CrosscheckError
+from crosscheck.compare.diagnosis import Diagnosis, diagnose
+from crosscheck.compare.figure import Figure
+from crosscheck.compare.levels import EQUATION_LEVELS, Level, compare_pair
+from crosscheck.compare.samples import Samples, States
+from crosscheck.engines.engine import ENGINES, Engine
 from crosscheck.studies.faults import PLANTED_IN
 from crosscheck.studies.faults.catalog import SIZES, Fault, catalog
 from crosscheck.studies.faults.misreadings import EVERYTHING, misreadings
 from crosscheck.studies.faults.turning import without_turning
-from newton_euler.assemble import initial_state
+from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System
 from newton_euler.errors import NewtonEulerError
-from newton_euler.exercise import random_states
 from newton_euler.model.scene import Scene
-from newton_euler.verification.import_report import ImportReport
-from newton_euler.verification.original import Original
-from newton_euler.verification.verify import verify
+from newton_euler.reading.exercise import random_states
+from newton_euler.reading.import_report import ImportReport
+from newton_euler.reading.original import Original
+from newton_euler.reading.verify import verify
+from newton_euler.runs.assemble import initial_state
 
 STATES = 4
 """Random consistent states beside the initial one; gravity has three components to be told from the rest."""

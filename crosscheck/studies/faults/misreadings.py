@@ -16,7 +16,6 @@ import numpy as np
 
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.catalog import SKEW, Fault, bodies_at, mistaken, of_numbers
-from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
@@ -28,6 +27,7 @@ from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Fixed
 from newton_euler.model.motions import TimeFunction, scaled
 from newton_euler.model.scene import Scene
+from newton_euler.runs.assemble import initial_state
 
 FACTORS = {"doubled": 2.0, "halved": 0.5, "dropped": 0.0, "negated": -1.0, "times 1 + 1e-6": 1.0 + 1e-6}
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from crosscheck.studies.stress.runs import Setting
-from crosscheck.workers import LostError, in_processes
+from crosscheck.support.processes import LostError, in_processes
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from crosscheck.studies.stress.cases import ANGLE, ENERGY, Bound, Case, Measured, of_run, refusal
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
@@ -24,7 +24,6 @@ from crosscheck.studies.stress.runs import (
     parallelogram_error,
     pinocchio,
 )
-from newton_euler.assemble import CHECKED, assemble, initial_state
 from newton_euler.integrators.projection import joint_violations
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import from_rotation_vector, product
@@ -35,6 +34,7 @@ from newton_euler.model.scene import OutputName, Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.runs.assemble import CHECKED, assemble, initial_state
 
 # (g) Start poses that are off the constraints: what assembly makes of them, and what each engine does
 

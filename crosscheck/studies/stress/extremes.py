@@ -8,7 +8,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from crosscheck.studies.stress.cases import ANGLE, ENERGY, Bound, Case, Measured, of_run, refusal
 from crosscheck.studies.stress.runs import (
     ONE_EACH,

@@ -8,7 +8,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from crosscheck.studies.bisection import smallest
 from crosscheck.studies.stress.cases import ENERGY, Bound, Case, Measured
 from crosscheck.studies.stress.runs import (
@@ -24,11 +24,11 @@ from crosscheck.studies.stress.runs import (
     newton_euler,
     pinocchio,
 )
-from newton_euler.assemble import initial_state
+from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
 # (a) Long runs: what is left of the energy and of closed joints, and what of it is round-off

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from crosscheck.studies.stress.cases import Bound, Case, Measured
 from crosscheck.studies.stress.runs import COMBINATIONS, ONE_EACH, TIGHT, Setting, distance, lasting
 from newton_euler.model.joint import Joint

@@ -13,21 +13,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crosscheck.comparison.figure import Figure
-from crosscheck.comparison.levels import compare_pair
-from crosscheck.comparison.samples import Samples, States
-from crosscheck.errors import CrosscheckError
+from crosscheck.compare.figure import Figure
+from crosscheck.compare.levels import compare_pair
+from crosscheck.compare.samples import Samples, States
 from crosscheck.studies.random_scenes import GRAVITY, random_scene
 from crosscheck.studies.stress.cases import Bound, Case, Measured
 from crosscheck.studies.stress.runs import Setting
-from newton_euler.assemble import initial_state
+from crosscheck.support.errors import CrosscheckError
+from newton_euler.compiled.equations import Code
+from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators.compiled import Code
-from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.scene import Scene
+from newton_euler.runs.assemble import initial_state
 
 NATIVE_TOLERANCE = 1e-8
 """Of native code against its float form, relative to the largest acceleration: the same equations in another

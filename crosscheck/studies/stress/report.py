@@ -6,12 +6,12 @@ import platform
 from collections.abc import Sequence
 from pathlib import Path
 
-from crosscheck.files import write_files
 from crosscheck.report import render
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
 from crosscheck.studies.stress.cases import PROCESSES, Row
 from crosscheck.studies.stress.topics import TOPICS
-from crosscheck.versions import versions
+from crosscheck.support.files import write_files
+from crosscheck.support.versions import versions
 
 FILES = ("stress.json", "stress.md")
 

@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
-from crosscheck.references import known_figures
-from crosscheck.scenes import FIGURES, load
+from crosscheck.library import FIGURES, load
+from crosscheck.library.references import known_figures
 from crosscheck.studies.stress.cases import ANGLE, ENERGY, Bound, Case, Measured, of_run
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
@@ -21,7 +21,7 @@ from crosscheck.studies.stress.runs import (
     symmetric_top,
     top_error,
 )
-from newton_euler.integrators.formulations import FORMULATIONS
+from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.model.control import PD
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism

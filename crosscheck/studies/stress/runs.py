@@ -11,10 +11,9 @@ import numpy as np
 
 import mjcf
 import urdf
-from crosscheck.comparison.energy import Balance, energy_balance
-from crosscheck.comparison.runs import positions_apart
-from newton_euler.assemble import initial_state
-from newton_euler.integrators.formulations import FORMULATIONS
+from crosscheck.compare.energy import Balance, energy_balance
+from crosscheck.compare.runs import positions_apart
+from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector
 from newton_euler.model.euler_parameters import product as quaternion_product
 from newton_euler.model.joint_kinds import Free
@@ -22,8 +21,9 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import OutputName, Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.runs.assemble import initial_state
+from newton_euler.runs.simulate import simulate
 from newton_euler.scalars import Array
-from newton_euler.simulate import simulate
 
 GRAVITY = 9.81
 """m/s^2."""

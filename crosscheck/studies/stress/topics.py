@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from crosscheck.errors import CrosscheckError
 from crosscheck.studies.stress import (
     configurations,
     extremes,
@@ -15,6 +14,7 @@ from crosscheck.studies.stress import (
     rotation,
 )
 from crosscheck.studies.stress.cases import Case, Progress, Row, run_cases
+from crosscheck.support.errors import CrosscheckError
 
 TOPICS: dict[str, tuple[str, Callable[[bool], Iterator[Case]]]] = {
     "a": ("drift and energy over long runs", integration.long_runs),

@@ -10,11 +10,11 @@ from recordings import read_recording, write_recording
 from rerun.chunk import RrdReader
 
 import newton_euler
-from crosscheck.palette import ENGINE_COLORS, OTHER_COLORS, palette, rgb
+from crosscheck.library import load
 from crosscheck.recording.blueprint import ASPECT, EYE_DIRECTION, HALF_ANGLE
 from crosscheck.recording.plots import plots, tilt
 from crosscheck.recording.shapes import paths
-from crosscheck.scenes import load
+from crosscheck.support.palette import ENGINE_COLORS, OTHER_COLORS, palette, rgb
 from newton_euler.model.euler_parameters import from_rotation_vector
 
 X, Y, Z = np.eye(3)

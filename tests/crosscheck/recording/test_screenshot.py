@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from recordings import write_recording
 
-from crosscheck.errors import CrosscheckError
 from crosscheck.recording.screenshot import MECHANISM, WINDOW, screenshots
+from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 

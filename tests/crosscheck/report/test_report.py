@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 from command_line import run, scene_file, short_example
 
-from crosscheck.checksum import sealed
 from crosscheck.cli import main
-from crosscheck.comparison.figure import OPEN, POSES
-from crosscheck.errors import CrosscheckError
+from crosscheck.compare.figure import OPEN, POSES
+from crosscheck.library import SCENES
 from crosscheck.report.page import MOST_IN_FULL, PAGE, telling, write_report
 from crosscheck.report.plots import SPEED, pictures
 from crosscheck.report.table import Column, Table, judged
-from crosscheck.results import digest
-from crosscheck.scenes import SCENES
+from crosscheck.support.checksum import sealed
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.results import digest
 from newton_euler.model.trajectory import load_arrays
 
 ENGINES = ["newton_euler", "pinocchio"]

@@ -8,9 +8,9 @@ import pytest
 from command_line import run
 from test_report import report
 
-from crosscheck.errors import CrosscheckError
-from crosscheck.scenes import load
-from crosscheck.scenes.scene_file import write_scene
+from crosscheck.library import load
+from crosscheck.library.scene_file import write_scene
+from crosscheck.support.errors import CrosscheckError
 
 
 def test_what_regress_writes(tmp_path, capsys, monkeypatch):

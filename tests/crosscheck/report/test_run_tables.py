@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from crosscheck.comparison.figure import Figure
-from crosscheck.comparison.known_figures import Measured
-from crosscheck.references import Known
+from crosscheck.compare.figure import Figure
+from crosscheck.compare.known_figures import Measured
+from crosscheck.library.references import Known
 from crosscheck.report.run import tables
 
 

@@ -8,10 +8,10 @@ from types import SimpleNamespace
 
 from command_line import run
 
-from crosscheck.comparison.figure import FILE, REFERENCE, Figure
-from crosscheck.comparison.known_figures import Measured
-from crosscheck.each_run import Stop
-from crosscheck.references import Known
+from crosscheck.compare.figure import FILE, REFERENCE, Figure
+from crosscheck.compare.known_figures import Measured
+from crosscheck.engines.engine_runs import Stop
+from crosscheck.library.references import Known
 from crosscheck.report.render import terminal
 from crosscheck.report.summary import (
     MOST_NOTES,

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from command_line import run
 
-from crosscheck.errors import CrosscheckError
-from crosscheck.scenes import load
-from crosscheck.scenes.tracker_sun import PANEL_NORMAL, sun_tracker
+from crosscheck.library import load
+from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
 from crosscheck.solar.day import following, tracker_day
 from crosscheck.solar.energy import FACING, FIXED, FLAT, ONE_AXIS, THIS, ClearSky, over_day
 from crosscheck.solar.place import Place, Sun, day_times, seconds_of_day, sun_over
 from crosscheck.solar.report import hours, table_of_commands, verdict
 from crosscheck.solar.tracking import Tracking
 from crosscheck.solar.wind import wind_over_day
+from crosscheck.support.errors import CrosscheckError
 from newton_euler import Sampled
 from newton_euler.model.source_file import SourceError
 

@@ -15,8 +15,6 @@ from mechanisms import slider_tree, spinning_top
 from pictures import STALE, digest, made_from, words
 
 import newton_euler
-from crosscheck.errors import CrosscheckError
-from crosscheck.limit import time_limit
 from crosscheck.report.page import write_report
 from crosscheck.studies.benchmark import reference as benchmark_reference
 from crosscheck.studies.benchmark import work_precision
@@ -25,6 +23,8 @@ from crosscheck.studies.benchmark.reference import Reference, pose_errors, refer
 from crosscheck.studies.benchmark.report import Benchmark, data, parts, verdict
 from crosscheck.studies.benchmark.timing import machine
 from crosscheck.studies.benchmark.work_precision import Measured, Measurement
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.time_limits import time_limit
 from newton_euler.model.euler_parameters import from_rotation_vector, product
 
 POSES = (np.zeros((2, 1, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1, 1)))

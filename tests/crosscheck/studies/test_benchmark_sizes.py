@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import newton_euler
-from crosscheck.errors import CrosscheckError
 from crosscheck.studies.benchmark import batch, rhs
 from crosscheck.studies.benchmark import reference as benchmark_reference
 from crosscheck.studies.benchmark.batch import Done, MuJoCo, Own, cheapest
 from crosscheck.studies.benchmark.ladders import Ladder, intervals, poses_only
 from crosscheck.studies.benchmark.reference import batch_references, pose_errors
 from crosscheck.studies.benchmark.rhs import Timing, fastest_other, time_right_hand_sides
+from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.trajectory import IntegrationError
 

@@ -10,10 +10,9 @@ import pytest
 from command_line import EXAMPLE, run
 from mechanisms import GRAVITY, pendulum
 
-from crosscheck.engines import ENGINES
-from crosscheck.errors import CrosscheckError
+from crosscheck.engines.engine import ENGINES
+from crosscheck.library import load
 from crosscheck.report.page import write_report
-from crosscheck.scenes import load
 from crosscheck.studies.faults import PLANTED_IN, plant
 from crosscheck.studies.faults import find as finding
 from crosscheck.studies.faults.catalog import SIZES, Fault, catalog, most_of
@@ -29,6 +28,7 @@ from crosscheck.studies.faults.find import (
     find_faults,
 )
 from crosscheck.studies.faults.report import Count, by_motion, holds, in_all, lines, report
+from crosscheck.support.errors import CrosscheckError
 from newton_euler import Armature, Body, JointSpring, Mechanism, Scene
 from newton_euler.errors import MechanismError
 from newton_euler.model.joint_kinds import Fixed

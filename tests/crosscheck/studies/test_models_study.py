@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from crosscheck.errors import CrosscheckError
 from crosscheck.studies.models import BEGIN, END, Found, main, read_list, table, write
+from crosscheck.support.errors import CrosscheckError
 
 LIST = """models:
   - repository: some/robots

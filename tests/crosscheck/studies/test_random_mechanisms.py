@@ -14,7 +14,6 @@ from crosscheck.studies.stress import random_mechanisms
 from crosscheck.studies.stress.cases import judge
 from crosscheck.studies.stress.random_mechanisms import NATIVE, NATIVE_TOLERANCE, SYSTEMS, compare, measure
 from crosscheck.studies.stress.topics import stress
-from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.undetermined import undetermined_joints
@@ -23,6 +22,7 @@ from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wren
 from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.wind import WindLoad
+from newton_euler.runs.assemble import initial_state
 from urdf.proximal import ITERATIONS, regularized
 
 COUNT = 16

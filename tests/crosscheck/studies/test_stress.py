@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 from command_line import command, run
 
-from crosscheck.errors import CrosscheckError
-from crosscheck.references import known_figures
+from crosscheck.library import load
+from crosscheck.library.references import known_figures
 from crosscheck.report.page import write_report
-from crosscheck.scenes import load
 from crosscheck.studies.stress import configurations, extremes, integration, rotation
 from crosscheck.studies.stress.cases import Bound, Case, Measured, judge, of_run, refusal, run_cases
 from crosscheck.studies.stress.integration import growth, smallest
@@ -33,10 +32,11 @@ from crosscheck.studies.stress.runs import (
     top_error,
 )
 from crosscheck.studies.stress.topics import TOPICS, cases_of, stress
+from crosscheck.support.errors import CrosscheckError
 from newton_euler import simulate
-from newton_euler.assemble import initial_state
 from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.trajectory import IntegrationError
+from newton_euler.runs.assemble import initial_state
 
 BOUND = Bound("error", "m", 1e-6, 1e-2, "for the sake of the test")
 STEP = Bound("step", "s", 1.0, 0.1, "steps", at_least=True)

@@ -20,7 +20,7 @@ from small_sweep import assert_equal
 import crosscheck.sweeps.execute
 import crosscheck.sweeps.results
 from crosscheck import sweep
-from crosscheck.errors import CrosscheckError
+from crosscheck.support.errors import CrosscheckError
 from crosscheck.sweeps.execute import NO_WORKERS, in_any_order, workers
 
 pytestmark = pytest.mark.usefixtures("short_tasks")

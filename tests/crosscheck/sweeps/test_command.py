@@ -19,11 +19,11 @@ import crosscheck.sweeps.checks
 import crosscheck.sweeps.execute
 import crosscheck.sweeps.plan
 from crosscheck import Sweep, sweep
-from crosscheck.comparison.figure import Figure
-from crosscheck.errors import CrosscheckError
-from crosscheck.outcome import ExitStatus, Outcome
-from crosscheck.run import Crosscheck
-from crosscheck.scenes import load
+from crosscheck.compare.crosscheck import Crosscheck
+from crosscheck.compare.figure import Figure
+from crosscheck.library import load
+from crosscheck.report.outcome import ExitStatus, Outcome
+from crosscheck.support.errors import CrosscheckError
 from crosscheck.sweeps.checks import default_count
 from crosscheck.sweeps.report import MOST_GHOSTS, to_record
 from newton_euler import Revolute, with_parameters

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crosscheck.errors import CrosscheckError
-from crosscheck.scenes import load
+from crosscheck.library import load
+from crosscheck.support.errors import CrosscheckError
 from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.reductions import pruned, reductions
 from newton_euler import simulate_batch

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from SALib.sample import sobol
 
-from crosscheck.errors import CrosscheckError
+from crosscheck.support.errors import CrosscheckError
 from crosscheck.sweeps.distributions import Correlated, parse, parse_vary
 from crosscheck.sweeps.sampling import SAMPLINGS, samples_of
 from newton_euler.errors import NewtonEulerError

@@ -26,8 +26,8 @@ from small_sweep import ARGUMENTS, assert_equal
 
 import crosscheck.sweeps.results
 from crosscheck import sweep
-from crosscheck.errors import CrosscheckError
-from crosscheck.scenes import load
+from crosscheck.library import load
+from crosscheck.support.errors import CrosscheckError
 from crosscheck.sweeps.execute import Pace
 from crosscheck.sweeps.sampling import _latin_hypercube
 from crosscheck.sweeps.store import NAME, Store

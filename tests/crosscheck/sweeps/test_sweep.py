@@ -16,9 +16,9 @@ from small_sweep import ARGUMENTS, assert_equal
 import crosscheck.sweeps.execute
 import crosscheck.sweeps.results
 from crosscheck import sweep
-from crosscheck.errors import CrosscheckError
-from crosscheck.scenes import load
+from crosscheck.library import load
 from crosscheck.studies.stress.noise import flat_four_bar
+from crosscheck.support.errors import CrosscheckError
 from crosscheck.sweeps.execute import probed
 from crosscheck.sweeps.plan import make_runs
 from newton_euler import simulate_batch

@@ -7,7 +7,7 @@ import pytest
 import tracker_loops
 from mechanisms import planar_four_bar
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler import Axis, assembly_branches, solve_poses
 from newton_euler.errors import MechanismError, OptionError
 from newton_euler.model.euler_parameters import rotations

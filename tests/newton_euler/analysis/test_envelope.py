@@ -11,17 +11,17 @@ from mechanisms import mass_on_rail, pendulum
 
 import newton_euler
 import urdf
-from crosscheck.scenes import SCENES, load
+from crosscheck.library import SCENES, load
 from mjcf.rigid import RigidMuJoCo
 from newton_euler import PD, load_envelope, rest_case, statics
-from newton_euler.analysis.envelope import Load, joint_loads
+from newton_euler.analysis.loads.envelope import Load, joint_loads
 from newton_euler.equations.system import at_time
 from newton_euler.equations.undetermined import determined, undetermined
 from newton_euler.errors import MechanismError, UnknownNameError
-from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.state import State
-from newton_euler.verification.wrenches import Wrenches
+from newton_euler.reading.exercise import random_states
+from newton_euler.reading.wrenches import Wrenches
 from urdf.dynamics import PinocchioSystem
 
 TURNED = np.array([[0.5, 0.5, 0.5, 0.5], [1.0, 0.0, 0.0, 0.0], [0.0, 0.6, 0.8, 0.0]])

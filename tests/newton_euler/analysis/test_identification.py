@@ -10,7 +10,7 @@ import pytest
 from mechanisms import line_spring, mass_on_rail, pendulum, planar_four_bar
 from scipy.stats import binom
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler import (
     Body,
     IdentificationWarning,
@@ -22,8 +22,8 @@ from newton_euler import (
     start,
     with_parameters,
 )
-from newton_euler.analysis.fit import split
-from newton_euler.integrators.compiled import Code
+from newton_euler.analysis.identification.fit import split
+from newton_euler.compiled.equations import Code
 from newton_euler.model.control import PD
 from newton_euler.model.motions import Steps
 

@@ -9,12 +9,11 @@ import pytest
 from finite_difference import derivative
 from mechanisms import bar
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from mjcf.rigid import RigidMuJoCo
 from newton_euler import start
-from newton_euler.analysis.inverse_dynamics import inverse_dynamics, statics
-from newton_euler.analysis.poses import solve_poses
-from newton_euler.assemble import initial_state
+from newton_euler.analysis.kinematics.poses import solve_poses
+from newton_euler.analysis.loads.inverse_dynamics import inverse_dynamics, statics
 from newton_euler.codegen.expression import Graph
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.parameters import measuring
@@ -22,7 +21,6 @@ from newton_euler.equations.relative import Relative
 from newton_euler.equations.servos import servos_of
 from newton_euler.equations.system import at_time
 from newton_euler.errors import MechanismError, NewtonEulerError
-from newton_euler.exercise import random_states
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.forces import JointSpring, PointSpring, Wrench
@@ -33,7 +31,9 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.splines import Spline
 from newton_euler.model.state import State
-from newton_euler.simulate import simulate
+from newton_euler.reading.exercise import random_states
+from newton_euler.runs.assemble import initial_state
+from newton_euler.runs.simulate import simulate
 from urdf.dynamics import PinocchioSystem
 
 G = 9.81

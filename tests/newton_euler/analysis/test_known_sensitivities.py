@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from test_sensitivity import TIGHT, short
 
 from newton_euler import sensitivities, start, with_parameters
-from newton_euler.analysis.tangent_run import OF_TANGENTS
+from newton_euler.analysis.sensitivity.tangent_run import OF_TANGENTS
 from newton_euler.integrators.options import Options
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotation

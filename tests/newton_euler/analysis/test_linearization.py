@@ -11,16 +11,14 @@ import pytest
 from finite_difference import derivative
 from mechanisms import bar
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler import start
-from newton_euler.analysis.equilibrium import at_rest, equilibrium
-from newton_euler.analysis.inverse_dynamics import statics
-from newton_euler.analysis.linear_model import LinearModel, Modes
-from newton_euler.analysis.linearization import linearize
-from newton_euler.assemble import initial_state
+from newton_euler.analysis.linear.linear_model import LinearModel, Modes
+from newton_euler.analysis.linear.linearization import linearize
+from newton_euler.analysis.loads.equilibrium import at_rest, equilibrium
+from newton_euler.analysis.loads.inverse_dynamics import statics
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError
-from newton_euler.exercise import random_states
 from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.control import PD
 from newton_euler.model.digital_control import Sampled
@@ -32,7 +30,9 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.splines import Spline
 from newton_euler.model.state import State
-from newton_euler.simulate import compile_scene
+from newton_euler.reading.exercise import random_states
+from newton_euler.runs.assemble import initial_state
+from newton_euler.runs.simulate import compile_scene
 from urdf.dynamics import PinocchioSystem
 
 G = 9.81

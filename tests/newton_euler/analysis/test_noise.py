@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from scipy.stats import chi2, kstest
 
 from newton_euler import Measurements
-from newton_euler.analysis.noise import Noise
+from newton_euler.analysis.identification.noise import Noise
 
 RARE = 1e-6
 """Probability with which chance fails a test that is right."""

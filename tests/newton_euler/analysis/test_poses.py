@@ -9,8 +9,8 @@ import pytest
 from finite_difference import derivative
 from mechanisms import planar_four_bar, slider_tree
 
-from crosscheck.scenes import load
-from crosscheck.scenes.slider_crank import PIN, PIVOT, WRIST
+from crosscheck.library import load
+from crosscheck.library.slider_crank import PIN, PIVOT, WRIST
 from newton_euler import (
     Axis,
     Body,
@@ -21,7 +21,7 @@ from newton_euler import (
     Sine,
     solve_poses,
 )
-from newton_euler.analysis.poses import STATIONARY
+from newton_euler.analysis.kinematics.poses import STATIONARY
 from newton_euler.errors import MechanismError, NewtonEulerError, OptionError, UnknownNameError
 from newton_euler.model.euler_parameters import rotations
 

@@ -10,7 +10,7 @@ import pytest
 from ball_scenes import sphere
 from mechanisms import carts, line_spring, mass_on_rail, pendulum
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler import BallSpring, sensitivities, start
 from newton_euler.errors import NewtonEulerError, SensitivityError
 from newton_euler.model.digital_control import Sampled

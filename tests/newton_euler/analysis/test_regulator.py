@@ -10,7 +10,7 @@ from scipy.integrate import simpson
 from scipy.linalg import solve_continuous_lyapunov
 
 import newton_euler
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler.errors import MechanismError, OptionError
 from newton_euler.model.joint_kinds import Revolute, Translational
 from newton_euler.model.mechanism import Body, Mechanism

@@ -12,18 +12,18 @@ from elements import driven_loop, forced, geared_loop, planar_loop, rod_loop, wi
 from finite_difference import derivative
 from mechanisms import ball_loop, carts, line_spring, mass_on_rail, pendulum
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler import compile_scene, equilibrium, sensitivities, simulate_batch, start, with_parameters
-from newton_euler.analysis.tangent_code import tangent_code
-from newton_euler.analysis.tangent_run import FollowedRun
-from newton_euler.analysis.tangent_starts import Starts, own_numbers
+from newton_euler.analysis.sensitivity.tangent_code import tangent_code
+from newton_euler.analysis.sensitivity.tangent_run import FollowedRun
+from newton_euler.analysis.sensitivity.tangent_starts import Starts, own_numbers
 from newton_euler.equations.parameters import is_kinematic, parameter_values, places
 from newton_euler.integrators.options import Options
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import LinearCoupling
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import Polynomial, Sine, Spline, Steps, Sum
-from newton_euler.starts import initial_numbers, own_initial
+from newton_euler.runs.starts import initial_numbers, own_initial
 
 TIGHT = {"rtol": 1e-13, "atol": 1e-15}
 
@@ -253,7 +253,7 @@ def test_long_runs_are_followed_twice(monkeypatch):
     """Steps beyond the room at first are taken once more."""
     scene = short(load("slider_crank"), 1.0)
     found = sensitivities(scene, ["crank.mass"])
-    monkeypatch.setattr("newton_euler.analysis.tangent_run.ROOM", 3)
+    monkeypatch.setattr("newton_euler.analysis.sensitivity.tangent_run.ROOM", 3)
     assert found.run.settings["steps"] > 3
     assert np.array_equal(found.position, sensitivities(scene, ["crank.mass"]).position)
 
@@ -264,7 +264,7 @@ def test_rolled_code_and_single_directions_give_the_same(monkeypatch):
     found = sensitivities(scene, names).linear_velocity
     one_by_one = np.concatenate([sensitivities(scene, [name]).linear_velocity for name in names], axis=-1)
     monkeypatch.setattr("newton_euler.codegen.compile.LARGE", 200)
-    monkeypatch.setattr("newton_euler.analysis.tangent_code.VERY_LARGE", 0)
+    monkeypatch.setattr("newton_euler.analysis.sensitivity.tangent_code.VERY_LARGE", 0)
     rolled = sensitivities(replace(scene), names).linear_velocity  # another object, compiled anew
     largest = np.abs(found).max()
     # round-off of steps that the same accelerations with other round-off make

@@ -7,7 +7,7 @@ import pytest
 import tracker_loops
 from finite_difference import jacobian
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler import Axis, singular_poses, workspace
 from newton_euler.errors import OptionError
 

@@ -26,9 +26,9 @@ from newton_euler.codegen.native import Callback, NativeError, Record, Signature
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.codegen.translate import text
 from newton_euler.codegen.trigonometry import REGISTER
+from newton_euler.compiled.equations import Code
+from newton_euler.compiled.run import load, native_method
 from newton_euler.errors import OptionError
-from newton_euler.integrators.compiled import Code
-from newton_euler.integrators.run import load, native_method
 
 
 @pytest.fixture

@@ -13,10 +13,10 @@ import pytest
 
 import newton_euler
 import newton_euler.equations.relative
-from crosscheck.scenes import SCENES, load
+from crosscheck.library import SCENES, load
 from newton_euler.codegen.cache import CACHE_VARIABLE
 from newton_euler.codegen.fingerprint import PACKAGE, fingerprint
-from newton_euler.integrators.compiled import NEUTRAL, Code
+from newton_euler.compiled.equations import NEUTRAL, Code
 from newton_euler.model.digital_control import Sampled
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import PrescribedMotion
@@ -42,7 +42,7 @@ def test_every_scene_of_the_library_has_one(name):
 
 
 def test_it_is_the_same_in_every_process(tracker):
-    code = "from crosscheck.scenes import load; from newton_euler.codegen.fingerprint import fingerprint; "
+    code = "from crosscheck.library import load; from newton_euler.codegen.fingerprint import fingerprint; "
     code += "print(fingerprint(load('tracker'), 'relative', 0.5))"
     expected = fingerprint(tracker, "relative", 0.5)
     for seed in ("1", "2"):  # of the order of sets of text

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import newton_euler.codegen.compile
-from newton_euler.assemble import initial_state
 from newton_euler.codegen.compile import NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, Program, operands
 from newton_euler.codegen.rolled import SHORTEST, cut, roll
+from newton_euler.runs.assemble import initial_state
 
 
 def windows(count: int, distinct: bool) -> Program:
@@ -53,7 +53,7 @@ def test_pieces_make_up_the_program():
 
 
 def test_a_large_scene_is_the_same_rolled_or_not(monkeypatch):
-    from crosscheck.scenes import load
+    from crosscheck.library import load
     from newton_euler import compile_scene
 
     scene = load("four_bar", N="6")

@@ -10,10 +10,10 @@ from mechanisms import MASS, STIFFNESS, mass_on_rail, pendulum
 
 import newton_euler
 from newton_euler import Armature, JointSpring
-from newton_euler.assemble import initial_state
+from newton_euler.compiled.formulations import FORMULATIONS, formulate
 from newton_euler.errors import MechanismError
-from newton_euler.integrators.formulations import FORMULATIONS, formulate
 from newton_euler.model.compound_joint import Compound
+from newton_euler.runs.assemble import initial_state
 
 both = pytest.mark.parametrize("formulation", FORMULATIONS)
 

@@ -13,14 +13,14 @@ from mechanisms import ball_loop, pendulum
 import newton_euler
 from newton_euler import Armature, BallArmature, BallSpring, JointSpring, Mechanism
 from newton_euler.codegen.expression import Graph, differentiate
+from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
-from newton_euler.exercise import random_states
-from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.balls import rotation_by, rotation_vector, spin, spin_rate
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint_kinds import Spherical
 from newton_euler.model.spanning_tree import SpanningTree, weld_loops
+from newton_euler.reading.exercise import random_states
 
 both = pytest.mark.parametrize("formulation", FORMULATIONS)
 

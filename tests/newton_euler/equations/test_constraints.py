@@ -11,11 +11,11 @@ from mechanisms import REGULAR
 from random_chains import CHAINS
 
 from mjcf.rigid import RigidMuJoCo
-from newton_euler.assemble import initial_state
+from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.system import at_time, constraint_rate
-from newton_euler.integrators.formulations import FORMULATIONS
+from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 from urdf.dynamics import PinocchioSystem
 

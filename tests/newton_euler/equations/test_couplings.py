@@ -11,12 +11,12 @@ from mechanisms import GRAVITY, ORIGIN, X, Y, Z, bar, wheel
 
 import newton_euler
 from newton_euler import Body, Gear, Mechanism, Polynomial, PrescribedMotion, Scene, Sine, Sum
-from newton_euler.assemble import initial_state
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.forces import Wrench
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Prismatic, Revolute, Screw, Spherical, Translational, Universal
 from newton_euler.model.state import State
+from newton_euler.runs.assemble import initial_state
 
 FORMULATIONS = ("relative", "cartesian")
 INTEGRATED = 2e-8

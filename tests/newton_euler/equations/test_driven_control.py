@@ -12,14 +12,13 @@ from mechanisms import mass_on_rail
 import mjcf
 import newton_euler
 import urdf
-from crosscheck.comparison.coverage import covered_by
-from crosscheck.comparison.energy import energy_balance
-from crosscheck.model_files.convert import scene_report, write_as
-from crosscheck.scenes import load
-from crosscheck.scenes.scene_file import write_scene
+from crosscheck.compare.coverage import covered_by
+from crosscheck.compare.energy import energy_balance
+from crosscheck.library import load
+from crosscheck.library.scene_file import write_scene
+from crosscheck.loading.convert import scene_report, write_as
 from mjcf.rigid import RigidMuJoCo
 from mjcf.tight import Rollout, Stepper, compiled, physics_states
-from newton_euler.assemble import initial_state
 from newton_euler.equations.parameters import parameter_values, with_values
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import at_time
@@ -27,6 +26,7 @@ from newton_euler.errors import MechanismError
 from newton_euler.model.control import PD
 from newton_euler.model.motions import Sum
 from newton_euler.model.smooth_functions import Polynomial, Sine
+from newton_euler.runs.assemble import initial_state
 from urdf.dynamics import PinocchioSystem
 
 MASS, STIFFNESS, DAMPING, TARGET = 2.0, 50.0, 4.0, 0.1

@@ -19,10 +19,10 @@ from mechanisms import (
 
 import newton_euler
 from newton_euler import PD, Body, JointSpring, Mechanism, PointSpring, Scene, State, Wrench
-from newton_euler.assemble import initial_state
-from newton_euler.integrators.formulations import FORMULATIONS, formulate
+from newton_euler.compiled.formulations import FORMULATIONS, formulate
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.joint_kinds import Free, Revolute
+from newton_euler.runs.assemble import initial_state
 
 TIGHT = 1e-10
 """Of values near 1 after about ten oscillations in some hundred steps at a tolerance of 1e-12."""

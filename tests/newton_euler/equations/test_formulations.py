@@ -11,12 +11,12 @@ import pytest
 from finite_difference import derivative, jacobian
 from mechanisms import spinning_top
 
-from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.formulation import REMEMBERED
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import to_array
 from newton_euler.model.euler_parameters import matrix_l, rotation
+from newton_euler.runs.assemble import initial_state
 
 
 def test_tracker_counts_as_the_paper_with_a_fixed_ground(tracker):

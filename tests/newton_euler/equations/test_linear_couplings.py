@@ -7,14 +7,14 @@ import pytest
 
 import mjcf
 import urdf
-from crosscheck.scenes.scene_file import read_scene, write_scene
+from crosscheck.library.scene_file import read_scene, write_scene
 from mjcf import read
 from mjcf.rigid import RigidMuJoCo
 from newton_euler import LinearCoupling, simulate
-from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
+from newton_euler.runs.assemble import initial_state
 from urdf import read as read_urdf
 from urdf.dynamics import PinocchioSystem
 

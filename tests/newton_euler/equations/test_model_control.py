@@ -12,12 +12,11 @@ from mechanisms import mass_on_rail
 import mjcf
 import newton_euler
 import urdf
-from crosscheck.comparison.energy import energy_balance
-from crosscheck.scenes import load
+from crosscheck.compare.energy import energy_balance
+from crosscheck.library import load
 from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
 from mjcf.write import to_xml
-from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.model_control import model_control
 from newton_euler.equations.relative import Relative
@@ -32,6 +31,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Steps
 from newton_euler.model.wind import WindLoad
+from newton_euler.runs.assemble import initial_state
 from urdf.dynamics import PinocchioSystem
 
 STIFFNESS, DAMPING = 400.0, 40.0

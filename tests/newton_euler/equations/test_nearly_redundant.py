@@ -12,14 +12,13 @@ from mechanisms import scaled
 
 import newton_euler
 import urdf
-from crosscheck.engines import ENGINES
+from crosscheck.compare.crosscheck import crosscheck
+from crosscheck.engines.engine import ENGINES
 from crosscheck.report.run import redundancy_lines
-from crosscheck.run import crosscheck
 from crosscheck.studies.stress.noise import MECHANISMS, SENSITIVITY, flat_four_bar
 from mjcf import read
 from mjcf.rigid import RigidMuJoCo
-from newton_euler.analysis.measurements import Measurements
-from newton_euler.assemble import assemble, initial_state
+from newton_euler.analysis.identification.measurements import Measurements
 from newton_euler.equations import redundancy
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.independence import independent
@@ -27,11 +26,12 @@ from newton_euler.equations.redundancy import constraint_rank, mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import sparse_vector
 from newton_euler.errors import NearlyRedundantWarning
-from newton_euler.exercise import random_states
 from newton_euler.model.couplings import Gear
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.reading.exercise import random_states
+from newton_euler.runs.assemble import assemble, initial_state
 from urdf import read as read_urdf
 from urdf.dynamics import PinocchioSystem
 

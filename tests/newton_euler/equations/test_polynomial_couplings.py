@@ -17,10 +17,10 @@ import mjcf
 import newton_euler
 import urdf
 from crosscheck import check
-from crosscheck.against.compare import Against, against
-from crosscheck.against.unsimulated import Model
-from crosscheck.outcome import Outcome
-from crosscheck.scenes.scene_file import read_scene, write_scene
+from crosscheck.compare.two_models.compare import Against, against
+from crosscheck.compare.two_models.unsimulated import Model
+from crosscheck.library.scene_file import read_scene, write_scene
+from crosscheck.report.outcome import Outcome
 from crosscheck.studies.faults.misreadings import misreadings
 from mjcf import read
 from mjcf.rigid import RigidMuJoCo
@@ -34,13 +34,13 @@ from newton_euler import (
     Revolute,
     Scene,
 )
-from newton_euler.assemble import assemble, initial_state, measured_coordinate
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.couplings import couplings, revolutions
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
 from newton_euler.model.initial_pose import described_at
 from newton_euler.model.state import State
+from newton_euler.runs.assemble import assemble, initial_state, measured_coordinate
 from urdf import read as read_urdf
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import LoopFileError

@@ -19,10 +19,9 @@ from mechanisms import (
 from overconstrained import LOOPS, linkage
 
 import newton_euler
-from crosscheck.engines import ENGINES
-from crosscheck.scenes import load
+from crosscheck.engines.engine import ENGINES
+from crosscheck.library import load
 from crosscheck.studies.stress.configurations import from_flat
-from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import independent_rows, minimum_norm, rank, solve_constrained
 from newton_euler.equations.redundancy import mobility
@@ -31,7 +30,6 @@ from newton_euler.equations.row_choice import rows_in_use
 from newton_euler.equations.sparse import to_array
 from newton_euler.equations.undetermined import undetermined
 from newton_euler.errors import NewtonEulerError
-from newton_euler.exercise import random_states
 from newton_euler.integrators.projection import project_position
 from newton_euler.model.couplings import Gear
 from newton_euler.model.euler_parameters import rotation
@@ -40,6 +38,8 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.reading.exercise import random_states
+from newton_euler.runs.assemble import initial_state
 
 FORMULATIONS = (Relative, Cartesian)
 

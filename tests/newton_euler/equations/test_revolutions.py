@@ -11,13 +11,13 @@ from mechanisms import ORIGIN, X, Y, Z, wheel
 
 import newton_euler
 from newton_euler import Body, Gear, Mechanism, Polynomial, PrescribedMotion, Scene, State
-from newton_euler.assemble import initial_state
+from newton_euler.compiled.formulations import formulate
 from newton_euler.equations.couplings import Coupling, revolutions
 from newton_euler.errors import MechanismError
-from newton_euler.integrators.formulations import formulate
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Revolute, Screw, Translational
+from newton_euler.runs.assemble import initial_state
 
 ANGLES = {"shaft_0": 1.0, "shaft_1": -2.5, "shaft_2": -7.5, "shaft_3": -30.0}
 """Of the four wheels of `train`, in angles of the first."""

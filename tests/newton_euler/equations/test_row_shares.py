@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from overconstrained import LOOPS, linkage
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.row_choice import constraint_scales, exchangeable_rows, rows_in_use
 from newton_euler.equations.row_shares import MIN_REGULAR, ScaledRows, varying_rows
-from newton_euler.variation import start
+from newton_euler.runs.variation import start
 
 
 def configurations(*shares, scales=(1.0, 1.0, 2.0)):

@@ -11,14 +11,13 @@ from mechanisms import mass_on_rail
 import mjcf
 import newton_euler
 import urdf
-from crosscheck.comparison.coverage import covered_by
-from crosscheck.comparison.energy import energy_balance
+from crosscheck.compare.coverage import covered_by
+from crosscheck.compare.energy import energy_balance
 from mjcf.errors import MjcfError
 from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
 from mjcf.tight import compiled
 from mjcf.write import to_xml
-from newton_euler.assemble import initial_state
 from newton_euler.equations.parameters import parameter_values, with_values
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
@@ -27,6 +26,7 @@ from newton_euler.model.joint_kinds import Revolute, Translational
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine
+from newton_euler.runs.assemble import initial_state
 from urdf.dynamics import PinocchioSystem
 
 GAINS = {"rail": (-2.0, -4.0), "pole": (-60.0, -16.0)}

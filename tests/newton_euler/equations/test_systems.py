@@ -16,19 +16,19 @@ from finite_difference import jacobian
 from mechanisms import REGULAR, SLIDER_ACCELERATIONS, bar, planar_four_bar, slider_tree
 from random_chains import CHAINS
 
-from crosscheck.engines import ENGINES
+from crosscheck.engines.engine import ENGINES
 from newton_euler import simulate
-from newton_euler.assemble import initial_state
+from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.row_choice import rows_in_use
 from newton_euler.equations.system import Evaluation, System, at_time, constraint_rate
-from newton_euler.exercise import random_states
-from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector
 from newton_euler.model.joint_kinds import Fixed, Free
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.reading.exercise import random_states
+from newton_euler.runs.assemble import initial_state
 from urdf.errors import UrdfError
 
 KINEMATICS = 1e-12

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from mechanisms import planar_four_bar, seven_hinges
 
-from crosscheck.comparison.levels import compare_equations, sampled
-from crosscheck.comparison.samples import Samples, States
-from crosscheck.engines import ENGINES
-from crosscheck.scenes import load
+from crosscheck.compare.levels import compare_equations, sampled
+from crosscheck.compare.samples import Samples, States
+from crosscheck.engines.engine import ENGINES
+from crosscheck.library import load
 from crosscheck.studies.random_scenes import random_scene
-from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.undetermined import determined, undetermined, undetermined_joints
-from newton_euler.exercise import random_states
+from newton_euler.reading.exercise import random_states
+from newton_euler.runs.assemble import initial_state
 
 
 @pytest.mark.parametrize("name", ["tracker", "pendulum", "chain", "slider_crank", "stewart", "free_top"])

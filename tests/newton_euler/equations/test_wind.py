@@ -27,10 +27,10 @@ from newton_euler import (
     wind_gust,
     wind_turbulence,
 )
+from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.equations.applied_forces import surroundings
-from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.euler_parameters import rotation
-from newton_euler.verification.wrenches import Wrenches
+from newton_euler.reading.wrenches import Wrenches
 
 X, Y, Z = np.eye(3)
 SPEED = 20.0

@@ -7,13 +7,13 @@ import pytest
 from overconstrained import linkage
 
 from newton_euler import simulate, simulate_batch
-from newton_euler.assemble import initial_state
-from newton_euler.integrators import run
+from newton_euler.compiled import run
+from newton_euler.compiled.callbacks import Callbacks
+from newton_euler.compiled.equations import Code
 from newton_euler.integrators import stepper as m
-from newton_euler.integrators.callbacks import Callbacks
-from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.options import Options
 from newton_euler.model.trajectory import IntegrationError
+from newton_euler.runs.assemble import initial_state
 
 
 def raising(error):

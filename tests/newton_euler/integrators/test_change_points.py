@@ -12,12 +12,12 @@ import re
 import numpy as np
 import pytest
 
-from newton_euler.batch import simulate_batch
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError
-from newton_euler.variation import start
+from newton_euler.runs.batch import simulate_batch
+from newton_euler.runs.variation import start
 
 CRANK, COUPLER, ROCKER = 0.6, 1.3, 1.7
 GROUND = COUPLER + ROCKER - CRANK

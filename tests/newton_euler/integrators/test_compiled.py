@@ -15,21 +15,21 @@ from elements import COUPLED, FORCES
 from mechanisms import GRAVITY, REGULAR, bar, bolted, planar_four_bar
 
 import newton_euler
-from crosscheck.scenes import SCENES, load
+from crosscheck.library import SCENES, load
 from newton_euler import compile_scene
-from newton_euler.assemble import initial_state
+from newton_euler.compiled.equations import Code
+from newton_euler.compiled.formulations import FORMULATIONS, formulate
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import constraint_rate
-from newton_euler.exercise import random_states
-from newton_euler.integrators.compiled import Code
-from newton_euler.integrators.formulations import FORMULATIONS, formulate
 from newton_euler.integrators.options import Options
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint_kinds import Fixed, Free, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.simulate import run
+from newton_euler.reading.exercise import random_states
+from newton_euler.runs.assemble import initial_state
+from newton_euler.runs.simulate import run
 
 LIBRARY = {name: lambda name=name: load(name) for name in SCENES if not name.startswith("tracker_")}
 

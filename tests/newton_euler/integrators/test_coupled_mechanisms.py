@@ -7,8 +7,8 @@ import pytest
 from elements import coupled_loop, coupled_tree
 
 import newton_euler
+from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.equations.relative import Relative
-from newton_euler.integrators.formulations import FORMULATIONS
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.integrators.callbacks import PythonCallback, vector_at
+from newton_euler.compiled.callbacks import PythonCallback, vector_at
 from newton_euler.integrators.dense_projection import WEAK, close, closing_of
 
 

@@ -12,7 +12,7 @@ from mechanisms import mass_on_rail, slider_tree
 import mjcf
 import newton_euler
 import urdf
-from crosscheck.comparison.coverage import covered_by
+from crosscheck.compare.coverage import covered_by
 from newton_euler.errors import MechanismError
 from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.digital_control import Digital

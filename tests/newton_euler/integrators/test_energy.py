@@ -15,11 +15,11 @@ from verdicts import verdicts
 
 import mjcf
 import newton_euler
-from crosscheck.comparison.energy import energy_balance
-from crosscheck.engines import ENGINES
-from crosscheck.scenes import load
+from crosscheck.compare.energy import energy_balance
+from crosscheck.engines.engine import ENGINES
+from crosscheck.library import load
 from newton_euler import PD, Body, JointSpring, Mechanism, Scene
-from newton_euler.integrators.formulations import FORMULATIONS
+from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.smooth_functions import Sine

@@ -11,15 +11,15 @@ from scipy.special import ellipj, ellipk
 
 import newton_euler
 import urdf
-from crosscheck.scenes import load
-from newton_euler.assemble import initial_state
+from crosscheck.library import load
+from newton_euler.compiled.interpreted import integrate
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import OptionError, UnknownNameError
-from newton_euler.integrators.interpreted import integrate
 from newton_euler.integrators.options import INTEGRATORS, STABILIZATIONS, Options
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.trajectory import IntegrationError
-from newton_euler.simulate import run
+from newton_euler.runs.assemble import initial_state
+from newton_euler.runs.simulate import run
 
 
 def exact_height(scene, times):

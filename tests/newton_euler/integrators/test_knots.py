@@ -15,12 +15,12 @@ from simulations import SIMULATIONS
 import mjcf
 import newton_euler
 import urdf
-from crosscheck.comparison.coverage import covered_by
-from crosscheck.comparison.energy import energy_balance
-from crosscheck.scenes import load
-from crosscheck.scenes.scene_file import content, write_scene
+from crosscheck.compare.coverage import covered_by
+from crosscheck.compare.energy import energy_balance
+from crosscheck.library import load
+from crosscheck.library.scene_file import content, write_scene
+from newton_euler.compiled.equations import Code
 from newton_euler.errors import MechanismError, NewtonEulerError
-from newton_euler.integrators.compiled import Code
 from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.digital_control import Digital, Sampled
 from newton_euler.model.motions import PrescribedMotion, Sum, scaled

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from hanging_chains import hanging_chain, lagrange
 
-from newton_euler.analysis.sensitivity import sensitivities
+from newton_euler.analysis.sensitivity.sensitivities import sensitivities
+from newton_euler.compiled.equations import Code
+from newton_euler.compiled.run import Integrator
 from newton_euler.errors import SensitivityError
-from newton_euler.exercise import random_states
-from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.options import Options
-from newton_euler.integrators.run import Integrator
 from newton_euler.integrators.singular import NEAR
 from newton_euler.model.couplings import Gear
 from newton_euler.model.digital_control import Sampled
@@ -21,7 +20,8 @@ from newton_euler.model.joint_kinds import Revolute, Rod
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.simulate import simulate
+from newton_euler.reading.exercise import random_states
+from newton_euler.runs.simulate import simulate
 
 G = 9.81
 

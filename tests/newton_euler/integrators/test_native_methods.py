@@ -5,14 +5,14 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler.codegen.compile import NativeFunction
 from newton_euler.codegen.native import Record
 from newton_euler.codegen.native_functions import NativeFunctions
+from newton_euler.compiled.run import METHODS, Integrator
 from newton_euler.integrators.options import FIXED, STABILIZATIONS, Options
-from newton_euler.integrators.run import METHODS, Integrator
 from newton_euler.integrators.stepper import DONE, STATUS
-from newton_euler.simulate import CompiledScene
+from newton_euler.runs.simulate import CompiledScene
 
 OPTIONS = {name: {"step": 0.01} if name in FIXED else {"rtol": 1e-4} for name in METHODS}
 

@@ -15,20 +15,20 @@ from overconstrained import LOOPS, SPEED, centers, linkage, side_by_side
 from scipy.optimize import minimize_scalar
 
 import newton_euler
-from crosscheck.engines import ENGINES
-from crosscheck.scenes import load
+from crosscheck.engines.engine import ENGINES
+from crosscheck.library import load
+from newton_euler.compiled.constraint_groups import constraint_groups
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.row_choice import exchangeable_rows, exchanged
 from newton_euler.equations.system import dimensionless_jacobian
-from newton_euler.integrators.constraint_groups import constraint_groups
 from newton_euler.integrators.options import Options
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.state import State
-from newton_euler.simulate import run as run_system
-from newton_euler.variation import start
+from newton_euler.runs.simulate import run as run_system
+from newton_euler.runs.variation import start
 
 FORMULATIONS = ("relative", "cartesian")
 POSES = frozenset[str]()

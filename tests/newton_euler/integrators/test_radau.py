@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import newton_euler
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler import PD, compile_scene
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.integrators.constraint_ratio import no_ratio

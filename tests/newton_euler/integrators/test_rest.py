@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import urdf
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler import Sine, Steps, simulate, simulate_batch
 from newton_euler.errors import OptionError
 

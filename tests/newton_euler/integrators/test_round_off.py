@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hanging_chains import hanging_chain, lagrange
 
-from newton_euler.batch import simulate_batch
 from newton_euler.errors import RoundOffWarning
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.simulate import simulate
+from newton_euler.runs.batch import simulate_batch
+from newton_euler.runs.simulate import simulate
 
 LINKS, LENGTH, ANGLE = 20, 0.1, 1.2
 RTOL = 1e-13

@@ -18,7 +18,6 @@ from mjcf.model import CompiledScene
 from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
 from mjcf.write import to_xml
-from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import OptionError
 from newton_euler.integrators.options import Options
@@ -27,7 +26,8 @@ from newton_euler.model.digital_control import Sampled
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError, Trajectory
-from newton_euler.simulate import run
+from newton_euler.runs.assemble import initial_state
+from newton_euler.runs.simulate import run
 from urdf.dynamics import PinocchioSystem
 
 FIXED: dict[str, Callable[[Scene], Trajectory]] = {

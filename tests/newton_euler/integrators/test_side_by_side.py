@@ -6,20 +6,20 @@ from functools import partial
 import numpy as np
 import pytest
 
-from crosscheck.scenes import load
+from crosscheck.library import load
 from newton_euler.codegen.compile import lane_count
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.codegen.trigonometry import REGISTER
+from newton_euler.compiled.lanes import Runs, SideBySide, load_lanes
+from newton_euler.compiled.run import Fallback, Integrator, Projection, equations
 from newton_euler.errors import NewtonEulerError
-from newton_euler.exercise import random_states
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.dense_projection import ROUND_OFF
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.projection import project_rows
-from newton_euler.integrators.run import Fallback, Integrator, Projection, equations
-from newton_euler.integrators.side_by_side import Runs, SideBySide, load_lanes
 from newton_euler.model.trajectory import IntegrationError
-from newton_euler.simulate import CompiledScene
+from newton_euler.reading.exercise import random_states
+from newton_euler.runs.simulate import CompiledScene
 
 
 def recorded(code, times, table):
@@ -214,7 +214,7 @@ def test_a_run_that_fails_leaves_the_others_as_they_are(starts):
 def test_large_programs_run_in_lanes(starts, monkeypatch, very_large):
     """One by one they are rolled up into loops."""
     monkeypatch.setattr("newton_euler.codegen.compile.LARGE", 1)
-    for module in ("codegen.compile", "integrators.compiled"):
+    for module in ("codegen.compile", "compiled.equations"):
         monkeypatch.setattr(f"newton_euler.{module}.VERY_LARGE", very_large)
     first, x = starts("chain", "relative")
     code = CompiledScene(first.scene)

@@ -10,11 +10,11 @@ import pytest
 import mjcf
 import newton_euler
 import urdf
-from crosscheck.scenes import load
-from newton_euler.assemble import initial_state
+from crosscheck.library import load
 from newton_euler.errors import NewtonEulerError, OptionError
 from newton_euler.model.euler_parameters import angle_between, rotation
 from newton_euler.model.trajectory import load_arrays
+from newton_euler.runs.assemble import initial_state
 
 TIGHT = {"rtol": 1e-11, "atol": 1e-13}
 

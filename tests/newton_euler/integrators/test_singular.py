@@ -12,15 +12,14 @@ from mechanisms import bar, pendulum, seven_hinges
 from scipy.integrate import solve_ivp
 
 import newton_euler
-from crosscheck.comparison.figure import OF_EQUATIONS
-from crosscheck.engines import ENGINES, choose
-from crosscheck.outcome import Outcome
-from crosscheck.run import crosscheck
-from newton_euler.assemble import initial_state
+from crosscheck.compare.crosscheck import crosscheck
+from crosscheck.compare.figure import OF_EQUATIONS
+from crosscheck.engines.engine import ENGINES, choose
+from crosscheck.report.outcome import Outcome
+from newton_euler.compiled.equations import OPEN_TOLERANCE
 from newton_euler.equations.parameters import parameter_values
 from newton_euler.equations.system import MassProperties
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators.compiled import OPEN_TOLERANCE
 from newton_euler.integrators.constraint_ratio import no_ratio
 from newton_euler.integrators.projection import NATIVE_STEPS, check_still_closed, project
 from newton_euler.integrators.row_exchange import no_exchange
@@ -33,6 +32,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.splines import Steps
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import IntegrationError, UndeterminedStartError
+from newton_euler.runs.assemble import initial_state
 
 Y = np.array([0.0, 1.0, 0.0])
 MASSES = (1.0, 2.0, 1.5)

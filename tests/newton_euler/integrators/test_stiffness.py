@@ -12,11 +12,12 @@ import pytest
 from mechanisms import pendulum
 
 import mjcf
-from crosscheck import engines, limit
-from crosscheck.engines import ENGINES, choose
+from crosscheck.compare.crosscheck import crosscheck
+from crosscheck.engines import engine as engines
+from crosscheck.engines.engine import ENGINES, choose
+from crosscheck.engines.stiffness import STABLE, explicit_steps, fastest_decay, is_stable_in_rk4, modes_of_run
 from crosscheck.report.run import notes
-from crosscheck.run import crosscheck
-from crosscheck.stiffness import STABLE, explicit_steps, fastest_decay, is_stable_in_rk4, modes_of_run
+from crosscheck.support import time_limits as limit
 from mjcf.errors import DivergenceError
 from newton_euler import simulate
 from newton_euler.limits import changed
@@ -202,7 +203,7 @@ def test_coverage_that_takes_too_long_is_left_out(monkeypatch: pytest.MonkeyPatc
     def endless(*arguments: Any) -> None:
         without_end(pendulum())
 
-    monkeypatch.setattr("crosscheck.run.coverage", endless)
+    monkeypatch.setattr("crosscheck.compare.crosscheck.coverage", endless)
     monkeypatch.setattr(limit, "PERIOD", 0.1)
     with changed({"coverage_time": 0.5}):
         result = crosscheck(pendulum(), choose(["newton_euler", "mujoco"]), lambda _: None, "x", {})

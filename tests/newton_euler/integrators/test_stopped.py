@@ -15,22 +15,22 @@ from command_line import verdict_of
 import mjcf
 import newton_euler
 import urdf
-from crosscheck import limit
+from crosscheck.cli.run_all import outcome
 from crosscheck.cli.shared import UNFINISHED
-from crosscheck.engines import ENGINES as ENGINES_BY_NAME
-from crosscheck.run_all import outcome
-from crosscheck.scenes import load
-from crosscheck.scenes.scene_file import write_scene
+from crosscheck.engines.engine import ENGINES as ENGINES_BY_NAME
+from crosscheck.library import load
+from crosscheck.library.scene_file import write_scene
 from crosscheck.studies.faults import plant
+from crosscheck.support import time_limits as limit
 from newton_euler import PD, Body, Mechanism, Sampled, Scene
-from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.integrators.options import Options
 from newton_euler.limits import VARIABLE
 from newton_euler.model.forces import Wrench
 from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory, load_arrays
-from newton_euler.simulate import run
+from newton_euler.runs.assemble import initial_state
+from newton_euler.runs.simulate import run
 
 GROWTH = 1000.0
 """1/s: a speed of 1 m/s, cosh(1000 t), is 1e300 after 0.7 s."""

@@ -8,20 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from crosscheck.scenes import load
-from newton_euler.assemble import initial_state
-from newton_euler.integrators.callbacks import Callbacks
-from newton_euler.integrators.compiled import Code
-from newton_euler.integrators.failures import STABILITY_LIMITS, fastest_rate, first_above
+from crosscheck.library import load
+from newton_euler.compiled.callbacks import Callbacks
+from newton_euler.compiled.equations import Code
+from newton_euler.compiled.failures import STABILITY_LIMITS, fastest_rate, first_above
+from newton_euler.compiled.run import Integrator
 from newton_euler.integrators.options import Options
-from newton_euler.integrators.run import Integrator
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint_kinds import Prismatic, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError
-from newton_euler.simulate import simulate
-from newton_euler.variation import start
+from newton_euler.runs.assemble import initial_state
+from newton_euler.runs.simulate import simulate
+from newton_euler.runs.variation import start
 
 FORMULATIONS = ("relative", "cartesian")
 

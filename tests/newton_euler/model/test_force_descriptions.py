@@ -10,12 +10,12 @@ from mechanisms import line_spring, mass_on_rail
 
 import newton_euler
 from newton_euler import PD, JointSpring, PointSpring, Wrench
-from newton_euler.assemble import initial_state
+from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.equations.parameters import parameter_values
 from newton_euler.errors import MechanismError, UnknownNameError
-from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.trajectory import IntegrationError
-from newton_euler.simulate import compile_scene
+from newton_euler.runs.assemble import initial_state
+from newton_euler.runs.simulate import compile_scene
 
 both = pytest.mark.parametrize("formulation", FORMULATIONS)
 

@@ -11,9 +11,8 @@ from ball_scenes import with_balls
 from elements import COUPLED, ELEMENTS
 from mechanisms import ball_loop, bar, carts
 
+from newton_euler.compiled.formulations import formulate
 from newton_euler.errors import MechanismError
-from newton_euler.exercise import random_states
-from newton_euler.integrators.formulations import formulate
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.digital_control import Digital, Sampled
 from newton_euler.model.geometry import Box, Cylinder, Mesh, Sphere
@@ -23,7 +22,8 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Spline, Steps
-from newton_euler.simulate import simulate
+from newton_euler.reading.exercise import random_states
+from newton_euler.runs.simulate import simulate
 
 TURNING = {"forces, slider_tree", "forces, planar, reversed", "forces, motions of a tree"}
 """Scenes with forces along slides that turn with a body."""

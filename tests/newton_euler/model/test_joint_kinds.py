@@ -12,17 +12,17 @@ from scipy.integrate import solve_ivp
 
 import newton_euler
 from newton_euler import Body, Mechanism, Scene, State
+from newton_euler.compiled.equations import Code
+from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
-from newton_euler.exercise import random_states
-from newton_euler.integrators.compiled import Code
-from newton_euler.integrators.formulations import FORMULATIONS
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Planar, PointOnLine, Revolute, Rod, Spherical
 from newton_euler.model.joint_parts import Part, combined
 from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.spanning_tree import SpanningTree
+from newton_euler.reading.exercise import random_states
 
 ORIGIN = [0.0, 0.0, 0.0]
 INTEGRATED = 2e-8

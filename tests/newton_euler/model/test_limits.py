@@ -17,11 +17,11 @@ from hostile_files import MJCF, WEDGE
 
 import mjcf
 import newton_euler
-from crosscheck.model_files.read import MJCF_OPTIONS, URDF_OPTIONS
+from crosscheck.library import SCENES, load
+from crosscheck.library.options import options_of
+from crosscheck.loading.model_files import MJCF_OPTIONS, URDF_OPTIONS
 from crosscheck.recording.log import log_run, recorded
 from crosscheck.recording.mesh_budget import engines_with_meshes
-from crosscheck.scenes import SCENES, load
-from crosscheck.scenes.options import options_of
 from mjcf.errors import ModelError
 from newton_euler.errors import OptionError, UnknownNameError, listed
 from newton_euler.limits import LIMITS, VARIABLE, changed, exceeded, limit, too_small

@@ -10,10 +10,10 @@ import pytest
 from mechanisms import pendulum, spinning_top
 
 from newton_euler import PD, State
-from newton_euler.assemble import initial_state
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.geometry import Box, Capsule
 from newton_euler.model.written_file import atomic_file
+from newton_euler.runs.assemble import initial_state
 
 START = State.initial(pendulum().mechanism)
 MASKED = np.ma.array(START.position, mask=START.position > 0.4)

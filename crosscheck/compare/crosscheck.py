@@ -1,0 +1,446 @@
+"""One crosscheck: a scene through several engines, compared, written to a folder."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+from crosscheck.compare.activity import reduction, watched
+from crosscheck.compare.advice import Advice, advise
+from crosscheck.compare.coverage import Coverage, coverage
+from crosscheck.compare.diagnosis import Diagnosis, diagnose
+from crosscheck.compare.figure import READING, Figure, not_judged
+from crosscheck.compare.known_figures import Measured, known_of, measure
+from crosscheck.compare.levels import in_order, reading_rows, stages
+from crosscheck.compare.runs import errors_of_runs, rests
+from crosscheck.compare.singularity import Passage, passage
+from crosscheck.engines.engine import Engine
+from crosscheck.engines.engine_runs import Stop, as_far_as_it_goes, each_run, finite, stops_text
+from crosscheck.library.options import titled
+from crosscheck.loading.load import told_options
+from crosscheck.report.outcome import Outcome
+from crosscheck.support.errors import CrosscheckError, reason_of
+from crosscheck.support.time_limits import SHORTER, limited
+from crosscheck.support.versions import versions
+from newton_euler.equations.redundancy import mobility
+from newton_euler.errors import NewtonEulerError
+from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import SpanningTree
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.import_report import ImportedElement, ImportReport
+
+SAMPLES = 200
+"""Velocities, at least, that the random states at which the engines' equations are compared have together."""
+
+FEWEST_STATES, MOST_STATES = 4, 20
+"""Of these: each is a sample of all joints of a large mechanism, and of few of a small one."""
+
+NO_VERDICT = "it is left out, the verdict does not depend on it"
+"""What to do about coverage that takes too long."""
+
+MISREAD = "the scene is not what the file says: no engine was run, and nothing else was compared"
+"""Note on a crosscheck that ends with the comparison with the file."""
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Crosscheck:
+    """Result of a crosscheck.
+
+    Attributes:
+        source: the name or the file that the scene was loaded from; empty if it was made in Python.
+        options: of the scene, as they were set.
+        scene: what was run.
+        engines: those that can express the scene, in the order asked for.
+        left_out: engines that cannot express the scene, and why.
+        trajectories: by engine, as far as they came; none of an engine that came nowhere.
+        figures: all that were compared.
+        measured: figures that are known from elsewhere, as the engines give them.
+        wall_time: s, of everything.
+        mapping: what became of the elements of a model file; None for a scene of this package's own.
+        advice: what to do about what was measured, where that was asked for.
+        unfinished: engines that stopped, and parts of the comparison that did not come to their end.
+        coverage: elements that the compared runs test; None where no trajectories were compared, and where
+            `notes` say why it is not known.
+        notes: what else there is to say, a line each: what beside the comparison did not come to its end.
+        off_by: by engine its run's distance from the finest, see `errors_of_runs`.
+        singular: singular configurations of the first engine's run; None if there are none.
+    """
+
+    source: str
+    options: Mapping[str, str]
+    scene: Scene
+    engines: tuple[Engine, ...]
+    left_out: dict[str, str]
+    trajectories: dict[str, Trajectory]
+    figures: tuple[Figure, ...]
+    measured: tuple[Measured, ...]
+    wall_time: float
+    mapping: ImportReport | None = None
+    advice: tuple[Advice, ...] = ()
+    unfinished: tuple[Stop, ...] = ()
+    coverage: Coverage | None = None
+    notes: tuple[str, ...] = ()
+    off_by: Mapping[str, float] = field(default_factory=dict)
+    singular: Passage | None = None
+
+    @property
+    def title(self) -> str:
+        """The scene's name, with the options that were set."""
+        return titled(self.scene.name, told_options(self.options))
+
+    @property
+    def rests(self) -> bool:
+        """True if nothing moves in the runs, so that trajectories and energies test nothing."""
+        return rests(self.scene, self.engines, self.trajectories)
+
+    @property
+    def differs(self) -> bool:
+        """True if any figure exceeds its tolerance."""
+        return not all(row.agrees for row in self.figures) or not all(known.agrees for known in self.measured)
+
+    @property
+    def outcome(self) -> Outcome:
+        """The outcome; one that says more against agreement comes before one that says less."""
+        if self.unfinished:
+            return Outcome.UNFINISHED
+        if self.differs:
+            return Outcome.DISAGREE
+        if self.left_out:
+            return Outcome.NOT_COMPARED if self._alone else Outcome.AGREE_OF_SOME_ENGINES
+        if self._alone:
+            return Outcome.ONE_ENGINE_ALONE
+        if self.acting:
+            return Outcome.AGREE_ON_A_REDUCED_MODEL
+        if self.untested:
+            return Outcome.AGREE_AT_RANDOM_STATES_ONLY
+        return Outcome.AGREE
+
+    @property
+    def agrees(self) -> bool:
+        """True for AGREE alone: all checks passed, and all that acted in the file was simulated."""
+        return self.outcome is Outcome.AGREE
+
+    @property
+    def untested(self) -> bool:
+        """True if the motion is known to test none of the elements."""
+        covered = self.coverage
+        return covered is not None and len(covered.untested) == len(covered.elements)
+
+    @property
+    def acting(self) -> list[ImportedElement]:
+        """Elements of the file that acted and were not simulated as the file has them, in order of time."""
+        return self.mapping.acting if self.mapping else []
+
+    @property
+    def until(self) -> float | None:
+        """s, the first time at which the model that was run is not the file's; None if it always is."""
+        return self.acting[0].since if self.acting else None
+
+    @property
+    def misread(self) -> bool:
+        """True if the scene is not what the file says, whichever engine evaluates it."""
+        return _misread(self.engines, self.figures)
+
+    @cached_property
+    def diagnosis(self) -> tuple[Diagnosis, ...]:
+        """Who differs, at the first level at which any engine does, and then without it."""
+        names, stopped = [each.name for each in self.engines], {stop.what for stop in self.unfinished}
+        soft = [each.name for each in self.engines if each.soft_start and each.name not in stopped]
+        return diagnose(names, self.figures, self.measured, soft, mobility(self.scene).nearly)
+
+    @property
+    def _of_engines(self) -> str:
+        """Word how many engines are compared, if not all that were asked for."""
+        count = len(self.engines)
+        return f" ({count} of {count + len(self.left_out)} engines)" if self.left_out else ""
+
+    @property
+    def verdict(self) -> str:
+        """One line: whether the engines agree, or which one does not, where, and what did not end."""
+        word, found = self._judgment()
+        for name, reason in self.left_out.items():
+            found += f"; {name} left out: {reason}"
+        if self.left_out:
+            names = ",".join(engine.name for engine in self.engines)
+            found += f"; to do without, name the others (--engines {names})"
+        if self.unfinished:
+            stopped = {stop.what for stop in self.unfinished}
+            ended = [name for name in self.trajectories if name not in stopped]
+            others = ""
+            if 0 < len(ended) < len(self.engines) and not self.diagnosis:
+                others = f"; {' and '.join(ended)} ran to the end"
+            return f"{self.outcome}: {stops_text(self.unfinished)}{others}; as far as compared {found}"
+        return f"{word}: {found}"
+
+    def _judgment(self) -> tuple[str, str]:
+        """A word and what the figures say."""
+        names = ", ".join(engine.name for engine in self.engines)
+        if self.left_out and self._alone:
+            found = f"nothing could be compared on {self.title}, ran {names} alone; its own figures"
+            return self.outcome, f"{found} {self._own_figures}"
+        if self._alone:
+            found = f"ran {names} on {self.title}: nothing to compare it with; its own figures"
+            found += f" {self._own_figures}"
+            return self.outcome, "; ".join(filter(None, [found, self._reduced]))
+        if self.diagnosis:
+            first, *others = self.diagnosis
+            said = [f"{first.who}; {first.place}", first.blame]
+            said += [f"then {other.who}, {other.place}" for other in others]
+            if self._reduced and not self.misread:
+                said.append(self._reduced)
+            differ = "; ".join(filter(None, said))
+            return f"{Outcome.DISAGREE}{self._of_engines}", f"{differ} ({self._failed})"
+        agree = f"{names} agree on {self.title} in all {len(self.judged)} figures{self._beside}"
+        if self._reduced:
+            agree = f"{self._reduced}; {agree}"
+        some = self.outcome in (Outcome.AGREE_OF_SOME_ENGINES, Outcome.UNFINISHED)
+        return f"AGREE{self._of_engines}" if some else self.outcome, agree
+
+    @property
+    def _reduced(self) -> str:
+        """Word the elements that acted and were not simulated, and which part of the run is the file's."""
+        return reduction(self.acting) if self.acting else ""
+
+    @property
+    def _alone(self) -> bool:
+        """True if one engine has nothing to be compared with but its own figures."""
+        compared = any(len(row.between) > 1 for row in self.figures if not row.agrees)
+        return len(self.engines) == 1 and not compared and all(known.agrees for known in self.measured)
+
+    @property
+    def _own_figures(self) -> str:
+        """Those of a single engine."""
+        failed = next((row for row in self.figures if not row.agrees), None)
+        if failed is None:
+            return f"hold, all {len(self.judged)}{self._beside}"
+        return (
+            f"fail at level '{failed.level}': {failed.quantity}: {failed.value:.3g} > "
+            f"{failed.tolerance:.3g}, worst at {failed.where} ({self._failed})"
+        )
+
+    @property
+    def judged(self) -> tuple[Figure, ...]:
+        """Figures that decide the outcome; the verdict counts these."""
+        return tuple(row for row in self.figures if not row.informs)
+
+    @property
+    def _failed(self) -> str:
+        """Word the number of figures that fail."""
+        failed = sum(not row.agrees for row in self.figures)
+        if failed:
+            return f"{failed} of {len(self.judged)} figures fail"
+        wrong = sum(not measured.agrees for measured in self.measured)
+        return f"{wrong} of {len(self.measured)} known figures fail"
+
+    @property
+    def _beside(self) -> str:
+        """Word what there is to say of figures that hold."""
+        said = f", and the reference in all {len(self.measured)}" if self.measured else ""
+        said += not_judged(self.figures)
+        said += "; nothing moves" if self.rests else ""
+        if self.coverage:
+            said += f"; {self.coverage}"
+        elif len(self.engines) > 1:
+            said += "; what the motion covers is not known"
+        originals = self.mapping.originals if self.mapping else []
+        if originals and not any(original.tells for original, _ in originals):
+            said += "; motions are not verified against the file: no state tells them"
+        if self.mapping and (counts := self.mapping.counts()):
+            said += f"; of what can act in the file {counts}"
+        return said
+
+    def summary(self) -> dict[str, Any]:
+        """All figures, versions, settings and wall times, for JSON."""
+        packages = sorted({"numpy", "scipy", "rerun-sdk", *(engine.package for engine in self.engines)})
+        return {
+            "scene": self.scene.name,
+            "source": self.source,
+            "options": dict(self.options),
+            "agrees": self.agrees,
+            "outcome": self.outcome.value,
+            "not_simulated": [asdict(entry) for entry in self.acting],
+            "as_in_the_file_until": self.until,
+            "verdict": self.verdict,
+            "wall_time": self.wall_time,
+            "versions": versions(packages),
+            "diagnosis": [diagnosis.summary() for diagnosis in self.diagnosis],
+            "unfinished": [asdict(stop) for stop in self.unfinished],
+            "engines": {engine.name: self._ran(engine.name) for engine in self.engines},
+            "left_out": self.left_out,
+            "mapping": [asdict(entry) for entry in self.mapping.entries] if self.mapping else None,
+            "findings": [asdict(each) for each in self.mapping.findings] if self.mapping else None,
+            "start": self.mapping.start if self.mapping else None,
+            "moved_start": asdict(moved) if self.mapping and (moved := self.mapping.moved) else None,
+            "changed_velocities": asdict(changed)
+            if self.mapping and (changed := self.mapping.changed_velocities)
+            else None,
+            "settings_of_the_file": self.mapping.settings if self.mapping else None,
+            "figures": [asdict(row) | {"agrees": row.agrees} for row in self.figures],
+            "known_figures": [measured.summary() for measured in self.measured],
+            "advice": [asdict(advice) for advice in self.advice],
+            "coverage": self.coverage.summary() if self.coverage else None,
+            "notes": list(self.notes),
+            "singular": asdict(self.singular) if self.singular else None,
+        }
+
+    def _ran(self, name: str) -> dict[str, Any]:
+        """Return settings and counts of an engine's run, for JSON."""
+        if name not in self.trajectories:
+            return {"settings": {}, "wall_time": None, "off_by": None}
+        run = self.trajectories[name]
+        return {"settings": run.settings, "wall_time": run.wall_time, "off_by": self.off_by.get(name)}
+
+
+def crosscheck(
+    scene: Scene,
+    engines: Sequence[Engine],
+    progress: Progress,
+    source: str,
+    options: Mapping[str, str],
+    mapping: ImportReport | None = None,
+    advised: bool = False,
+) -> Crosscheck:
+    """Run a scene through the engines and compare them; `progress` is told each stage.
+
+    What can be compared is compared, whatever stops or fails. Advice takes runs of its own, and is worked out
+    if `advised` is set and all came to an end.
+
+    Raises:
+        CrosscheckError: for a scene without the outputs that are compared, and where nothing can be: no
+            engine runs and no figure is had.
+        NewtonEulerError: for a scene that no engine can express.
+    """
+    for output in ("velocities", "reactions", "violation"):
+        if output not in scene.outputs:
+            raise CrosscheckError(f"scene {scene.name!r} does not ask for the output {output!r}, needed here")
+    start = time.perf_counter()
+    able, left_out = _able(scene, engines)
+    rows: list[Figure] = []
+    unread: list[Stop] = []
+    what = "comparing with the file"
+    with as_far_as_it_goes(what, unread), limited(what, SHORTER, progress):
+        for row in finite(reading_rows(able, mapping)):
+            rows.append(row)  # not all at once: those before an error are kept
+    if _misread(able, rows):
+        took = time.perf_counter() - start
+        noted = (MISREAD,)
+        return Crosscheck(
+            source, options, scene, tuple(able), left_out, {}, tuple(rows), (), took, mapping, notes=noted
+        )
+    runs, stops = each_run(scene, able, progress)
+    stopped = {stop.what for stop in stops}
+    stops += unread
+    beside: list[Stop] = []
+    if mapping and runs:
+        what = "watching what was left out"
+        unseen, mapping = mapping, mapping.unwatched()  # which counts if watching stops
+        with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
+            mapping = watched(scene, unseen, next(iter(runs.values())))
+    until = mapping.acting[0].since if mapping and mapping.acting else None
+    # runs of a motion that the scene does not determine say nothing about each other
+    comparable = {} if any(stop.undetermined for stop in stops) else runs
+    for what, stage in stages(scene, able, comparable, _random_states(scene), until).items():
+        with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
+            for row in finite(stage(tuple(rows))):
+                rows.append(row)
+    if not (rows or runs):
+        raise CrosscheckError(stops_text(stops))
+    rows = in_order(rows)
+    measured: list[Measured] = []
+    known = known_of(source, options)
+    for engine in able if known else ():
+        if engine.name not in stopped:
+            what = f"{engine.name}: known figures"
+            with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
+                measured.extend(measure(source, scene, engine, runs[engine.name], known))
+    found: Coverage | None = None
+    what = "working out what the motion covers"
+    with as_far_as_it_goes(what, beside), limited(what, NO_VERDICT, progress, "coverage_time"):
+        found = coverage(scene, comparable, rows)
+    singular: Passage | None = None
+    what = "searching singular configurations"
+    with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
+        singular = passage(scene, next(iter(runs.values()))) if runs else None
+    advice: tuple[Advice, ...] = ()
+    if advised and not stops:
+        what = "working out advice"
+        with as_far_as_it_goes(what, beside), limited(what, "there is none", progress):
+            advice = advise(scene, able, runs, rows)
+    result = Crosscheck(
+        source,
+        options,
+        scene,
+        tuple(able),
+        left_out,
+        runs,
+        tuple(rows),
+        tuple(measured),
+        time.perf_counter() - start,
+        mapping,
+        advice,
+        tuple(stops),
+        found,
+        singular=singular,
+    )
+    off_by: dict[str, float] = {}
+    odd = {diagnosis.odd for diagnosis in result.diagnosis}
+    what = "measuring each engine's error"
+    with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
+        off_by = errors_of_runs(scene, [engine for engine in able if engine.name not in odd], comparable)
+    wall_time = time.perf_counter() - start
+    return replace(result, off_by=off_by, notes=tuple(map(str, beside)), wall_time=wall_time)
+
+
+def _misread(engines: Sequence[Engine], rows: Sequence[Figure]) -> bool:
+    """Return True if every engine's equations of a scene differ from those of the file it was read from."""
+    wrong = {row.between[0] for row in rows if row.level == READING and not row.agrees}
+    return bool(engines) and wrong >= {engine.name for engine in engines}
+
+
+def _random_states(scene: Scene) -> int:
+    """Number of random consistent states at which the engines' equations are compared."""
+    return max(FEWEST_STATES, min(MOST_STATES, -(-SAMPLES // max(1, SpanningTree(scene.mechanism).nv))))
+
+
+def _able(scene: Scene, engines: Sequence[Engine]) -> tuple[list[Engine], dict[str, str]]:
+    """The engines that can express a scene, and why the others cannot.
+
+    Those that can make their finer run at most once, for all that it is compared with; where it stops, they
+    say whose it was. Their equations of a scene are made once, too.
+
+    Raises:
+        NewtonEulerError: the first engine's own where none can.
+    """
+    able, errors = [], {}
+    for engine in engines:
+        one = replace(engine, refined=lru_cache(_named(engine)), systems=lru_cache(engine.systems))
+        try:
+            one.systems(scene)
+        except NewtonEulerError as error:
+            errors[engine.name] = error
+        else:
+            able.append(one)
+    if not able:
+        raise errors[engines[0].name]
+    return able, {name: str(error) for name, error in errors.items()}
+
+
+def _named(engine: Engine) -> Callable[[Scene], Trajectory]:
+    """The engine's finer run, with errors that name it."""
+
+    def refined(scene: Scene) -> Trajectory:
+        name = f"{engine.name}, in a finer run for comparison"
+        try:
+            return engine.refined(scene)
+        except NewtonEulerError as error:
+            error.args = (f"{name}: {error}",)
+            raise
+        except Exception as error:
+            raise CrosscheckError(f"{name}: {reason_of(error)}") from error
+
+    return refined

@@ -1,0 +1,402 @@
+"""Diagnosis of a comparison: the odd one out at the first level where anything parts.
+
+Participants are the engines, the formulations of newton_euler where these part from each other, and the model
+file at the level `READING`. A participant that parts from all others, while those agree with each other, is
+wrong. Where that settles nothing, as with two engines, figures may that an engine has by itself or that are
+known from elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from crosscheck.compare.figure import FILE, LEVELS, OF_RUNS, OPEN, READING, REFERENCE, Figure
+from crosscheck.compare.known_figures import Measured
+from newton_euler.compiled.formulations import FORMULATIONS
+from newton_euler.equations.redundancy import NearlyRedundant
+
+SYSTEMS = tuple(FORMULATIONS)
+"""Formulations of `OWNER`; its runs are those of the first."""
+
+ORDER = (*LEVELS, REFERENCE)
+
+OWNER = "newton_euler"
+"""The engine of `SYSTEMS`."""
+
+MOMENTUM = "momentum balance, rel"
+"""The figure of one engine that is about its model, though its level is one of runs."""
+
+NEARER = 10.0
+"""Times as far from a third as the other of two the odd one has to be: tolerances differ between pairs."""
+
+FELT = 1e-7
+"""Least singular value s of a nearly redundant constraint that soft ones feel in a run. MuJoCo's, which
+give way by a share of 1e-4 within 2e-3 s, push with s^2 / (1e-4 (2e-3 s)^2): 1 % of inertia within 20 s."""
+
+FAULTS = {
+    "model": "{} model is wrong",
+    "integration": "{} integration is at fault",
+    "reading": "the reading of the file is wrong",
+    "softness": "{} constraints are too soft: {}",
+    "resolution": "{} step is too large for this model, or its soft constraints resist each other",
+    "redundancy": "what each makes of nearly redundant constraints is the difference: {1}",
+}
+"""Blame in words, with the possessive of who is blamed and the evidence."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Who differs at one level.
+
+    Attributes:
+        odd: the participant that differs; empty if nothing settles who.
+        parting: all participants that part at the level.
+        agree: those that are not odd and agree with each other there.
+        within: the largest judged difference of those, m, rad or relative: of all levels if they agree in
+            all figures, otherwise of this one. None of fewer than two.
+        everywhere: whether those agree in all figures.
+        level, quantity, value, tolerance, where, detail: of the first figure that fails.
+        settled_by: "others", "nearness", "reference", or the quantity of the odd one's own that fails; "own"
+            of several that fail by themselves.
+        fault: a key of `FAULTS`; empty if nothing settles whose.
+        evidence: the nearly redundant constraints that are at fault, or how far soft ones open, in words.
+    """
+
+    odd: str
+    parting: tuple[str, ...]
+    agree: tuple[str, ...]
+    within: float | None
+    everywhere: bool
+    level: str
+    quantity: str
+    value: float
+    tolerance: float
+    where: str
+    settled_by: str = ""
+    fault: str = ""
+    evidence: str = ""
+    detail: str = ""
+
+    def summary(self) -> dict[str, Any]:
+        """For JSON; the engine of an odd formulation is named beside it."""
+        engine = OWNER if self.odd in SYSTEMS else "" if self.odd == FILE else self.odd
+        return {"engine": engine, **asdict(self)}
+
+    @property
+    def who(self) -> str:
+        """Who differs, and how well the others agree."""
+        others = _listed(self.agree)
+        agreement = ""
+        if self.within is not None:
+            scope = "all figures" if self.everywhere else f"level '{self.level}'"
+            agreement = f"{others} agree to {self.within:.0e} ({scope})"
+        if not self.odd:
+            return self._unsettled
+        name = _named(self.odd)
+        if self.settled_by == "reference":
+            agreement = f"{others} agree{'s' if len(self.agree) == 1 else ''} with the reference"
+        elif self.settled_by == "nearness":
+            agreement = f"{others} are {NEARER:g} times nearer to each other"
+        elif self.settled_by != "others":
+            agreement = "; ".join(filter(None, [f"its own {self.settled_by} fails", agreement]))
+        return f"{name} differs; {agreement}" if agreement else f"{name} differs"
+
+    @property
+    def _unsettled(self) -> str:
+        names = _listed(self.parting)
+        if self.level == REFERENCE:
+            return f"{names} and the reference part"
+        if len(self.parting) == 1:
+            return f"{names} fails"
+        if self.settled_by == "own":
+            return f"{names} fail by themselves"
+        if self.level == READING and len(self.parting) > 2:
+            return f"{_listed(self.parting[:-1])} part from the file, {_listed(self.agree)} do not"
+        if len(self.parting) > 2:
+            return f"{names} all part from each other"
+        if self.agree:
+            return f"{names} part; {_listed(self.agree)} agree{'s' if len(self.agree) == 1 else ''} with both"
+        another = "other" if FILE in self.parting else "third"
+        return f"{names} part, and no {another} engine decides which is right"
+
+    @property
+    def place(self) -> str:
+        """The first figure that fails."""
+        figure = f"{self.quantity}: {self.value:.3g} > {self.tolerance:.3g}"
+        if self.level == REFERENCE:
+            return f"against the reference: {figure}, {self.where}"
+        detail = f": {self.detail}" if self.detail else ""
+        return f"at level '{self.level}': {figure}, worst at {self.where}{detail}"
+
+    @property
+    def blame(self) -> str:
+        """The blame in words; empty if nothing settles it."""
+        return FAULTS[self.fault].format(f"{_named(self.odd)}'s", self.evidence) if self.fault else ""
+
+
+def _named(participant: str) -> str:
+    if participant == FILE:
+        return "the file"
+    return f"{OWNER}'s {participant} formulation" if participant in SYSTEMS else participant
+
+
+def _listed(participants: Sequence[str]) -> str:
+    names = [_named(name) for name in participants]
+    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
+
+
+def diagnose(
+    engines: Sequence[str],
+    rows: Iterable[Figure],
+    measured: Sequence[Measured] = (),
+    soft: Collection[str] = (),
+    nearly: Sequence[NearlyRedundant] = (),
+) -> tuple[Diagnosis, ...]:
+    """The first level at which any participant parts, then that of the rest without the odd one, and so on.
+
+    Args:
+        engines: their names, in the order of the comparison.
+        rows: all figures.
+        measured: figures that are known from elsewhere.
+        soft: engines whose constraints give way, and so take nearly redundant ones as they are.
+        nearly: nearly redundant constraints of the scene.
+    """
+    shown = "; ".join(str(each) for each in nearly if each.singular_value > FELT)
+    judged = [row for row in rows if not row.informs]
+    names = [*engines, *([FILE] if any(FILE in row.between for row in judged) else [])]
+    wrong = {known.engine for known in measured if not known.agrees}
+    found = []
+    while (one := _first(names, judged, wrong)) is not None:
+        # models agree where runs are the first to part
+        if one.level in OF_RUNS and one.quantity != MOMENTUM:
+            opened = [row for row in judged if row.between == (one.odd,) and row.quantity == OPEN]
+            if shown and _blames(one, soft):
+                one = replace(one, fault="redundancy", evidence=shown)
+            elif one.odd in soft and not all(row.agrees for row in opened):
+                one = replace(one, fault="softness", evidence=_opening(opened[0]))
+            elif one.odd in soft and one.detail:  # the change of its own run when refined
+                one = replace(one, fault="resolution")
+        found.append(one)
+        if not one.odd:
+            break
+        names, judged = _without(one.odd, names, judged)
+    if not found and wrong:
+        found.append(_against_reference(names, judged, measured))
+    return tuple(found)
+
+
+def _opening(row: Figure) -> str:
+    """Word by how much joints come open in a run."""
+    joint, _, time = row.where.partition(" at ")
+    return f"{joint} opens by {row.value:.1e} (m or rad) at {time}"
+
+
+def _blames(found: Diagnosis, engines: Collection[str]) -> bool:
+    """True if one of these engines is the odd one, or one of those that part."""
+    return bool(({found.odd} if found.odd else set(found.parting)) & set(engines))
+
+
+def _without(odd: str, names: Sequence[str], rows: Iterable[Figure]) -> tuple[list[str], list[Figure]]:
+    """Participants and figures without one; without a formulation the other stands for `OWNER`.
+
+    Momentum is balanced with forces of `OWNER`, so that without it nothing is known of the others' balances.
+    """
+    if odd in SYSTEMS:
+        kept = [row for row in rows if odd not in row.between and _holds_of_systems(row)]
+        return list(names), [_renamed(row, dict.fromkeys(SYSTEMS, OWNER)) for row in kept]
+    gone = {odd, *(SYSTEMS if odd == OWNER else ())}
+    if odd == OWNER:
+        rows = [row for row in rows if row.quantity != MOMENTUM]
+    return [name for name in names if name != odd], [row for row in rows if not gone & set(row.between)]
+
+
+def _by_system(names: Sequence[str], rows: Iterable[Figure]) -> tuple[list[str], list[Figure]]:
+    """Participants and figures where the formulations stand for `OWNER`."""
+    systems = [n for name in names for n in (SYSTEMS if name == OWNER else (name,))]
+    return systems, [_renamed(row, {OWNER: SYSTEMS[0]}) for row in rows if _holds_of_systems(row)]
+
+
+def _holds_of_systems(row: Figure) -> bool:
+    """True unless a figure is one of the worse of the formulations under the name of `OWNER`."""
+    return OWNER not in row.between or row.level in (READING, *OF_RUNS)
+
+
+def _renamed(row: Figure, others: Mapping[str, str]) -> Figure:
+    return replace(row, between=tuple(others.get(name, name) for name in row.between))
+
+
+def _first(names: Sequence[str], rows: Sequence[Figure], wrong: Collection[str]) -> Diagnosis | None:
+    """Who differs at the first level at which any of the participants does."""
+    known = {*names, *(SYSTEMS if OWNER in names else ())}
+    rows = [row for row in rows if set(row.between) <= known]
+    failed = [row for row in rows if not row.agrees]
+    if not failed:
+        return None
+    if (of_file := _of_reading(names, rows)) is not None:
+        return of_file
+    between = [row for row in failed if FILE not in row.between] or failed
+    level = min((row.level for row in between), key=ORDER.index)
+    if any(row.level == level and set(row.between) == set(SYSTEMS) for row in between):
+        names, rows = _by_system(names, rows)
+        wrong = {SYSTEMS[0] if name == OWNER else name for name in wrong}
+    rows = [row for row in rows if set(row.between) <= set(names)]
+    at_level = [row for row in rows if row.level == level and not row.agrees and FILE not in row.between]
+    parted = [row for row in at_level if len(row.between) == 2]
+    if parted:
+        return _of_pairs(names, rows, parted, wrong)
+    at_fault = _ordered(names, (row.between[0] for row in at_level))
+    others = [name for name in names if name not in at_fault]
+    odd = at_fault[0] if len(at_fault) == 1 and others else ""
+    return _diagnosis(odd, at_fault, others, at_level[0], rows, at_level[0].quantity if odd else "own")
+
+
+def _of_reading(names: Sequence[str], rows: Sequence[Figure]) -> Diagnosis | None:
+    """Blame the reading of the file, or an engine that alone differs from the file.
+
+    None if the engines have to be told apart first. The reading is to blame if all engines' models agree
+    with each other and none with the file.
+    """
+    with_file = [row for row in rows if FILE in row.between]
+    failed = [row for row in with_file if not row.agrees]
+    if not failed:
+        return None
+    compared = _ordered(names, (name for row in with_file for name in row.between if name != FILE))
+    parted = _ordered(names, (name for row in failed for name in row.between if name != FILE))
+    if len(parted) == 1 and len(compared) > 1:
+        others = [name for name in compared if name not in parted]
+        # with its values, which is more than the reader of the file knows
+        of_models = [row for row in rows if row.level not in OF_RUNS]
+        own = [row for row in of_models if row.detail and not row.agrees and parted[0] in row.between]
+        return _diagnosis(parted[0], [*parted, FILE], [*others, FILE], [*own, *failed][0], rows, "others")
+    among = [row for row in rows if set(row.between) <= set(compared) and row.level not in OF_RUNS]
+    if not all(row.agrees for row in among):
+        return None
+    odd = FILE if parted == compared and len(compared) > 1 else ""
+    others = [name for name in compared if odd or name not in parted]
+    return _diagnosis(odd, [*parted, FILE], others, failed[0], rows, "others")
+
+
+def _of_pairs(
+    names: Sequence[str], rows: Sequence[Figure], parted: Sequence[Figure], wrong: Collection[str]
+) -> Diagnosis:
+    """Who differs at a level at which pairs part."""
+    level = parted[0].level
+    pairs = {frozenset(row.between) for row in rows if row.level == level and len(row.between) == 2}
+    bad = {frozenset(row.between) for row in parted}
+    present = _ordered(names, (name for pair in pairs for name in pair))
+    alone = [name for name in present if all(pair in bad for pair in pairs if name in pair)]
+    rest = [name for name in present if name not in alone]
+    if alone and len(rest) > 1 and not any(pair <= set(rest) for pair in bad):
+        if set(SYSTEMS) <= set(alone):  # neither is right
+            return replace(_odd(SYSTEMS[0], present, rest, rows, parted, "others"), odd=OWNER)
+        return _odd(alone[0], present, rest, rows, parted, "others")
+    at_fault = _ordered(names, (name for pair in bad for name in pair))
+    between = [name for name in present if name not in at_fault]
+    if len(at_fault) == 2 and between:
+        for odd, other in (at_fault, at_fault[::-1]):
+            if all(_is_nearer(other, odd, third, parted[0], rows) for third in between):
+                return _odd(odd, at_fault, [other, *between], rows, parted, "nearness")
+    settled = _settled(at_fault, rows, level, wrong)
+    if settled is not None:
+        odd, by = settled
+        others = [name for name in present if name != odd]
+        return _odd(odd, at_fault, others, rows, parted, by)
+    return _diagnosis("", at_fault, between, parted[0], rows)
+
+
+def _odd(
+    odd: str,
+    parting: Sequence[str],
+    others: Sequence[str],
+    rows: Sequence[Figure],
+    parted: Sequence[Figure],
+    by: str,
+) -> Diagnosis:
+    row = next(row for row in parted if odd in row.between)
+    return _diagnosis(odd, parting, others, row, rows, by)
+
+
+def _is_nearer(near: str, far: str, third: str, row: Figure, rows: Sequence[Figure]) -> bool:
+    """True if one of two that part is much nearer to a third than the other, in the figure they part in."""
+    values = {
+        frozenset(other.between): other.value
+        for other in rows
+        if (other.level, other.quantity) == (row.level, row.quantity)
+    }
+    one, two = (values.get(frozenset((name, third))) for name in (near, far))
+    return one is not None and two is not None and NEARER * one <= two
+
+
+def _settled(
+    names: Sequence[str], rows: Sequence[Figure], level: str, wrong: Collection[str]
+) -> tuple[str, str] | None:
+    """The one of some that part that alone fails by itself, and the figure that does.
+
+    Runs are no evidence about models: an exact model may be integrated with a large error.
+    """
+    failed = {
+        row.between[0]: row.quantity
+        for row in reversed(rows)
+        if len(row.between) == 1
+        and not row.agrees
+        and row.between[0] in names
+        and (row.quantity == MOMENTUM) == (level not in OF_RUNS)
+    }
+    if len(failed) == 1:
+        return next(iter(failed.items()))
+    off = [name for name in names if name in wrong]
+    return (off[0], "reference") if len(off) == 1 else None
+
+
+def _diagnosis(
+    odd: str, parting: Sequence[str], agree: Sequence[str], row: Figure, rows: Sequence[Figure], by: str = ""
+) -> Diagnosis:
+    """With how well those that are not odd agree, if they do."""
+    among = [other for other in rows if set(other.between) <= set(agree)]
+    pairs = [other for other in among if len(other.between) == 2]
+    # engines are compared with each other beside a file that they are read from
+    at_level = [other for other in pairs if other.level == row.level or FILE in parting]
+    held = all(other.agrees for other in at_level)
+    everywhere = held and all(other.agrees for other in among)
+    values = [other.value for other in (pairs if everywhere else at_level)]
+    within = max(values, default=None) if held else None
+    fault = ""
+    if odd == FILE:
+        fault = "reading"
+    elif odd:
+        fault = "integration" if row.level in OF_RUNS and row.quantity != MOMENTUM else "model"
+    return Diagnosis(
+        odd,
+        tuple(parting),
+        tuple(agree) if held or not odd else (),
+        within,
+        everywhere,
+        row.level,
+        row.quantity,
+        row.value,
+        row.tolerance,
+        row.where,
+        by,
+        fault,
+        detail=row.detail,
+    )
+
+
+def _against_reference(
+    names: Sequence[str], rows: Sequence[Figure], measured: Sequence[Measured]
+) -> Diagnosis:
+    """Of engines that agree with each other in what they were compared by."""
+    failed = [known for known in measured if not known.agrees]
+    at_fault = _ordered(names, (known.engine for known in failed))
+    others = [name for name in names if name not in at_fault and name != FILE]
+    odd = at_fault[0] if len(at_fault) == 1 and others else ""
+    found = _diagnosis(odd, at_fault, others, failed[0], rows, "reference" if odd else "")
+    return replace(found, fault="integration" if odd else "")
+
+
+def _ordered(names: Sequence[str], some: Iterable[str]) -> list[str]:
+    """Some of the names, in their order."""
+    wanted = set(some)
+    return [name for name in names if name in wanted]

@@ -1,0 +1,78 @@
+"""Level "model": the engines' own models, body by body and joint by joint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from crosscheck.compare.figure import ROUND_OFF, Figure, both_values, reach
+from crosscheck.compare.samples import Samples
+from newton_euler.model.euler_parameters import angle_between
+from newton_euler.model.joint_geometry import NOWHERE, JointGeometry
+from newton_euler.scalars import Array
+
+
+def model_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:
+    """Masses, centers of mass, inertias and frames of bodies; kinds, axes and points of joints."""
+    scene = first.states.scene
+    a, b = first.mass_properties, second.mass_properties
+    names, joints = scene.mechanism.body_names[1:], scene.mechanism.joint_names
+
+    def row(
+        quantity: str,
+        gap: Array,
+        tolerance: float,
+        names: Sequence[str],
+        values: Sequence[tuple[Array, Array]] = (),
+        unit: str = "",
+    ) -> Figure:
+        worst = int(np.argmax(gap))
+        value, detail = float(gap[worst]), ""
+        if values and value > tolerance:
+            detail = both_values(pair, *values[worst], unit)
+        return Figure("model", quantity, pair, value, tolerance, names[worst], detail=detail)
+
+    mass = np.abs(a.mass - b.mass)[1:] / np.abs(a.mass[1:])
+    inertia = np.abs(a.inertia - b.inertia)[1:].max(axis=(1, 2)) / np.abs(a.inertia[1:]).max(axis=(1, 2))
+    center = np.abs(a.center_of_mass - b.center_of_mass)[1:].max(axis=1)
+    length = ROUND_OFF * reach(scene, a.center_of_mass)
+    masses, centers, inertias = (
+        [(getattr(a, name)[k], getattr(b, name)[k]) for k in range(1, len(a.mass))]
+        for name in ("mass", "center_of_mass", "inertia")
+    )
+    yield row("mass, rel", mass, ROUND_OFF, names, masses, "kg")
+    yield row("center of mass, m", center, length, names, centers, "m")
+    yield row("inertia, rel", inertia, ROUND_OFF, names, inertias, "kg m^2")
+    turned = angle_between(first.initial_orientations, second.initial_orientations)[1:]
+    yield row("body frame, rad", turned, ROUND_OFF, names)
+    pairs = [(first.joints.get(joint), second.joints.get(joint)) for joint in joints]
+    yield row("joint kinds, differing", np.array([_differs(*both) for both in pairs]), 0.5, joints)
+    turned = np.array([_turned(*both) for both in pairs])
+    axes = [(x.axes, y.axes) if x and y else (NOWHERE, NOWHERE) for x, y in pairs]
+    yield row("joint axes, rad", turned, ROUND_OFF, joints, axes)
+    points = [(x.points, y.points) if x and y else (NOWHERE, NOWHERE) for x, y in pairs]
+    yield row("joint points, m", np.array([_apart(*both) for both in pairs]), length, joints, points, "m")
+
+
+def _differs(a: JointGeometry | None, b: JointGeometry | None) -> float:
+    """1 where two joints allow other motions or one of them is missing, else 0."""
+    if a is None or b is None:
+        return float(a is not b)
+    return float(a.kinds != b.kinds)
+
+
+def _turned(a: JointGeometry | None, b: JointGeometry | None) -> float:
+    """The largest angle between axes of the same motion, rad."""
+    if a is None or b is None or a.kinds != b.kinds:
+        return 0.0
+    # of unit vectors, exact to round-off where they are close: chord = 2 sin(angle / 2)
+    chords = np.linalg.norm(a.axes - b.axes, axis=1)
+    return float(np.max(2.0 * np.arcsin(np.clip(0.5 * chords, 0.0, 1.0)), initial=0.0))
+
+
+def _apart(a: JointGeometry | None, b: JointGeometry | None) -> float:
+    """The largest distance between points that both have, m."""
+    if a is None or b is None or a.kinds != b.kinds:
+        return 0.0
+    return float(np.nanmax(np.linalg.norm(a.points - b.points, axis=1), initial=0.0))

@@ -1,0 +1,397 @@
+"""Alignment of two models by names: bodies and joints paired, the second restated with the first's bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from newton_euler.equations.couplings import counted_angles
+from newton_euler.equations.system import MassProperties
+from newton_euler.model.elements import BALL
+from newton_euler.model.euler_parameters import from_rotation, rotation
+from newton_euler.model.forces import Force
+from newton_euler.model.joint import Joint, Key
+from newton_euler.model.joint_kinds import Fixed
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import OUTPUTS, Scene
+from newton_euler.model.state import State
+from newton_euler.runs.assemble import initial_state, measured_coordinate
+from newton_euler.scalars import Array, cross
+
+Groups = Mapping[str, tuple[str, ...]]
+"""Names of bodies that are fixed to each other, by the name of the body that they are together."""
+
+
+class Partner(NamedTuple):
+    """A joint coordinate of the second model."""
+
+    key: Key
+    sense: float
+    """-1 where it counts the other way, else 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """Two models of one mechanism, bodies that are fixed to each other merged.
+
+    Attributes:
+        first: the first model.
+        second: the second, its bodies as of the first: their order, names and frames, so that a state of one
+            is a state of the other as far as centers of mass agree. Joints are its own. None if a body has
+            no partner.
+        alone: names of bodies that only the first or only the second model has.
+        names: the first's name of each body that both have, by the second's.
+        joints: the second's name of each joint of the first that both have.
+        coordinates: the second's of each joint coordinate of the first that both have.
+        centers: (b, 3) the second's center of mass from the first's, in the first's body frame, m.
+        notes: what is not the same by name, in words.
+    """
+
+    first: Scene
+    second: Scene | None
+    alone: tuple[tuple[str, ...], tuple[str, ...]]
+    names: Mapping[str, str]
+    joints: Mapping[str, str]
+    coordinates: Mapping[Key, Partner]
+    centers: Array
+    notes: tuple[str, ...]
+
+    @property
+    def both(self) -> tuple[Scene, Scene]:
+        """Both models, of which all bodies have partners."""
+        assert self.second is not None
+        return self.first, self.second
+
+    @property
+    def joint_names(self) -> dict[str, str]:
+        """The first's name of each joint that both have, by the second's."""
+        return {other: name for name, other in self.joints.items()}
+
+    def joint_pair(self, name: str) -> tuple[Joint, Joint]:
+        """A joint of the first model and its partner."""
+        a, b = (scene.mechanism for scene in self.both)
+        return a.joint(name), b.joint(self.joints[name])
+
+    def same_kind(self, name: str) -> bool:
+        """Return True if a joint of the first model and its partner allow the same motions."""
+        one, two = self.joint_pair(name)
+        kinds = [sorted(motion.kind for motion in joint.motions) for joint in (one, two)]
+        return kinds[0] == kinds[1] and one.only_closes == two.only_closes
+
+    def of_first(self, key: Key) -> Partner:
+        """Find the first's coordinate, or ball, of one of the second; itself if there is none."""
+        for name, other in self.joints.items():
+            if key == (other, BALL):
+                one, two = self.joint_pair(name)
+                return Partner((name, BALL), 1.0 if one.second == two.second else -1.0)
+        found = (Partner(own, other.sense) for own, other in self.coordinates.items() if other.key == key)
+        return next(found, Partner(key, 1.0))
+
+    @cached_property
+    def at_start(self) -> dict[Key, tuple[float, float]]:
+        """Each coordinate of the first that both have, in both models at the first's start, m or rad.
+
+        Each model counts from its own initial pose, with the revolutions of its own start.
+        """
+        first, second = self.both
+        state, start = initial_state(first), initial_state(second)
+        arms = [rotation(p) @ center for p, center in zip(state.quaternion, self.centers, strict=True)]
+        there = replace(state, position=state.position + arms, angles=start.angles)
+        return {
+            key: (
+                measured_coordinate(first, state, key)[0],
+                measured_coordinate(second, there, partner.key)[0],
+            )
+            for key, partner in self.coordinates.items()
+        }
+
+    def in_second(self, state: State) -> State:
+        """Return a state of the first model with the angles that the second depends on."""
+        counted, angles = counted_angles(self.both[1]), dict[Key, float]()
+        for key, partner in self.coordinates.items():
+            if partner.key in counted:
+                here, there = self.at_start[key]
+                x, _ = measured_coordinate(self.first, state, key)
+                angles[partner.key] = there + partner.sense * (x - here)
+        return replace(state, angles=angles)
+
+
+def alignments(first: Scene, second: Scene) -> Iterator[Aligned]:
+    """Align two models: as bodies start, by equal frames and a joint's point, or by equal frames alone.
+
+    In the last centers of mass coincide. The second gets the first's output times, and its ground: that is
+    the world, whatever frame it is given.
+    """
+    here, there = _groups(first.mechanism), _groups(second.mechanism)
+    names = pair_bodies(first.mechanism, here, second.mechanism, there)
+    alone = (
+        tuple(name for name in here if name not in names.values()),
+        tuple(name for name in there if name not in names),
+    )
+    ground = first.mechanism.bodies[0]
+    notes = [
+        f"body {name} is {' and '.join(there[other])} there"
+        for other, name in names.items()
+        if there[other] != here[name] and name != ground.name
+    ]
+    first = _restated(first, here, ground)
+    if any(alone):
+        notes.append("bodies are paired by their names, and what is left by the names of its joints")
+        yield Aligned(first, None, alone, names, {}, {}, np.zeros((0, 3)), tuple(notes))
+        return
+    others = {name: other for other, name in names.items()}
+    second = _restated(second, {name: there[others[name]] for name in here}, ground)
+    second = replace(second, duration=first.duration, output_period=first.output_period)
+    joints = pair_joints(first.mechanism, second.mechanism)
+    at_joints = _centers_at_joints(first.mechanism, second.mechanism, joints)
+    for placed, centers in (
+        _turned_as_first(first, second),
+        (second, at_joints),
+        (second, np.zeros_like(at_joints)),
+    ):
+        coordinates = _pair_coordinates(first.mechanism, placed.mechanism, joints)
+        of_joints = _joint_notes(first.mechanism, placed.mechanism, joints, coordinates)
+        yield Aligned(first, placed, alone, names, joints, coordinates, centers, (*notes, *of_joints))
+
+
+def _groups(mechanism: Mechanism) -> Groups:
+    """Group bodies that are fixed to each other, in the mechanism's order, by the name of the first."""
+    owner = {name: name for name in mechanism.body_names}
+    for joint in mechanism.joints:
+        if isinstance(joint, Fixed):
+            kept, other = sorted((owner[joint.first], owner[joint.second]), key=mechanism.body_names.index)
+            owner = {name: kept if of == other else of for name, of in owner.items()}
+    return {
+        group: tuple(name for name in mechanism.body_names if owner[name] == group)
+        for group in dict.fromkeys(owner.values())
+    }
+
+
+def pair_bodies(first: Mechanism, here: Groups, second: Mechanism, there: Groups) -> dict[str, str]:
+    """Pair bodies by the names of what they are made of, the rest by the names of their joints.
+
+    The ground is the ground, whatever it is called.
+
+    Returns:
+        The first model's name of each body that both have, by the second's.
+    """
+    names = {second.body_names[0]: first.body_names[0]}
+    for one, two in (
+        ({name: frozenset(group) for name, group in of.items()} for of in (here, there)),
+        (_joints_of(first, here), _joints_of(second, there)),
+    ):
+        left = {name: one[name] for name in one if name not in names.values()}
+        right = {name: two[name] for name in two if name not in names}
+        for a, has in left.items():
+            b = _nearest(has, right)
+            if b is not None and _nearest(two[b], left) == a:
+                names[b] = a
+    return names
+
+
+def _nearest(wanted: frozenset[str], among: Mapping[str, frozenset[str]]) -> str | None:
+    """Find the one that has the most in common with what is wanted, if anything and no other has as much."""
+    shared = {name: len(wanted & has) for name, has in among.items()}
+    most = max(shared.values(), default=0)
+    best = [name for name, count in shared.items() if count == most]
+    return best[0] if most and len(best) == 1 else None
+
+
+def _joints_of(mechanism: Mechanism, groups: Groups) -> dict[str, frozenset[str]]:
+    """Names of the joints between each group and others."""
+    return {
+        name: frozenset(
+            joint.name for joint in mechanism.joints if len({joint.first, joint.second} & set(group)) == 1
+        )
+        for name, group in groups.items()
+    }
+
+
+def pair_joints(first: Mechanism, second: Mechanism) -> dict[str, str]:
+    """Pair joints of two mechanisms whose bodies have the same names.
+
+    Joints of one name are paired if they connect the same bodies; of the rest those that are the only ones
+    left in both models between their bodies.
+
+    Returns:
+        The second model's name of each joint of the first that both have.
+    """
+    others = {joint.name: joint for joint in second.joints}
+    found = {
+        joint.name: joint.name
+        for joint in first.joints
+        if joint.name in others and _ends(joint) == _ends(others[joint.name])
+    }
+    left = [joint for joint in first.joints if joint.name not in found]
+    right = [joint for joint in second.joints if joint.name not in found]
+    for joint in left:
+        beside = [a for a in left if _ends(a) == _ends(joint)]
+        between = [b for b in right if _ends(b) == _ends(joint)]
+        if len(beside) == len(between) == 1:
+            found[joint.name] = between[0].name
+    return found
+
+
+def _ends(joint: Joint) -> frozenset[str]:
+    return frozenset((joint.first, joint.second))
+
+
+def _pair_coordinates(first: Mechanism, second: Mechanism, joints: Mapping[str, str]) -> dict[Key, Partner]:
+    """Pair the hinges and slides of joints that both have by their axes."""
+    found: dict[Key, Partner] = {}
+    for name, other in joints.items():
+        a, b = first.joint(name), second.joint(other)
+        swapped = -1.0 if a.first == b.second else 1.0
+        free = dict(enumerate(axes(second, b, a)))
+        for k, (kind, own) in enumerate(axes(first, a, a)):
+            # in the body in which two axes are nearer to one line
+            cosines = {
+                n: max(np.sum(own * others, axis=1), key=abs)
+                for n, (its, others) in free.items()
+                if its == kind
+            }
+            if cosines:
+                n = max(cosines, key=lambda n: abs(cosines[n]))
+                found[name, k] = Partner((other, n), swapped * float(np.copysign(1.0, cosines[n])))
+                del free[n]
+    return found
+
+
+def axes(mechanism: Mechanism, joint: Joint, like: Joint) -> Iterator[tuple[str, Array]]:
+    """Kind of each coordinate of a joint, and its axis (2, 3) in the two bodies of another joint."""
+    poses = [mechanism.body(name).pose for name in (like.first, like.second)]
+    for motion in joint.motions:
+        if motion.kind != "ball":
+            yield motion.kind, np.array([pose.vector_to_body(motion.axis) for pose in poses])
+
+
+def _joint_notes(
+    first: Mechanism, second: Mechanism, joints: Mapping[str, str], coordinates: Mapping[Key, Partner]
+) -> Iterator[str]:
+    """Joints of another name or kind, those that count the other way, and those that one model has alone."""
+    for name, other in joints.items():
+        a, b = first.joint(name), second.joint(other)
+        if name != other:
+            yield f"joint {name} is {other} there, the only one left between {a.first} and {a.second}"
+        if a.kind != b.kind:
+            same = sorted(part.kind for part in a.motions) == sorted(part.kind for part in b.motions)
+            beside = ", with the same motions" if same else ""
+            yield f"joint {name} is {a.kind} here and {b.kind} there{beside}"
+    here = [name for name in first.joint_names if name not in joints]
+    there = [name for name in second.joint_names if name not in joints.values()]
+    back = dict.fromkeys(key[0] for key, partner in coordinates.items() if partner.sense < 0.0)
+    for what, names in (
+        ("counted the other way there", back),
+        ("joints only here", here),
+        ("joints only there", there),
+    ):
+        if names:
+            yield f"{what}: {', '.join(names)}"
+
+
+def _restated(scene: Scene, groups: Groups, ground: Body) -> Scene:
+    """Restate a scene without `fixed` joints, all outputs asked for.
+
+    Each group of bodies becomes one of that name, with the frame of the first of them, in the order of the
+    groups; the first group becomes the ground, another model's maybe.
+    """
+    mechanism, start = scene.mechanism, initial_state(scene)
+    bodies, state = [ground], State(*(np.zeros((len(groups), n)) for n in (3, 4, 3, 3)))
+    state.position[0], state.quaternion[0] = ground.center_of_mass, ground.quaternion
+    for k, (name, group) in enumerate(list(groups.items())[1:], 1):
+        index = mechanism.body_index(group[0])
+        body = replace(_merged(mechanism, [mechanism.body_index(member) for member in group]), name=name)
+        before = mechanism.bodies[index].pose
+        arm = rotation(start.quaternion[index]) @ before.point_to_body(body.center_of_mass)
+        spin = start.angular_velocity[index]
+        bodies.append(body)
+        state.position[k], state.quaternion[k] = start.position[index] + arm, start.quaternion[index]
+        state.linear_velocity[k] = start.linear_velocity[index] + cross(spin, arm)
+        state.angular_velocity[k] = spin
+    names = {member: name for name, group in groups.items() for member in group}
+    joints = [replace(each, first=names[each.first], second=names[each.second]) for each in mechanism.joints]
+    kept = [joint for joint in joints if joint.first != joint.second]
+    angles = {key: angle for key, angle in start.angles.items() if key[0] in {each.name for each in kept}}
+    return replace(
+        scene,
+        mechanism=Mechanism(bodies, kept, mechanism.couplings),
+        initial_state=replace(state, angles=angles),
+        forces=tuple(_forces_between(scene.forces, names, ground.name)),
+        outputs=frozenset(OUTPUTS),
+    )
+
+
+def _merged(mechanism: Mechanism, indices: Sequence[int]) -> Body:
+    """One body of several, in the frame of the first."""
+    first = mechanism.bodies[indices[0]]
+    if len(indices) == 1:
+        return first
+    found, parts = MassProperties.of(mechanism), [mechanism.bodies[k] for k in indices]
+    masses, centers = found.mass[indices], found.center_of_mass[indices]
+    center = masses @ centers / masses.sum()
+    inertia = found.inertia[indices].sum(axis=0)
+    for mass, arm in zip(masses, centers - center, strict=True):
+        inertia = inertia + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    into = first.pose.rotation.T
+    local = into @ inertia @ into.T
+    return replace(
+        first,
+        mass=float(masses.sum()),
+        center_of_mass=center,
+        inertia=0.5 * (local + local.T),
+        shapes=tuple(shape for part in parts for shape in part.shapes),
+        meshes=tuple(mesh for part in parts for mesh in part.meshes),
+        allow_unrealisable_inertia=any(part.allow_unrealisable_inertia for part in parts),
+    )
+
+
+def _forces_between(forces: Sequence[Force], names: Mapping[str, str], ground: str) -> Iterator[Force]:
+    """Forces on bodies of other names, without those that act within a body or on the ground alone."""
+    for force in forces:
+        renamed: dict[str, Any] = {field: names[getattr(force, field)] for field in force.body_fields}
+        bodies = set(renamed.values())
+        if len(bodies) == len(force.body_fields) and bodies != {ground}:
+            yield replace(force, **renamed)
+
+
+def _turned_as_first(first: Scene, second: Scene) -> tuple[Scene, Array]:
+    """The second scene with frames of bodies that start as the first's do; centers of mass stay.
+
+    Returns:
+        It, and (b, 3) its centers of mass from the first's, in the first's body frames, m.
+    """
+    mechanism, start, here = second.mechanism, initial_state(second), initial_state(first)
+    own, others = ([rotation(p) for p in state.quaternion] for state in (start, here))
+    bodies = []
+    for body, before, after in zip(mechanism.bodies, own, others, strict=True):
+        turn = before.T @ after
+        inertia = turn.T @ body.inertia @ turn
+        quaternion = from_rotation(body.pose.rotation @ turn)
+        bodies.append(replace(body, inertia=0.5 * (inertia + inertia.T), quaternion=quaternion))
+    turned = replace(
+        second,
+        mechanism=Mechanism(bodies, mechanism.joints, mechanism.couplings),
+        initial_state=replace(start, quaternion=np.array([from_rotation(turn) for turn in others])),
+    )
+    return turned, np.einsum("bij,bi->bj", others, start.position - here.position)
+
+
+def _centers_at_joints(first: Mechanism, second: Mechanism, joints: Mapping[str, str]) -> Array:
+    """(b, 3) the second's centers of mass from the first's where frames and points of a joint coincide, m."""
+    centers = np.zeros((len(first.bodies), 3))
+    for k, body in enumerate(first.bodies[1:], 1):
+        paired = [first.joint_names[n] for n in first.joints_at[k] if first.joint_names[n] in joints]
+        for name in paired[:1]:
+            pair = (first, first.joint(name)), (second, second.joint(joints[name]))
+            here, there = (
+                mechanism.bodies[k].pose.point_to_body(
+                    joint.point if joint.first == body.name else joint.reaction_point
+                )
+                for mechanism, joint in pair
+            )
+            centers[k] = here - there
+    return centers

@@ -1,0 +1,1 @@
+"""Numbers for designers: loads, workspace, controllers, identified parameters."""

@@ -1,0 +1,98 @@
+"""The report on parameters that were fitted to measured motion, and their numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
+from newton_euler.analysis.identification.identify import Identification
+
+MOST_CORRELATED = 0.99
+"""Correlation of two parameters that is told."""
+
+MOST_TOLD = 5
+"""Pairs of such parameters, the most correlated first."""
+
+
+def report(found: Identification) -> Report:
+    """Make tables of parameters and columns, and lines on what is to be known about them."""
+    numbers = sum(len(column) for run in found.residuals for column in run.values())
+    runs = f"{len(found.residuals)} run{'s' * (len(found.residuals) != 1)}"
+    fitted = f"{len(found.parameters)} parameter{'s' * (len(found.parameters) != 1)}"
+    title = f"{found.scene.name}: {fitted} fitted to {numbers:,} numbers of {runs}"
+    heads, *rows = found.table
+    names = [*texts(*heads[:2]), *figures(*heads[2:])]
+    parts: list[Part] = [Table("", names, [list(row) for row in rows]), _columns(found)]
+    if lines := [*found.doubts, *found.notes, *_correlated(found)]:
+        parts.append(Lines("", lines))
+    return Report(title, found.fit, _judged(found), parts, summary=parts)
+
+
+def _judged(found: Identification) -> Cell:
+    """Return the verdict in one word."""
+    if found.is_wrong:
+        return Cell("wrong", "fails")
+    if found.doubts:
+        return Cell("doubtful", "doubtful")
+    return Cell("fits", "holds") if np.isfinite(found.probability) else Cell("fitted")
+
+
+def _columns(found: Identification) -> Table:
+    """Return a table of measured columns: noise and residuals."""
+    rows: Rows = []
+    for name, misfit in found.misfits.items():
+        levels = [run[name] for run in found.noise if name in run]
+        noise = " to ".join(dict.fromkeys(f"{level:.3g}" for level in (min(levels), max(levels))))
+        residuals = np.concatenate([run[name] for run in found.residuals if name in run])
+        rms, peak = np.sqrt(np.mean(residuals**2)), np.abs(residuals).max()
+        rows.append([name, noise, f"{rms:.3g}", f"{peak:.3g}", f"{misfit:.3g}"])
+    return Table("", [Column("measured"), *figures("noise", "residual", "largest", "by noise")], rows)
+
+
+def _correlated(found: Identification) -> Iterator[str]:
+    """Name the pairs of parameters that the data hardly tell apart."""
+    correlation = found.correlation
+    pairs = [
+        (abs(correlation[a, b]), a, b)
+        for a, b in combinations(range(len(found.parameters)), 2)
+        if abs(correlation[a, b]) > MOST_CORRELATED
+    ]
+    for _, a, b in sorted(pairs, reverse=True)[:MOST_TOLD]:
+        names = f"{found.parameters[a]} and {found.parameters[b]}"
+        yield f"{names} are hardly told apart: correlation {correlation[a, b]:.4f}"
+
+
+def data(found: Identification) -> dict[str, Any]:
+    """Return the numbers of a fit."""
+    rows = zip(
+        found.units,
+        found.before.tolist(),
+        found.values.tolist(),
+        found.standard_deviations.tolist(),
+        strict=True,
+    )
+    names = ("unit", "before", "fitted", "deviation")
+    return {
+        "scene": found.scene.name,
+        "parameters": {
+            parameter: dict(zip(names, row, strict=True))
+            for parameter, row in zip(found.parameters, rows, strict=True)
+        },
+        "covariance": found.covariance.tolist(),
+        "noise": found.noise,
+        "misfit": found.misfit,
+        "misfits": found.misfits,
+        "degrees_of_freedom": found.degrees_of_freedom,
+        "probability": found.probability,
+        "is_wrong": found.is_wrong,
+        "unlike": found.unlike,
+        "in_degrees": found.in_degrees,
+        "undetermined": found.undetermined,
+        "stopped": found.stopped,
+        "curvature": found.curvature,
+        "contradiction": found.contradiction,
+    }

@@ -1,0 +1,263 @@
+"""Loads for design of a scene: its load cases are run, and what joints and actuators get becomes tables,
+CSV, a plot and a recording."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from crosscheck.compare.activity import reduction, watched
+from crosscheck.compare.runs import stays
+from crosscheck.report.plots import own_style, png
+from crosscheck.report.render import as_json, markdown
+from crosscheck.report.run import undetermined_lines
+from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.files import check_writable, write_files
+from crosscheck.support.palette import palette
+from crosscheck.support.time_limits import limited
+from newton_euler.analysis.loads.envelope import (
+    Load,
+    LoadEnvelope,
+    LoadRange,
+    joint_loads,
+    load_envelope,
+    rest_case,
+)
+from newton_euler.model.scene import OUTPUTS, Scene
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.import_report import ImportedElement, ImportReport
+from newton_euler.runs.simulate import simulate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CASE = re.compile(r"[A-Za-z0-9_.\-]+")
+"""Names of load cases."""
+
+ALONE = "run"
+"""Name of the case where none is named."""
+
+MOST_DRAWN = 12
+"""Joints in the plot, those with the largest forces."""
+
+ADVICE = "a shorter duration, or fewer cases"
+"""What to do about one that takes too long."""
+
+NO_LOAD = 1e-9
+"""Share of the largest load, or of the mechanism's weight on Earth, below which loads are printed as 0."""
+
+EARTH = 9.81
+"""m/s^2"""
+
+SHARED = "stiffness decides how these joints share loads, which is not known here: the tables have one way"
+"""About joints whose reactions are not unique."""
+
+MOVE = "; --set exercise=on moves joints of model files and drives their actuators"
+"""What to do about loads at rest."""
+
+GOVERNS = Column("governed by", below=True)
+
+PARTS = {"force": ("axial force", "shear force"), "torque": ("axial torque", "bending torque")}
+"""Of loads of joints with one axis."""
+
+
+def parse_cases(given: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """Parse `NAME:OPTION=VALUE,OPTION=VALUE` into settings by the names of cases; one if none is given.
+
+    Raises:
+        CrosscheckError: naming the case at fault.
+    """
+    cases: dict[str, tuple[str, ...]] = {}
+    for case in given:
+        name, _, settings = case.partition(":")
+        if not CASE.fullmatch(name):
+            needed = "letters, digits, _, . and - before the colon"
+            raise CrosscheckError(f"--case {case!r} is not of the form NAME:OPTION=VALUE; needed: {needed}")
+        if name in cases:
+            raise CrosscheckError(f"--case {name} is given twice")
+        cases[name] = tuple(filter(None, settings.split(",")))
+    return cases or {ALONE: ()}
+
+
+class Loads(NamedTuple):
+    """Results of load cases.
+
+    Attributes:
+        report: tables of loads.
+        written: files; the last is the recording.
+        acting: elements of the file that act and are not simulated, by the name of the case in which they do.
+    """
+
+    report: Report
+    written: list[Path]
+    acting: Mapping[str, Sequence[ImportedElement]]
+
+
+def loads(
+    source: str,
+    models: Mapping[str, tuple[Scene, ImportReport | None]],
+    at_rest: bool,
+    folder: Path,
+    progress: Callable[[str], None],
+) -> Loads:
+    """Run load cases and write their loads to a folder.
+
+    Args:
+        source: name or file of the model.
+        models: scenes by the names of the cases, of one mechanism, with what became of elements of a file.
+        at_rest: whether to hold them at rest in their initial poses instead of running them.
+        folder: of `loads.csv`, `loads.json`, `loads.png` and `loads.rrd`.
+        progress: is told what is going on.
+
+    Returns:
+        The report, the files, and what acted and was not simulated.
+
+    Raises:
+        CrosscheckError: naming the path that cannot be written, or a case that takes too long.
+        NewtonEulerError: for a scene that cannot be run.
+    """
+    from crosscheck.recording.log import log_run, recorded
+
+    table, results, plot, recording = (folder / f"loads.{suffix}" for suffix in ("csv", "json", "png", "rrd"))
+    check_writable(table, results, plot, recording)
+    runs, acting = dict[str, Trajectory](), dict[str, list[ImportedElement]]()
+    for name, (scene, mapping) in models.items():
+        with limited(f"case {name}", ADVICE, progress):
+            complete = replace(scene, outputs=frozenset(OUTPUTS))
+            runs[name] = rest_case(scene) if at_rest else simulate(complete)
+            if mapping and (found := watched(scene, mapping, runs[name]).acting):
+                acting[name] = found
+    first, _ = next(iter(models.values()))
+    envelope = load_envelope(first, runs)
+    still = [] if at_rest else [name for name, run in runs.items() if stays({name: run}, first)]
+    report = _report(first, envelope, at_rest, still, acting)
+    progress("plot and recording")
+    drawn = recorded(log_run, first, runs, markdown(report), report.title)
+    shown = {plot: png(_figure(first, runs)), recording: drawn}
+    data = {
+        "scene": first.name,
+        "source": source,
+        "at_rest": at_rest,
+        "cases": list(models),
+        "not_simulated": {name: [asdict(entry) for entry in entries] for name, entries in acting.items()},
+    }
+    write_files({table: envelope.to_csv().encode(), results: as_json(data, report, shown), **shown})
+    return Loads(report, [table, results, plot, recording], acting)
+
+
+def _report(
+    scene: Scene,
+    envelope: LoadEnvelope,
+    at_rest: bool,
+    still: list[str],
+    acting: Mapping[str, Sequence[ImportedElement]],
+) -> Report:
+    """Report on loads.
+
+    Args:
+        scene: the first case.
+        envelope: the loads of all cases.
+        at_rest: True if the cases are held at rest.
+        still: cases in which nothing moves.
+        acting: elements by case that act and are not simulated.
+    """
+    named = envelope.cases != (ALONE,)
+    cases = f"cases {', '.join(envelope.cases)}" if named else "initial pose" if at_rest else "its run"
+    title = f"{scene.name}: loads {'at rest,' if at_rest else 'over'} {cases}"
+    most, least = max(_of(envelope, "force"), key=lambda each: each.peak), _least(scene, envelope)
+    verdict = f"largest force {most.peak:.3g} N at joint {most.element!r}, {_when(most)}"
+    if most.peak <= least:
+        verdict = "no joint carries a force"
+    for case, entries in acting.items():
+        verdict += f"; {f'case {case}: ' if named else ''}{reduction(entries)}"
+    if acting:
+        verdict = f"REDUCED MODEL: {verdict}"
+    parts: list[Part] = [
+        _of_joints(envelope, "force", "N", least),
+        _of_joints(envelope, "torque", "N m", least * scene.mechanism.size),
+    ]
+    if envelope.actuators:
+        parts.append(_of_actuators(envelope))
+    if still:
+        where = f"cases {', '.join(still)}" if named else "the run"
+        parts.append(Lines("", [f"nothing moves in {where}: these are loads at rest{MOVE}"]))
+    parts.extend(Lines("", [line, SHARED]) for line in undetermined_lines(scene))
+    return Report(title, verdict, Cell("", "doubtful" if acting else ""), parts, summary=parts)
+
+
+def _of(envelope: LoadEnvelope, quantity: str) -> list[LoadRange]:
+    return [each for each in (*envelope.joints, *envelope.actuators) if each.quantity == quantity]
+
+
+def _when(load: LoadRange) -> str:
+    case, time = load.governing
+    return f"{case} at {time:.4g} s"
+
+
+def _least(scene: Scene, envelope: LoadEnvelope) -> float:
+    """Compute the force, N, below which there is none but round-off."""
+    size, weight = scene.mechanism.size, EARTH * sum(body.mass for body in scene.mechanism.bodies[1:])
+    peaks = [each.peak for each in _of(envelope, "force")]
+    peaks += [each.peak / size for each in _of(envelope, "torque")]
+    return NO_LOAD * max(weight, *peaks)
+
+
+def _of_joints(envelope: LoadEnvelope, quantity: str, unit: str, least: float) -> Table:
+    """The peaks of forces or torques, and of their parts along and across axes; 0 up to the least."""
+    names = [part.removesuffix(f" {quantity}") for part in PARTS[quantity]]
+    columns = [*texts("joint"), *figures(f"{quantity}, {unit}", *names, "rms"), GOVERNS]
+    known, loads = {(each.element, each.quantity): each for each in envelope.joints}, _of(envelope, quantity)
+    rows: Rows = []
+    for load in loads:
+        parts = [known.get((load.element, part)) for part in PARTS[quantity]]
+        values = [load.peak, *(part.peak if part else None for part in parts), load.rms]
+        cells = ["" if value is None else f"{value if value > least else 0.0:.3g}" for value in values]
+        rows.append([load.element, *cells, _when(load) if load.peak > least else ""])
+    return Table("", columns, rows)
+
+
+def _of_actuators(envelope: LoadEnvelope) -> Table:
+    columns = [*texts("actuator"), *figures("force", "rms", "speed", "power, W", "energy, J"), GOVERNS]
+    rows: Rows = []
+    for load in _of(envelope, "actuator force"):
+        speed, power, energy = (envelope.of(load.element, what) for what in ("speed", "power", "energy"))
+        forces = [f"{value:.3g} {load.unit}" for value in (load.peak, load.rms)]
+        motion = [f"{speed.peak:.3g} {speed.unit}", f"{power.peak:.3g}", f"{energy.peak:.3g}"]
+        rows.append([load.element, *forces, *motion, _when(load)])
+    return Table("", columns, rows)
+
+
+@own_style()
+def _figure(scene: Scene, runs: Mapping[str, Trajectory]) -> Figure:
+    """Forces and torques of joints over time, a line a case."""
+    from matplotlib.figure import Figure
+
+    found = {case: joint_loads(scene, run) for case, run in runs.items()}
+    forces = {
+        joint: max(float(loads[Load(joint, "force", "N")].max()) for loads in found.values())
+        for joint in scene.mechanism.joint_names
+    }
+    chosen = sorted(forces, key=lambda joint: -forces[joint])[:MOST_DRAWN]
+    joints = [joint for joint in forces if joint in chosen]
+    figure = Figure(figsize=(9.0, 0.8 + 1.3 * len(joints)), layout="constrained")
+    axes = figure.subplots(len(joints), 2, sharex=True, squeeze=False)
+    colors = palette(list(runs))
+    for row, joint in zip(axes, joints, strict=True):
+        for ax, quantity, unit in zip(row, ("force", "torque"), ("N", "N m"), strict=True):
+            for case, loads in found.items():
+                mark = "." if len(runs[case].time) == 1 else ""
+                values = loads[Load(joint, quantity, unit)]
+                ax.plot(runs[case].time, values, color=colors[case], marker=mark, label=case)
+            ax.set_ylim(bottom=0.0)
+            ax.grid(alpha=0.3)
+        row[0].set_ylabel(joint, fontsize="small")
+    for ax, label in zip(axes[0], ("force, N", "torque, N m"), strict=True):
+        ax.set_title(label, fontsize="medium")
+    for ax in axes[-1]:
+        ax.set_xlabel("time, s")
+    axes[0, 0].legend(loc="best", fontsize="small")
+    return figure

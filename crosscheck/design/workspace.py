@@ -1,0 +1,213 @@
+"""Workspace of a scene over joint coordinates: table, picture and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from crosscheck.report.output import record
+from crosscheck.report.plots import own_style, png
+from crosscheck.report.table import Cell, Column, Rows, Table, figures
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.files import write_files
+from crosscheck.support.palette import ENGINE_COLORS
+from mjcf.clearance import clearances
+from newton_euler import Axis, Poses, Scene, Workspace, singular_poses, workspace
+from newton_euler.errors import is_count, plain_number
+from newton_euler.model.joint import Key
+from newton_euler.scalars import Array
+
+POINTS = 61
+"""Of each coordinate, unless their number is given."""
+
+MOST_POINTS = 1_000_000
+
+STARTS = 4000
+"""Random configurations that singular ones are searched from."""
+
+FILES = "workspace.json", "workspace.png", "workspace.csv"
+
+
+class Mapped(NamedTuple):
+    """Workspace of a scene, its singular poses, and the clearances (n,) of its poses, m."""
+
+    scene: Scene
+    space: Workspace
+    singular: Poses
+    clearance: Array
+
+
+def range_of(scene: Scene, text: str) -> tuple[str | Key, Array]:
+    """Parse JOINT=LOW:HIGH or JOINT=LOW:HIGH:POINTS; JOINT.K is coordinate K of a joint of several.
+
+    Raises:
+        CrosscheckError: for another form.
+    """
+    name, _, limits = text.partition("=")
+    parts = limits.split(":")
+    try:
+        low, high, count = *map(plain_number, parts[:2]), int(parts[2]) if len(parts) == 3 else POINTS
+    except ValueError:
+        low, high, count = 0.0, 0.0, 0
+    if len(parts) not in (2, 3) or not low < high or not is_count(count) or not 2 <= count <= MOST_POINTS:
+        raise CrosscheckError(f"--vary {text!r} is not of the form JOINT=LOW:HIGH[:POINTS], in m or rad")
+    joint, _, number = name.rpartition(".")
+    is_key = name not in scene.mechanism.joint_names and number.isdecimal()
+    return (joint, int(number)) if is_key else name, np.linspace(low, high, count)
+
+
+def axis_of(text: str) -> Axis:
+    """Parse BODY=X,Y,Z; raises `CrosscheckError` for another form."""
+    body, _, components = text.partition("=")
+    try:
+        return Axis(body, [plain_number(each) for each in components.split(",")])
+    except ValueError:
+        raise CrosscheckError(f"--axis {text!r} is not of the form BODY=X,Y,Z") from None
+
+
+def measure(
+    scene: Scene, grid: Mapping[str | Key, Array], axis: Axis | None, progress: Callable[[str], None]
+) -> Mapped:
+    """Map a workspace."""
+    if np.prod([float(len(values)) for values in grid.values()]) > MOST_POINTS:
+        raise CrosscheckError(f"--vary asks for more than {MOST_POINTS} points; give fewer, LOW:HIGH:POINTS")
+    progress("solving poses")
+    space = workspace(scene, grid, axis)
+    progress("searching singular configurations")
+    singular = singular_poses(scene, list(grid), STARTS)
+    progress("measuring clearances")
+    poses = space.poses
+    return Mapped(scene, space, singular, clearances(scene.mechanism, poses.position, poses.quaternion))
+
+
+def table(found: Mapped) -> Table:
+    """Tabulate ranges over the reachable points, and over those without collision."""
+    space = found.space
+    free = found.clearance > 0.0
+    rows: Rows = [_row(found, "reachable", np.ones(len(free), dtype=bool))]
+    has_shapes = bool(np.isfinite(found.clearance).any())
+    if has_shapes:
+        rows.append(_row(found, "without collision", free))
+    columns = [
+        Column("points"),
+        Column("number", "", True),
+        *(Column(f"{name}\n{_unit(found, name)}", "", True) for name in space.grid),
+    ]
+    if space.elevation is not None:
+        columns += figures("elevation\ndeg", "azimuth\ndeg")
+    columns.append(Column("least to\nsingular", "", True))
+    if has_shapes:
+        columns.append(Column("clearance\nmm", "", True))
+    return Table("", columns, rows)
+
+
+def statement(found: Mapped) -> str:
+    """Say in a sentence that no point is reachable, or none without collision; empty if some are."""
+    if not len(found.clearance):
+        points = f"none of {found.space.reachable.size} points is reachable"
+        return f"{points} on the branch of the initial pose, from which --vary counts, in m and rad"
+    if not np.any(found.clearance > 0.0):
+        return f"bodies collide at all {len(found.clearance)} reachable points"
+    return ""
+
+
+def _row(found: Mapped, name: str, which: Array) -> list[str | Cell]:
+    space = found.space
+    total = space.reachable.size
+    row: list[str | Cell] = [name, f"{int(np.sum(which))} of {total}"]
+    quantities = list(space.poses.coordinates.values())
+    if space.elevation is not None and space.azimuth is not None:
+        quantities += [np.degrees(values[space.reachable]) for values in (space.elevation, space.azimuth)]
+    digits = [4] * len(space.grid) + [1, 1]
+    for values, places in zip(quantities, digits, strict=False):
+        chosen = values[which]
+        ends = [np.min(chosen), np.max(chosen)] if len(chosen) else []
+        row.append(" .. ".join(f"{round(float(end), places) + 0.0:.{places}f}" for end in ends) or "-")
+    driving = space.driving[space.reachable][which]
+    row.append(f"{np.min(driving):.3f}" if len(driving) else "-")
+    if np.isfinite(found.clearance).any():
+        row.append(f"{1e3 * np.min(found.clearance[which]):.1f}" if which.any() else "-")
+    return row
+
+
+def _unit(found: Mapped, name: str | Key) -> str:
+    return "m" if found.scene.mechanism.is_slide(*found.scene.mechanism.coordinate(name)) else "rad"
+
+
+def write(found: Mapped, folder: Path, source: str, options: Mapping[str, str]) -> list[Path]:
+    """Write the CSV, and the picture of a workspace over two coordinates.
+
+    Args:
+        found: the workspace.
+        folder: of the files; there, `workspace.json` records the model.
+        source: name or file of the model.
+        options: of the model.
+
+    Returns:
+        The CSV and the picture.
+    """
+    files = {folder / "workspace.csv": _csv(found).encode()}
+    if len(found.space.grid) == 2:
+        files[folder / "workspace.png"] = _picture(found)
+    write_files({folder / "workspace.json": record(source, options), **files})
+    return list(files)
+
+
+def _csv(found: Mapped) -> str:
+    """Write a row for each reachable point."""
+    space = found.space
+    quantities = {f"{name}, {_unit(found, name)}": values for name, values in space.poses.coordinates.items()}
+    for name, values in (("elevation, deg", space.elevation), ("azimuth, deg", space.azimuth)):
+        if values is not None:
+            quantities[name] = np.degrees(values[space.reachable])
+    quantities["distance from singular"] = space.driving[space.reachable]
+    if space.pointing is not None:
+        quantities["distance from singular, axis"] = space.pointing[space.reachable]
+    if np.isfinite(found.clearance).any():
+        quantities["clearance, m"] = found.clearance
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(quantities)
+    writer.writerows([f"{value:.9g}" for value in row] for row in np.stack(list(quantities.values()), axis=1))
+    return text.getvalue()
+
+
+@own_style()
+def _picture(found: Mapped) -> bytes:
+    """Draw the distance from singular configurations and their curves, beside the elevation of the axis."""
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    space = found.space
+    (first, x), (second, y) = space.grid.items()
+    maps = [("distance from singular configurations", space.driving)]
+    if space.elevation is not None:
+        maps.append(("elevation of the axis, deg", np.degrees(space.elevation)))
+    figure = Figure(figsize=(5.2 * len(maps), 4.6), layout="constrained")
+    clear = np.full(space.reachable.shape, np.nan)
+    clear[space.reachable] = found.clearance
+    collide = bool(np.nanmin(clear, initial=np.inf) < 0.0)
+    for k, (title, values) in enumerate(maps):
+        ax = figure.add_subplot(1, len(maps), k + 1)
+        figure.colorbar(ax.contourf(x, y, values.T, 16, cmap="cividis"), ax=ax)
+        curves = (found.singular.coordinates[name] for name in (first, second))
+        ax.plot(*curves, linestyle="", marker=".", markersize=2.0, color=ENGINE_COLORS["mujoco"])
+        if collide:
+            ax.contourf(x, y, clear.T, [-np.inf, 0.0], colors="none", hatches=["////"])
+            ax.contour(x, y, clear.T, [0.0], colors=[ENGINE_COLORS["newton_euler"]], linewidths=2.0)
+        ax.set(title=title, xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
+        ax.set(xlabel=f"{first}, {_unit(found, first)}", ylabel=f"{second}, {_unit(found, second)}")
+    dot, edge = ENGINE_COLORS["mujoco"], ENGINE_COLORS["newton_euler"]
+    dots = Line2D(
+        [], [], linestyle="", marker=".", color=dot, label="singular configurations, of all branches"
+    )
+    hatched = Patch(facecolor="none", edgecolor=edge, hatch="////", label="bodies collide")
+    named = [dots, hatched] if collide else [dots]
+    figure.legend(handles=named, loc="outside lower center", ncols=2, frameon=False)
+    return png(figure, dpi=110)

@@ -1,0 +1,226 @@
+"""Identification of the tracker's joints from the paper's tables, which contain no joints.
+
+Run `python -m crosscheck.library.tracker_geometry` to repeat the identification and see its residuals.
+
+Assumption: the design is symmetric about the vertical plane through (1, -1, 0). Both sliders carry their
+joint at the same height and inward offset. The column stands on a hinge with axis (-1, 1, 0). The universal
+joint on top turns about the column's (1, 1, 0) and the panel's eta axis. Two balls lie at (-a, b, c) and
+(a, b, c) of the panel. The legs have equal length. With both sliders at 46 mm, the paper's target, the column
+is upright and the panel is horizontal with a yaw of 45 degrees.
+
+Eleven lengths and ratios remain. Least squares fits them to fifteen published numbers: the centers of mass
+of bodies 4 to 7 and the orientation of body 7. A last step moves the joint points as little as possible so
+that the published pose and the horizontal pose both close exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares, root
+
+from crosscheck.library.tracker import TARGET_HEIGHT, corrected_tables, joint_data
+from newton_euler.model.euler_parameters import from_rotation_vector, rotation
+from newton_euler.scalars import Array
+
+TABLES = corrected_tables()
+CENTERS = TABLES.center_of_mass
+PANEL = rotation(TABLES.euler_parameters[6])
+"""Published orientation of the panel at the initial position."""
+
+RISE = TARGET_HEIGHT - CENTERS[1, 2]
+"""Rise of the sliders from the initial position to the target, m."""
+
+HINGE_AXIS = np.array([-1.0, 1.0, 0.0]) / np.sqrt(2.0)
+CROSS_AXIS = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
+YAW = rotation(from_rotation_vector(np.array([0.0, 0.0, np.pi / 4])))
+"""Orientation of the horizontal panel: xi = (1, 1, 0), eta = (-1, 1, 0), both over sqrt 2."""
+
+PANEL_RADIUS = 0.1
+"""Length that converts an orientation error of the panel (rad) into a length, m."""
+
+PARAMETERS = (
+    "inward offset of the slider joints",
+    "height of the slider joints at the initial position",
+    "height of the column's hinge",
+    "length of the column",
+    "universal joint in the panel, eta",
+    "universal joint in the panel, zeta",
+    "balls in the panel, a",
+    "balls in the panel, c",
+    "height of the column's center of mass above its hinge",
+    "place of leg 5's center of mass along the leg, share",
+    "place of leg 6's center of mass along the leg, share",
+)
+GUESS = np.array([0.016, 0.018, 0.046, 0.09, -0.03, -0.015, 0.05, -0.01, 0.053, 0.5, 0.5])
+
+
+def turn(axis: Array, angle: float) -> Array:
+    """Return the rotation (3, 3) by an angle, rad, about a unit vector (3,)."""
+    return rotation(from_rotation_vector(angle * axis))
+
+
+def mirror(point: Array) -> Array:
+    """Return the mirror image of a point (3,) across the plane through (1, -1, 0) and the vertical."""
+    return np.array([-point[1], -point[0], point[2]])
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Symmetric design with given values of `PARAMETERS`, at the published heights of the sliders."""
+
+    parameters: Array
+
+    def points(self) -> tuple[Array, ...]:
+        """Return slider joint of leg 6, hinge, and in the panel universal joint, balls of legs 6 and 5, m."""
+        offset, height, hinge, _, eta, zeta, a, c = self.parameters[:8]
+        slider = np.array([CENTERS[1, 0] + offset, CENTERS[1, 1], height])
+        foot = np.array([CENTERS[2, 0], CENTERS[1, 1], hinge])
+        # leg 6 swings in the vertical plane of its slider, which fixes the balls' eta
+        return slider, foot, np.array([0.0, eta, zeta]), np.array([-a, a + eta, c]), np.array([a, a + eta, c])
+
+    def panel(self, lean: float, pitch: float, roll: float) -> tuple[Array, Array]:
+        """Return center of mass and rotation of the panel for angles (rad) of hinge and universal joint."""
+        _, foot, universal, _, _ = self.points()
+        column = turn(HINGE_AXIS, lean)
+        top = foot + column @ [0.0, 0.0, self.parameters[3]]
+        orientation = column @ turn(CROSS_AXIS, pitch) @ turn(HINGE_AXIS, roll) @ YAW
+        return top - orientation @ universal, orientation
+
+    def predict(self) -> tuple[Array, Array]:
+        """Return the initial centers of mass (4, 3) of bodies 4 to 7, m, and the rotation of body 7."""
+        slider, foot, _, ball_6, ball_5 = self.points()
+        upright, yaw = self.panel(0.0, 0.0, 0.0)
+        up = np.array([0.0, 0.0, RISE])
+        length = np.linalg.norm(upright + yaw @ ball_6 - slider - up)
+
+        def gaps(angles: Array) -> Array:
+            center, orientation = self.panel(*angles)
+            on_6, on_5 = center + orientation @ ball_6, center + orientation @ ball_5
+            return np.array(
+                [
+                    np.linalg.norm(on_6 - slider) - length,
+                    np.linalg.norm(on_5 - mirror(slider)) - length,
+                    on_6[1] - slider[1],
+                ]
+            )
+
+        solution = root(gaps, np.array([0.09, 0.0, 0.0]), tol=1e-14)
+        center, orientation = self.panel(*solution.x)
+        on_6, on_5 = center + orientation @ ball_6, center + orientation @ ball_5
+        height, share_5, share_6 = self.parameters[8:]
+        column = foot + turn(HINGE_AXIS, solution.x[0]) @ [0.0, 0.0, height]
+        leg_5 = mirror(slider) + share_5 * (on_5 - mirror(slider))
+        leg_6 = slider + share_6 * (on_6 - slider)
+        return np.array([column, leg_5, leg_6, center]), orientation
+
+    def residuals(self) -> Array:
+        """Return predicted minus published numbers (15,), m; the rotation error times `PANEL_RADIUS`."""
+        centers, orientation = self.predict()
+        error = orientation @ PANEL.T
+        twist = 0.5 * np.array(
+            [error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]]
+        )
+        return np.concatenate([(centers - CENTERS[3:7]).ravel(), PANEL_RADIUS * twist])
+
+
+def fit() -> Design:
+    """Return the design with the least-squares fit to the published numbers."""
+    solution = least_squares(
+        lambda x: Design(x).residuals(),
+        GUESS,
+        x_scale=np.maximum(np.abs(GUESS), 0.01),
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
+    )
+    return Design(solution.x)
+
+
+def close_exactly(design: Design) -> dict[str, Array]:
+    """Return the joint points nearest to the design's that close both poses exactly, world frame, m.
+
+    Unknowns are the points at the initial position and the horizontal pose (panel center and column angle).
+    Six equations: the point of the universal joint moves with the column (3), both legs keep their
+    lengths (2), leg 6 stays in its plane (1).
+    """
+    slider, foot, universal, ball_6, ball_5 = design.points()
+    on_panel = [CENTERS[6] + PANEL @ s for s in (universal, ball_6, ball_5)]
+    start = np.concatenate([slider[[0, 2]], foot[2:], on_panel[0], on_panel[1][[0, 2]], on_panel[2]])
+    horizontal = design.panel(0.0, 0.0, 0.0)[0]
+
+    def unpack(x: Array) -> dict[str, Array]:
+        slider_6 = np.array([x[0], slider[1], x[1]])
+        return {
+            "hinge_26": slider_6,
+            "universal_35": mirror(slider_6),
+            "hinge_14": np.array([foot[0], foot[1], x[2]]),
+            "universal_47": x[3:6],
+            "ball_67": np.array([x[6], slider[1], x[7]]),
+            "ball_57": x[8:11],
+        }
+
+    def gaps(x: Array) -> Array:
+        at = unpack(x)
+        center, lean = x[11:14], x[14]
+        moved = {
+            name: center + YAW @ PANEL.T @ (at[name] - CENTERS[6])
+            for name in ("universal_47", "ball_67", "ball_57")
+        }
+        column = at["hinge_14"] + turn(HINGE_AXIS, lean) @ (at["universal_47"] - at["hinge_14"])
+        up = np.array([0.0, 0.0, RISE])
+
+        def stretch(ball: str, foot_of_leg: str) -> float:
+            before = np.linalg.norm(at[ball] - at[foot_of_leg])
+            return float(np.linalg.norm(moved[ball] - at[foot_of_leg] - up) - before)
+
+        return np.array(
+            [
+                *(moved["universal_47"] - column),
+                stretch("ball_67", "hinge_26"),
+                stretch("ball_57", "universal_35"),
+                moved["ball_67"][1] - at["ball_67"][1],
+            ]
+        )
+
+    return unpack(_nearest_root(gaps, np.concatenate([start, horizontal, [-0.09]]), free=4))
+
+
+def _nearest_root(gaps: Callable[[Array], Array], start: Array, free: int) -> Array:
+    """Return the root of `gaps` nearest to `start` by Newton steps of least norm.
+
+    The last `free` unknowns have a weight of 1e-3 in the norm.
+    """
+    weight = np.ones(len(start))
+    weight[-free:] = 1e3
+    x = start.copy()
+    for _ in range(30):
+        jacobian = np.column_stack([(gaps(x + 1e-6 * e) - gaps(x - 1e-6 * e)) / 2e-6 for e in np.eye(len(x))])
+        scaled = jacobian * weight
+        right = jacobian @ (x - start) - gaps(x)
+        x = start + weight * (np.linalg.pinv(scaled) @ right)
+    return x
+
+
+def main() -> None:
+    """Print the identified design, its residuals, and the distances to the joint points of the scene."""
+    design = fit()
+    for name, value in zip(PARAMETERS, design.parameters, strict=True):
+        print(f"{name:55s} {value:8.4f}" if "share" in name else f"{name:55s} {1e3 * value:8.3f} mm")
+    residuals = 1e3 * design.residuals()
+    print("\nresiduals, mm:      x        y        z")
+    for name, row in zip(("r4", "r5", "r6", "r7", "p7"), residuals.reshape(5, 3), strict=True):
+        print(f"{name:12s}" + "".join(f"{value:9.3f}" for value in row))
+    print(f"rms {np.sqrt(np.mean(residuals**2)):.4f} mm over {len(residuals)} numbers")
+    points = close_exactly(design)
+    used = {joint["name"]: np.array(joint["point"]) for joint in joint_data()["joints"]}
+    print("\njoint points that close both poses exactly, and how far the scene's own are from them, mm:")
+    for name, point in points.items():
+        gap = 1e3 * np.linalg.norm(point - used[name])
+        print(f"{name:13s}" + "".join(f"{1e3 * value:10.3f}" for value in point) + f"{gap:10.3f}")
+
+
+if __name__ == "__main__":
+    main()

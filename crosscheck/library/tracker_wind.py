@@ -1,0 +1,91 @@
+"""Solar tracker that moves its panel under gravity and wind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, Literal
+
+import numpy as np
+
+from crosscheck.library.options import Beside, Between
+from crosscheck.library.tracker import PANEL, tracker_gravity
+from newton_euler.model.control import PD
+from newton_euler.model.motions import TimeFunction
+from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Sine
+from newton_euler.model.wind import WindLoad, wind_gust, wind_turbulence
+
+STIFFNESS, DAMPING = 5000.0, 100.0
+"""Gains of the PD laws, N/m and N s/m: 100 and 5 times the paper's, which let the panel sag by decimeters."""
+
+WEIGHT = (7.056, 5.767)
+"""Feedforward forces of the actuators, N. They hold the tracker at the start; without them it sags by a
+millimeter."""
+
+STROKE = (0.02, 0.015)
+"""Strokes of the sliders, m: up and down again, from rest."""
+
+PERIODS = (5.0, 2.5)
+"""Periods of the strokes, s."""
+
+INTENSITY, LEAST = 0.14, 5.6
+"""Turbulence of class B of IEC 61400-1 (2005): standard deviation INTENSITY (0.75 speed + LEAST), m/s."""
+
+LENGTH = 5.67 * 2.0
+"""Length scale of turbulence, m, for an assumed height of 2 m above the ground. The factor 5.67 is the
+standard's for hubs of wind turbines."""
+
+BAND = (0.1, 5.0)
+"""Frequencies of turbulence, Hz: half a period in a run at least, and at most what still moves the panel."""
+
+SINES = 16
+"""Number of sines that make up the turbulence."""
+
+
+def tracker_wind(
+    wind: Literal["turbulent", "gust", "steady"] = "turbulent",
+    speed: Annotated[float, Between(0.0, 60.0, "m/s")] = 10.0,
+    direction: Annotated[float, Between(0.0, 360.0, "deg")] = 30.0,
+    seed: Annotated[int, range(1000), Beside("wind", "turbulent")] = 1,
+) -> Scene:
+    """Return the tracker under gravity and wind, both sliders moved up and down by stiff PD laws, 5 s.
+
+    Args:
+        wind: turbulent, one gust of half the speed, or steady.
+        speed: mean speed of the wind, m/s.
+        direction: direction that the wind blows to, degrees from the x axis about the vertical.
+        seed: seed of the turbulence.
+    """
+    scene = tracker_gravity()
+    panel = scene.mechanism.body("panel_7")
+    axes, angle = panel.pose.rotation, np.radians(direction)
+    load = WindLoad(
+        "wind",
+        panel.name,
+        panel.center_of_mass,
+        first_side=2.0 * PANEL[0] * axes[:, 0],
+        second_side=2.0 * PANEL[1] * axes[:, 1],
+        direction=[np.cos(angle), np.sin(angle), 0.0],
+        speed=_speed(wind, speed, seed),
+    )
+    control = tuple(
+        PD(law.joint, STIFFNESS, DAMPING, _up_and_down(stroke, period), feedforward=weight)
+        for law, stroke, period, weight in zip(scene.control, STROKE, PERIODS, WEIGHT, strict=True)
+    )
+    description = "dual-axis solar tracker, stiff PD control along a motion, under gravity and wind"
+    return replace(scene, name="tracker_wind", description=description, control=control, forces=(load,))
+
+
+def _up_and_down(stroke: float, period: float) -> Sine:
+    """Return a motion from 0 to a stroke (m) and back in a period (s), starting at rest."""
+    return Sine(-0.5 * stroke, 2.0 * np.pi / period, 0.5 * np.pi, offset=0.5 * stroke)
+
+
+def _speed(wind: str, speed: float, seed: int) -> float | TimeFunction:
+    """Return the wind's speed, m/s, constant or over time."""
+    if wind == "steady" or speed == 0.0:
+        return speed
+    if wind == "gust":
+        return wind_gust(speed, 0.5 * speed, period=5.0)
+    deviation = INTENSITY * (0.75 * speed + LEAST)
+    return wind_turbulence(speed, deviation, LENGTH, seed, *BAND, SINES)

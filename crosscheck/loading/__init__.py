@@ -1,0 +1,1 @@
+"""Models and scene files loaded with the options of commands."""

@@ -1,1 +1,0 @@
-"""Models of other tools read, and scenes written as such."""

@@ -1,0 +1,143 @@
+"""Figures 5 to 9 of the paper, redrawn from the three engines.
+
+matplotlib draws them, without a display. newton_euler runs the paper's own method here: Cartesian
+coordinates and Euler parameters under Baumgarte's stabilization with alpha = 10.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from crosscheck.engines.engine import ENGINES
+from crosscheck.library import load
+from crosscheck.library.tracker import TARGET_HEIGHT
+from crosscheck.report.plots import curve, own_style, png
+from crosscheck.support.files import check_writable, write_files
+from crosscheck.support.palette import palette
+from newton_euler import simulate
+from newton_euler.integrators.options import STABILIZATIONS
+from newton_euler.model.euler_parameters import rotations
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.scalars import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def draw(folder: Path, progress: Callable[[str], None]) -> list[Path]:
+    """Run the paper's simulation and write `figure_5.png` to `figure_9.png` into a folder.
+
+    Raises:
+        CrosscheckError: naming the path that cannot be written.
+    """
+    paths = {number: folder / f"figure_{number}.png" for number in FIGURES}
+    check_writable(*paths.values())
+    scene = load("tracker")
+    runs = {}
+    for name, engine in ENGINES.items():
+        progress(name)
+        runs[name] = (
+            simulate(scene, formulation="cartesian", stabilization="baumgarte")
+            if name == "newton_euler"
+            else engine.simulate(scene)
+        )
+    with own_style():
+        pictures = {path: png(FIGURES[number](scene, runs), dpi=120) for number, path in paths.items()}
+    write_files(pictures)
+    return list(paths.values())
+
+
+def _axes(title: str, rows: int, labels: Sequence[str]) -> tuple[Figure, list[Axes]]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 1.2 + 1.9 * rows), layout="constrained")
+    axes = [figure.add_subplot(rows, 1, k + 1) for k in range(rows)]
+    figure.suptitle(title)
+    for ax, label in zip(axes, labels, strict=True):
+        ax.set_ylabel(label)
+        ax.grid(alpha=0.3)
+    axes[-1].set_xlabel("time, s")
+    return figure, axes
+
+
+def _plot(axes: list[Axes], runs: dict[str, Trajectory], columns: Callable[[Trajectory], Array]) -> None:
+    """One column a panel, one curve an engine."""
+    colors = palette(list(runs))
+    for name, run in runs.items():
+        for ax, values in zip(axes, columns(run).T, strict=True):
+            curve(ax, name, colors[name], run.time, values)
+    axes[0].legend(loc="best", fontsize="small")
+
+
+def sliders(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
+    """Figure 5: heights of both sliders, with their target."""
+    figure, axes = _axes("Figure 5: response of the actuators' displacement", 2, ["z2, m", "z3, m"])
+    _plot(axes, runs, lambda run: run.position[:, 1:3, 2])
+    for ax in axes:
+        ax.axhline(TARGET_HEIGHT, color="0.5", linewidth=0.8)
+    return figure
+
+
+def violation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
+    """Figure 6: how far the joints are open, by engine; below, by stabilization, at coarse steps."""
+    labels = ["engines\nlargest |Phi|, m or rad", "newton_euler, RK4 at 10 ms\nlargest |Phi|, m or rad"]
+    figure, axes = _axes("Figure 6: kinematic constraints", 2, labels)
+
+    def largest(run: Trajectory) -> Array:
+        assert run.constraint_violation is not None
+        return np.maximum(run.constraint_violation.max(axis=1, keepdims=True), 1e-18)
+
+    _plot(axes[:1], runs, largest)
+    for stabilization in STABILIZATIONS:
+        run = simulate(scene, integrator="RK4", step=0.01, stabilization=stabilization)
+        axes[1].plot(run.time, largest(run), label=stabilization)
+    axes[1].legend(loc="best", fontsize="small")
+    for ax in axes:
+        ax.set_yscale("log")
+    return figure
+
+
+def orientation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
+    """Figure 7: rotation of the panel about the fixed axes x, then y, then z, in degrees."""
+    labels = ["about x, deg", "about y, deg", "about z, deg"]
+    figure, axes = _axes("Figure 7: orientation of the solar panel", 3, labels)
+
+    def angles(run: Trajectory) -> Array:
+        r = rotations(run.quaternion[:, -1])
+        x = np.arctan2(r[:, 2, 1], r[:, 2, 2])
+        y = np.arctan2(-r[:, 2, 0], np.hypot(r[:, 2, 1], r[:, 2, 2]))
+        z = np.arctan2(r[:, 1, 0], r[:, 0, 0])
+        return np.degrees(np.stack([x, y, z], axis=1))
+
+    _plot(axes, runs, angles)
+    return figure
+
+
+def euler_parameters(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
+    """Figure 8: Euler parameters of the panel."""
+    figure, axes = _axes("Figure 8: Euler parameters of the solar panel", 4, ["e0", "e1", "e2", "e3"])
+    _plot(axes, runs, lambda run: run.quaternion[:, -1])
+    return figure
+
+
+def norm(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
+    """Figure 9: p7^T p7, drawn as its distance from 1."""
+    figure, axes = _axes("Figure 9: norm of the panel's Euler parameters", 1, ["p7^T p7 - 1"])
+    _plot(axes, runs, lambda run: np.sum(run.quaternion[:, -1:] ** 2, axis=2) - 1.0)
+    return figure
+
+
+FIGURES: dict[int, Callable[[Scene, dict[str, Trajectory]], Figure]] = {
+    5: sliders,
+    6: violation,
+    7: orientation,
+    8: euler_parameters,
+    9: norm,
+}
+"""The paper's figures by number."""

@@ -1,0 +1,1 @@
+"""Errors, files, time limits, processes and colors that all rooms share."""

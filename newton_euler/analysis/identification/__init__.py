@@ -1,0 +1,1 @@
+"""Parameters of a scene fitted to measured motion."""

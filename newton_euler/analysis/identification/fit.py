@@ -1,0 +1,265 @@
+"""Least squares of residuals between measured and computed motion, by numbers of a scene.
+
+A fit has two steps, each by scipy's trust-region method, repeated with the noise that residuals show until it
+stays (`newton_euler.analysis.identification.noise`):
+
+1. All numbers are pulled to where they were, by as much as a residual that is its noise for a change by the
+   scale of the number. So combinations that the data say nothing about stay, and steps are bounded. Numbers
+   that become larger nevertheless have larger scales from then on: the first guess may be far too small.
+2. Combinations that are determined, those beyond the noise, are fitted without the pull; what noise has
+   changed of the others is taken back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from newton_euler.analysis.identification.noise import SAME, STAYS, Noise
+from newton_euler.analysis.identification.residuals import Residuals
+from newton_euler.analysis.sensitivity.tangent_starts import own_numbers
+from newton_euler.equations.parameters import own_value, places
+from newton_euler.errors import NewtonEulerError
+from newton_euler.model.scene import Scene
+from newton_euler.runs.starts import initial_numbers
+from newton_euler.runs.variation import units_of
+from newton_euler.scalars import Array
+
+# of combinations of parameters
+WEAK = 1.0  # standard deviation, in units of scales, from which on one is not determined
+LOST = 1e-7  # singular value of the Jacobian, as a share of the largest, below which no digits are left of it
+SETTLED = 0.1  # standard deviations by which a further step would move them at most where a fit has converged
+REPEATED = 0.01  # those above which it is repeated
+
+# of changes, in units of scales
+NOTHING = 1e-12  # round-off; SI of coordinates of a start and their rates
+ROUND_OFF = 1e-8  # what runs to 1e-10 do not tell from none
+NEAR = 1e-6  # distance within which a number is at the edge of what the scene can have
+LARGER = 2.0  # factor by which numbers may outgrow their scales
+
+# of iterations
+ROUNDS = 8  # fits at most, each with the noise, or the scales, that the last one left
+MOST_EVALUATIONS = 200  # of a fit
+CONVERGED = {"xtol": 1e-9, "ftol": 1e-10, "gtol": 1e-12}  # changes, sum of squares and its slope
+FAR = 1e3  # times those at the beginning: residuals of numbers that make no sense
+
+
+class Fit:
+    """Numbers of a scene that make the squares of residuals least, in units of their noise.
+
+    A change (p,) of the numbers is in units of their scales.
+
+    Attributes:
+        before, scale: (p,) the scene's own numbers, and changes of them that are large.
+        units: (p,) of them.
+        noise: of the measurements.
+        stopped: why the last fit ended if it was too early.
+    """
+
+    def __init__(self, scene: Scene, names: tuple[str, ...], residuals: Residuals) -> None:
+        self._runs, self.noise = residuals, Noise(residuals.runs)
+        self.before, self.scale, self.units = _scales(scene, names)
+        self.stopped, self._refused = "", ""
+        self._suspected: set[str] = set()
+
+    def solve(self) -> Array:
+        """Return the change (p,) that makes residuals least."""
+        change, scale = np.zeros(len(self.before)), self.scale
+        self._suspected = self._runs.like_degrees(self.residuals(change))
+        for _ in range(ROUNDS):
+            change = self._pulled(change)
+            growth = self._estimate_noise(change)
+            if np.abs(growth - 1.0).max() < SAME:
+                break
+            if growth.max() > 1.0 + SAME:  # where numbers may have gone too far
+                change, self.scale = np.zeros(len(change)), scale
+        for _ in range(ROUNDS):
+            change = self._free(self._determined(change))
+            if np.abs(self._estimate_noise(change) - 1.0).max() < STAYS:
+                break
+        return change
+
+    def _estimate_noise(self, change: Array) -> Array:
+        """Estimate noise from the residuals; return by how much it has grown."""
+        jacobian = self.jacobian(change)
+        return self.noise.estimate(self.residuals(change), jacobian @ split(jacobian).strong.T)
+
+    def _pulled(self, change: Array) -> Array:
+        """Return the change (p,) with the least squares of residuals and of itself."""
+        for _ in range(ROUNDS):
+            change = self._least(change, np.eye(len(change)), pull=1.0)
+            larger = np.maximum(self.scale, np.abs(self.values(change)))
+            if np.all(larger <= LARGER * self.scale):
+                break
+            change, self.scale = change * self.scale / larger, larger
+        return change
+
+    def _determined(self, change: Array) -> Array:
+        """Return the part of a change (p,) that is determined, or all if the scene cannot be there."""
+        strong, weak, _ = split(self.jacobian(change))
+        if not len(weak):
+            return change
+        directions = strong / np.linalg.norm(strong, axis=1)[:, None]
+        part = np.asarray((directions @ change) @ directions)
+        try:
+            self._runs(self.values(part))
+        except NewtonEulerError:
+            return change
+        return part
+
+    def _free(self, change: Array) -> Array:
+        """Return the change (p,) with the least squares of residuals by combinations that are determined."""
+        unsettled = np.inf
+        while REPEATED < (now := self.unsettled(change)) < 0.5 * unsettled:
+            unsettled = now
+            strong = split(self.jacobian(change)).strong
+            change = self._least(change, strong.T / np.linalg.norm(strong, axis=1), pull=0.0)
+        return change
+
+    def _least(self, begin: Array, basis: Array, pull: float) -> Array:
+        """Return the change (p,) that is `begin` and some of a basis (p, k), with the least squares.
+
+        Of residuals, and of the whole change times the pull.
+        """
+        from scipy.optimize import least_squares
+
+        def changed(z: Array) -> Array:
+            return np.asarray(begin + basis @ (z - 1.0))  # from 1 on, which is what tolerances are of
+
+        def residuals(z: Array) -> Array:
+            change = changed(z)
+            try:
+                return np.concatenate([self._weighted(change), pull * change])
+            except NewtonEulerError as error:
+                self._refused = f"beyond is what the scene cannot be: {error}"
+                return np.full(len(first), far)
+
+        def jacobian(z: Array) -> Array:
+            return np.vstack([self.jacobian(changed(z)) @ basis, pull * basis])
+
+        if not basis.size:
+            return begin
+        self._refused = ""
+        first = np.concatenate([self._weighted(begin), pull * begin])
+        far = FAR * max(1.0, float(np.abs(first).max()))
+        solved = least_squares(
+            residuals, np.ones(basis.shape[1]), jacobian, max_nfev=MOST_EVALUATIONS, **CONVERGED
+        )
+        over = f"{MOST_EVALUATIONS} evaluations are over" if solved.status == 0 else "steps are too small"
+        self.stopped = f"residuals are not the least: {self._refused or over}"
+        return changed(solved.x)
+
+    def unsettled(self, change: Array) -> float:
+        """Return by how many standard deviations a further step would move what is determined.
+
+        0 for round-off.
+        """
+        jacobian = self.jacobian(change)
+        strong = split(jacobian).strong
+        deviations = strong @ (jacobian.T @ self._weighted(change))
+        if np.abs(strong.T @ deviations).max() < ROUND_OFF:
+            return 0.0
+        return float(np.linalg.norm(deviations))
+
+    def is_at_edge(self, change: Array) -> list[bool]:
+        """Tell for each number whether the scene cannot have one that is a little larger or smaller."""
+        steps = NEAR * np.eye(len(change))
+        return [
+            not all(self._runs.can_start(self.values(change + near)) for near in (step, -step))
+            for step in steps
+        ]
+
+    def curvature(self, change: Array) -> float:
+        """Return by how much derivatives two standard deviations away are others, in units of those here.
+
+        Root mean square over the combinations that are determined (D. M. Bates and D. G. Watts, Journal of
+        the Royal Statistical Society B 42, 1980); infinite if the scene cannot be there.
+        """
+        jacobian = self.jacobian(change)
+        strong = split(jacobian).strong
+        try:
+            changes = [(self.jacobian(change + 2.0 * each) - jacobian) @ strong.T for each in strong]
+        except NewtonEulerError:
+            return np.inf
+        norms = [np.linalg.norm(each, 2) for each in changes]
+        return float(np.sqrt(np.mean(np.square(norms)))) if norms else 0.0
+
+    def in_degrees(self, change: Array) -> tuple[str, ...]:
+        """Return the names of columns that fit as degrees instead of rad, after the fit or before it."""
+        residuals = self.residuals(change)
+        suspected = self._suspected | self._runs.like_degrees(residuals)
+        return tuple(sorted(suspected & self._runs.unexplained(residuals)))
+
+    def values(self, change: Array) -> Array:
+        """Return the numbers (p,) after a change."""
+        return self.before + np.where(np.abs(change) > NOTHING, change, 0.0) * self.scale
+
+    def residuals(self, change: Array) -> Array:
+        """Compute the residuals (n,), SI."""
+        return self._runs(self.values(change)).residuals
+
+    def jacobian(self, change: Array) -> Array:
+        """Compute the derivatives (n, p) of residuals in units of their noise by the change."""
+        return self._runs(self.values(change)).jacobian * self.scale / self.noise.effective[:, None]
+
+    def _weighted(self, change: Array) -> Array:
+        """Compute the residuals (n,) in units of their noise."""
+        return self.residuals(change) / self.noise.effective
+
+
+def _scales(scene: Scene, names: Sequence[str]) -> tuple[Array, Array, tuple[str, ...]]:
+    """Return the own values (p,) of numbers, changes of them (p,) that are large, and their units.
+
+    That by the own value is, or by that of the largest number beside it in an array of one unit; of what is 0
+    that by the mechanism's size, m, or else by 1.
+    """
+    before, units = own_numbers(scene, names), tuple(units_of(scene, names).values())
+    initial = np.isin(names, list(initial_numbers(scene, names)))
+    before[initial & (np.abs(before) < NOTHING)] = 0.0
+    scale = np.abs(before)
+    for k, (name, unit) in enumerate(zip(names, units, strict=True)):
+        if unit and not initial[k]:
+            (place,) = places(scene, [name]).values()
+            scale[k] = np.abs(own_value(scene, place.owner)).max()
+        if scale[k] == 0.0:
+            scale[k] = scene.mechanism.size if unit == "m" else 1.0
+    return before, scale, units
+
+
+class Split(NamedTuple):
+    """The space of parameters, in units of their scales, by what the data determine.
+
+    Attributes:
+        strong: (s, p) orthogonal directions that they determine, of the lengths of standard deviations.
+        weak: (p - s, p) a basis of the others, with as many zeros as can be had.
+        covariance: (p, p) along all of them.
+    """
+
+    strong: Array
+    weak: Array
+    covariance: Array
+
+
+def split(jacobian: Array) -> Split:
+    """Split the space of parameters in what the data determine and what they do not.
+
+    Args:
+        jacobian: (n, p) of residuals in units of their noise, by parameters in units of their scales.
+    """
+    _, values, right = np.linalg.svd(jacobian, full_matrices=False)
+    least = LOST * values[0]
+    known = (values > least) & (values * WEAK > 1.0)
+    weak = right[~known]
+    every = right / np.maximum(values, least or 1.0)[:, None]
+    return Split(every[known], _sparse_basis(weak) if len(weak) else weak, every.T @ every)
+
+
+def _sparse_basis(rows: Array) -> Array:
+    """Return a basis of the space of rows (d, p), each of which has a place where all others are 0."""
+    from scipy.linalg import qr
+
+    _, _, order = qr(rows, mode="economic", pivoting=True)
+    reduced = np.linalg.solve(rows[:, order[: len(rows)]], rows)
+    return np.asarray(reduced / np.abs(reduced).max(axis=1)[:, None])

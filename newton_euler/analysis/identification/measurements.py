@@ -1,0 +1,295 @@
+"""Measured motion: columns of numbers over time, of the names that tables of trajectories have.
+
+Names of columns are `coordinate.JOINT` and `rate.JOINT`, m or rad from the initial pose and their rates, with
+`.0`, `.1` behind for joints of several coordinates, and those of `Trajectory.to_dataframe`:
+`position.BODY.x` (m, the center of mass), `quaternion.BODY.w`, `linear_velocity.BODY.x`,
+`angular_velocity.BODY.x`, `reaction_force.JOINT.x`, `reaction_torque.JOINT.x`, `actuator_force.0`,
+`kinetic_energy`, `potential_energy`, `work`; in SI or the units of `UNITS`, world frame.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from newton_euler.arguments import checked
+from newton_euler.errors import (
+    MechanismError,
+    UnknownNameError,
+    is_finite_number,
+    listed,
+    nearest,
+    quoted,
+    real_array,
+)
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.source_file import (
+    Row,
+    SourceError,
+    TimeTable,
+    check_names,
+    csv_rows,
+    path_text,
+    read_text,
+    row_numbers,
+)
+from newton_euler.model.trajectory import QUANTITIES, column_names
+from newton_euler.runs.starts import PREFIX, RATE
+from newton_euler.scalars import Array, Floats
+
+NOISE, START = "noise", "start"  # in place of a time: the row of standard deviations, and that of the start
+
+UNITS = {unit: (unit, 1.0) for unit in ("s", "m", "rad", "m/s", "rad/s", "N", "N m", "J", "1")} | {
+    "ms": ("s", 1e-3),
+    "mm": ("m", 1e-3),
+    "mm/s": ("m/s", 1e-3),
+    "deg": ("rad", np.pi / 180.0),
+    "deg/s": ("rad/s", np.pi / 180.0),
+}
+"""Units of columns: the SI unit, and the factor to it."""
+
+HEADING = re.compile(r"(.*?)\s*(?:\[([^]]*)\])?")  # A column's name, and its unit in brackets if it has one
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Columns of numbers that were measured in one run of a scene.
+
+    Attributes:
+        time: (n,) s from the start of the run, ascending.
+        columns: (n,) each, by name, see `newton_euler.analysis.identification.measurements`.
+        noise: standard deviations of columns, by name, in their units; those of others are not known.
+        start: coordinates and rates that the run starts with, by name, as of `newton_euler.runs.starts`;
+            others are as near to the scene's own as the loops let them; SI.
+        units: of columns, their noise and the time, by name, out of `UNITS`; converted to SI, which is what
+            all others are in.
+
+    Raises:
+        MechanismError: for times that do not ascend from 0 on, columns that are no finite numbers, one for
+            each time, and units that are not known.
+
+    Examples:
+        >>> run = simulate(load("pendulum"))
+        >>> angle = run.joint("pivot").coordinates[:, 0]
+        >>> Measurements(run.time, {"coordinate.pivot": angle}, {"coordinate.pivot": 1e-3})
+        <Measurements: 1001 times to 10 s, columns: 1>
+    """
+
+    time: Floats
+    columns: Mapping[str, Floats]
+    noise: Mapping[str, float] = field(default_factory=dict)
+    start: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for what in ("columns", "noise", "start", "units"):
+            if not isinstance(given := getattr(self, what), Mapping):
+                raise MechanismError("measurements", f"{what} is {quoted(given)}", "a mapping of names")
+        factors = {name: _factor(name, unit) for name, unit in self.units.items()}
+        if UNITS[self.units.get("time", "s")][0] != "s":
+            raise MechanismError("measurements", f"unit of time is {self.units['time']!r}", "s or ms")
+        time = _numbers("time", self.time, factors.get("time", 1.0))
+        if len(time) < 2 or time[0] < 0.0 or np.any(np.diff(time) <= 0.0):
+            raise MechanismError("measurements", "have no times in ascending order", "two or more, from 0 on")
+        object.__setattr__(self, "time", time)
+        if not self.columns:
+            raise MechanismError("measurements", "columns are {}", "columns by name")
+        columns = {
+            name: _numbers(f"column {quoted(name)}", column, factors.get(name, 1.0))
+            for name, column in self.columns.items()
+        }
+        for name, column in columns.items():
+            if len(column) != len(time):
+                problem = f"column {quoted(name)} has {len(column)} numbers"
+                raise MechanismError("measurements", problem, f"{len(time)}, one for each time")
+        object.__setattr__(self, "columns", columns)
+        for name, deviation in self.noise.items():
+            if name not in columns:
+                raise MechanismError("measurements", f"have noise of {quoted(name)}", "columns alone")
+            if not is_finite_number(deviation) or deviation <= 0.0:
+                problem = f"noise of {quoted(name)} is {quoted(deviation)}"
+                raise MechanismError("measurements", problem, "a positive number")
+        noise = {name: float(level) * factors.get(name, 1.0) for name, level in self.noise.items()}
+        object.__setattr__(self, "noise", noise)
+        for name in self.units:
+            if name not in columns and name != "time":
+                raise MechanismError("measurements", f"have a unit of {quoted(name)}", "columns alone")
+        object.__setattr__(self, "units", {name: UNITS[unit][0] for name, unit in self.units.items()})
+        for name, number in self.start.items():
+            if not isinstance(name, str) or not name.startswith(PREFIX) or not is_finite_number(number):
+                problem = f"start with {quoted(name)} = {quoted(number)}"
+                raise MechanismError("measurements", problem, f"finite numbers by {PREFIX}JOINT")
+
+    def __repr__(self) -> str:
+        return f"<Measurements: {len(self.time)} times to {self.time[-1]:g} s, columns: {len(self.columns)}>"
+
+
+def _factor(name: str, unit: object) -> float:
+    """Return the factor from a unit to SI."""
+    if not isinstance(unit, str) or unit not in UNITS:
+        raise MechanismError("measurements", f"unit of {quoted(name)} is {quoted(unit)}", ", ".join(UNITS))
+    return UNITS[unit][1]
+
+
+def _numbers(what: str, given: object, factor: float) -> Floats:
+    """Return finite numbers (n,), times a factor."""
+    try:
+        array = real_array(given)
+    except (TypeError, ValueError, OverflowError):
+        array = np.zeros(0)
+    if array.ndim != 1 or not len(array) or not np.isfinite(array).all():
+        raise MechanismError("measurements", f"{what} is {quoted(given)}", "finite numbers in a row")
+    array *= factor
+    array.flags.writeable = False
+    return array
+
+
+@checked
+def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
+    """Read measurements of one run.
+
+    The first line names the columns: `time` in s from the start of the run, and others as of
+    `newton_euler.analysis.identification.measurements`, each followed by its unit in brackets if
+    it is not SI, as in `coordinate.pivot [deg]`. A
+    line with `noise` in place of a time has the standard deviations
+    of columns, and one with `start` what joint coordinates and rates the run starts with, those of columns;
+    cells are empty where they are not known.
+
+    Raises:
+        SourceError: naming the file and the line: for cells that are missing or no numbers, times that do not
+            ascend, too few rows, and columns that are there twice.
+
+    Examples:
+        >>> rows = ["time,coordinate.pivot", "noise,0.001", "0.0,0.0", "0.1,0.0473"]
+        >>> _ = open("swing.csv", "w").write("\\n".join(rows))
+        >>> measurements_from_csv("swing.csv").noise
+        {'coordinate.pivot': 0.001}
+    """
+    where = path_text(path)
+    rows = csv_rows(where, read_text(path, "csv_size"))
+    header, units = _headings(rows[0][1] if rows else [])
+    if "time" not in header or len(header) < 2:
+        names = listed(header) or "no columns"
+        needed = "a column time, and at least one of measurements"
+        raise SourceError(where, f"line 1 has {names:.200}; needed: {needed}")
+    check_names(where, header)
+    place, data = header.index("time"), list[Row]()
+    special: dict[str, dict[str, float]] = {NOISE: {}, START: {}}
+    for line, cells in rows[1:]:
+        if len(cells) == len(header) and cells[place].lower() in special:
+            given = {name: cell for name, cell in zip(header, cells, strict=True) if cell and name != "time"}
+            values = row_numbers(where, list(given), (line, list(given.values())))
+            special[cells[place].lower()] |= dict(zip(given, values, strict=True))
+        else:
+            data.append((line, cells))
+    if len(data) < 2:
+        raise SourceError(where, f"has {len(data)} rows of measurements; needed: 2 or more")
+    table = TimeTable.of(where, header, data)
+    columns = dict(table.columns)
+    time = columns.pop("time")
+    table.refuse(time < 0.0, "time", time, "times from 0 on")
+    try:
+        start = {}
+        for name, number in special[START].items():
+            if not (initial := initial_name(name)):
+                problem = f"the start is given by column {quoted(name)}; needed: coordinates and rates"
+                raise SourceError(where, problem)
+            start[initial] = number * _factor(name, units.get(name, "1"))
+        return Measurements(time, columns, special[NOISE], start, units)
+    except MechanismError as error:
+        raise SourceError(where, f"{error.problem}; needed: {error.needed}") from error
+
+
+def _headings(cells: list[str]) -> tuple[list[str], dict[str, str]]:
+    """Return the names in the first line, and the units that are behind some of them."""
+    found = [HEADING.fullmatch(cell) for cell in cells]
+    pairs = [
+        (match[1], match[2]) if match else (cell, None) for cell, match in zip(cells, found, strict=True)
+    ]
+    return [name for name, _ in pairs], {name: unit for name, unit in pairs if unit is not None}
+
+
+def initial_name(column: str) -> str:
+    """Return the name of the initial coordinate or rate that a column measures; empty for other columns."""
+    kind, _, joint = column.partition(".")
+    return {"coordinate": f"{PREFIX}{joint}", "rate": f"{PREFIX}{joint}{RATE}"}.get(kind, "")
+
+
+def column_places(
+    mechanism: Mechanism, layout: Mapping[str, tuple[int, int, tuple[int, ...]]]
+) -> dict[str, tuple[str, int]]:
+    """Find all columns that can be measured: the program that computes each, and the place in its results.
+
+    Args:
+        layout: of the program "output", see `newton_euler.compiled.equations.Code`.
+    """
+    joints = list(mechanism.coordinate_labels.values())
+    found = {f"coordinate.{name}": ("coordinates", k) for k, name in enumerate(joints)}
+    found |= {f"rate.{name}": ("coordinates", len(joints) + k) for k, name in enumerate(joints)}
+    named = {"b": mechanism.body_names, "j": mechanism.joint_names}
+    for name, (start, _, shape) in layout.items():
+        if name in QUANTITIES:
+            columns = column_names(name, shape, named)
+            found |= {column: ("output", start + k) for k, column in enumerate(columns)}
+    return found
+
+
+class Column(NamedTuple):
+    """A column that is compared: the program that computes it, its places there, and its SI unit."""
+
+    program: str
+    of_value: int
+    of_derivative: int
+    unit: str
+    quaternion: int
+    """The body whose Euler parameters it is of; -1 for none."""
+
+
+Places = Mapping[str, tuple[str, int]]
+
+
+def column_of(scene: Scene, name: str, values: Places, derivatives: Places) -> Column:
+    """Find a column by the places of values and derivatives.
+
+    Raises:
+        UnknownNameError: for an unknown column.
+    """
+    if name not in derivatives:
+        raise UnknownNameError("column", name, nearest(name, derivatives), proposed=True)
+    kind, _, rest = name.partition(".")
+    mechanism, body = scene.mechanism, -1
+    unit = QUANTITIES[kind].unit if kind in QUANTITIES else ""
+    if kind in ("coordinate", "rate"):
+        key = next(key for key, label in mechanism.coordinate_labels.items() if label == rest)
+        unit = ("m" if mechanism.is_slide(*key) else "rad") + ("/s" if kind == "rate" else "")
+    elif kind == "actuator_force":
+        unit = "N" if mechanism.is_slide(*scene.control[int(rest)].key) else "N m"
+    elif kind == "quaternion":
+        body = mechanism.body_index(rest.rpartition(".")[0])
+    return Column(*values[name], derivatives[name][1], unit, body)
+
+
+def compared(
+    values: Array, derivatives: Array, run: Measurements, columns: list[Column]
+) -> tuple[Array, Array]:
+    """Return residuals (n, m), computed less measured, and their derivatives (n, m, p).
+
+    Angles differ by at most half a revolution, and quaternions have the sign of those measured.
+    """
+    measured = np.stack(list(run.columns.values()), axis=1)
+    bodies = np.array([column.quaternion for column in columns])
+    for body in np.unique(bodies[bodies >= 0]):
+        own = bodies == body
+        signs = np.where(np.sum(values[:, own] * measured[:, own], axis=1) < 0.0, -1.0, 1.0)
+        values[:, own] *= signs[:, None]
+        derivatives[:, own] *= signs[:, None, None]
+    residuals = values - measured
+    angles = np.array([column.unit == "rad" for column in columns])
+    residuals[:, angles] -= 2.0 * np.pi * np.round(residuals[:, angles] / (2.0 * np.pi))
+    return residuals, derivatives

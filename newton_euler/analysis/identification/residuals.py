@@ -1,0 +1,263 @@
+"""Residuals of measured motion, and their derivatives by numbers of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from newton_euler.analysis.identification.measurements import (
+    Column,
+    Measurements,
+    Places,
+    column_of,
+    column_places,
+    compared,
+    initial_name,
+)
+from newton_euler.analysis.sensitivity.tangent_code import ALONG, tangent_code
+from newton_euler.analysis.sensitivity.tangent_run import Followed, FollowedRun
+from newton_euler.analysis.sensitivity.tangent_starts import Starts
+from newton_euler.equations.undetermined import is_undetermined, undetermined_joints, worded
+from newton_euler.errors import MechanismError, NewtonEulerError, UnknownNameError
+from newton_euler.integrators.options import FormulationName, Options
+from newton_euler.model.scene import OUTPUTS, Scene
+from newton_euler.model.source_file import SourceError
+from newton_euler.model.trajectory import QUANTITIES
+from newton_euler.runs.assemble import initial_state
+from newton_euler.runs.simulate import KEPT
+from newton_euler.scalars import Array, Floats
+
+REACTIONS = "reaction_force", "reaction_torque"
+"""Outputs that redundant constraints leave open."""
+
+AXES = "x", "y", "z"
+
+CLEARLY = 0.1
+"""Share of an angle's residuals that is left at most if it is in degrees; without other errors 1 / 57.3."""
+
+EXPLAINED = 0.5
+"""Share of an angle that residuals are at most if the scene moves like it; one at rest explains nothing."""
+
+UNLIKE = 1.5
+"""Standard deviations of a column from which on its residuals are larger than those of a constant by far."""
+
+ROUND_OFF = 1e-9
+"""Standard deviation, SI and as a share of the largest number, of columns that are constant."""
+
+FAR = 6.0
+"""Standard deviations of noise by which a first row differs from the start by chance once in 10^9 times."""
+
+
+class Evaluated(NamedTuple):
+    """Residuals (n,), computed less measured, and their derivatives (n, p)."""
+
+    residuals: Array
+    jacobian: Array
+
+
+class Angle(NamedTuple):
+    """Root mean squares of a column of rad or rad/s.
+
+    Attributes:
+        left: of its residuals.
+        as_degrees: of what these are if its numbers are degrees.
+        size: of such numbers in rad; of angles at most 1, for residuals are within half a revolution.
+    """
+
+    left: float
+    as_degrees: float
+    size: float
+
+
+class Residuals:
+    """Residuals of n numbers that were measured by p numbers of a scene, column by column of run by run.
+
+    Attributes:
+        runs: measurements.
+        code: what is run, with derivatives.
+        evaluations: runs of all of them until now, with derivatives.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        names: tuple[str, ...],
+        runs: Mapping[str, Measurements],
+        formulation: FormulationName | None,
+        options: Options,
+    ) -> None:
+        """Of runs by the names that errors say; raises `SourceError` for unknown columns and other units."""
+        self.runs, self.evaluations = list(runs.values()), 0
+        self._where = [f"{where}: " * (len(runs) > 1) for where in runs]
+        kinds = {name.split(".")[0] for run in self.runs for name in run.columns}
+        wanted = {QUANTITIES[kind].output for kind in kinds if kind in QUANTITIES}
+        wanted |= {"velocities"} if "rate" in kinds else set()
+        self.code = code = tangent_code(_asking(scene, frozenset(wanted)), names, formulation)
+        layouts = (code.function(name).layout for name in ("output", "output" + ALONG))
+        places = [column_places(scene.mechanism, layout) for layout in layouts]
+        self._columns = [_columns(scene, where, run, places) for where, run in runs.items()]
+        self._models = []
+        for run, columns in zip(self.runs, self._columns, strict=True):
+            programs = sorted({column.program for column in columns})
+            self._models.append((Starts(code, names, run.start), FollowedRun(code, options, programs)))
+        self._known: tuple[bytes, Evaluated] | None = None
+
+    def __call__(self, values: Array) -> Evaluated:
+        """Compute residuals with other values (p,); those of the last call if they are the same."""
+        if self._known is None or self._known[0] != values.tobytes():
+            self.evaluations += 1
+            found = [self._of_run(k, values) for k in range(len(self.runs))]
+            together = Evaluated(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+            self._known = values.tobytes(), together
+        return self._known[1]
+
+    def _of_run(self, k: int, values: Array) -> Evaluated:
+        run, columns, (starts, followed) = self.runs[k], self._columns[k], self._models[k]
+        x, directions = starts(values)
+        computed, derivatives = _selected(followed(x, directions, run.time), columns)
+        residuals, jacobian = compared(computed, derivatives, run, columns)
+        if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
+            raise MechanismError("measurements", "have no finite derivatives", "other columns")
+        return Evaluated(residuals.T.ravel(), jacobian.swapaxes(0, 1).reshape(residuals.size, -1))
+
+    def can_start(self, values: Array) -> bool:
+        """Tell whether the scene can have these values (p,) at the starts of all runs."""
+        try:
+            for starts, _ in self._models:
+                starts(values)
+        except NewtonEulerError:
+            return False
+        return True
+
+    def by_column(self, numbers: Array) -> tuple[dict[str, Floats], ...]:
+        """Split numbers (n,) by the names of columns, for each run."""
+        sizes = [run.time.size for run in self.runs for _ in run.columns]
+        parts = iter(np.split(numbers, np.cumsum(sizes)[:-1]))
+        return tuple({name: next(parts) for name in run.columns} for run in self.runs)
+
+    def like_degrees(self, residuals: Array) -> set[str]:
+        """Return the names of columns whose residuals nearly vanish if their numbers are degrees."""
+        return {
+            name
+            for name, angle in self._angles(residuals)
+            if angle.as_degrees < min(CLEARLY * angle.left, EXPLAINED * angle.size)
+        }
+
+    def unexplained(self, residuals: Array) -> set[str]:
+        """Return the names of columns of rad or rad/s that the scene does not move like."""
+        return {name for name, angle in self._angles(residuals) if angle.left > EXPLAINED * angle.size}
+
+    def unlike(self, residuals: Array) -> tuple[str, ...]:
+        """Return the names of columns without given noise that the scene fits worse than a constant does."""
+        found = {
+            name: None
+            for run, left in zip(self.runs, self.by_column(residuals), strict=True)
+            for name, column in run.columns.items()
+            if name not in run.noise
+            and _rms(left[name]) > UNLIKE * max(np.std(column), ROUND_OFF * (1.0 + np.abs(column).max()))
+        }
+        return tuple(found)
+
+    def contradiction(self, values: Array) -> str:
+        """Word which coordinate or rate was measured farthest, by its noise, from a start that is held.
+
+        That is one which none of the values (p,) moves. Empty if none is farther than `FAR`.
+        """
+        found, away = self(values), dict[str, float]()
+        moved = self.by_column(np.abs(found.jacobian).max(axis=1))
+        for k, left in enumerate(self.by_column(found.residuals)):
+            run = self.runs[k]
+            for (name, measured), column in zip(run.columns.items(), self._columns[k], strict=True):
+                begun = initial_name(name)
+                if not begun or run.time[0] > 0.0 or moved[k][name][0] > 0.0:
+                    continue
+                own, first = measured[0] + left[name][0], measured[0]
+                if column.unit == "rad":
+                    own -= 2.0 * np.pi * np.round(own / (2.0 * np.pi))
+                line = f"{name} starts at {own:.6g} {column.unit}, held, but is {first:.6g} in the first row"
+                mend = "is the line start right?" if begun in run.start else f"fit {begun}?"
+                noise = run.noise.get(name, _scatter(measured))
+                away[f"{self._where[k]}{line}: {mend}"] = abs(left[name][0]) / noise
+        worst = max(away, key=lambda line: away[line], default="")
+        return worst if worst and away[worst] > FAR else ""
+
+    def _angles(self, residuals: Array) -> Iterator[tuple[str, Angle]]:
+        """Yield the columns of rad or rad/s of each run with their names."""
+        for run, columns, left in zip(self.runs, self._columns, self.by_column(residuals), strict=True):
+            for (name, measured), column in zip(run.columns.items(), columns, strict=True):
+                if column.unit not in ("rad", "rad/s"):
+                    continue
+                converted = np.deg2rad(measured)
+                as_degrees, size = left[name] + measured - converted, _rms(converted)
+                if column.unit == "rad":
+                    as_degrees -= 2.0 * np.pi * np.round(as_degrees / (2.0 * np.pi))
+                    size = min(size, 1.0)
+                yield name, Angle(_rms(left[name]), _rms(as_degrees), size)
+
+
+@lru_cache(maxsize=KEPT)
+def _asking(scene: Scene, wanted: frozenset[str | None]) -> Scene:
+    """Return a scene with other outputs, the same one each time, by which its code is found again."""
+    return replace(scene, outputs=frozenset(output for output in OUTPUTS if output in wanted))
+
+
+def _scatter(measured: Array) -> float:
+    """Estimate the noise of a column (n,) by its fourth differences, to which motion adds what it bends."""
+    if len(measured) < 5:
+        return np.inf
+    # squares of the binomial coefficients 1, 4, 6, 4, 1 add up to 70
+    return max(_rms(np.diff(measured, 4)) / 70.0**0.5, ROUND_OFF * (1.0 + float(np.abs(measured).max())))
+
+
+def _rms(values: Array) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _selected(followed: Followed, columns: list[Column]) -> tuple[Array, Array]:
+    """Return the columns (n, m) of a run and their derivatives (n, m, p)."""
+    values, derivatives = [], []
+    for column in columns:
+        along = followed.derivatives[column.program]
+        if column.program == "coordinates":
+            count = along.shape[1] // 2
+            values.append(along[:, column.of_value, 0])
+            derivatives.append(along[:, count + column.of_derivative])
+        else:
+            values.append(followed.results[:, column.of_value])
+            derivatives.append(along[:, column.of_derivative])
+    return np.stack(values, axis=1), np.stack(derivatives, axis=1)
+
+
+def _columns(scene: Scene, where: str, run: Measurements, places: Sequence[Places]) -> list[Column]:
+    """Find the columns of a run; raises `SourceError` for those that cannot be compared."""
+    columns = []
+    for name in run.columns:
+        if reason := _undetermined(scene, name):
+            raise SourceError(where, f"column {name!r:.100}: {reason}; needed: other columns")
+        try:
+            column = column_of(scene, name, *places)
+        except UnknownNameError as error:
+            raise SourceError(where, str(error)) from error
+        unit = run.units.get(name, column.unit)
+        if unit != column.unit:
+            raise SourceError(where, f"column {name!r:.100} is in {unit}; needed: a unit of {column.unit}")
+        columns.append(column)
+    return columns
+
+
+def _undetermined(scene: Scene, name: str) -> str:
+    """Word why the equations of motion leave a reaction open that a column measures; empty if they do not."""
+    kind, _, rest = name.partition(".")
+    joint, _, axis = rest.rpartition(".")
+    if kind not in REACTIONS or joint not in scene.mechanism.joint_names or axis not in AXES:
+        return ""
+    number = scene.mechanism.joint_index(joint)
+    if not is_undetermined(scene)[number, REACTIONS.index(kind), AXES.index(axis)]:
+        return ""
+    count, joints = undetermined_joints(scene, initial_state(scene))
+    return f"reactions of joint {joint!r} are not unique, {worded(count, ', '.join(joints))}"

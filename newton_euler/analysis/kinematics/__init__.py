@@ -1,0 +1,1 @@
+"""Poses, assembly branches, singular poses and workspace of a mechanism."""

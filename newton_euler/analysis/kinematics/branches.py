@@ -1,0 +1,205 @@
+"""All ways to assemble a mechanism for given coordinates, from many random configurations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from newton_euler.analysis.kinematics.configurations import Axis, Chain, Configurations, Goal
+from newton_euler.analysis.kinematics.continuation import RANDOM_STEPS, newton, random_coordinates
+from newton_euler.analysis.kinematics.poses import Poses, goals_of, poses_of
+from newton_euler.arguments import checked
+from newton_euler.errors import OptionError
+from newton_euler.model.joint import Key
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.scalars import Array
+
+STARTS, MOST_STARTS = 500, 5_000  # random configurations at a time, and in all
+OFTEN = 5  # times that each branch is to be found: one as likely is missed with probability exp(-5)
+SAME = 1e-4  # distance of poses that are one, sizes and Euler parameters: double roots have half the digits
+SINGULAR = 1e-5  # dimensionless determinant below which a branch is at a singular configuration
+
+
+@dataclass(frozen=True, eq=False)
+class Branches:
+    """Assembly branches of a mechanism for the same goals, the nearest to the start first.
+
+    Attributes:
+        poses: of the branches.
+        labels: number of the branch, and a sign for each of `blocks`: that of the determinant of its
+            equations, `+` as at the start, `-` beyond a singular configuration, `0` at one. For planar loops
+            it tells elbow up from elbow down.
+        blocks: sets of joints that are solved for together, by name.
+        found: (n,) number of random configurations that led to each.
+        complete: True if each was found often, so that more are unlikely.
+        scattered: number of random configurations that led to singular ones which hardly any other led to:
+            points of continuous families, where goals do not determine the pose.
+
+    Examples:
+        >>> found: Branches = assembly_branches(load("four_bar"), {"pivot_0": 0.3})
+        >>> found.labels, found.blocks
+        (('0 ++', '1 +-', '2 -0'), (('pivot_1', 'hinge_0'), ('pivot_2', 'hinge_1')))
+    """
+
+    poses: Poses
+    labels: tuple[str, ...]
+    blocks: tuple[tuple[str, ...], ...]
+    found: Array
+    complete: bool
+    scattered: int
+
+    def __repr__(self) -> str:
+        return f"<Branches: {', '.join(map(repr, self.labels))}, complete: {self.complete}>"
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+
+@checked
+def assembly_branches(
+    scene: Scene,
+    coordinates: Mapping[str | Key, Any] | None = None,
+    axis: Axis | None = None,
+    towards: Any = None,
+    measure: tuple[str | Key, ...] = (),
+    start: State | None = None,
+) -> Branches:
+    """Find every way to assemble a mechanism for given joint coordinates, or for the direction of an axis.
+
+    From random configurations, by Newton's method, until each branch was found often. There is none where the
+    goals cannot be met; `solve_poses` finds the nearest pose then.
+
+    Args:
+        scene: gives the mechanism, and the start that branches are compared with.
+        coordinates: one value for each joint coordinate, as of `solve_poses`.
+        axis: of a body.
+        towards: (3,) where the axis is to point. Coordinates, and two for the axis, are to be as many as the
+            mechanism has degrees of freedom.
+        measure: other joint coordinates that are asked for.
+        start: pose of the branch that comes first; the scene's own if None.
+
+    Raises:
+        OptionError: for goals that leave freedom or are too many, or for several values.
+        UnknownNameError: for an unknown joint or body.
+        MechanismError: for values that are no finite numbers, and for a joint without such a coordinate.
+
+    Examples:
+        >>> found = assembly_branches(load("slider_crank"), {"pivot": 0.3}, measure=("guide",))
+        >>> print(found.labels, found.poses.coordinates["guide"].round(3))
+        ('0 +', '1 -', '2 -', '3 +') [ 0.014  0.014 -0.414 -0.414]
+    """
+    chain, names, goal = goals_of(scene, coordinates, axis, towards, measure, start)
+    rows = chain.goals + 2 * chain.pointing
+    if rows != chain.freedoms:
+        needed = f"as many as degrees of freedom, {chain.freedoms}; an axis counts as two"
+        raise OptionError("number of goals", rows, needed)
+    if len(goal.coordinates) > 1:
+        raise OptionError(
+            "number of values", len(goal.coordinates), "one of each coordinate, and one direction"
+        )
+    at, found = _search(chain, goal)
+    begin, goals = chain.at(chain.start[None]), goal[np.zeros(len(found), dtype=int)]
+    blocks = _blocks(chain, at, goals) if len(at) else []
+    determinants = _determinants(at, goals, blocks)
+    varied = np.ptp(determinants, axis=0) > SINGULAR if len(at) > 1 else np.zeros(len(blocks), dtype=bool)
+    blocks = [block for block, kept in zip(blocks, varied, strict=True) if kept]
+    reference = np.sign(_determinants(begin, chain.goal_at(begin), blocks))
+    signs = np.sign(determinants[:, varied]) * np.where(reference == 0.0, 1.0, reference)
+    signs[np.abs(determinants[:, varied]) < SINGULAR] = 0.0
+    alone = (found < OFTEN) & np.any(signs == 0.0, axis=1)
+    order = _order(at, begin)
+    order = order[~alone[order]]
+    labels = [f"{k} " + "".join("-0+"[int(sign) + 1] for sign in signs[row]) for k, row in enumerate(order)]
+    at = at[order]
+    every = np.ones(len(at), dtype=bool)
+    return Branches(
+        poses_of(at, goals[order], names, every, ~every),
+        tuple(labels),
+        tuple(_joints(chain, columns) for _, columns in blocks),
+        found[order],
+        bool(np.all(found[~alone] >= OFTEN)),
+        int(np.sum(found[alone])),
+    )
+
+
+def _search(chain: Chain, goal: Goal) -> tuple[Configurations, Array]:
+    """Find configurations that meet a goal, and how often each was found."""
+    rng = np.random.default_rng(0)
+    branches, features, found = (
+        np.zeros((0, chain.function.outputs)),
+        np.zeros((0, 0)),
+        np.zeros(0, dtype=int),
+    )
+    for tried in range(STARTS, MOST_STARTS + 1, STARTS):
+        q = random_coordinates(chain, STARTS, rng)
+        at, met = newton(chain.at(q), goal[np.zeros(STARTS, dtype=int)], RANDOM_STEPS)
+        for values, feature in zip(at.values[met], _features(at)[met], strict=True):
+            distance = np.linalg.norm(features - feature, axis=1) if len(features) else np.full(1, np.inf)
+            nearest = int(np.argmin(distance))
+            if distance[nearest] < SAME:
+                found[nearest] += 1
+            else:
+                branches = np.vstack([branches, values])
+                features = np.vstack([features.reshape(-1, len(feature)), feature])
+                found = np.append(found, 1)
+        if tried > STARTS and np.all(found >= OFTEN):
+            break
+    return Configurations(chain, branches), found
+
+
+def _features(at: Configurations) -> Array:
+    """Compute positions in sizes of the mechanism, and p p^T of all bodies, (n, 19 b)."""
+    positions = at.position / at.chain.scene.mechanism.size
+    turns = at.quaternion[..., None] * at.quaternion[..., None, :]
+    bodies = positions.shape[1]
+    return np.hstack([positions.reshape(-1, 3 * bodies), turns.reshape(-1, 16 * bodies)])
+
+
+def _order(at: Configurations, begin: Configurations) -> Array:
+    """Sort configurations by their distance to the first; equal ones, as mirror images, by their poses."""
+    features = _features(at)
+    distance = np.linalg.norm(features - _features(begin), axis=1)
+    return np.lexsort((*features.T[::-1].round(3), distance.round(3)))
+
+
+def _matrix(at: Configurations, goal: Goal) -> Array:
+    """Return the square Jacobian (n, nv, nv) of independent loop equations and goals."""
+    return np.concatenate([at.jacobian[:, at.chain.independent], at.misses(goal)[1]], axis=1)
+
+
+def _blocks(chain: Chain, at: Configurations, goal: Goal) -> list[tuple[Array, Array]]:
+    """Find the rows and columns of the irreducible diagonal blocks of the Jacobian, but for those of goals.
+
+    Block triangular form of A. Pothen, C.-J. Fan, ACM Transactions on Mathematical Software 16(4), 1990.
+    """
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components, maximum_bipartite_matching
+
+    pattern = np.any(_matrix(at, goal) != 0.0, axis=0)
+    columns = maximum_bipartite_matching(csr_array(pattern), perm_type="column")
+    _, owner = connected_components(csr_array(pattern[:, columns]), connection="strong")
+    first_goal = len(chain.independent)
+    found = [np.flatnonzero(owner == block) for block in np.unique(owner)]
+    chosen = [rows for rows in found if len(rows) > 1 or rows[0] < first_goal]
+    return sorted(((rows, columns[rows]) for rows in chosen), key=lambda block: int(np.min(block[1])))
+
+
+def _determinants(at: Configurations, goal: Goal, blocks: list[tuple[Array, Array]]) -> Array:
+    """Compute the determinants (n, blocks)."""
+    matrix = _matrix(at, goal)
+    found = [np.linalg.det(matrix[:, rows[:, None], columns]) for rows, columns in blocks]
+    return np.stack(found, axis=1) if found else np.zeros((len(at), 0))
+
+
+def _joints(chain: Chain, columns: Array) -> tuple[str, ...]:
+    """Return the names of the joints that some velocities belong to."""
+    tree = chain.system.tree
+    return tuple(
+        tree.joint(kept.joint).name
+        for kept in tree.joints
+        if np.any((kept.v.start <= columns) & (columns < kept.v.stop))
+    )

@@ -1,0 +1,335 @@
+"""Forward and inverse kinematics: poses for chosen joint coordinates and directions of a body's axis.
+
+Thousands at once, by compiled equations (`newton_euler.analysis.kinematics.continuation`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from newton_euler.analysis.kinematics.configurations import (
+    Axis,
+    Chain,
+    Configurations,
+    Goal,
+    products,
+    unit_vectors,
+    within_revolution,
+)
+from newton_euler.analysis.kinematics.continuation import (
+    CLOSED,
+    approach,
+    follow,
+    gradient,
+    half_square,
+    largest,
+    wander,
+)
+from newton_euler.arguments import checked
+from newton_euler.equations.dense import RANK_TOLERANCE
+from newton_euler.errors import MechanismError, OptionError, finite_array, listed
+from newton_euler.model.joint import Key
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.runs.assemble import initial_state
+from newton_euler.scalars import Array
+
+FARTHEST = 1e6  # rad, or sizes of the mechanism, that goals may be away from the initial pose
+STATIONARY = 1e-7  # slope of the distance to the goal, per dimensionless motion, at the pose nearest to it
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Poses of a mechanism for n goals; world frame, SI.
+
+    Attributes:
+        position, quaternion: (n, b, 3) centers of mass, m, and (n, b, 4) w-x-y-z of all bodies.
+        coordinates: (n,) of each joint coordinate that was chosen or asked for, m or rad from the initial
+            pose, by name of the joint, or by (name, number) where it was given as such.
+        direction: (n, 3) of the axis; None if there is none.
+        reached: (n,) True where the goals are met on the assembly branch of the start.
+        beyond: (n,) True for poses on the other side of a singular configuration: the goals do not
+            determine the motion there, or the coordinates that were chosen and asked for do not.
+        missing: (n,) of each chosen joint coordinate, value less its goal, m or rad.
+        angle: (n,) between the axis and its goal, rad; zeros if it has none.
+        slope: (n,) by which the dimensionless distance to the goals falls per dimensionless motion: 0 where
+            no pose near by is nearer to them, which is so for those that are not reached.
+        closed: (n,) True where all loops are closed.
+
+    Examples:
+        >>> poses = solve_poses(load("slider_crank"), {"guide": [0.0, 1.0]}, measure=["pivot"])
+        >>> print(*poses.report())
+        pose 1: out of reach, nearest pose, misses 'guide' by -0.90984 m
+        >>> def out_of_reach(poses: Poses) -> int:
+        ...     return len(poses) - int(poses.reached.sum())
+        >>> out_of_reach(poses)
+        1
+    """
+
+    position: Array
+    quaternion: Array
+    coordinates: Mapping[str | Key, Array]
+    direction: Array | None
+    reached: Array
+    beyond: Array
+    missing: Mapping[str | Key, Array]
+    angle: Array
+    slope: Array
+    closed: Array
+    _names: tuple[str | Key, ...]
+    _at: Configurations
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def __repr__(self) -> str:
+        return f"<Poses: {len(self)}, reached: {np.sum(self.reached)}>"
+
+    def report(self) -> list[str]:
+        """Describe each pose that does not meet its goals on the branch of the start in one line."""
+        lines, mechanism = [], self._at.chain.driven.mechanism
+        keys = {name: mechanism.coordinate(name) for name in self.missing}
+        units = {name: "m" if mechanism.is_slide(*key) else "rad" for name, key in keys.items()}
+        for k in np.flatnonzero(~self.reached):
+            off = [f"{name!r} by {values[k]:.6g} {units[name]}" for name, values in self.missing.items()]
+            off += [f"axis by {self.angle[k]:.6g} rad"] if self.angle.any() else []
+            found = "nearest pose" if self.slope[k] < STATIONARY else "nearest pose not found, the last one"
+            where = ", beyond a singular configuration" if self.beyond[k] else ""
+            lines.append(f"pose {k}: out of reach, {found}{where}, misses {', '.join(off)}")
+        return lines
+
+    @checked
+    def state(self, number: int) -> State:
+        """Return one of the poses at rest, which a scene may start from.
+
+        Raises:
+            OptionError: for a number that no pose has.
+        """
+        if not -len(self) <= number < len(self):
+            raise OptionError("number", number, f"an index of {len(self)} poses")
+        rest = np.zeros_like(self.position[number])
+        angles = {key: float(values[number]) for key, values in self.angles.items()}
+        return State(self.position[number], self.quaternion[number], rest, rest, angles=angles)
+
+    @cached_property
+    def angles(self) -> Mapping[Key, Array]:
+        """Angles (n,) with their revolutions, rad, by joint coordinate, as `State.angles` has them.
+
+        Those that were chosen have the revolutions of their goals, and those that couplings or prescribed
+        motions determine the revolutions that these ask for.
+        """
+        system, chosen = self._at.chain.system, dict(zip(self._at.chain.keys, self._names, strict=True))
+        return {
+            key: np.asarray(self.coordinates[chosen[key]]) if key in chosen else self._at.q[:, place]
+            for key, place in system.angles.items()
+        }
+
+    @property
+    def tree_coordinates(self) -> Array:
+        """Coordinates (n, nq) of the spanning tree of the mechanism."""
+        return self._at.q[:, : self._at.chain.system.tree.nq]
+
+    @checked
+    def jacobian(self, of: Sequence[str | Key | Axis], by: Sequence[str | Key | Axis]) -> Array:
+        """Compute derivatives (n, rows, columns) of some quantities by others, on the closed loops.
+
+        Joint coordinates have one row or column, in m or rad. An axis has three, the components of its unit
+        vector. Where `by` do not determine the motion, that of least length is taken.
+
+        Raises:
+            OptionError: for a quantity that was not asked for.
+        """
+        rows, units = self._reduced(of)
+        columns, over = self._reduced(by)
+        return np.asarray(rows @ np.linalg.pinv(columns, RANK_TOLERANCE) * units[:, None] / over)
+
+    @checked
+    def independence(self, of: Sequence[str | Key | Axis]) -> Array:
+        """Compute the least rates (n,) of some quantities per unit motion of the mechanism, dimensionless.
+
+        0 is a singular configuration: the mechanism may move although they stand still. It is the smallest
+        singular value of their Jacobian in the tangent space of the closed loops, or that of as many rows as
+        are independent.
+        """
+        rows, _ = self._reduced(of)
+        independent = rows.shape[1] - sum(isinstance(each, Axis) for each in of)  # of an axis two of three
+        values = np.linalg.svd(rows, compute_uv=False)
+        return np.asarray(values[:, min(independent, rows.shape[2]) - 1])
+
+    def _reduced(self, quantities: Sequence[str | Key | Axis]) -> tuple[Array, Array]:
+        """Return the dimensionless Jacobian (n, r, f) in the tangent space, and units (r,) of its rows."""
+        if not len(quantities):
+            raise OptionError("quantities", quantities, "one or more")
+        chain, rows, units = self._at.chain, [], []
+        for each in quantities:
+            if isinstance(each, Axis) and chain.axis is each:
+                rows.append(np.cross(self._at.turning, self._at.direction[:, :, None], axis=1))
+                units += [1.0, 1.0, 1.0]
+            elif not isinstance(each, Axis) and each in self._names:
+                k = self._names.index(each)
+                rows.append(self._at.driving[:, [k]])
+                units.append(chain.units[k])
+            else:
+                known = listed(map(repr, self._names))
+                raise OptionError("quantity", each, f"one of {known}, or the axis, as given")
+        return np.concatenate(rows, axis=1) @ np.swapaxes(self._at.tangent, 1, 2), np.array(units)
+
+
+@checked
+def solve_poses(
+    scene: Scene,
+    coordinates: Mapping[str | Key, Any] | None = None,
+    axis: Axis | None = None,
+    towards: Any = None,
+    measure: Sequence[str | Key] | None = None,
+    start: State | None = None,
+) -> Poses:
+    """Solve forward or inverse kinematics for many goals at once, by compiled equations.
+
+    Goals are joint coordinates, the direction of an axis of a body, or both. Where they leave freedom, the
+    mechanism moves the least from the nearest solved pose; where they cannot be met, the pose of the least
+    distance to them is found: root of the sum of squares of angles, rad, and lengths, sizes of the mechanism.
+    Poses are on the assembly branch of the start. Prescribed motions of other joints hold their values at
+    time 0.
+
+    Args:
+        scene: gives the mechanism and the start.
+        coordinates: values (n,), or one for all, from the initial pose, m or rad, by name of the joint, or by
+            (name, number) for joints of several coordinates.
+        axis: of a body.
+        towards: (n, 3) or (3,), world frame, where the axis is to point; None to have its direction only.
+        measure: other joint coordinates that are asked for; None for those of control laws if `coordinates`
+            has none.
+        start: pose to begin at, on the assembly branch that is wanted; the scene's own if None.
+
+    Raises:
+        UnknownNameError: for an unknown joint or body.
+        MechanismError: for values that are no finite numbers, and for a joint without such a coordinate.
+        OptionError: for numbers of values that differ, and where there is no goal.
+
+    Examples:
+        >>> up = solve_poses(load("tracker"), axis=Axis("panel_7", [0, 0, 1]), towards=[0, 0, 1])
+        >>> print(up.reached, up.coordinates["slide_12"].round(6))
+        [ True] [0.0214]
+    """
+    if measure is None:
+        keys = () if coordinates else dict.fromkeys(law.key for law in scene.control)
+        measure = [scene.mechanism.coordinate_name(key) for key in keys]
+    chain, names, goal = goals_of(scene, coordinates, axis, towards, measure, start)
+    begin = chain.at(chain.start[None])
+    at, reached = follow(begin, goal)
+    left = np.flatnonzero(~reached)
+    beyond = np.zeros(len(reached), dtype=bool)
+    if left.size:
+        near, passed = approach(at[left], wander(begin), goal[left])
+        met = largest(near.phi, near.misses(goal[left])[0]) < CLOSED
+        # at the end of reach goals have no side
+        reached[left], beyond[left] = met & np.all(passed > 0.0, axis=1), passed[:, 1] < 0.0
+        beyond[left] |= met & (passed[:, 0] < 0.0)
+        values = at.values.copy()
+        values[left] = near.values
+        at = Configurations(chain, values)
+    return poses_of(at, goal, names, reached, beyond)
+
+
+def poses_of(
+    at: Configurations, goal: Goal, names: tuple[str | Key, ...], reached: Array, beyond: Array
+) -> Poses:
+    """Return solved configurations as poses."""
+    chain = at.chain
+    x, turn = chain.difference(chain.goal_at(at), goal)
+    measured = at.coordinates.copy()
+    measured[:, chain.turns] = within_revolution(measured[:, chain.turns])
+    measured[:, : chain.goals] = goal.coordinates + x
+    distance = np.sqrt(2.0 * half_square(at, goal))
+    slope = np.linalg.norm(products(at.tangent, gradient(at, goal)), axis=1) / np.maximum(distance, CLOSED)
+    return Poses(
+        at.position,
+        at.quaternion,
+        dict(zip(names, measured.T, strict=True)),
+        None if chain.axis is None else at.direction,
+        reached,
+        beyond,
+        dict(zip(names, x.T, strict=False)),
+        np.linalg.norm(turn, axis=1),
+        np.where(distance < CLOSED, 0.0, slope),
+        largest(at.phi) < CLOSED,
+        names,
+        at,
+    )
+
+
+def goals_of(
+    scene: Scene,
+    coordinates: Mapping[str | Key, Any] | None,
+    axis: Axis | None,
+    towards: Any,
+    measure: Sequence[str | Key],
+    start: State | None,
+) -> tuple[Chain, tuple[str | Key, ...], Goal]:
+    """Check goals as of `solve_poses`; returns their chain, the names of its coordinates, and themselves."""
+    wanted = {name: coordinate_values(scene, name, given) for name, given in (coordinates or {}).items()}
+    names = (*wanted, *(name for name in measure if name not in wanted))
+    goal = _goal(wanted, axis, towards)
+    chain = chain_of(scene, names, len(wanted), axis, towards is not None, start)
+    for name, values, unit in zip(wanted, goal.coordinates.T, chain.units, strict=False):
+        farthest = float(np.max(np.abs(values)))
+        if farthest > FARTHEST * unit:
+            what = f"joint {chain.keys[names.index(name)][0]!r}"
+            needed = f"{FARTHEST * unit:.3g} at most, {FARTHEST:g} rad or sizes of the mechanism"
+            raise MechanismError(what, f"coordinate is {farthest:g}", needed)
+    return chain, names, goal
+
+
+def chain_of(
+    scene: Scene,
+    names: Sequence[str | Key],
+    goals: int,
+    axis: Axis | None,
+    pointing: bool,
+    start: State | None,
+) -> Chain:
+    """Return the chain with these joint coordinates, the first of which have goals."""
+    keys = [scene.mechanism.coordinate(name) for name in names]
+    if len(set(keys)) < len(keys):
+        raise OptionError("coordinates", names, "each joint coordinate once")
+    return Chain(scene, keys, goals, axis, pointing, _start(scene, start))
+
+
+def coordinate_values(scene: Scene, name: str | Key, given: object) -> Array:
+    """Return values (n,) or () of a joint coordinate."""
+    where = f"joint {scene.mechanism.coordinate(name)[0]!r}"
+    count = given.shape[:1] if isinstance(given, np.ndarray) else ()
+    if isinstance(given, list | tuple):
+        count = (len(given),)
+    return finite_array(where, "coordinate", given, count)
+
+
+def _goal(wanted: Mapping[str | Key, Array], axis: Axis | None, towards: object) -> Goal:
+    """Return goals of one length."""
+    if towards is not None and axis is None:
+        raise OptionError("towards", towards, "an axis of a body that is to point there")
+    if not wanted and towards is None:
+        raise OptionError("coordinates", dict(wanted), "values of one joint or more, or where an axis points")
+    rows = np.zeros((1, 0)) if towards is None else np.atleast_2d(unit_vectors("goal", "towards", towards))
+    columns = [np.atleast_1d(values) for values in wanted.values()]
+    lengths = {str(name): len(column) for name, column in zip(wanted, columns, strict=True)}
+    lengths |= {} if towards is None else {"towards": len(rows)}
+    count = max(lengths.values())
+    if rows.ndim != 2 or not set(lengths.values()) <= {1, count} or 0 in lengths.values():
+        raise OptionError("numbers of values", lengths, "one number for all, or single values")
+    x = [np.broadcast_to(column, count) for column in columns]
+    coordinates = np.stack(x, axis=1) if x else np.zeros((count, 0))
+    return Goal(coordinates, np.broadcast_to(rows, (count, rows.shape[1])))
+
+
+def _start(scene: Scene, start: State | None) -> State:
+    """Return the state to begin at."""
+    if start is None:
+        return initial_state(scene)
+    return initial_state(replace(scene, initial_state=start))

@@ -1,0 +1,1 @@
+"""Linearization, modes and optimal feedback."""

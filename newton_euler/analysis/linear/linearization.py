@@ -1,0 +1,400 @@
+"""Linear models of a scene in independent coordinates, by exact derivatives of its equations.
+
+Of d independent joint coordinates z with J T = 0, J_z T = I, motions of the mechanism are qdot = T zdot, and
+zddot = J_z vdot - gamma_z follows from the equations of motion. Along z_i at the same zdot the velocities
+change by dv_i,
+
+    dv_i = -[J; J_z]^-1 (d[J; J_z]/dz_i) v
+    d zddot / dz_i = (d zddot / dq) qdot(T_i) + (d zddot / dv) dv_i,    d zddot / dzdot_i = (d zddot / dv) T_i
+
+with the partial derivatives from the traced equations, in one sweep for each direction. So they are exact
+wherever loops are closed, in motion, too. The rotation of a ball has no coordinates; small rotations dtheta
+about axes of the body that it moves stand for them, with omega for their rates: d/dt dtheta = domega -
+omega x dtheta.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property, lru_cache
+from itertools import accumulate
+from typing import Any
+
+import numpy as np
+
+from newton_euler.analysis.kinematics.freedoms import AXES, Freedom, chosen_freedoms, rates_of
+from newton_euler.analysis.linear.linear_model import LinearModel, label
+from newton_euler.analysis.loads.inverse_dynamics import KEPT
+from newton_euler.arguments import checked
+from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
+from newton_euler.codegen.expression import Graph, differentiate_along
+from newton_euler.codegen.fingerprint import fingerprint
+from newton_euler.compiled.equations import NEUTRAL
+from newton_euler.compiled.outputs import at_rows
+from newton_euler.equations.dense import largest, singular_values
+from newton_euler.equations.model_control import share_model_control
+from newton_euler.equations.parameters import (
+    check_dynamic,
+    measuring,
+    numbered,
+    parameter_layout,
+    parameter_values,
+    pieces,
+    pieces_along,
+    unambiguous,
+    with_laws,
+    with_values,
+)
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.row_choice import candidate_rows, exchangeable_rows, flags_at, rows_in_use
+from newton_euler.equations.sparse import RowsInUse, dot
+from newton_euler.equations.system import at_time, constraint_rate, dimensionless_jacobian, fastest_joint
+from newton_euler.errors import (
+    MechanismError,
+    SingularityError,
+    UnknownNameError,
+    check_choice,
+    nearest,
+)
+from newton_euler.model.joint import Key
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.runs.assemble import check_revolutions, initial_state
+from newton_euler.runs.sampling import Controllers, holding
+from newton_euler.scalars import Array, minimum, tilde
+
+SINGULAR = 1e-9  # of singular values of [J; J_z], below which coordinates do not determine the motion
+
+OPEN = 1e-6
+"""Sizes of the mechanism, or rad, that loops of a state may be open by, and open in the time of its fastest
+joint: more than engines leave."""
+
+
+@checked
+def linearize(
+    scene: Scene,
+    state: State | None = None,
+    coordinates: Sequence[str | Key] | None = None,
+    inputs: Sequence[str | Key] | None = None,
+    outputs: Sequence[str | Key] | None = None,
+    *,
+    closed_loop: bool = True,
+    time: float = 0.0,
+) -> LinearModel:
+    """Linearize a scene about a state, in independent coordinates and with exact derivatives.
+
+    Args:
+        scene: the mechanism with its forces and control laws.
+        state: where; the scene's initial state if None. Loops are closed. It need not be at rest, nor in
+            equilibrium: `LinearModel.f` and `LinearModel.is_equilibrium` say what it is.
+        coordinates: joint coordinates, by the name of the joint, or by (name, number) where it has several,
+            or rotations of a ball about an axis of the body that it moves, `JOINT.ball.x`; as many as there
+            are degrees of freedom. If None they are chosen: first those with control laws, then those that
+            move the most.
+        inputs: joint coordinates for forces on them, N or N m, beside those that act, or of parameters
+            (`newton_euler.equations.parameters`), as `slide_12.target` or `panel_7.mass`. The coordinates
+            with control laws if None.
+        outputs: joint coordinates, or bodies for six outputs each: position of the center of
+            mass, m, and small rotation, rad, world frame. The `coordinates` if None.
+        closed_loop: True for control laws that act as they do in a run, False for their forces held as they
+            are at the state.
+        time: s, of prescribed motions and of laws that depend on time.
+
+    Raises:
+        UnknownNameError: for an unknown name.
+        MechanismError: for a state that is none of the scene, coordinates that are too many or too few, and
+            sampled controllers, which have no derivatives, in a closed loop.
+        SingularityError: naming a coordinate that does not determine the motion at the state.
+
+    Examples:
+        >>> model = linearize(load("tracker"), inputs=["slide_12.target"], outputs=["panel_7"])
+        >>> model.B.shape, model.C.shape, model.is_equilibrium
+        ((4, 1), (6, 4), False)
+    """
+    state = initial_state(scene) if state is None else state
+    scene.check_numbers(state, f"state of scene {scene.name!r}")
+    check_revolutions(scene, state)
+    time = float(time)
+    scene.check_functions(time, time, "the time asked for")
+    if closed_loop and scene.sampled:
+        problem = "has no derivative, being sampled"
+        raise MechanismError(scene.sampled[0].element, problem, "closed_loop=False, or a law as PD")
+    freedoms = chosen_freedoms(scene, state, coordinates)
+    mechanism, laws = scene.mechanism, tuple(law.key for law in scene.control)
+    names = list(map(mechanism.coordinate_name, laws)) if inputs is None else list(inputs)
+    known = _inputs(with_laws(scene, scene.control if closed_loop else ()), names)
+    rows = [freedom.name for freedom in freedoms] if outputs is None else list(outputs)
+    keys = [mechanism.coordinate(name) for name in rows if _is_coordinate(scene, name)]
+    forces = [name for name in known if isinstance(name, tuple)]
+    parameters = tuple(name for name in known if isinstance(name, str))
+    measured = tuple(dict.fromkeys([*(f.key for f in freedoms if f.key), *forces, *keys, *laws]))
+    compiled = _compiled(scene, freedoms, measured, parameters, closed_loop, _chosen(scene, state))
+    return compiled.linearized(state, known, names, rows, time)
+
+
+def _is_coordinate(scene: Scene, name: str | Key) -> bool:
+    """True for the name of a joint coordinate, False for that of anything else."""
+    return isinstance(name, tuple) or name in scene.mechanism.joint_names
+
+
+def _chosen(scene: Scene, state: State) -> tuple[int, ...] | None:
+    """Choose constraint rows that are well conditioned at a state; None if no rows are exchangeable."""
+    system = Relative(scene)
+    exchangeable = exchangeable_rows(system)
+    if not exchangeable.numbers:
+        return None
+    used, others = candidate_rows(system, exchangeable=exchangeable)
+    rows = RowsInUse(system.rows_of([*used, *others]))
+    flags = flags_at(system, system.coordinates(state)[0], rows.numbers, exchangeable)
+    return tuple(rows._replace(flags=dict(zip(exchangeable.numbers, flags, strict=True))).in_use)
+
+
+def _inputs(scene: Scene, names: Sequence[str | Key]) -> list[Key | str]:
+    """Find the coordinates and the parameters that inputs are."""
+    found: list[Key | str] = []
+    for name in names:
+        if _is_coordinate(scene, name):
+            found.append(scene.mechanism.coordinate(name))
+            continue
+        try:
+            check_dynamic(scene, [str(name)], "input of a linear model")
+            found.append(unambiguous(scene, str(name)))
+        except UnknownNameError as error:
+            near = nearest(name, (*scene.mechanism.joint_names, *error.valid))
+            raise UnknownNameError("input", name, near, proposed=True) from error
+    return found
+
+
+class Linearization:
+    """Derivatives of the accelerations of independent coordinates, in native code; see `linearize`.
+
+    Attributes:
+        scene: with control laws that act in the closed loop, then laws of no force on measured coordinates,
+            whose feedforwards are inputs.
+        values: of the inputs: of these feedforwards, then of parameters.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        freedoms: tuple[Freedom, ...],
+        measured: tuple[Key, ...],
+        parameters: tuple[str, ...],
+        closed_loop: bool,
+        used: tuple[int, ...] | None,
+    ) -> None:
+        """`used` are constraint rows that are well conditioned at the state, see `_chosen`."""
+        self.original, self.freedoms, self.measured = scene, freedoms, measured
+        self.closed_loop, kept = closed_loop, scene.control if closed_loop else ()
+        self.scene = with_laws(scene, [*kept, *measuring(scene, measured).control])
+        self._probes = {
+            key: numbered("control", len(kept) + k, "feedforward") for k, key in enumerate(measured)
+        }
+        self._pieces = tuple(pieces(self.scene, 0.0))
+        names = [*self._probes.values(), *parameters, *self._pieces]
+        self.values = parameter_values(self.scene, names)
+        self.system = Relative(self.scene)
+        self.used, self.rows = used, rows_in_use(self.system, used)
+
+    @cached_property
+    def function(self) -> NativeFunction:
+        """Of (q, v, inputs, directions of all three, time), see `_trace`."""
+        begun = [float(motion.function.value(0.0)) for motion in self.scene.motions]
+        inputs = parameter_layout(self.scene, self.values)
+        chosen = tuple(label(freedom.name) for freedom in self.freedoms), self.measured, inputs, self.used
+        known = fingerprint(self.scene, *chosen, begun, neutral=NEUTRAL)
+        return NativeFunction(self._trace, known and f"{known} linearization")
+
+    def _trace(self) -> Traced:
+        """Trace zddot, its derivative, that of [J; J_z] v at constant v, and the pivot ratio."""
+        nq, nv, graph = self.system.nq, self.system.nv, Graph()
+        count = nq + nv + sum(value.size for value in self.values.values())
+        x, directions = graph.variables(count), graph.variables(count)
+        (time,) = graph.variables(1)
+        q, v, given = np.split(x, [nq, nq + nv])
+        system = at_time(Relative(with_values(self.scene, self._values(given))), time)
+        share_model_control(system, self.system)
+        solution = system.sparse_solution(q, v, self.rows)
+        keys = [freedom.key for freedom in self.freedoms if freedom.key]
+        rows, gamma = system.sparse_coordinates(q, v, keys)
+        of_joints = iter([dot(row, solution.acceleration) - g for row, g in zip(rows, gamma, strict=True)])
+        accelerations = [
+            next(of_joints) if freedom.key else solution.acceleration.get(freedom.place, 0.0)
+            for freedom in self.freedoms
+        ]
+        jacobian = system.phi_and_jacobian(q)[1]
+        rates = [sum((x * v[k] for k, x in jacobian[i].items()), start=0.0) for i in self.rows.numbers]
+        measured = system.measured(q, v)
+        rates += [measured[each.key].rate if each.key else v[each.place] for each in self.freedoms]
+        scalars = [
+            *accelerations,
+            *differentiate_along(graph, accelerations, x.tolist(), directions.tolist()),
+            *differentiate_along(graph, rates, q.tolist(), directions[:nq].tolist()),
+            minimum(solution.pivot_ratio, 1.0),
+        ]
+        program = graph.prune(scalars)
+        return Traced(program, many=program.operations < LARGE)
+
+    @cached_property
+    def _places(self) -> dict[str, slice]:
+        """Places of the inputs among all their numbers."""
+        ends = list(accumulate((value.size for value in self.values.values()), initial=0))
+        return dict(zip(self.values, map(slice, ends, ends[1:]), strict=True))
+
+    def _values(self, given: Array) -> dict[str, Any]:
+        """Return the inputs by name in numbers (m,)."""
+        return {
+            name: given[self._places[name]].reshape(own.shape) if own.shape else given[self._places[name]][0]
+            for name, own in self.values.items()
+        }
+
+    def _whole(self, given: Array) -> Scene:
+        """Return the scene with inputs (m,), functions of time whole."""
+        whole = {name: value for name, value in self._values(given).items() if name not in self._pieces}
+        return with_values(self.scene, whole)
+
+    def tangent(self, q: Array) -> tuple[Array, Array]:
+        """Compute [J; J_z]^-1 (nv, k + d), and T (nv, d), its last columns.
+
+        Raises:
+            SingularityError: naming a coordinate that does not determine the motion.
+        """
+        system = self.system
+        closed = dimensionless_jacobian(system, q)[self.rows.numbers]
+        rows = np.concatenate([closed, rates_of(system, q, self.freedoms)])
+        left, values, _ = singular_values(rows, full=True)
+        if values[-1:] < SINGULAR:
+            share = np.abs(left[len(closed) :, -1])
+            name = self.freedoms[int(np.argmax(share))].name
+            raise SingularityError(
+                label(name), "the coordinate depends on loops and the other coordinates there"
+            )
+        units = np.concatenate([system.phi_units[self.rows.numbers], [each.unit for each in self.freedoms]])
+        inverse = system.velocity_units[:, None] * np.linalg.inv(rows) / units
+        return inverse, inverse[:, len(closed) :]
+
+    def linearized(
+        self,
+        state: State,
+        inputs: Sequence[Key | str],
+        names: Sequence[str | Key],
+        outputs: Sequence[str | Key],
+        time: float,
+    ) -> LinearModel:
+        """Evaluate the matrices at a state and a time, s, for inputs and outputs of these names."""
+        system, freedoms, d = at_time(self.system, time), self.freedoms, len(self.freedoms)
+        q, v = system.coordinates(state)
+        values = self.values | pieces(self.scene, time)
+        if not self.closed_loop:
+            held = held_forces(self.original, state, time)
+            values |= {self._probes[key]: np.array(force) for key, force in held.items()}
+        given = np.concatenate([np.zeros(0), *(np.ravel(value) for value in values.values())])
+        self._check_closed(system, q, v)
+        inverse, tangent = self.tangent(q)
+        on_q = np.array([system.rate(q, column) for column in tangent.T]).reshape(d, system.nq)
+
+        def along(by_q: Array, by_v: Array, by_input: Array) -> Array:
+            """Evaluate along directions (n, nq), (n, nv) and (n, m): (n, outputs) of the function."""
+            directions = np.column_stack([by_q, by_v, by_input])
+            same = np.tile(np.concatenate([q, v, given]), (len(directions), 1))
+            return at_rows(self.function, np.column_stack([same, directions, np.full(len(directions), time)]))
+
+        n, m = d, len(given)
+        by_input = np.eye(m)
+        if self._pieces:
+            for name, changes in pieces_along(self._whole, given, np.eye(m), time).items():
+                by_input[:, self._places[name]] += changes.T
+        still = along(on_q, np.zeros((n, system.nv)), np.zeros((n, m)))
+        on_v = -still[:, 2 * d : -1] @ inverse.T
+        found = along(
+            np.concatenate([on_q, np.zeros((n + m, system.nq))]),
+            np.concatenate([on_v, tangent.T, np.zeros((m, system.nv))]),
+            np.concatenate([np.zeros((2 * n, m)), by_input]),
+        )
+        if not np.isfinite(found).all() or not np.all(found[:, -1] > 0.0):
+            joint = fastest_joint(system.mechanism, state)
+            raise SingularityError(joint, "accelerations are not determined at the state")
+        a, twists = np.zeros((2 * d, 2 * d)), system.velocity_transformation(q) @ tangent
+        a[:d, d:] = np.eye(d)
+        a[d:] = found[: 2 * d, d : 2 * d].T
+        for row, freedom in zip(a, freedoms, strict=False):
+            if freedom.ball >= 0:  # d/dt dtheta = domega - omega x dtheta
+                place = slice(freedom.ball, freedom.ball + 3)
+                row[:d] -= (tilde(v[place]) @ tangent[place])[freedom.place - freedom.ball]
+        b, labels = self._columns(found[2 * d :, d : 2 * d], inputs, names)
+        c, rows = self._outputs(q, tangent, twists, outputs)
+        rates = rates_of(self.system, q, freedoms)
+        return LinearModel(
+            scene=self.original.name,
+            state=state,
+            coordinates=tuple(freedom.name for freedom in freedoms),
+            inputs=labels,
+            outputs=rows,
+            units=np.array([freedom.unit for freedom in freedoms]),
+            size=system.mechanism.size,
+            A=a,
+            B=np.concatenate([np.zeros_like(b), b]),
+            C=np.hstack([c, np.zeros_like(c)]),
+            D=np.zeros((len(c), b.shape[1])),
+            f=np.concatenate([rates @ (v / system.velocity_units), found[0, :d]]),
+            twists=twists.reshape(-1, 6, d),
+        )
+
+    def _check_closed(self, system: Relative, q: Array, v: Array) -> None:
+        """Raise `MechanismError` for a state whose loops are open, or open."""
+        where = f"state of scene {self.original.name!r}"
+        for verb, residuals in (("is open by", system.phi(q)), ("opens at", constraint_rate(system, q, v))):
+            shares = np.abs(residuals / system.phi_units)[self.rows.numbers]
+            if largest(shares) > OPEN * max(1.0, largest(v / system.velocity_units)):
+                worst = self.rows.numbers[int(np.argmax(shares))]
+                problem = (
+                    f"joint {system.row_owners[worst]!r} {verb} {abs(residuals[worst]):.3g} (m or rad, s)"
+                )
+                raise MechanismError(where, problem, "closed loops, as newton_euler.assemble makes them")
+
+    def _columns(
+        self, table: Array, inputs: Sequence[Key | str], names: Sequence[str | Key]
+    ) -> tuple[Array, tuple[str | Key, ...]]:
+        """Select the columns (d, m) of the inputs from rows for all numbers, and name them."""
+        columns, labels = [np.zeros((0, table.shape[1]))], list[str | Key]()
+        for each, name in zip(inputs, names, strict=True):
+            known = each if isinstance(each, str) else self._probes[each]
+            count = self.values[known].size
+            columns.append(table[self._places[known]])
+            labels += [name] if count == 1 else [f"{name}[{k}]" for k in range(count)]
+        return np.concatenate(columns).T, tuple(labels)
+
+    def _outputs(
+        self, q: Array, tangent: Array, twists: Array, names: Sequence[str | Key]
+    ) -> tuple[Array, tuple[str | Key, ...]]:
+        """Compute rows (p, d) of the outputs for coordinates, and name them."""
+        mechanism = self.scene.mechanism
+        measured = self.system.measured(q, np.zeros(self.system.nv))
+        rows, labels = [np.zeros((0, tangent.shape[1]))], list[str | Key]()
+        for name in names:
+            if _is_coordinate(self.scene, name):
+                jacobian = measured[mechanism.coordinate(name)].jacobian
+                rows.append(sum(x * tangent[k] for k, x in jacobian.items())[None])
+                labels.append(name)
+            elif name in (every := [freedom.name for freedom in self.freedoms]):
+                rows.append(np.eye(len(every))[[every.index(name)]])
+                labels.append(name)
+            else:
+                check_choice("output", name, (*mechanism.joint_names, *mechanism.body_names))
+                body = mechanism.body_index(str(name))
+                rows.append(twists[6 * body : 6 * body + 6])
+                labels += [f"{name}.{kind}{axis}" for kind in ("", "r") for axis in AXES]
+        return np.concatenate(rows), tuple(labels)
+
+
+_compiled = lru_cache(maxsize=KEPT)(Linearization)
+
+
+def held_forces(scene: Scene, state: State, time: float) -> dict[Key, float]:
+    """Compute the forces of all control laws at a state and a time, s: N or N m, by coordinate."""
+    system = at_time(Relative(scene), time)
+    q, v = system.coordinates(state)
+    if scene.sampled:
+        readings = np.array(system.measure(q, v), dtype=float)
+        system = holding(system, Controllers(scene).sample(scene.sampled, time, readings))
+    return {law.key: float(u) for law, u in zip(scene.control, system.joint_forces(q, v), strict=False)}

@@ -1,0 +1,126 @@
+"""Linear-quadratic regulators: feedback of all independent coordinates from the linear model of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from newton_euler.analysis.linear.linearization import linearize
+from newton_euler.analysis.loads.inverse_dynamics import statics
+from newton_euler.arguments import checked
+from newton_euler.errors import MechanismError, OptionError, real_array
+from newton_euler.model.control import PD, StateFeedback
+from newton_euler.model.joint import Key
+from newton_euler.model.motions import TimeFunction
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.runs.assemble import initial_state, measured_coordinate
+from newton_euler.scalars import Array
+
+
+@checked
+def lqr(
+    scene: Scene,
+    Q: Any,
+    R: Any,
+    state: State | None = None,
+    coordinates: Sequence[str | Key] | None = None,
+    actuators: Sequence[str | Key] | None = None,
+    targets: Mapping[str | Key, float | TimeFunction] | None = None,
+) -> tuple[StateFeedback, ...]:
+    """Design the laws u = u_0 - K (x - r) that minimize the integral of x^T Q x + u^T R u about a state.
+
+    K = R^-1 B^T P with the solution P of A^T P + P A - P B R^-1 B^T P + Q = 0. A and B are those of the
+    linear model about the state (`linearize`), x deviations of independent coordinates and of their rates,
+    and u_0 the forces that hold the mechanism there (`statics`).
+
+    Args:
+        scene: the mechanism with its forces; its control laws are left out.
+        Q: (2 d, 2 d), weights of the coordinates and then of their rates, or (2 d,) for a diagonal, in the
+            order of `linearize(scene).coordinates`.
+        R: (m, m), weights of the forces, or (m,) for a diagonal, or one number for all.
+        state: where, at rest; the scene's initial pose if None.
+        coordinates: d independent joint coordinates, as of `linearize`.
+        actuators: joint coordinates that forces act on; those of the scene's control laws if None, and if it
+            has none those of all actuated joints.
+        targets: r of coordinates, m or rad from the initial pose, or functions of time for that; where they
+            are at the state if not given.
+
+    Raises:
+        MechanismError: naming the body that the actuators do not hold at rest, and as of `linearize`.
+        OptionError: for weights of another shape, and for those without a regulator.
+
+    Examples:
+        >>> scene = load("tracker_gravity")
+        >>> laws = lqr(scene, Q=[1e4, 1e4, 1.0, 1.0], R=1.0)
+        >>> [law.joint for law in laws]
+        ['slide_12', 'slide_13']
+    """
+    from scipy.linalg import solve_continuous_are
+
+    mechanism, acting = scene.mechanism, _acting(scene, actuators)
+    if not acting:
+        raise OptionError("actuators", (), "one joint coordinate or more")
+    start = initial_state(scene) if state is None else state
+    still = np.zeros_like(start.position)
+    state = replace(start, linear_velocity=still, angular_velocity=still)
+    held = statics(scene, state, [mechanism.coordinate_name(key) for key in acting]).actuator_force
+    laws = [PD(joint, 0.0, 0.0, 0.0, k, float(u)) for (joint, k), u in zip(acting, held, strict=True)]
+    model = linearize(replace(scene, control=tuple(laws)), state, coordinates, acting, [])
+    keys = [_coordinate(scene, name) for name in model.coordinates]
+    q, r = _weights("Q", Q, 2 * len(keys)), _weights("R", R, len(acting))
+    try:
+        with np.errstate(all="ignore"):  # numbers are checked
+            p = solve_continuous_are(model.A, model.B, q, r)
+            gains = np.linalg.solve(r, model.B.T @ p)
+        if not np.all(np.isfinite(gains)):
+            raise ValueError("no finite gains")
+    except (np.linalg.LinAlgError, ValueError) as error:
+        needed = "positive weights of forces, and weights of all that does not come to rest by itself"
+        where = f"the pair Q and R for scene {scene.name!r}"
+        raise OptionError(where, (q.tolist(), r.tolist()), needed) from error
+    given = {mechanism.coordinate(name): value for name, value in (targets or {}).items()}
+    wanted = {key: given.get(key, measured_coordinate(scene, state, key)[0]) for key in keys}
+    found = []
+    for (joint, k), u, (k_p, k_d) in zip(acting, held, np.stack(np.split(gains, 2, axis=1), 1), strict=True):
+        own: dict[str | Key, tuple[float, float]] = dict(
+            zip(keys, zip(k_p.tolist(), k_d.tolist(), strict=True), strict=True)
+        )
+        others: dict[str | Key, float | TimeFunction] = dict(wanted)
+        others.pop((joint, k), None)
+        found.append(StateFeedback(joint, own, wanted.get((joint, k), 0.0), k, float(u), others))
+    return tuple(found)
+
+
+def _acting(scene: Scene, actuators: Sequence[str | Key] | None) -> tuple[Key, ...]:
+    """Return the joint coordinates that forces act on."""
+    mechanism = scene.mechanism
+    if actuators is not None:
+        return tuple(mechanism.coordinate(name) for name in actuators)
+    actuated = (key for key in mechanism.coordinate_labels if mechanism.joint(key[0]).actuated)
+    return tuple(law.key for law in scene.control) or tuple(actuated)
+
+
+def _coordinate(scene: Scene, name: str | Key) -> Key:
+    """Return the joint coordinate of a freedom, which a law can read."""
+    if isinstance(name, str) and name not in scene.mechanism.joint_names:
+        needed = "joint coordinates alone, which laws can read"
+        raise MechanismError(f"scene {scene.name!r}", f"moves along {name}, a rotation of a ball", needed)
+    return scene.mechanism.coordinate(name)
+
+
+def _weights(name: str, given: Any, count: int) -> Array:
+    """Return a symmetric matrix (count, count) of weights; raises `OptionError`."""
+    try:
+        weights = real_array(given)
+    except (TypeError, ValueError, OverflowError):
+        weights = np.full(1, np.nan)
+    if weights.ndim < 2 and weights.size in (1, count):
+        weights = np.diag(np.broadcast_to(weights, count))
+    if weights.shape != (count, count) or not np.all(np.isfinite(weights)) or np.any(weights != weights.T):
+        needed = f"{count} weights, or a symmetric matrix of {count} rows"
+        raise OptionError(name, given, needed)
+    return weights

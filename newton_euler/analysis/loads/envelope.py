@@ -1,0 +1,324 @@
+"""Loads for design: ranges of what joints and actuators carry over runs and load cases."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from operator import itemgetter
+from typing import NamedTuple
+
+import numpy as np
+
+from newton_euler.analysis.loads.inverse_dynamics import statics
+from newton_euler.arguments import checked
+from newton_euler.errors import MechanismError, UnknownNameError
+from newton_euler.model.euler_parameters import rotations
+from newton_euler.model.joint import Joint, perpendicular_pair
+from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import coordinate_name
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.runs.assemble import initial_state
+from newton_euler.scalars import Array, Floats
+
+NEEDED = ("linear_velocity", "angular_velocity", "reaction_force", "reaction_torque")
+"""Arrays of runs that loads are worked out of."""
+
+
+class Load(NamedTuple):
+    """A load: of a joint or a joint coordinate, the quantity and its unit."""
+
+    element: str
+    quantity: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class LoadRange:
+    """The range of one load over all cases.
+
+    Attributes:
+        element: name of the joint, or of the joint coordinate that an actuator acts on.
+        quantity: see `load_envelope`.
+        unit: of the values.
+        least, most: values.
+        least_time, most_time: s, when they are reached first.
+        least_case, most_case: the cases that they are of.
+        rms: root of the mean square over the time of the case in which that is largest.
+        rms_case: that case.
+
+    Examples:
+        >>> scene = load("pendulum")
+        >>> found = load_envelope(scene, simulate(scene)).of("pivot", "shear force")
+        >>> isinstance(found, LoadRange), found.unit, round(found.peak, 2), found.governing[0]
+        (True, 'N', 39.24, 'run')
+    """
+
+    element: str
+    quantity: str
+    unit: str
+    least: float
+    least_time: float
+    least_case: str
+    most: float
+    most_time: float
+    most_case: str
+    rms: float
+    rms_case: str
+
+    @property
+    def peak(self) -> float:
+        """The value that is largest in magnitude, without its sign."""
+        return max(abs(self.least), abs(self.most))
+
+    @property
+    def governing(self) -> tuple[str, float]:
+        """The case and the time, s, of `peak`."""
+        if abs(self.least) > abs(self.most):
+            return self.least_case, self.least_time
+        return self.most_case, self.most_time
+
+
+@dataclass(frozen=True)
+class LoadEnvelope:
+    """Ranges of loads over cases; see `load_envelope`.
+
+    Attributes:
+        cases: their names.
+        joints: ranges of what joints carry.
+        actuators: ranges of what actuators do.
+
+    Examples:
+        >>> scene = load("pendulum")
+        >>> envelope = load_envelope(scene, {"swing": simulate(scene)})
+        >>> isinstance(envelope, LoadEnvelope), envelope.cases
+        (True, ('swing',))
+        >>> round(envelope.of("pivot", "force").peak, 2)  # N
+        39.24
+    """
+
+    cases: tuple[str, ...]
+    joints: tuple[LoadRange, ...]
+    actuators: tuple[LoadRange, ...]
+
+    def __repr__(self) -> str:
+        ranges = len(self.joints) + len(self.actuators)
+        return f"<LoadEnvelope of {', '.join(map(str, self.cases))}: {ranges} ranges>"
+
+    @checked
+    def of(self, element: str, quantity: str) -> LoadRange:
+        """Return the range of a load; raises `UnknownNameError`."""
+        ranges = {(each.element, each.quantity): each for each in (*self.joints, *self.actuators)}
+        if (element, quantity) not in ranges:
+            known = tuple(dict.fromkeys(name for name, _ in ranges))
+            if element not in known:
+                raise UnknownNameError("joint or actuator", element, known)
+            raise UnknownNameError("load", quantity, tuple(q for name, q in ranges if name == element))
+        return ranges[element, quantity]
+
+    def to_csv(self) -> str:
+        """Return all ranges as CSV, a row each under the names of the attributes of `LoadRange`."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        names = [field.name for field in fields(LoadRange)]
+        writer.writerow(names)
+        for each in (*self.joints, *self.actuators):
+            writer.writerow([getattr(each, name) for name in names])
+        return text.getvalue()
+
+
+@checked
+def load_envelope(scene: Scene, runs: Trajectory | Mapping[str, Trajectory]) -> LoadEnvelope:
+    """Compute the ranges of the loads of joints and actuators over runs.
+
+    Loads of a joint are those on its second body at the joint point:
+
+    - `force x`, `force y`, `force z` and `torque x`, ... along the world's axes, `force` and `torque` their
+      magnitudes;
+    - of a joint with one axis `axial force` and `axial torque` along it, `shear force` and `bending torque`
+      across it, and these along two further axes as `force u`, `force w`, `torque u`, `torque w`. The axes u,
+      w and the joint's own are right-handed and turn with the first body.
+
+    Peaks are those of outputs. What a prescribed motion takes is part of the axial load of its joint. What a
+    control law does is not, but that of an actuator, named as the coordinate that it acts on: `actuator
+    force` (N or N m), `speed` (m/s or rad/s), `power` (W), and until then `work` and `energy` (J), see
+    `work_and_energy`.
+
+    Args:
+        scene: the mechanism and its control laws.
+        runs: a run of newton_euler, MuJoCo or Pinocchio, or several, by names of the cases; those of
+            `rest_case`, too. The scenes of the cases may differ in anything but bodies, joints and the joint
+            coordinates that are controlled.
+
+    Raises:
+        MechanismError: for a run of another mechanism, or one without reactions or velocities.
+
+    Examples:
+        >>> calm, storm = (load("tracker_wind", wind="gust", speed=speed) for speed in (0, 20))
+        >>> envelope = load_envelope(storm, {"calm": simulate(calm), "storm": simulate(storm)})
+        >>> envelope.of("hinge_14", "bending torque").governing[0]
+        'storm'
+        >>> envelope.of("slide_12", "power").unit
+        'W'
+    """
+    cases = {"run": runs} if isinstance(runs, Trajectory) else dict(runs)
+    if not cases:
+        raise MechanismError("load envelope", "has no cases", "one run or more")
+    found: list[dict[Load, Array]] = []
+    for name, run in cases.items():
+        _check_run(scene, name, run)
+        found.append(joint_loads(scene, run))
+    joints = tuple(_range(load, cases, found) for load in found[0])
+    found = [actuator_loads(scene, run) for run in cases.values()]
+    actuators = tuple(_range(load, cases, found) for load in found[0])
+    return LoadEnvelope(tuple(cases), joints, actuators)
+
+
+@checked
+def rest_case(scene: Scene) -> Trajectory:
+    """Hold a scene at rest in its initial pose by its actuators, as a run of a single output.
+
+    Wind and prescribed motions are those of time 0; see `newton_euler.statics`, which also takes other poses.
+
+    Raises:
+        NewtonEulerError: as of `statics`.
+
+    Examples:
+        >>> scene = load("tracker_gravity")
+        >>> envelope = load_envelope(scene, {"weight": rest_case(scene)})
+        >>> up = [envelope.of(name, "actuator force").most for name in ("slide_12", "slide_13")]
+        >>> weight = sum(up) + envelope.of("hinge_14", "force z").most  # what actuators and column hold
+        >>> round(weight / 9.81, 3)  # kg
+        1.482
+    """
+    held, state = statics(scene), initial_state(scene)
+    still = np.zeros_like(state.position)[None]
+    names = scene.mechanism.body_names, scene.mechanism.joint_names
+    poses = state.position[None], state.quaternion[None]
+    return Trajectory(
+        "newton_euler",
+        {},
+        0.0,
+        np.zeros(1),
+        *names,
+        *poses,
+        linear_velocity=still,
+        angular_velocity=still,
+        reaction_force=held.reaction_force[None],
+        reaction_torque=held.reaction_torque[None],
+        actuator_force=held.actuator_force[None],
+        angle_names=tuple(scene.mechanism.coordinate_labels[key] for key in state.angles),
+        joint_angle=np.array([[*state.angles.values()]]) if state.angles else None,
+        mechanism=scene.mechanism,
+    )
+
+
+def _check_run(scene: Scene, case: str, run: Trajectory) -> None:
+    where = f"case {case!r}"
+    mechanism = scene.mechanism
+    if (run.body_names, run.joint_names) != (mechanism.body_names, mechanism.joint_names):
+        raise MechanismError(where, "has other bodies or joints", "a run of the scene's mechanism")
+    arrays = (*NEEDED, "actuator_force") if scene.control else NEEDED
+    for name in arrays:
+        if getattr(run, name) is None:
+            raise MechanismError(where, f"has no {name}", "a run of a scene with all outputs")
+
+
+def joint_loads(scene: Scene, run: Trajectory) -> dict[Load, Array]:
+    """Compute the loads (n,) of all joints over a run, see `load_envelope`."""
+    assert run.reaction_force is not None
+    assert run.reaction_torque is not None
+    found: dict[Load, Array] = {}
+    for k, joint in enumerate(scene.mechanism.joints):
+        axes = _axes(scene, joint, run)
+        for what, unit, across, vectors in (
+            ("force", "N", "shear force", run.reaction_force[:, k]),
+            ("torque", "N m", "bending torque", run.reaction_torque[:, k]),
+        ):
+            parts = dict(zip((f"{what} x", f"{what} y", f"{what} z"), vectors.T, strict=True))
+            parts[what] = np.linalg.norm(vectors, axis=1)
+            if axes is not None:
+                u, w, axial = np.einsum("nij,ni->jn", axes, vectors)
+                parts |= {f"axial {what}": axial, across: np.hypot(u, w), f"{what} u": u, f"{what} w": w}
+            found |= {Load(joint.name, quantity, unit): values for quantity, values in parts.items()}
+    return found
+
+
+def _axes(scene: Scene, joint: Joint, run: Trajectory) -> Floats | None:
+    """Return axes u, w and the joint's own at all outputs, (n, 3, 3) columns; None of one without an axis."""
+    axes = [motion.axis for motion in joint.motions if motion.kind != "ball"]
+    if joint.axis_names == ("axis",):
+        axes = [getattr(joint, "axis")]  # noqa: B009 (kinds with one axis)
+    if not axes or any(np.linalg.norm(np.cross(axes[0], axis)) > 0.0 for axis in axes):
+        return None
+    first = scene.mechanism.body_index(joint.first)
+    frame = np.column_stack([*perpendicular_pair(axes[0]), axes[0]])
+    turn = scene.mechanism.bodies[first].pose.rotation.T
+    return np.asarray(rotations(run.quaternion[:, first]) @ turn @ frame)
+
+
+def actuator_loads(scene: Scene, run: Trajectory) -> dict[Load, Array]:
+    """Compute what the actuators do (n,) over a run, see `load_envelope`."""
+    found: dict[Load, Array] = {}
+    for k, law in enumerate(scene.control):
+        assert run.actuator_force is not None
+        joint = scene.mechanism.joint(law.joint)
+        name, is_slide = coordinate_name(joint, law.coordinate), scene.mechanism.is_slide(*law.key)
+        force = run.actuator_force[:, k]
+        motion = replace(run, mechanism=scene.mechanism).joint(joint.name)
+        assert motion.rates is not None
+        speed = motion.rates[:, law.coordinate]
+        work, energy = work_and_energy(force, motion.coordinates[:, law.coordinate])
+        for quantity, unit, values in (
+            ("actuator force", "N" if is_slide else "N m", force),
+            ("speed", "m/s" if is_slide else "rad/s", speed),
+            ("power", "W", force * speed),
+            ("work", "J", work),
+            ("energy", "J", energy),
+        ):
+            found[Load(name, quantity, unit)] = values
+    return found
+
+
+def work_and_energy(force: Array, coordinate: Array) -> tuple[Array, Array]:
+    """Compute what an actuator does until each of n outputs (n,), J, by the trapezoidal rule.
+
+    Its energy is its work where that is positive: what drives it against its force is neither taken back nor
+    costs it anything.
+
+    Args:
+        force: (n,) N or N m; coordinate: (n,) m or rad.
+    """
+    steps = _steps(force, coordinate)
+    work, energy = (np.concatenate([[0.0], np.cumsum(each)]) for each in (steps, np.maximum(steps, 0.0)))
+    return work, energy
+
+
+def _steps(values: Array, over: Array) -> Array:
+    """Compute the parts (n - 1,) of an integral by the trapezoidal rule."""
+    return 0.5 * (values[1:] + values[:-1]) * np.diff(over)
+
+
+def _range(load: Load, cases: Mapping[str, Trajectory], found: list[dict[Load, Array]]) -> LoadRange:
+    """Compute the range of a load in all cases."""
+    moments = [
+        (float(values[k]), float(run.time[k]), case)
+        for (case, run), loads in zip(cases.items(), found, strict=True)
+        for values in [loads[load]]
+        for k in (int(np.argmin(values)), int(np.argmax(values)))
+    ]
+    squares = [
+        (_mean(loads[load] ** 2, run.time), case)
+        for (case, run), loads in zip(cases.items(), found, strict=True)
+    ]
+    mean, case = max(squares, key=itemgetter(0))
+    least, most = min(moments, key=itemgetter(0)), max(moments, key=itemgetter(0))
+    return LoadRange(*load, *least, *most, float(np.sqrt(mean)), case)
+
+
+def _mean(values: Array, time: Array) -> float:
+    """Average over time; of a single output its value."""
+    if len(time) == 1:
+        return float(values[0])
+    return float(np.cumsum(_steps(values, time))[-1] / (time[-1] - time[0]))

@@ -1,0 +1,79 @@
+"""Poses in which a mechanism stays at rest, by Newton's method in linear models."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from newton_euler.analysis.kinematics.freedoms import chosen_freedoms
+from newton_euler.analysis.linear.linear_model import RIGID
+from newton_euler.analysis.linear.linearization import linearize
+from newton_euler.arguments import checked
+from newton_euler.equations.dense import largest, least_squares
+from newton_euler.equations.relative import Relative
+from newton_euler.errors import MechanismError
+from newton_euler.integrators.projection import project_position
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.runs.assemble import initial_state
+
+LONGEST_STEP = 0.2  # rad, or sizes of the mechanism, of one step towards an equilibrium
+MOST_STEPS = 100
+CONVERGED = 1e-10  # rad, or sizes, of the step at which an equilibrium is found: its square is left
+
+
+def at_rest(scene: Scene) -> Scene:
+    """Return the scene with a start at rest, and prescribed motions that stay where they are at time 0."""
+    start = initial_state(scene)
+    still = np.zeros_like(start.position)
+    motions = tuple(motion.held() for motion in scene.motions)
+    state = replace(start, linear_velocity=still, angular_velocity=still)
+    return replace(scene, motions=motions, initial_state=state)
+
+
+@checked
+def equilibrium(scene: Scene, state: State | None = None) -> State:
+    """Find a pose near a state in which the mechanism stays at rest, by Newton's method in linear models.
+
+    Control laws, springs, wrenches and gravity balance there, stable or not; prescribed motions hold the
+    values that they have at time 0, as in the scene that `at_rest` returns.
+
+    Args:
+        scene: the mechanism with its forces and control laws.
+        state: where to begin, its velocities left out; the scene's initial state if None.
+
+    Raises:
+        MechanismError: for a scene without an equilibrium nearby, naming a coordinate that accelerates.
+        NewtonEulerError: as of `linearize`.
+
+    Examples:
+        >>> scene = load("stewart")
+        >>> linearize(scene, equilibrium(scene)).is_equilibrium
+        True
+    """
+    scene = at_rest(scene)
+    start = initial_state(scene)
+    if state is not None:
+        scene.check_numbers(state, f"state of scene {scene.name!r}")
+        start = replace(state, linear_velocity=start.linear_velocity, angular_velocity=start.angular_velocity)
+    state = start
+    names = [freedom.name for freedom in chosen_freedoms(scene, state, None)]
+    system, model = Relative(scene), linearize(scene, state, names, [], [])
+    for _ in range(MOST_STEPS):
+        stiffness, accelerations = (part[len(names) :] for part in (model.A, model.f))
+        values, vectors = np.linalg.eig(stiffness[:, : len(names)] * model.units / model.units[:, None])
+        along = least_squares(vectors, accelerations / model.units)
+        step = (vectors @ (along / np.maximum(np.abs(values), RIGID))).real
+        if model.is_equilibrium and largest(step) < CONVERGED:
+            return state
+        step *= min(1.0, LONGEST_STEP / max(largest(step), LONGEST_STEP))
+        q, _ = system.coordinates(state)
+        motion = model.twists.reshape(-1, len(names)) @ (model.units * step)
+        v = least_squares(system.velocity_transformation(q), motion)
+        q = project_position(system, system.retract(q, v))
+        state = system.state(q, np.zeros(system.nv))
+        model = linearize(scene, state, names, [], [])
+    worst = names[int(np.argmax(np.abs(accelerations / model.units)))]
+    problem = f"has no equilibrium nearby: coordinate {worst!r} still accelerates"
+    raise MechanismError(f"scene {scene.name!r}", problem, "a state near one")

@@ -1,0 +1,192 @@
+"""Sensitivities: derivatives of trajectories by parameters of a scene.
+
+By traced derivatives of the equations of motion, carried along the steps of a run beside its states
+(`newton_euler.integrators.tangent_steps`), on the linearized constraints. The run itself is a plain one, to
+the last bit. Steps that are too long for the derivatives, as those of a mechanism at rest are, are taken in
+parts: in each the error of all coordinates by one parameter is at most 100 `rtol` of the largest, and so is
+that of velocities, unless it is round-off, or a singular configuration is passed.
+
+The times of events must not depend on parameters: set-points that jump and knots of splines are such. Runs
+in which a spring jumps where motion takes it are refused: one on a ball that passes half a revolution, and
+one with a rest length whose ends pass through each other. Sampled controllers have no derivatives. Near
+singular configurations derivatives lose digits as accelerations do; runs that come too near to one are
+refused, and by parameters that move the closed configurations all that come near.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from newton_euler.analysis.sensitivity.tangent_code import ALONG, tangent_code
+from newton_euler.analysis.sensitivity.tangent_run import FollowedRun, tangent_options
+from newton_euler.analysis.sensitivity.tangent_starts import Starts, components
+from newton_euler.arguments import checked
+from newton_euler.compiled.formulations import check_formulation
+from newton_euler.compiled.outputs import named
+from newton_euler.equations.undetermined import redundant_constraints
+from newton_euler.errors import OptionError, SensitivityError
+from newton_euler.integrators.options import FormulationName, StepControl
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import JointMotion, Trajectory, coordinate_names
+from newton_euler.runs.simulate import native_trajectory
+from newton_euler.runs.variation import checked_values, own_values
+from newton_euler.scalars import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities:
+    """Derivatives of a run by p parameters at its n output times: b bodies, j joints, a actuators; SI.
+
+    Arrays are those of a trajectory, with a last dimension for the parameters: `position[..., k]` is the
+    derivative of `run.position` by `parameters[k]`. Arrays that the scene did not ask for are None, and so
+    are reactions where constraints are redundant. Bodies and joints are named as a trajectory names them:
+    `by.position[:, by.body_names.index("panel_7")]` are derivatives of the positions of one body.
+
+    Attributes:
+        run: the run itself, to the last bit that of code with these parameters as inputs.
+        parameters: names of the numbers by which derivatives are taken.
+
+    Examples:
+        >>> by = sensitivities(load("pendulum"), ["dumbbell.mass", "gravity"])
+        >>> by
+        <Sensitivities of newton_euler: 1001 outputs to 10 s, parameters: 4>
+        >>> def largest_by_mass(by: Sensitivities) -> float:
+        ...     of_angle = by.joint("pivot").coordinates[:, 0]
+        ...     return float(abs(of_angle[:, by.parameters.index("dumbbell.mass")]).max())
+        >>> print(f"{largest_by_mass(by):.2f} rad/kg")
+        5.43 rad/kg
+    """
+
+    run: Trajectory
+    parameters: tuple[str, ...]
+    position: Floats
+    """(n, b, 3, p) of centers of mass."""
+    quaternion: Floats
+    """(n, b, 4, p)"""
+    linear_velocity: Floats | None = None
+    """(n, b, 3, p)"""
+    angular_velocity: Floats | None = None
+    """(n, b, 3, p)"""
+    reaction_force: Floats | None = None
+    """(n, j, 3, p)"""
+    reaction_torque: Floats | None = None
+    """(n, j, 3, p)"""
+    actuator_force: Floats | None = None
+    """(n, a, p)"""
+    kinetic_energy: Floats | None = None
+    """(n, p)"""
+    potential_energy: Floats | None = None
+    """(n, p)"""
+    work: Floats | None = None
+    """(n, p)"""
+    _coordinates: Floats = field(default_factory=lambda: np.zeros(0), repr=False)
+
+    def __repr__(self) -> str:
+        time = self.run.time
+        size = f"{len(time)} outputs to {time[-1]:g} s, parameters: {len(self.parameters)}"
+        return f"<Sensitivities of {self.run.engine}: {size}>"
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """Names of the b bodies."""
+        return self.run.body_names
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the j joints."""
+        return self.run.joint_names
+
+    def joint(self, name: str) -> JointMotion:
+        """Return the derivatives (n, k, p) of the coordinates of a joint, and of their rates.
+
+        Raises:
+            UnknownNameError: for an unknown joint.
+        """
+        mechanism = self.run.mechanism
+        assert mechanism is not None
+        counts = [len(equations.coordinates) for equations in mechanism.equations]
+        number = mechanism.joint_index(name)
+        place = slice(sum(counts[:number]), sum(counts[: number + 1]))
+        x, rates = np.split(self._coordinates, 2, axis=1)
+        has_rates = self.run.linear_velocity is not None
+        names = coordinate_names(mechanism.joints[number])
+        return JointMotion(names, x[:, place], rates[:, place] if has_rates else None)
+
+
+@checked
+def sensitivities(
+    scene: Scene,
+    parameters: Sequence[str] | Mapping[str, ArrayLike],
+    formulation: FormulationName | None = None,
+    **control: Unpack[StepControl],
+) -> Sensitivities:
+    """Run a scene, and differentiate its trajectory by parameters.
+
+    Args:
+        scene: what is run, by DOP853 with projection.
+        parameters: names, see `newton_euler.equations.parameters`, and `newton_euler.runs.starts` for initial
+            coordinates; by each number of those that are arrays. Or values by name, of a run as
+            `simulate_batch` makes it; the code, once compiled, is that of all others. Beside the rate
+            `start.JOINT.rate` the coordinate `start.JOINT` is held, also for derivatives by geometry;
+            without either of them it follows the loops.
+        formulation: as of `simulate`.
+        control: of steps of DOP853, as of `simulate`, with projection; other methods have no derivatives.
+
+    Raises:
+        NewtonEulerError: for an unknown name, an impossible option, a run that cannot go on, and for one
+            whose derivatives do not exist or are not known.
+
+    Examples:
+        >>> by = sensitivities(load("tracker"), ["panel_7.mass", "slide_12.stiffness"])
+        >>> by.run.position.shape[1:], by.position.shape[1:]
+        ((7, 3), (7, 3, 2))
+        >>> lighter = sensitivities(load("pendulum"), {"dumbbell.mass": 0.5})
+        >>> lighter.parameters
+        ('dumbbell.mass',)
+    """
+    check_formulation(formulation)
+    names = checked_names(list(parameters) if isinstance(parameters, Mapping) else parameters)
+    options, places = tangent_options(control), components(scene, names)
+    if isinstance(parameters, Mapping):
+        values = checked_values(scene, parameters)
+    else:
+        values = own_values(scene, names)
+    labels = tuple(places)
+    code = tangent_code(scene, labels, formulation)
+    code.warn()
+    numbers = np.array([values[name][index] for name, index in places.values()])
+    start, directions = Starts(code, labels)(numbers)
+    found = FollowedRun(code, options, ("output", "coordinates"))(start, directions)
+    settings = code.settings | options.chosen() | found.counts
+    outputs = named(code, found.results)
+    signs = outputs["quaternion"].copy()
+    run = native_trajectory(scene, settings, found.wall_time, outputs)
+    run = replace(run, mechanism=code.parametrized(start).mechanism)
+    arrays = {
+        name: found.derivatives["output"][:, start:stop].reshape(len(run.time), *shape, len(labels))
+        for name, (start, stop, shape) in code.function("output" + ALONG).layout.items()
+    }
+    if redundant_constraints(scene):
+        arrays.pop("reaction_force", None)
+        arrays.pop("reaction_torque", None)
+    signs = np.sign(np.sum(signs * run.quaternion, axis=2))  # of rotations that were made continuous
+    arrays["quaternion"] = arrays["quaternion"] * signs[:, :, None, None]
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise SensitivityError(f"derivatives of {name} are not finite")
+    _, of_joints = np.split(found.derivatives["coordinates"], 2, axis=1)
+    return Sensitivities(run, labels, **arrays, _coordinates=of_joints)
+
+
+def checked_names(parameters: Sequence[str]) -> tuple[str, ...]:
+    """Return names of parameters, one or more, each once; raises `OptionError` for anything else."""
+    valid = isinstance(parameters, list | tuple) and all(isinstance(name, str) for name in parameters)
+    if not valid or not 0 < len(set(parameters)) == len(parameters):
+        needed = "names of parameters, one or more, each once, or values by name"
+        raise OptionError("parameters", parameters, needed)
+    return tuple(parameters)

@@ -1,0 +1,202 @@
+"""The equations of a scene with their derivatives along a direction, traced and compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from newton_euler.codegen.compile import VERY_LARGE, Traced
+from newton_euler.codegen.expression import Graph, Program, differentiate_along, substitute
+from newton_euler.compiled.equations import used_by
+from newton_euler.equations.formulation import Formulation
+from newton_euler.equations.parameters import is_kinematic, places
+from newton_euler.equations.row_choice import dimensionless_rows
+from newton_euler.equations.sparse import RowsInUse, least_squares, solve_constrained, sparse_vector
+from newton_euler.integrators.options import FormulationName
+from newton_euler.integrators.singular import UNSAFE
+from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import SpanningTree
+from newton_euler.runs.simulate import KEPT, CompiledScene
+from newton_euler.runs.starts import initial_numbers
+from newton_euler.scalars import Array, Scalar, minimum, objects, zeros
+
+ALONG = " along"
+UNREFINED, RATES, SETTLED = (name + ALONG for name in ("unrefined", "derivative", "settled"))
+"""Names of programs that have a direction behind x."""
+
+REVERSING = "reversing"
+"""Name of the program of what reverses where forces jump."""
+
+
+@lru_cache(maxsize=KEPT)
+def tangent_code(scene: Scene, names: tuple[str, ...], formulation: FormulationName | None) -> TangentCode:
+    """Return the code of a scene with derivatives by numbers that are parameters, see `components`.
+
+    It is the same for one run after another, at any values of these.
+    """
+    initial = initial_numbers(scene, names)
+    code = TangentCode(scene, formulation, parameters=[name for name in names if name not in initial])
+    code.alone = len(names) == 1
+    return code
+
+
+class TangentCode(CompiledScene):
+    """A compiled scene with derivatives along a direction of (q, v, parameters).
+
+    Programs whose names end with `ALONG` take x with a direction behind it, another x; several directions
+    are taken side by side.
+    """
+
+    alone = False
+    """True if there is a single direction."""
+
+    @property
+    def rates(self) -> tuple[str, ...]:
+        """Names of programs of rates, the quicker one before that for where its pivot ratio is small."""
+        return (RATES,) if self.formulation == "relative" else (UNREFINED, RATES)
+
+    @cached_property
+    def moves_loops(self) -> bool:
+        """True if parameters move the closed configurations: near singular ones without bound."""
+        if not (SpanningTree(self.scene.mechanism).cuts or self.system.couplings):
+            return False
+        found = places(self.scene, self._named).values()
+        return any(is_kinematic(place) and place.owner[0] != "bodies" for place in found)
+
+    def _traced(self, name: str, in_lanes: bool) -> Traced:
+        if not name.endswith(ALONG):
+            return super()._traced(name, in_lanes)
+        program = self.program(name)
+        straight = name in self.rates and program.operations < VERY_LARGE
+        # a single direction is beside itself at other output times
+        many = name not in self.rates or not self.alone
+        return Traced(program, many, self._layouts.get(name), straight=straight)
+
+    def _identity_of(self, name: str) -> str | None:
+        known = super()._identity_of(name.removesuffix(ALONG))
+        return known and f"{known}{' alone' * (self.alone and name in self.rates)}"
+
+    def _trace(self, name: str) -> Program:
+        if not name.endswith(ALONG):
+            return super()._trace(name)
+        graph, base = Graph(), name.removesuffix(ALONG)
+        x, along = graph.variables(self.inputs), graph.variables(self.inputs)
+        along[self.size : self.flags.stop] = 0.0  # at the same time, with the same rows
+        system = self._system_of(x, tuple(self.parameters))
+        if name == SETTLED:
+            return graph.prune(self._settled(system, x, along))
+        if name in self.rates:
+            rates = self._rates_along(system, x, along, refined=name == RATES)
+            return graph.prune(rates)._replace(inputs=2 * self.inputs)
+        scalars = self._scalars(base, system, x)
+        kept = self._smooth(scalars) if base == "output" else scalars
+        found = differentiated(kept, x, along)
+        return graph.prune([*kept, *found] if base == "coordinates" else found)
+
+    def _rates_along(self, system: Formulation, x: Array, along: Array, refined: bool) -> list[Scalar]:
+        """Return (qdot, vdot), their derivatives, and the pivot ratio.
+
+        Accelerations are differentiated implicitly: the residuals of the equations that they solve, for
+        accelerations and multipliers held, are what the equations are solved for once more, with the same
+        factors. If they are not refined, in either, their relative error is round-off over the ratio of a
+        pivot to what it was before the elimination: that is their pivot ratio.
+        """
+        q, v, graph = x[: system.nq], x[system.nq : self.size], x[-1].graph
+        rows = used_by(system)
+        if not refined:
+            rows = RowsInUse(rows.numbers, flags=rows.flags)
+        equations = system.sparse_equations(q, v, rows)
+        equations = equations._replace(refine=equations.refine and refined)
+        solution = solve_constrained(equations)
+        count, used = len(equations.factor.columns), equations.rows.numbers
+        accelerations, of_rows = graph.variables(count), graph.variables(len(used))
+        multipliers = zeros(len(equations.jacobian), x)
+        multipliers[used] = of_rows
+        held = [*accelerations, *of_rows]
+        values = [solution.acceleration.get(k, 0.0) for k in range(count)]
+        values += [solution.multipliers.get(i, 0.0) for i in used]
+        residuals = system.sparse_residuals(q, v, rows, accelerations, multipliers)
+        right = substitute(graph, differentiated(np.concatenate(residuals).tolist(), x, along), held, values)
+        force, gamma = sparse_vector([-change for change in right[:count]]), -objects(right[count:])
+        found = solve_constrained(equations._replace(force=force, gamma=gamma)).acceleration
+        moved = [found.get(k, 0.0) for k in range(count)]
+        of_held = replace(solution, acceleration=dict(enumerate(accelerations)))
+        vdot = system.sparse_vdot(q, v, of_held).tolist()
+        changes = differentiate_along(graph, vdot, [*x, *accelerations], [*along, *moved])
+        rates = [*system.rate(q, v), *system.sparse_vdot(q, v, solution)]
+        changes = differentiated(rates[: system.nq], x, along) + substitute(graph, changes, held, values)
+        return [*rates, *changes, minimum(solution.pivot_ratio, 1.0)]
+
+    def _settled(self, system: Formulation, x: Array, along: Array) -> list[Scalar]:
+        """Put a direction at a state on the constraints on the linearized ones, (q, v) of it.
+
+        By steps of least length, as states are: of coordinates, then of velocities. Where constraints become
+        dependent the steps have no digits, and fade: there a direction is as good as its integration.
+        """
+        on_q, on_v = slice(system.nq), slice(system.nq, self.size)
+        q, v, moved = x[on_q], x[on_v], along.copy()
+        for place in system.quaternions:
+            moved[place] -= q[place] * (q[place] @ moved[place])
+        phi, jacobian = system.phi_and_jacobian(q)
+        rows, units = dimensionless_rows(system, jacobian, self.rows.numbers), system.velocity_units
+
+        def step(residuals: Sequence[Scalar]) -> Array:
+            """The least step (nv,) for residuals (k,) along the direction."""
+            right = np.array(differentiated(residuals, x, moved)) / system.phi_units[self.rows.numbers]
+            least, pivot_ratio = least_squares(rows, right, used_by(system))
+            known = minimum(pivot_ratio * (1.0 / UNSAFE), 1.0)
+            share = known * known * (known * known)
+            return np.array([share * units[k] * least.get(k, 0.0) for k in range(system.nv)])
+
+        used = self.rows.numbers
+        change = system.rate(q, step(phi[used].tolist()))
+        change[system.work] = 0.0
+        moved[on_q] -= change
+        rate = system.phi_rate(q, v)
+        norms = {i: sum(e * v[k] for k, e in jacobian[i].items()) for i in used if i >= system.rows}
+        moved[on_v] -= step([norms[i] if i in norms else rate[i] for i in used])
+        return moved[: self.size].tolist()
+
+    def _smooth(self, scalars: list[Scalar]) -> list[Scalar]:
+        """Select the outputs that have derivatives, with a layout of their own."""
+        without = {"phi", "pivot_ratio", "joint_angle"}  # `coordinates` has the angles of all joints
+        if self.redundant:  # and not unique
+            without |= {"reaction_force", "reaction_torque"}
+        kept: list[Scalar] = []
+        places: dict[str, tuple[int, int, tuple[int, ...]]] = {}
+        for name, (start, stop, shape) in self._layouts["output"].items():
+            if name not in without:
+                places[name] = len(kept), len(kept) + stop - start, shape
+                kept += scalars[start:stop]
+        self._layouts["output" + ALONG] = places
+        return kept
+
+    def _trace_reversing(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
+        """Trace the vectors of forces that may jump; their layout has the names of these in messages."""
+        at, scalars = system.seen(q, v), list[Scalar]()
+        places: dict[str, tuple[int, int, tuple[int, ...]]] = {}
+        for force in system.scene.forces:
+            if force.may_jump:
+                vector = force.reversing(at).tolist()
+                places[force.element] = len(scalars), len(scalars) + len(vector), (len(vector),)
+                scalars += vector
+        self._layouts[REVERSING] = places
+        return scalars
+
+    def _trace_coordinates(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
+        """Trace the coordinates of all joints, m or rad, then their rates."""
+        frames, coordinates, rates = system.frames(q, v), list[Scalar](), list[Scalar]()
+        for equations in system.equations:
+            for k in range(len(equations.coordinates)):
+                x, rate = equations.measure(k, frames)
+                coordinates.append(x)
+                rates.append(rate)
+        return [*coordinates, *rates]
+
+
+def differentiated(scalars: Sequence[Scalar], x: Array, along: Array) -> list[Scalar]:
+    """Differentiate scalars along a direction (inputs,) of x (inputs,)."""
+    return differentiate_along(x[-1].graph, scalars, x.tolist(), along.tolist())

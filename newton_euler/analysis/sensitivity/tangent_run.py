@@ -1,0 +1,303 @@
+"""Runs with their derivatives along directions of the start and of the parameters.
+
+Traced derivatives of the equations of motion are carried along the steps of a run beside its states
+(`newton_euler.integrators.tangent_steps`), on the linearized constraints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from newton_euler.analysis.sensitivity.tangent_code import ALONG, RATES, REVERSING, SETTLED, TangentCode
+from newton_euler.compiled.callbacks import Callbacks
+from newton_euler.compiled.outputs import at_rows
+from newton_euler.compiled.run import Integrator
+from newton_euler.equations.parameters import pieces_along
+from newton_euler.errors import OptionError, SensitivityError
+from newton_euler.integrators import stepper as m
+from newton_euler.integrators.options import Options, StepControl, most_steps
+from newton_euler.integrators.singular import FAR, NEAR, UNSAFE
+from newton_euler.integrators.tangent_steps import follow, methods
+from newton_euler.integrators.tangents import REACHED, Tangents, evaluate_along
+from newton_euler.runs.sampling import Interval, integrate_intervals
+from newton_euler.scalars import Array
+
+TOO_NEAR = "the run comes too near to a singular configuration"
+TOO_LIGHT = "masses differ too much: beside heavy bodies, light ones amplify the errors of derivatives"
+SPACING = 0.1  # rad, or share of the size, between states whose pivot ratios are looked at
+FINER = 20  # pivot ratios between two that are beside a least one, twice
+OF_TANGENTS = 100.0  # their tolerance in units of `rtol`: hardly a step of a scene that moves is divided
+ROOM = 2048  # steps of a run that there is room for; those of a longer one are taken twice
+
+
+def tangent_options(control: Mapping[str, Any]) -> Options:
+    """Return the options of DOP853 with projection, of which alone there are derivatives.
+
+    Raises:
+        OptionError: for another integrator or stabilization, and for options that it does not have.
+    """
+    chosen = dict(control)
+    for name, only in (("integrator", "DOP853"), ("stabilization", "projection"), ("rest", 0.0)):
+        value = chosen.pop(name, only)
+        if not isinstance(value, str | float | int) or value != only:
+            raise OptionError(name, value, f"{only}, which derivatives are of")
+    return Options.of("DOP853", cast(StepControl, chosen))
+
+
+class Followed(NamedTuple):
+    """A run with its derivatives along p directions."""
+
+    results: Array
+    """(n, outputs) what the scene asks for."""
+    derivatives: dict[str, Array]
+    """(n, outputs, p) of programs, by name; of "coordinates" these themselves before."""
+    counts: dict[str, float]
+    wall_time: float
+    """s, of the run and its derivatives."""
+
+
+class _Path:
+    """Motion through the steps of a run, by cubics through the states and rates at their ends.
+
+    Its pivot ratios are those of the constraints alone, Phi_q Phi_q^T without dimension: where a light body
+    is at a dead center those with masses vanish, too.
+    """
+
+    def __init__(self, code: TangentCode, steps: Array, begun: Array, end: Array) -> None:
+        """Of steps (m, n + 2 + flags), see `Dop853`, from x (inputs,) to another."""
+        n, nq, known = code.size, code.system.nq, code.flags.stop
+        self._code, self._n, self._nq = code, n, nq
+        self._sizes = np.minimum(steps[:, -1:], end[n] - steps[:, n : n + 1])  # the last may go beyond
+        self._ends = np.tile(begun, (len(steps) + 1, 1))
+        self._ends[:-1, :known] = steps[:, :known]
+        self._ends[-1, :known] = end[:known]
+        speeds = np.abs(self._ends[:, nq:n] / code.system.velocity_units).max(axis=1, initial=0.0)
+        moved = self._sizes[:, 0] * np.maximum(speeds[:-1], speeds[1:])
+        self._counts = 1 + (moved / SPACING).astype(int)
+
+    def least_pivot_ratio(self) -> float:
+        """Find the least pivot ratio in units of the largest one, independent of where steps end.
+
+        Least ones that are not small are taken as they are seen. Not a number counts as 0.
+        """
+        places = self._places()
+        ratios = self._pivot_ratios(self._ends if len(places) == len(self._ends) else self._states(places))
+        least, most = ratios.min(), ratios.max()
+        for _ in range(2):
+            small = ratios < FAR * most
+            if least < NEAR * most or not small.any():
+                break
+            padded = np.pad(ratios, 1, constant_values=np.inf)
+            (lowest,) = np.nonzero(small & (ratios <= padded[:-2]) & (ratios <= padded[2:]))
+            first, last = places[np.maximum(lowest - 1, 0)], places[np.minimum(lowest + 1, len(places) - 1)]
+            places = np.unique(np.linspace(first, last, 2 * FINER + 1))
+            ratios = self._pivot_ratios(self._states(places))
+            least = min(least, ratios.min())
+        return float(least / most) if most > 0.0 else 0.0
+
+    def jump(self) -> str:
+        """Word which force jumps on the way, and when; empty if none does.
+
+        Vectors that only turn far in a step are looked at within it, where they turn by and by.
+        """
+        turned = np.any([*self._reversals(self._ends).values()], axis=0)
+        for step in np.flatnonzero(turned):
+            x = self._states(np.linspace(step, step + 1, FINER * FINER))
+            for force, found in self._reversals(x).items():
+                if found.any():
+                    return f"{force} jumps at t = {x[found.argmax(), self._n]:.6g} s"
+        return ""
+
+    def _reversals(self, x: Array) -> dict[str, Array]:
+        """Tell (k - 1,) between which of x (k, inputs) the vectors of forces reverse, by names of these."""
+        vectors = self._evaluated(REVERSING, x)
+        products = vectors[1:] * vectors[:-1]
+        layout = self._code.function(REVERSING).layout
+        return {
+            force: products[:, first:last].sum(axis=1) < 0.0 for force, (first, last, _) in layout.items()
+        }
+
+    def _places(self) -> Array:
+        """Return numbers of steps and shares of them (k,), `SPACING` apart or less, and both ends of all."""
+        counts = np.repeat(self._counts, self._counts)
+        first = np.repeat(np.cumsum(self._counts) - self._counts, self._counts)
+        step = np.repeat(np.arange(len(self._counts)), self._counts)
+        return np.append(step + (np.arange(len(first)) - first) / counts, len(self._counts))
+
+    @cached_property
+    def _slopes(self) -> Array:
+        """Rates (m + 1, nq) of coordinates at both ends of all steps."""
+        return self._evaluated("rate", self._ends)
+
+    def _states(self, places: Array) -> Array:
+        """Return x (k, inputs) at places (k,), the velocities those at the begin of the step."""
+        step = np.minimum(places.astype(int), len(self._counts) - 1)
+        share, size = (places - step)[:, None], self._sizes[step]
+        x, nq = self._ends[step], self._nq
+        begin, end = size * self._slopes[step], size * self._slopes[step + 1]
+        change = self._ends[step + 1, :nq] - x[:, :nq]
+        change -= 2.0 * np.pi * np.round((change - 0.5 * (begin + end)) / (2.0 * np.pi))  # of angles
+        bend = (1.0 - share) * (begin - change) + share * (change - end)
+        x[:, :nq] += share * (change + (1.0 - share) * bend)
+        x[:, self._n] += share[:, 0] * size[:, 0]
+        return x
+
+    def _pivot_ratios(self, x: Array) -> Array:
+        """Return pivot ratios (k,) at x (k, inputs)."""
+        ratios = self._evaluated("velocity", x)[:, -1]
+        return np.where(ratios > 0.0, ratios, 0.0)
+
+    def _evaluated(self, program: str, x: Array) -> Array:
+        """Evaluate a program at x (k, inputs)."""
+        function = self._code.function(program)
+        return at_rows(function, x[:, : function.inputs])
+
+
+class FollowedRun:
+    """Runs of a compiled scene with their derivatives along directions."""
+
+    def __init__(self, code: TangentCode, options: Options, programs: Sequence[str]) -> None:
+        """Make everything ready for derivatives of the results of these programs."""
+        scene = code.scene
+        if scene.sampled:
+            raise SensitivityError(f"sampled controller of joint {scene.sampled[0].joint!r} has none")
+        self._code, self._options, self._programs = code, options, programs
+
+    def __call__(self, x: Array, directions: Array, times: Array | None = None) -> Followed:
+        """Run from x (inputs,) over the scene's output times, or others, s, along directions (inputs, p).
+
+        Both are changed to what they are at the end.
+
+        Raises:
+            IntegrationError: for a run that cannot go on.
+            SensitivityError: for one near a singular configuration.
+        """
+        parts: dict[str, list[Array]] = {name: [] for name in self._programs}
+
+        def carry(integrator: Integrator, begun: Array, interval: Interval) -> None:
+            for name, part in self._along(integrator, begun, interval, directions).items():
+                parts[name].append(part if interval.wanted.all() else part[interval.wanted])
+
+        run = integrate_intervals(self._code, x, self._options, room=ROOM, carry=carry, times=times)
+        if run.stopped:
+            raise run.stopped
+        derivatives = {
+            name: found[0] if len(found) == 1 else np.concatenate(found) for name, found in parts.items()
+        }
+        return Followed(run.results, derivatives, m.counted(run.counts), run.wall_time)
+
+    def _along(
+        self, integrator: Integrator, begun: Array, interval: Interval, directions: Array
+    ) -> dict[str, Array]:
+        """Carry directions (inputs, p) through an interval from x (inputs,); derivatives there by program."""
+        code = self._code
+        steps = int(integrator.counts[m.STEPS])
+        if steps > len(integrator.steps):
+            integrator = Integrator(code, interval.times, self._options, room=steps)
+            integrator(begun)
+        path = _Path(code, integrator.steps[:steps], begun, integrator.x)
+        self._check(path)
+        self._turn_pieces(begun, interval, directions)
+        for rates in code.rates:
+            found = self._carried(rates, integrator, begun, directions)
+            if found is not None:
+                return found
+        near = code.loses_rank and path.least_pivot_ratio() < NEAR
+        raise SensitivityError(TOO_NEAR if near else TOO_LIGHT)
+
+    def _check(self, path: _Path) -> None:
+        """Raise `SensitivityError` for the path of a run that has no derivatives, or none that are known."""
+        code = self._code
+        if code.projects and code.moves_loops and path.least_pivot_ratio() < NEAR:
+            raise SensitivityError(TOO_NEAR)
+        if any(force.may_jump for force in code.scene.forces) and (jump := path.jump()):
+            raise SensitivityError(f"{jump}, a time that depends on parameters")
+
+    def _carried(
+        self, program: str, integrator: Integrator, begun: Array, directions: Array
+    ) -> dict[str, Array] | None:
+        """Carry directions (inputs, p) by a program of rates along an integrator's steps from x (inputs,).
+
+        They are changed to what they are at the end. Returns the derivatives at the output times by program;
+        None, and changes nothing, if pivot ratios are too small for these rates.
+        """
+        code, most, rates = self._code, most_steps(self._options), self._code.function(program)
+        floor = UNSAFE if program == RATES else NEAR
+        settled = code.function(SETTLED) if code.projects else None
+        functions = {name: code.function(name + ALONG) for name in self._programs}
+        n, inputs, lanes, rows = code.size, code.inputs, rates.lanes, len(integrator.times)
+        found = {
+            name: np.empty((rows, function.outputs, directions.shape[1]))
+            for name, function in functions.items()
+        }
+        x, wide = np.zeros((2 * inputs, lanes)), next(iter(functions.values())).lanes
+        python, ends = Callbacks(np.zeros(m.COUNTS)), directions[:n].copy()
+        tangents = Tangents(
+            n=n,
+            inputs=inputs,
+            known=code.flags.stop,
+            lanes=lanes,
+            wide=wide,
+            count=int(integrator.counts[m.STEPS]),
+            rows=rows,
+            most=most,
+            projecting=int(code.projects),
+            places=code.system.work.start,
+            speeds=code.system.nq,
+            tolerance=OF_TANGENTS * self._options.rtol,
+            floor=floor if code.projects else -m.HUGE,
+            rates=rates,
+            settled=settled,
+            pause=python.pause,
+            steps=integrator.steps,
+            times=integrator.times,
+            states=integrator.table,
+            flags=np.empty((rows, code.flags.stop - code.flags.start)),
+            x=x,
+            beside=np.empty((2 * inputs, wide)),
+            at=np.zeros_like(x),
+            k=np.empty((17, 2 * n + 1, lanes)),
+            table=np.empty((rows, n, lanes)),
+            least=np.ones(1),
+            errors=np.empty(2 * lanes),
+            tried=np.empty(lanes + 1),
+            noise=np.zeros(lanes),
+            counts=np.zeros(3),
+            found=np.empty((max(n, *(function.outputs for function in functions.values())), wide)),
+        )
+        for first in range(0, directions.shape[1], lanes):
+            beside = directions[:, first : first + lanes]
+            together = beside.shape[1]
+            x[:inputs] = begun[:, None]
+            x[inputs:] = 0.0
+            x[inputs:, :together] = beside
+            tangents.at[:] = x
+            tangents.noise[:] = 0.0
+            with python.interruptible():
+                status = methods()(follow, tangents, integrator.x)
+            if status == m.SINGULAR:
+                return None
+            if status == m.TOO_MANY_STEPS:
+                reached = f"more than {most} parts of steps at t = {tangents.counts[REACHED]:.6g} s"
+                raise SensitivityError(f"{reached}; derivatives vibrate much faster than the run moves")
+            ends[:, first : first + together] = x[inputs : inputs + n, :together]
+            if settled:  # the first are
+                methods()(evaluate_along, tangents, 1, together, settled, n, 0, lanes, tangents.table)
+            for name, function in functions.items():
+                into = function.outputs, first, directions.shape[1], found[name]
+                methods()(evaluate_along, tangents, 0, together, function, *into)
+        directions[:n] = ends
+        return found
+
+    def _turn_pieces(self, x: Array, interval: Interval, directions: Array) -> None:
+        """Set directions (inputs, p) of the numbers of functions between knots, linear in parameters."""
+        code = self._code
+        if not code.piecewise:
+            return
+        for name, changes in pieces_along(code.parametrized, x, directions, interval.middle).items():
+            place = code.place(name)
+            directions[place : place + len(changes)] = changes

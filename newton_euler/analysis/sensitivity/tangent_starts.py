@@ -1,0 +1,136 @@
+"""Starts of runs with their derivatives by numbers of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from newton_euler.analysis.sensitivity.tangent_run import TOO_NEAR
+from newton_euler.equations.parameters import places
+from newton_euler.errors import MechanismError, SensitivityError
+from newton_euler.model.scene import Scene
+from newton_euler.runs.simulate import CompiledScene
+from newton_euler.runs.starts import assembly_of, initial_numbers
+from newton_euler.runs.variation import of_single_run, own_values, run_values, units_of
+from newton_euler.scalars import Array
+
+DIFFERENCE = 1e-4  # of parameters of starts, of their size, see `_sizes`, or of their own value beyond 1
+
+WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
+"""Of the central difference of order 6."""
+
+COARSE = np.array([0.0, 1.0, -8.0, 8.0, -1.0, 0.0]) / 12.0
+"""Of that of order 4, by the same places."""
+
+APART = 5e-6
+"""By which the two may differ, of the largest of what they are of, for that of order 6 to be good to 1e-8.
+
+Near a singular configuration errors go with the step by its distance, to the fourth and the sixth power.
+"""
+
+DIRECTIONS = frozenset({"axis", "axis_on_first", "axis_on_second", "quaternion"})  # attributes
+
+LEAST = 1e-3  # SI, of numbers that are compared
+
+
+def components(scene: Scene, names: Sequence[str]) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Find the p numbers of parameters, those of symmetric matrices once.
+
+    Returns:
+        The parameter and the index there by the name of each number.
+    """
+    found: dict[str, tuple[str, tuple[int, ...]]] = {}
+    for name, value in own_values(scene, names).items():
+        for index in np.ndindex(*value.shape):
+            if value.shape == (3, 3) and index[0] > index[1]:
+                continue
+            spatial = set(value.shape) == {3}
+            component = "".join("xyz"[k] for k in index) if spatial else ".".join(map(str, index))
+            found[f"{name}.{component}" if component else name] = name, index
+    return found
+
+
+def own_numbers(scene: Scene, names: Sequence[str]) -> Array:
+    """Return the scene's own values (p,) of numbers that are parameters, initial coordinates among them."""
+    return np.array([float(value) for value in own_values(scene, names).values()])
+
+
+def _sizes(scene: Scene, names: Sequence[str]) -> Array:
+    """Return the sizes (p,) of numbers that move starts: 1 for angles, their rates and directions of axes.
+
+    That of the mechanism, m, up to 1, for lengths and numbers of mixed units, as those of functions of time.
+    """
+    units, initial = units_of(scene, names), initial_numbers(scene, names)
+    found = places(scene, [name for name in names if name not in initial])
+    turning = {name for name in names if units[name].startswith("rad")}
+    turning |= {name for name, place in found.items() if {*place.owner[2].split(".")} & DIRECTIONS}
+    return np.array([1.0 if name in turning else min(1.0, scene.mechanism.size) for name in names])
+
+
+class Starts:
+    """Starts of a scene's runs with p of its numbers, and their derivatives by these.
+
+    Derivatives of the assembly are differences of order 6 of what Newton's steps assemble to round-off, good
+    to 1e-11, or refused where those of order 4 differ from them; they are put on the linearized constraints
+    with all others.
+    """
+
+    def __init__(
+        self, code: CompiledScene, names: Sequence[str], held: Mapping[str, float] | None = None
+    ) -> None:
+        """`held` are initial coordinates and rates that are not among the p numbers."""
+        self._code, self._held = code, np.array(list((held or {}).values()))
+        self._names = (*names, *(held or {}))
+        self._assembly = assembly_of(code.scene, self._names)
+        moving = {*self._assembly.kinematic, *self._assembly.initial}
+        self._sizes = _sizes(code.scene, names)
+        self._moving = [k for k, name in enumerate(names) if name in moving]
+
+    def __call__(self, numbers: Array) -> tuple[Array, Array]:
+        """Compute x (inputs,) of the start with these numbers (p,), and its derivatives (inputs, p).
+
+        Raises:
+            MechanismError: for numbers that make no sense, and those with which a loop stays open.
+            SensitivityError: for derivatives that do not exist, or are not known.
+        """
+        code, steps = self._code, DIFFERENCE * self._sizes * np.maximum(1.0, np.abs(numbers))
+        count, numbers = len(numbers), np.concatenate([numbers, self._held])
+        x, directions = code.start.copy(), np.zeros((code.inputs, count))
+        for k, name in enumerate(self._names[:count]):
+            if name in code.parameters:
+                x[code.place(name)] = numbers[k]
+                directions[code.place(name), k] = 1.0
+        rows = [numbers]
+        for k in self._moving:
+            for number in WEIGHTS:
+                rows.append(numbers.copy())
+                rows[-1][k] += number * steps[k]
+        values = run_values(code.scene, dict(zip(self._names, np.array(rows).T, strict=True)))
+        self._refuse(values.errors)
+        if self._assembly.is_needed:
+            found, errors = self._assembly(values.arrays)
+            self._refuse(errors)
+            states = self._assembly.starts(code, found)
+            x[: code.size] = states[0]
+            weights, system = np.array(list(WEIGHTS.values())), code.system
+            angles = [*system.angles.values(), *system.uncounted_angles]  # within a revolution
+            for k, moved in zip(self._moving, states[1:].reshape(-1, len(weights), code.size), strict=True):
+                apart = moved - states[0]
+                apart[:, angles] -= 2.0 * np.pi * np.round(apart[:, angles] / (2.0 * np.pi))
+                fine, coarse = weights @ apart / steps[k], COARSE @ apart / steps[k]
+                for part in (slice(system.nq), slice(system.nq, code.size)):
+                    largest = np.abs([fine[part], states[0, part]]).max(initial=LEAST)
+                    if not np.abs(fine - coarse)[part].max(initial=0.0) <= APART * largest:
+                        unknown = f"the derivative of the start by {self._names[k]} is not known"
+                        raise SensitivityError(f"{unknown}: {TOO_NEAR}")
+                directions[: code.size, k] = fine
+        return x, directions
+
+    def _refuse(self, errors: Mapping[int, MechanismError]) -> None:
+        """Raise the first error of the numbers themselves, or of those that differ by one of them."""
+        for row, error in sorted(errors.items()):
+            if row == 0:
+                raise of_single_run(self._code.scene, error)
+            name = self._names[self._moving[(row - 1) // len(WEIGHTS)]]
+            raise SensitivityError(f"{name} cannot vary alone: {error.problem}")

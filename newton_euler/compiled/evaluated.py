@@ -1,0 +1,258 @@
+"""Equations of motion that Python evaluates, as Pinocchio's are, integrated by native adaptive methods.
+
+Their pivot ratio is the squared ratio of the least singular value of the constraints to the largest one, in
+units of the largest that it has in the configurations of `newton_euler.equations.redundancy.Mobility`.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from newton_euler.compiled.callbacks import Callbacks, PythonCallback, vector_at
+from newton_euler.compiled.constraint_groups import constraint_groups, group_places
+from newton_euler.compiled.equations import OPEN_TOLERANCE
+from newton_euler.compiled.run import (
+    METHODS,
+    dop853_of,
+    native_method,
+    radau_of,
+)
+from newton_euler.equations.applied_forces import blamed, surroundings
+from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.dense import singular_values
+from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out
+from newton_euler.equations.system import System, rate_of_phi
+from newton_euler.errors import AssemblyError
+from newton_euler.integrators import stepper as m
+from newton_euler.integrators.constraint_ratio import no_ratio
+from newton_euler.integrators.dense_projection import ROUND_OFF, closing_of
+from newton_euler.integrators.options import Options
+from newton_euler.integrators.projection import worst_joint
+from newton_euler.integrators.row_exchange import no_exchange
+from newton_euler.integrators.singular import DENSE_PIVOT_RATIO
+from newton_euler.model.mechanism import CLOSURE_TOLERANCE
+from newton_euler.model.trajectory import IntegrationError
+from newton_euler.scalars import Array
+
+NUDGE = 1e-8
+"""Relative difference of coordinates and velocities, absolute (m, rad) for those below 1, for the
+Jacobian."""
+
+MAX_STEPS = 50_000
+"""Steps after which an adaptive method gives up, if a run does not say."""
+
+
+def integrate_adaptive(
+    system: System, q: Array, v: Array, times: Array, options: Options
+) -> tuple[Array, dict[str, int], IntegrationError | None]:
+    """Integrate by DOP853 or Radau, as `newton_euler.compiled.interpreted.integrate`."""
+    evaluated = EvaluatedSystem(system, options)
+    n, start = system.nq + system.nv, np.concatenate([q, v, times[:1]])
+    states = np.zeros((len(times), n))
+    table = m.Table(
+        count=len(times),
+        kept=n,
+        runs=1,
+        stride=1,
+        first=np.zeros(1),
+        times=np.array(times, dtype=float),
+        ends=start[None],
+        states=states,
+        tallies=np.zeros((1, m.COUNTS)),
+    )
+    most = options.most_steps or MAX_STEPS
+    if options.integrator == "Radau":
+        method: Any = radau_of(n, n + 1, options, most, evaluated.callback(n * n, evaluated.jacobian))
+    else:
+        near = options.near(mobility(system.scene).residual, system.mechanism.size)
+        units = np.zeros(n)  # smaller coordinates have the round-off of these, m or rad
+        units[: system.nq] = min(1.0, system.mechanism.size)
+        method = dop853_of(n, n + 1, options, near, most, units)
+    integrate = METHODS[options.integrator]
+    with evaluated.interruptible(), np.errstate(all="ignore"):  # numbers are checked
+        native_method(integrate)(integrate, evaluated.equations, table, method)
+    found = {"steps": int(evaluated.counts[m.STEPS]), "evaluations": evaluated.evaluations}
+    stopped = evaluated.failure(start[:-1], options.integrator, most)
+    return states[: int(evaluated.counts[m.WRITTEN])], found, stopped
+
+
+class EvaluatedSystem(Callbacks):
+    """A system whose equations native code asks Python for.
+
+    Attributes:
+        equations: the record of native code.
+        evaluations: of accelerations so far.
+    """
+
+    def __init__(self, system: System, options: Options) -> None:
+        super().__init__(np.zeros(m.COUNTS))
+        self._system = copy.copy(system)  # whose time changes
+        self._kept = np.delete(np.arange(len(system.phi_units)), rows_left_out(system))
+        self._phi_units = system.phi_units[self._kept]
+        self._rank = constraint_rank(system)
+        self.evaluations = 0
+        self._usual_ratio = 0.0
+        # only DOP853 places its steps beside singular configurations, and projection keeps the branch
+        watches = options.integrator == "DOP853" and options.projection and self._rank > 0
+        if watches:
+            states = mobility(system.scene).states
+            self._usual_ratio = max(
+                (self._ratio(self._jacobian(system.coordinates(state)[0])) for state in states), default=0.0
+            )
+        n, nq, nv, rows = system.nq + system.nv, system.nq, system.nv, len(self._kept)
+        marks = np.zeros(n)
+        with_rates = isinstance(system, Cartesian)
+        marks[[place.start for place in system.quaternions]] = (
+            m.QUATERNION_WITH_RATES if with_rates else m.QUATERNION
+        )
+        groups = constraint_groups(system) if options.projection and rows > 0 else np.zeros(0)
+        derivative = self.callback(n + 1, self._derivative)
+        self.equations = m.Equations(
+            n=n,
+            nq=nq,
+            inputs=n + 1,
+            derivative=derivative,
+            dense=derivative,  # which finds no more either
+            loses_rank=int(watches),
+            ratio=no_ratio(),
+            projecting=int(options.projection and rows > 0),
+            tolerance=ROUND_OFF,
+            open_tolerance=OPEN_TOLERANCE,
+            lanes=1,
+            position=self.callback(n + 2, self._position),
+            velocity=self.callback(n + 2, self._velocity),
+            closing=closing_of(
+                nq,
+                system.velocity_units,
+                n + 1,
+                ([*range(rows * nv)], [*range(nv * nv)]),
+                rows,
+                (
+                    self.callback(nq, self._system.retract),
+                    self.callback(2 * rows + rows * nv + nv * nv, self._surface),
+                ),
+            ),
+            exchange=no_exchange(n + 1),
+            beside=np.zeros(2 * n + 4),
+            pause=self.pause,
+            marks=marks,
+            groups=int(groups.max(initial=0.0)),
+            members=group_places(groups, nq),
+            counts=self.counts,
+        )
+
+    def callback(self, size: int, function: Callable[[Array, Array], Array]) -> PythonCallback:
+        """Return a native callback that writes `function(q, v)` (size,), or NaN and last -1.0 if it fails."""
+        system, inputs = self._system, self._system.nq + self._system.nv + 1
+
+        def call(x: int, y: int, on: int) -> None:
+            state = vector_at(x, inputs).copy()
+            system.time = float(state[-1])
+            vector_at(y, size)[:] = function(state[: system.nq], state[system.nq : -1])
+
+        def failed(y: int, on: int) -> None:
+            results = vector_at(y, size)
+            results[:] = np.nan
+            results[-1] = -1.0
+
+        return self.guarded(call, failed)
+
+    def _rates(self, q: Array, v: Array) -> Array:
+        """Compute rates of q and v (n,)."""
+        self.evaluations += 1
+        return np.concatenate([self._system.rate(q, v), self._system.acceleration(q, v)])
+
+    def _derivative(self, q: Array, v: Array) -> Array:
+        """Compute rates of q and v (n,) and the pivot ratio."""
+        ratio = 1.0
+        if self._usual_ratio > 0.0:
+            ratio = max(self._ratio(self._jacobian(q)) / self._usual_ratio, 2.0 * DENSE_PIVOT_RATIO)
+        return np.append(self._rates(q, v), ratio)
+
+    def jacobian(self, q: Array, v: Array) -> Array:
+        """Compute the derivative (n n,) of the rates by q and v, by one-sided differences."""
+        at, y = self._rates(q, v), np.concatenate([q, v])
+        columns = np.empty((len(y), len(y)))
+        for k, h in enumerate(NUDGE * np.maximum(1.0, np.abs(y))):
+            moved = y.copy()
+            moved[k] += h
+            columns[k] = (self._rates(moved[: len(q)], moved[len(q) :]) - at) / h
+        return columns.T.ravel()
+
+    def _jacobian(self, q: Array) -> Array:
+        """Compute the dimensionless Jacobian (k, nv) of the rows of `phi` in use."""
+        rows = self._system.phi_jacobian(q)[self._kept]
+        return np.asarray(rows * self._system.velocity_units / self._phi_units[:, None])
+
+    def _ratio(self, jacobian: Array) -> float:
+        """Compute the squared ratio of the least singular value that constraints have to the largest one."""
+        values = np.linalg.svd(jacobian, compute_uv=False)
+        return float((values[self._rank - 1] / values[0]) ** 2)
+
+    def _position(self, q: Array, v: Array) -> Array:
+        """Make a Newton step: q and v (n,), the squared residual before it and its pivot ratio."""
+        phi = self._system.phi(q)[self._kept] / self._phi_units
+        left = float(phi @ phi)
+        if left < ROUND_OFF**2:
+            return np.concatenate([q, v, [left, 1.0]])
+        step, ratio = self._least_step(self._jacobian(q), phi)
+        return np.concatenate([self._system.retract(q, -step), v, [left, ratio]])
+
+    def _velocity(self, q: Array, v: Array) -> Array:
+        """Project velocities: q and v (n,), the squared residual of q and the pivot ratio."""
+        phi = self._system.phi(q)[self._kept] / self._phi_units
+        rows = self._system.phi_jacobian(q)
+        excess = rate_of_phi(self._system, rows, v)[self._kept] / self._phi_units
+        jacobian = rows[self._kept] * self._system.velocity_units / self._phi_units[:, None]
+        step, ratio = self._least_step(jacobian, excess)
+        return np.concatenate([q, v - step, [float(phi @ phi), ratio]])
+
+    def _least_step(self, jacobian: Array, residual: Array) -> tuple[Array, float]:
+        """Compute the shortest step (nv,), SI, that makes up for a residual (k,), and its pivot ratio."""
+        if self._rank == 0:
+            return np.zeros(len(jacobian.T)), 1.0
+        u, s, vt = singular_values(jacobian)
+        u, s, vt = u[:, : self._rank], s[: self._rank], vt[: self._rank]
+        step = self._system.velocity_units * (vt.T @ (u.T @ residual / s))
+        return step, float((s[-1] / s[0]) ** 2)
+
+    def _surface(self, q: Array, v: Array) -> Array:
+        """Evaluate Phi, dPhi/dt, Phi_q and M, dimensionless."""
+        system, units = self._system, self._system.velocity_units
+        phi, rows = system.phi(q)[self._kept] / self._phi_units, system.phi_jacobian(q)
+        rates = rate_of_phi(system, rows, v)[self._kept] / self._phi_units
+        jacobian = rows[self._kept] * units / self._phi_units[:, None]
+        mass = system.mass_and_force(q, np.zeros(len(v)))[0] * np.outer(units, units)
+        return np.concatenate([phi, rates, jacobian.ravel(), mass.ravel()])
+
+    def failure(self, last: Array, integrator: str, most: int) -> IntegrationError | None:
+        """Explain why a run ended at its last state (n,); None if it is done.
+
+        Raises:
+            Exception: what is no error of the equations.
+        """
+        status, error = int(self.counts[m.STATUS]), self.error
+        if status == m.DONE:
+            return None
+        if status == m.INTERRUPTED:
+            raise self.fatal or KeyboardInterrupt
+        system, time = self._system, float(self.counts[m.REACHED])
+        system.time = time
+        state = system.state(last[: system.nq], last[system.nq :])
+        if status == m.OPEN:
+            joint, residual = worst_joint(system, state)
+            reason = f"projection fails: {error or AssemblyError(joint, residual, CLOSURE_TOLERANCE)}"
+            return IntegrationError(time, reason)
+        reason = {
+            m.NOT_FINITE: "the solution is not finite",
+            m.SINGULAR: str(error),
+            m.TOO_MANY_STEPS: f"more than {most} steps of {integrator}; for stiff equations use Radau",
+            m.STEP_TOO_SMALL: "steps have become too small",
+        }[status]
+        with np.errstate(all="ignore"):  # of what is not finite the message tells
+            around = surroundings(system.scene, state, time)
+            return IntegrationError(time, blamed(system.scene, state, reason, around))

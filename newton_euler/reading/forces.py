@@ -1,0 +1,248 @@
+"""Forces and armatures of a scene against those of a file's own model, in the file's independent velocities.
+
+Bodies are where the file has them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from newton_euler.equations.dense import least_squares
+from newton_euler.model.balls import SPIN, ends
+from newton_euler.model.elements import OnPoint
+from newton_euler.model.motions import TimeFunction
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.reading.activity import Bounds
+from newton_euler.reading.figure import SPREAD, Figure, figure, positive, worst
+from newton_euler.reading.original import Original
+from newton_euler.reading.placed import Place, Placed
+from newton_euler.reading.quantities import KINDS
+from newton_euler.reading.wrenches import Wrenches
+from newton_euler.scalars import Array
+
+ALIKE = 1e-3  # share of a difference (of squares) that what is blamed may leave unexplained
+
+Alone = Iterator[tuple[str, list[list[Array]]]]
+"""Elements by name, and what each of them does at the samples, a list for each way in which it acts."""
+
+
+def force_figures(placed: Placed) -> Iterator[Figure]:
+    """Forces of each of the `KINDS`, and armatures."""
+    scenes = _apart(placed.scene)
+    acting = [_acting(placed, place, scenes) for place in placed.places]
+    wanted = [place.sample.forces for place in placed.places]
+    for n in range(len(KINDS)):
+        yield _force_figure(placed, n, [each[n] for each in acting], [each[n] for each in wanted])
+    yield _armature_figure(placed)
+    if placed.original.force_limits(placed.original.start, placed.original.stated[1]):
+        yield _limit_figure(placed)
+
+
+def _limit_figure(placed: Placed) -> Figure:
+    """Limits of forces, and the forces, as runs are watched for them: at the samples, relative to the forces.
+
+    The largest terms at any sample, or at 1 rad or a size times `SPREAD`, are what forces are relative to.
+    """
+    original = placed.original
+    gaps, scales, names = [], [], list[str]()
+    for place in placed.places:
+        limits = original.force_limits(place.sample.q, place.sample.v)
+        names = [limit.element for limit in limits]
+        worked_out = [_watched(placed, place, limit.watched) for limit in limits]
+        scales.append([scale for _, scale in worked_out])
+        gaps.append(
+            [
+                abs(force - limit.force)
+                if (limit.watched.low, limit.watched.high) == (limit.low, limit.high)
+                else np.inf
+                for limit, (force, _) in zip(limits, worked_out, strict=True)
+            ]
+        )
+    relative = np.array(gaps) / positive(np.max(scales, axis=0))
+    return figure("limits of forces, rel", relative, np.array(placed.limits)[:, None], names)
+
+
+def _watched(placed: Placed, place: Place, bounds: Bounds) -> tuple[float, float]:
+    """The quantity that is watched, and the sum of its terms' magnitudes."""
+    assert not isinstance(bounds.constant, TimeFunction)  # controls are held
+    force, frames = bounds.constant, place.state.frames()
+    scale = abs(force)
+    for (joint, number), factor in bounds.terms:
+        equations = placed.mechanism.joint_equations(joint)
+        least = SPREAD * (placed.original.size if equations.coordinates[number].is_length else 1.0)
+        for gain, x in zip((bounds.by_value, bounds.by_rate), equations.measure(number, frames), strict=True):
+            force += gain * factor * x
+            scale += abs(gain * factor) * max(abs(x), least)
+    return float(force), float(scale)
+
+
+def _force_figure(
+    placed: Placed, kind: int, acting: Sequence[tuple[Array, Array]], wanted: Sequence[Array]
+) -> Figure:
+    original, left, scales = placed.original, [], []
+    for place, (wrench, magnitude), force in zip(placed.places, acting, wanted, strict=True):
+        basis = place.sample.freedom.basis
+        onto = place.transformation @ basis
+        left.append(onto.T @ wrench.ravel() - basis.T @ force)
+        scales.append(np.abs(onto).T @ magnitude.ravel() + np.abs(basis).T @ np.abs(force))
+
+    def alone() -> Alone:
+        for name, ways in original.elements(original.samples):
+            yield name, [_reduced(original, [forces[kind] for forces in each]) for each in ways]
+
+    def at_joints() -> Alone:
+        """Forces that joints might have: constant ones, springs and dampers."""
+        moved = [original.difference(original.start, sample.q) for sample in original.samples]
+        for k, name in enumerate(original.motions):
+            unit = np.eye(len(original.motions))[k]
+            springs, dampers = [x[k] * unit for x in moved], [s.v[k] * unit for s in original.samples]
+            ways = ([unit] * len(moved), springs, dampers)
+            yield name, [_reduced(original, forces) for forces in ways]
+
+    scale = largest(original, scales)
+    return row_figure(original, f"{KINDS[kind]}, rel", left, scale, placed.limits, alone, at_joints)
+
+
+def _armature_figure(placed: Placed) -> Figure:
+    """Armatures as parts of the mass matrix that independent velocities see."""
+    original = placed.original
+    wanted = _reduced(original, [sample.mass_matrices[1] for sample in original.samples])
+    found = []
+    for place in placed.places:
+        onto = _spins(placed, place) @ place.transformation @ place.sample.freedom.basis
+        found.append(onto.T @ onto)
+    sums = [np.diag(one) + np.abs(np.diag(two)) for one, two in zip(found, wanted, strict=True)]
+    scale = np.sqrt(largest(original, sums, 2))
+
+    def relative(masses: Sequence[Array]) -> list[Array]:
+        units = (positive(scale[sample.freedom.rows]) for sample in original.samples)
+        return [mass / unit for mass, unit in zip(masses, units, strict=True)]
+
+    def alone() -> Alone:
+        for name, each in original.rotors(original.samples):
+            yield name, [relative(_reduced(original, each))]
+
+    def at_other_joints() -> Alone:
+        """Armatures that went to another joint."""
+        units = [np.diag(unit) for unit in np.eye(len(original.motions))]
+        others = [relative(_reduced(original, [unit] * len(original.samples))) for unit in units]
+        for name, (own,) in alone():
+            yield from ((name, [own, other]) for other in others)
+
+    left = relative([one - two for one, two in zip(found, wanted, strict=True)])
+    return row_figure(original, "armatures, rel", left, scale, placed.limits, alone, at_other_joints)
+
+
+def _reduced(original: Original, of_velocities: Sequence[Array]) -> list[Array]:
+    """Forces (nv,) or mass matrices (nv, nv) at the samples as their independent velocities see them."""
+    found = []
+    for sample, whole in zip(original.samples, of_velocities, strict=True):
+        basis = sample.freedom.basis
+        found.append(basis.T @ (whole @ basis if whole.ndim == 2 else whole))
+    return found
+
+
+def largest(original: Original, scales: Sequence[Array], power: int = 1) -> Array:
+    """(nv,) the largest of all samples, each in its independent velocities, and a floor of `SPREAD`."""
+    units = original.units**power
+    total = np.zeros(len(units))
+    for sample, scale in zip(original.samples, scales, strict=True):
+        np.maximum.at(total, sample.freedom.rows, scale)
+    return np.maximum(total, SPREAD * np.max(total * units, initial=0.0) / units)
+
+
+def row_figure(
+    original: Original,
+    quantity: str,
+    left: Sequence[Array],
+    scale: Array,
+    limits: Sequence[float],
+    *alone: Callable[[], Alone],
+) -> Figure:
+    """Differences at each sample, (d,) or (d, d), relative to (nv,) the largest there is, and their limits.
+
+    If they are not round-off the element is named that explains most of them, of the first of the kinds
+    `alone` that has any.
+    """
+    found, weights = [], []
+    for gap, sample, limit in zip(left, original.samples, limits, strict=True):
+        weights.append(1.0 / positive(scale[sample.freedom.rows]))
+        shares = (np.abs(gap).T * weights[-1]).T
+        shares = shares.max(axis=1, initial=0.0) if shares.ndim == 2 else shares
+        names = [original.motions[k] for k in sample.freedom.rows]
+        found.append(figure(quantity, shares, limit, names))
+    most = worst(found)
+    named = (_most_alike(left, weights, elements()) for elements in alone)
+    return most if most.agrees else most._replace(where=next(filter(None, named), most.where))
+
+
+def _most_alike(left: Sequence[Array], weights: Sequence[Array], alone: Alone) -> str:
+    """The element that explains differences at all states best by multiples of what it does; "" if none."""
+
+    def weighed(values: Sequence[Array]) -> Array:
+        pairs = zip(values, weights, strict=True)
+        return np.concatenate([(each.T * weight).T.ravel() for each, weight in pairs])
+
+    gap, best, name = weighed(left), ALIKE, ""
+    for element, ways in alone:
+        columns = np.array([weighed(values) for values in ways]).T
+        rest = gap - columns @ least_squares(columns, gap)
+        share = float(rest @ rest) / float(gap @ gap)
+        if share < best:
+            best, name = share, element
+    return name
+
+
+def _apart(scene: Scene) -> tuple[Scene, Scene, Scene]:
+    """The scene with its springs, its dampers, and what else acts beside gravity alone."""
+    forces = [force for force in scene.forces if not isinstance(force, OnPoint)]
+    others = tuple(force for force in scene.forces if isinstance(force, OnPoint))
+    springs = tuple(replace(force, damping=0.0) for force in forces if force.stiffness)
+    dampers = tuple(replace(force, stiffness=0.0) for force in forces if force.damping)
+    sprung = replace(scene, control=(), forces=springs)
+    return sprung, replace(sprung, forces=dampers), replace(scene, forces=others)
+
+
+def _acting(placed: Placed, place: Place, scenes: tuple[Scene, Scene, Scene]) -> list[tuple[Array, Array]]:
+    """(b, 6) wrenches of each of the `KINDS` on the scene's bodies, and the sums of what there is."""
+    weight = np.zeros((len(placed.mechanism.bodies), 6))
+    for wrench, body in zip(weight, placed.mechanism.bodies, strict=True):
+        wrench[:3] = body.mass * placed.scene.gravity
+    springs, dampers, others = scenes
+    return [
+        (weight, np.abs(weight)),
+        _wrenches(springs, place.rest),
+        _wrenches(dampers, place.state),
+        _wrenches(others, place.state),
+    ]
+
+
+def _wrenches(scene: Scene, state: State) -> tuple[Array, Array]:
+    """(b, 6) what all of a scene but gravity does to its bodies, and the sum of what there is."""
+    found = Wrenches(scene.mechanism, state)
+    found.add_forces(scene)
+    return found.total, found.magnitude
+
+
+def _spins(placed: Placed, place: Place) -> Array:
+    """(r, 6 b) what armatures see of the bodies' velocities, times the roots of their inertias."""
+    mechanism, frames = placed.mechanism, place.rest.frames()
+    found = [np.zeros((0, len(frames), 6))]
+    for armature in placed.scene.armatures:
+        if armature.on_ball:
+            first, second = ends(mechanism, armature.joint)
+            rows = SPIN
+        else:
+            joint, coordinate = armature.key
+            equations = mechanism.joint_equations(joint)
+            first, second = equations.first, equations.second
+            rows = equations.coordinates[coordinate].jacobian(frames[first], frames[second])
+        row = np.zeros((len(rows.r_first), len(frames), 6))
+        row[:, first] = np.hstack([rows.r_first, rows.theta_first])
+        row[:, second] = np.hstack([rows.r_second, rows.theta_second])
+        found.append(np.sqrt(armature.inertia) * row)
+    return np.concatenate(found).reshape(-1, 6 * len(frames))

@@ -1,0 +1,218 @@
+"""Bodies, start and joints of a scene against those of a file's own model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from newton_euler.equations.couplings import couplings, residuals
+from newton_euler.equations.dense import least_squares, singular_values
+from newton_euler.equations.system import MassProperties, dimensionless_jacobian
+from newton_euler.reading.figure import SPREAD, Figure, figure, worst
+from newton_euler.reading.original import ROUND_OFF, Original
+from newton_euler.reading.placed import Place, Placed, shifted
+from newton_euler.reading.quantities import FREE, Freedom
+from newton_euler.runs.assemble import initial_state
+from newton_euler.scalars import Array
+
+TIMES = 10.0  # offsets of loops, times the condition, by which starts of two readers may differ
+STALLED_RATIO = 10.0
+"""Loop-closure error of `Original.closest` by that of the scene's start, of loops that share joints. Above,
+`closest` is no reference for them."""
+
+LEAST_STALLED = 1e-9
+"""Loop-closure error, sizes or rad, that is round-off."""
+
+PLACES = "center of mass at the start, m"
+ARMS = 1e3  # times as large as round-off an inertia's may be that is a difference of places in the world
+
+
+def body_figures(placed: Placed) -> Iterator[Figure]:
+    """Mass properties, where bodies start among them, and the mass matrix with loops open."""
+    original, names = placed.original, placed.mechanism.body_names[1:]
+    stated = placed.system.mass_properties()
+    found = _moving(stated)
+    wanted = _moving(_put_together(original.mass_properties(), placed.bodies))
+    reach = original.size + float(np.max(np.abs(wanted.center_of_mass)))
+    yield figure("mass, rel", np.abs(found.mass / wanted.mass - 1.0), ROUND_OFF, names)
+    gaps = np.linalg.norm(found.center_of_mass - wanted.center_of_mass, axis=1)
+    kept = original.offset if placed.halved else 0.0
+    yield figure(PLACES, gaps, reach * (ROUND_OFF + 10.0 * kept), names)
+    largest = np.linalg.norm(wanted.inertia, ord=2, axis=(1, 2))
+    gaps = np.linalg.norm(found.inertia - wanted.inertia, ord=2, axis=(1, 2)) / largest
+    arms = np.clip(wanted.mass * original.size * reach / largest, 1.0, ARMS)
+    yield figure("inertia, rel", gaps, ROUND_OFF * arms, names)
+    yield _mass_matrix_figure(placed, stated)
+
+
+def _moving(properties: MassProperties) -> MassProperties:
+    """Those without the ground's."""
+    return MassProperties(properties.mass[1:], properties.center_of_mass[1:], properties.inertia[1:])
+
+
+def _put_together(parts: MassProperties, bodies: Sequence[int]) -> MassProperties:
+    """Mass properties of bodies, ground first, out of those of rigid groups that are parts of them."""
+    count = max(bodies) + 1
+    mass, center, inertia = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))
+    np.add.at(mass, bodies, parts.mass)
+    np.add.at(center, bodies, parts.mass[:, None] * parts.center_of_mass)
+    center[1:] /= mass[1:, None]
+    for body, m, r, about in zip(bodies, parts.mass, parts.center_of_mass, parts.inertia, strict=True):
+        arm = r - center[body]
+        inertia[body] += about + m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return MassProperties(mass, center, inertia)
+
+
+def _mass_matrix_figure(placed: Placed, stated: MassProperties) -> Figure:
+    """The file's own mass matrix without rotors against the scene's bodies at the file's velocities.
+
+    At configurations with loops open; where bodies are halved in the file, with loops closed.
+    """
+    original, (centers, turns) = placed.original, placed.first
+    found, quantity = [], "mass matrix, loops open, rel"
+    for sample in original.samples if placed.halved else original.far:
+        basis, chosen = sample.freedom.basis, sample.freedom.rows
+        if not len(chosen):
+            continue
+        (wanted, rotors), there = sample.mass_matrices, sample.kinematics
+        mass = np.zeros_like(wanted)
+        for body, k in placed.parts.items():
+            turn = there.rotation[k] @ turns[k].T
+            rows = shifted(there.transformation[k], turn @ (stated.center_of_mass[body] - centers[k]))
+            inertia = turn @ stated.inertia[body] @ turn.T
+            mass += stated.mass[body] * rows[:3].T @ rows[:3] + rows[3:].T @ inertia @ rows[3:]
+        scale = np.sqrt(np.diag(basis.T @ (wanted + rotors) @ basis))
+        units = original.units[chosen]  # links without mass have no scale of their own
+        scale = np.maximum(scale, SPREAD * np.max(scale * units) / units)
+        gaps = np.max(np.abs(basis.T @ (mass - wanted) @ basis) / np.outer(scale, scale), axis=1)
+        names = [original.motions[k] for k in chosen]
+        found.append(figure(quantity, gaps, sample.precision, names))
+    return worst(found) if found else Figure(quantity, 0.0, ROUND_OFF, "")
+
+
+def joint_figures(placed: Placed) -> Iterator[Figure]:
+    """Joints of the scene in the file's motions, and equalities of the file in the scene's."""
+    found = [_joint_gaps(placed, place) for place in placed.places]
+    limits = np.array([place.sample.tolerance_of_motion for place in placed.places])[:, None]
+    names = [e.joint.name for e in placed.mechanism.equations if e.count]
+    names += [coupling.name for coupling in couplings(placed.scene)]
+    yield figure("joints open, sizes or rad", np.array([gaps for gaps, _ in found]), limits, names)
+    yield figure("joints opening, 1/s", np.array([rates for _, rates in found]), limits, names)
+    yield worst(_free_figure(placed, place) for place in placed.places)
+
+
+def _joint_gaps(placed: Placed, place: Place) -> tuple[list[float], list[float]]:
+    """Openings of joints and couplings of the scene, sizes or rad, and their rates, 1/s."""
+    frames, size = place.state.frames(), placed.original.size
+    gaps, rates = list[float](), list[float]()
+    for e in placed.mechanism.equations:
+        if e.count:
+            first, second, units = frames[e.first], frames[e.second], e.units(size)
+            gaps.append(float(np.max(np.abs(e.phi(first, second)) / units)))
+            rates.append(float(np.max(np.abs(e.jacobian(first, second).rate(first, second)) / units)))
+    coupled = couplings(placed.scene)
+    seen = residuals(placed.mechanism, coupled, frames, 0.0, place.state.angles)
+    of_couplings = zip(coupled, seen.phi, seen.rate, seen.sensitivity, strict=True)
+    for coupling, phi, rate, sensitivity in of_couplings:
+        unit = (size if coupling.is_length else 1.0) * sensitivity
+        gaps.append(abs(phi) / unit)
+        rates.append(abs(rate) / unit)
+    return gaps, rates
+
+
+def _free_figure(placed: Placed, place: Place) -> Figure:
+    """Motions that the scene leaves free have to be motions of the file's joints, and free there."""
+    original, system, sample = placed.original, placed.system, place.sample
+    q, _ = system.coordinates(place.rest)
+    free = _null(dimensionless_jacobian(system, q))
+    moved = placed.of_parts(system.velocity_transformation(q) * system.velocity_units @ free)
+    norms = np.linalg.norm(moved, axis=0)
+    moved = moved[:, norms > FREE] / norms[norms > FREE]
+    rows = place.of_parts / placed.part_units[:, None] * original.units
+    velocities = least_squares(rows, moved)
+    strange = np.abs(rows @ velocities - moved).reshape(len(placed.bodies), -1).max(axis=1, initial=0.0)
+    _, jacobian, owners = sample.constraints
+    opened = np.abs(jacobian @ velocities).max(axis=1, initial=0.0)
+    limit = sample.tolerance_of_motion
+    names = [*original.names, *owners]
+    return figure("motions free in the scene alone, rel", np.concatenate([strange, opened]), limit, names)
+
+
+def _null(jacobian: Array) -> Array:
+    """Orthonormal columns that a dimensionless Jacobian leaves free for certain."""
+    if not jacobian.size:
+        return np.eye(jacobian.shape[1])
+    _, s, vt = singular_values(jacobian, full=True)
+    return np.asarray(vt[int(np.sum(s > FREE * max(1.0, s[0]))) :].T)
+
+
+def start_figures(placed: Placed) -> Iterator[Figure]:
+    """Loops of the file, pose and velocities at the scene's start."""
+    original, place = placed.original, placed.places[0]
+    free, limit = place.sample.freedom, place.sample.tolerance
+    closest, opened = original.open
+    of_rows, of_motions = _components(original)
+    offsets = np.zeros(len(of_rows) + len(of_motions))
+    np.maximum.at(offsets, of_rows, np.abs(closest.residual))
+    limits = limit + TIMES * offsets * free.condition
+    if len(of_rows):
+        gaps, names = np.abs(opened.residual), opened.owners
+        yield figure("loops open at the start, sizes or rad", gaps, limits[of_rows], names)
+    away = np.abs(original.difference(original.closest, original.start)) / original.units
+    judged = np.flatnonzero(~_stalled(original))
+    if len(judged):
+        motions = [original.motions[k] for k in judged]
+        yield figure("start, sizes or rad", away[judged], limits[of_motions[judged]], motions)
+    state = initial_state(placed.scene)
+    reached = placed.of_parts(np.hstack([state.linear_velocity, state.angular_velocity]).ravel())
+    rows = place.of_parts / placed.part_units[:, None] * original.units
+    own = least_squares(rows, reached)
+    stated = original.stated[1] / original.units
+    wanted = _nearest(stated, rows, free, original.units)
+    scale = max(1.0, float(np.max(np.abs(stated), initial=0.0)))
+    yield figure(
+        "velocities at the start, rel",
+        np.abs(own - wanted) / scale,
+        place.sample.tolerance_of_motion,
+        original.motions,
+    )
+
+
+def starts_not_compared(original: Original) -> list[str]:
+    """Name the joints in loops of the file whose closing stalls, so that their start is unknown."""
+    return list(dict.fromkeys(original.motions[k] for k in np.flatnonzero(_stalled(original))))
+
+
+def _stalled(original: Original) -> Array:
+    """(nv,) true for velocities in loops that are further open in `Original.closest` than in the scene.
+
+    Next to a singular configuration, closing the file's loops may stall and leave no start to compare with.
+    Loops that share no joint are judged apart.
+    """
+    of_rows, of_motions = _components(original)
+    closest, opened = openings = np.zeros((2, len(of_rows) + len(of_motions)))
+    for opening, constraints in zip(openings, original.open, strict=True):
+        np.maximum.at(opening, of_rows, np.abs(constraints.residual))
+    return np.asarray(~(closest <= np.maximum(LEAST_STALLED, STALLED_RATIO * opened))[of_motions])
+
+
+def _components(original: Original) -> tuple[Array, Array]:
+    """Label the connected component of each row (k,) and each velocity (nv,) of a file's constraints."""
+    # a lever arm may vanish in one of both configurations
+    jacobian = np.maximum(*(np.abs(constraints.jacobian) for constraints in original.open))
+    joined = jacobian > ROUND_OFF
+    of_rows, of_velocities = np.arange(len(jacobian)), np.arange(jacobian.shape[1]) + len(jacobian)
+    for row, velocities in zip(of_rows.copy(), joined, strict=True):
+        # all that a row joins takes its label
+        others = of_velocities[velocities]
+        of_rows[np.isin(of_rows, others)] = row
+        of_velocities[np.isin(of_velocities, others)] = row
+    return of_rows, of_velocities
+
+
+def _nearest(stated: Array, rows: Array, free: Freedom, units: Array) -> Array:
+    """Velocities (nv,) that constraints let be, at which bodies move nearest to those that are stated."""
+    basis = free.basis * units[free.rows] / units[:, None]
+    metric = np.tile(np.repeat([1.0, 0.5], 3), len(rows) // 6)[:, None] * rows  # Euler parameters turn half
+    return np.asarray(basis @ least_squares(metric @ basis, metric @ stated))

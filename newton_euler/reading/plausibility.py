@@ -1,0 +1,361 @@
+"""Likely mistakes in a model file, which every engine simulates as it stands.
+
+Each rule compares numbers of a body with the body's own geometry, with the mechanism, or with the body's twin
+on the other side. The limits leave out all that robots of public collections have on purpose, as far as that
+can be told from the numbers.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from newton_euler.errors import listed
+from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.geometry import Box, Mesh, Shape, Sphere
+from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body, Mechanism
+from newton_euler.reading.import_report import Finding
+from newton_euler.scalars import Array
+
+MAX_GYRATION = 2.0
+"""Radius of gyration in extents of the body: at most 1 for a mass within it; geometry may be partial."""
+
+MIN_GYRATION = 0.005
+"""Radius of gyration in extents of the geometry. A bar has 0.3; less is an inertia in other units."""
+
+MAX_GYRATION_OF_MECHANISM = 2.0
+"""Radius of gyration in sizes of the mechanism, for bodies without geometry."""
+
+MAX_CENTER_DISTANCE = 3.0
+"""Distance of a center of mass from the box around geometry and joints, in diagonals of that box."""
+
+MAX_DENSITY = 30_000.0
+"""kg/m^3 in the box around the geometry: the densest metal has 22,600."""
+
+MIN_MASS_SHARE = 1e-6
+"""Mass as a share of the heaviest body's."""
+
+MAX_TWIN_DIFFERENCE = 0.02
+"""Relative difference of masses, moments of inertia and places of twins."""
+
+UNIT_FACTORS = {1e-3: "g m^2 or kg m mm", 1e-6: "kg mm^2", 1e-9: "g mm^2", 1e3: "t m^2", 1e6: "kg km^2"}
+"""What an inertia may be in, by the factor that takes it to kg m^2."""
+
+SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r"), ("L", "R"))
+"""Words for the two sides in names; letters alone count where nothing but letters of the word is replaced."""
+
+MOST_ALIKE = 3
+"""Findings with one name that are told one by one."""
+
+MIN_LENGTH = 0.02
+"""m, of geometry that tells of a volume; smaller geometry is a mark."""
+
+
+def findings(mechanism: Mechanism) -> Iterator[Finding]:
+    """Likely mistakes in the bodies of a mechanism that was read from a file."""
+    bodies = [Measured.of(mechanism, k) for k in range(1, len(mechanism.bodies))]
+    heaviest = max(bodies, key=lambda each: each.body.mass)
+    found = [finding for each in bodies for rule in RULES for finding in rule(each, mechanism)]
+    found += [finding for each in bodies for finding in light_body(each, heaviest)]
+    yield from grouped([*found, *unlike_twins(bodies)])
+
+
+def grouped(found: Sequence[Finding]) -> Iterator[Finding]:
+    """The same findings; of many with one name the first ones, and the others as one."""
+    for name in dict.fromkeys(finding.name for finding in found):
+        alike = [finding for finding in found if finding.name == name]
+        yield from alike[:MOST_ALIKE]
+        if more := alike[MOST_ALIKE:]:
+            element = f"{len(more)} more like {alike[MOST_ALIKE - 1].element}"
+            yield replace(more[0], element=element, what=listed(finding.element for finding in more))
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A body with the numbers that rules compare.
+
+    Attributes:
+        body: as it was read.
+        gyration: root mean square distance of its mass from its center, m.
+        box: lowest and highest corner (2, 3) around its geometry, world; None if it has none.
+        extent: largest distance of its geometry and joints from its center of mass, m.
+        joints: (n, 3) points of its joints, world.
+    """
+
+    body: Body
+    gyration: float
+    box: Array | None
+    extent: float
+    joints: Array
+
+    @classmethod
+    def of(cls, mechanism: Mechanism, number: int) -> Measured:
+        body = mechanism.bodies[number]
+        gyration = (
+            float(np.sqrt(max(0.0, 0.5 * np.trace(body.inertia)) / body.mass)) if body.mass > 0.0 else 0.0
+        )
+        ends = [
+            point
+            for joint in mechanism.joints
+            for name, point in ((joint.first, joint.point), (joint.second, joint.reaction_point))
+            if name == body.name and joint.kind != "free"
+        ]
+        joints = np.reshape(ends, (-1, 3))
+        corners = [corner for shape in (*body.shapes, *body.meshes) for corner in corners_of(shape)]
+        box = np.array([np.min(corners, axis=0), np.max(corners, axis=0)]) if corners else None
+        points = np.reshape([*corners, *joints], (-1, 3)) - body.center_of_mass
+        extent = float(np.max(np.linalg.norm(points, axis=1), initial=0.0))
+        return cls(body, gyration, box, extent, joints)
+
+    @property
+    def element(self) -> str:
+        return f"body {self.body.name!r}"
+
+    @property
+    def moments(self) -> Array:
+        """(3,) principal moments of inertia, ascending, kg m^2."""
+        return np.linalg.eigvalsh(0.5 * (self.body.inertia + self.body.inertia.T))
+
+
+def corners_of(shape: Shape | Mesh) -> list[Array]:
+    """Points (3,) whose box is that around a shape."""
+    if isinstance(shape, Mesh):
+        return [np.min(shape.vertices, axis=0), np.max(shape.vertices, axis=0)]
+    if isinstance(shape, Box):
+        reach = np.abs(rotation(np.asarray(shape.quaternion))) @ np.asarray(shape.half_sizes)
+        return [shape.center - reach, shape.center + reach]
+    if isinstance(shape, Sphere):
+        return [shape.center - shape.radius, shape.center + shape.radius]
+    ends = [np.asarray(shape.start), np.asarray(shape.end)]
+    return [end + sign * shape.radius for end in ends for sign in (-1.0, 1.0)]
+
+
+def impossible_inertia(each: Measured, mechanism: Mechanism) -> Iterator[Finding]:
+    """Principal moments of which two together are less than the third."""
+    a, b, c = each.moments
+    if a + b < c * (1.0 - REALISABLE_TOLERANCE):
+        yield Finding(
+            "impossible-inertia",
+            each.element,
+            f"principal moments {a:.3g}, {b:.3g} and {c:.3g} kg m^2: {a:.3g} + {b:.3g} < {c:.3g}",
+            "no mass has this inertia, and its rotations are those of no body",
+            "recompute the inertia about the center of mass",
+        )
+
+
+def large_inertia(each: Measured, mechanism: Mechanism) -> Iterator[Finding]:
+    """An inertia whose mass would have to be far outside of the body."""
+    has_geometry = each.box is not None
+    extent = each.extent if has_geometry else max(mechanism.size, each.extent)
+    limit = MAX_GYRATION if has_geometry else MAX_GYRATION_OF_MECHANISM
+    if extent > 0.0 and each.gyration > limit * extent:
+        where = "its geometry and joints reach" if has_geometry else "the mechanism reaches"
+        what = f"a radius of gyration of {each.gyration:.3g} m, where {where} {extent:.3g} m"
+        if np.array_equal(each.moments, np.ones(3)):
+            what = f"an inertia of 1 kg m^2 about all axes, the value of a placeholder: {what}"
+        yield Finding(
+            "inertia-too-large",
+            each.element,
+            what,
+            f"it turns {(each.gyration / extent) ** 2:.3g} times as slowly as a body of that size, or slower",
+            _units(each, extent),
+        )
+
+
+def small_inertia(each: Measured, mechanism: Mechanism) -> Iterator[Finding]:
+    """An inertia whose mass would have to be in a point of the body."""
+    if each.box is None:
+        return
+    extent = 0.5 * float(np.max(each.box[1] - each.box[0]))
+    if 0.0 < each.gyration < MIN_GYRATION * extent:
+        yield Finding(
+            "inertia-too-small",
+            each.element,
+            f"a radius of gyration of {each.gyration:.3g} m, where its geometry is {2.0 * extent:.3g} m long",
+            "it turns much too fast, and simulations need tiny steps",
+            _units(each, extent),
+        )
+
+
+def _units(each: Measured, extent: float) -> str:
+    """Propose units in which the inertia would be that of a bar or a ball of the body's extent."""
+    wanted = (0.4 * extent / each.gyration) ** 2
+    factor = min(UNIT_FACTORS, key=lambda one: abs(np.log(one / wanted)))
+    if abs(np.log10(factor / wanted)) > 1.0:
+        return "check the units of its inertia and of its mass: kg m^2 and kg"
+    return f"if the inertia is in {UNIT_FACTORS[factor]}, multiply it by {factor:g}"
+
+
+def distant_center(each: Measured, mechanism: Mechanism) -> Iterator[Finding]:
+    """A center of mass far outside of the box around geometry and joints."""
+    if each.box is None:
+        return
+    low, high = (f([*each.box, *each.joints], axis=0) for f in (np.min, np.max))
+    diagonal = float(np.linalg.norm(high - low))
+    center = each.body.center_of_mass
+    away = float(np.linalg.norm(np.maximum(0.0, np.maximum(low - center, center - high))))
+    if away > MAX_CENTER_DISTANCE * diagonal > 0.0:
+        yield Finding(
+            "center-outside",
+            each.element,
+            f"its center of mass is {away:.3g} m from its geometry and joints, {diagonal:.3g} m large",
+            "gravity and inertia act far from where the body is",
+            "check the origin of its inertial and its units: m",
+        )
+
+
+def dense_body(each: Measured, mechanism: Mechanism) -> Iterator[Finding]:
+    """A mass that no matter has in the volume of the geometry."""
+    if each.box is None:
+        return
+    sides = each.box[1] - each.box[0]
+    volume = float(np.prod(sides))
+    reach = each.joints - 0.5 * (each.box[0] + each.box[1])
+    partial = np.any(np.abs(reach) > 2.0 * sides)  # geometry of a part of the body alone
+    if (
+        volume > 0.0
+        and float(np.max(sides)) > MIN_LENGTH
+        and not partial
+        and each.body.mass > MAX_DENSITY * volume
+    ):
+        yield Finding(
+            "mass-too-large",
+            each.element,
+            f"{each.body.mass:.3g} kg in a box of {volume:.3g} m^3 around its geometry: "
+            f"{each.body.mass / volume:.3g} kg/m^3",
+            "it is denser than any metal",
+            "check the units of its mass (kg, not g) and of its geometry (m, not mm)",
+        )
+
+
+def light_body(each: Measured, heaviest: Measured) -> Iterator[Finding]:
+    """A mass that is nothing beside the others."""
+    mass, most = each.body.mass, heaviest.body.mass
+    if 0.0 < mass < MIN_MASS_SHARE * most:
+        yield Finding(
+            "mass-too-small",
+            each.element,
+            f"{mass:.3g} kg, {mass / most:.1g} of the {most:.3g} kg of {heaviest.element}",
+            "motions lose digits, and small steps are needed",
+            "give it its mass, or fix it to its neighbor",
+        )
+
+
+RULES = (impossible_inertia, large_inertia, small_inertia, distant_center, dense_body)
+
+# Twins
+
+
+def twin_name(name: str) -> str:
+    """The name of the body on the other side; "" if the name is of none, or of both sides."""
+    if len(re.findall("left|right", name, re.IGNORECASE)) > 1:
+        return ""
+    for one, other in SIDES:
+        for own, swapped in ((one, other), (other, one)):
+            if len(own) > 1:
+                if own in name:
+                    return name.replace(own, swapped)
+            elif found := re.fullmatch(rf"(.*_|){own}(_.*|)", name):
+                return f"{found[1]}{swapped}{found[2]}"
+    if found := re.fullmatch(r"([FRH])([LR])(_.*|)", name):
+        return found[1] + {"L": "R", "R": "L"}[found[2]] + found[3]
+    return ""
+
+
+def unlike_twins(bodies: list[Measured]) -> Iterator[Finding]:
+    """Bodies on two sides, by their names, that differ in mass, moments or the place of the mass.
+
+    Places and products of inertia are compared where the joints of both are mirrored in one plane.
+    """
+    named = {each.body.name: each for each in bodies}
+    pairs = [
+        (each, named[other])
+        for each in bodies
+        if (other := twin_name(each.body.name)) in named and each.body.name < other
+    ]
+    mirror, middle = _mirror(pairs)
+    for one, two in pairs:
+        problem = _difference(one, two, mirror, middle)
+        if problem:
+            yield Finding(
+                "twins-differ",
+                f"bodies {one.body.name!r} and {two.body.name!r}",
+                problem,
+                "the two sides move differently",
+                "mirror one side again: signs of y or of the products of inertia are the usual mistake",
+            )
+
+
+def _mirror(pairs: list[tuple[Measured, Measured]]) -> tuple[Array, float]:
+    """The reflection (3, 3) that most pairs of joints have, and where its plane is along its normal, m."""
+    best: tuple[int, Array, float] = (0, np.eye(3), 0.0)
+    for axis in range(3):
+        flip = np.eye(3)
+        flip[axis, axis] = -1.0
+        known = [(one.joints[0], two.joints[0]) for one, two in pairs if len(one.joints) and len(two.joints)]
+        if not known:
+            continue
+        middle = float(np.median([0.5 * (p + q)[axis] for p, q in known]))
+        count = sum(_is_mirrored(p, q, flip, middle, axis) for p, q in known)
+        if count > best[0]:
+            best = count, flip, middle
+    return best[1], best[2]
+
+
+def _is_mirrored(p: Array, q: Array, flip: Array, middle: float, axis: int) -> bool:
+    shift = 2.0 * middle * np.eye(3)[axis]
+    apart = abs(p[axis] - q[axis])
+    return apart > 0.0 and float(np.linalg.norm(flip @ p + shift - q)) < MAX_TWIN_DIFFERENCE * apart
+
+
+def _difference(one: Measured, two: Measured, flip: Array, middle: float) -> str:
+    """Word what twins differ in; "" if nothing."""
+    masses = one.body.mass, two.body.mass
+    if _unlike(*masses, max(masses)):
+        return f"masses of {masses[0]:.4g} and {masses[1]:.4g} kg"
+    largest = float(max(one.moments[2], two.moments[2]))
+    if np.max(np.abs(one.moments - two.moments)) > MAX_TWIN_DIFFERENCE * largest:
+        texts = (", ".join(f"{x:.4g}" for x in each.moments) for each in (one, two))
+        return f"principal moments of {' and '.join(texts)} kg m^2"
+    axes = np.flatnonzero(np.diag(flip) < 0.0)
+    if not (len(axes) and len(one.joints) and len(two.joints)):
+        return ""
+    p, q = one.joints[0], two.joints[0]
+    if not _is_mirrored(p, q, flip, middle, int(axes[0])):
+        return ""
+    ends = [*zip(one.joints, two.joints, strict=False)]
+    mirrored = all(_is_mirrored(a, b, flip, middle, int(axes[0])) for a, b in ends)
+    if len(one.joints) != len(two.joints) or not mirrored:
+        return ""  # their poses are not mirrored
+    arms = flip @ (one.body.center_of_mass - p), two.body.center_of_mass - q
+    size = max(one.gyration, two.gyration, float(np.linalg.norm(arms[0])))
+    gap = arms[1] - arms[0]
+    worst = int(np.argmax(np.abs(gap)))
+    if abs(gap[worst]) > 5.0 * MAX_TWIN_DIFFERENCE * size and not _is_turned(one, two, size):
+        name = "xyz"[worst]
+        return f"centers of mass whose {name}, mirrored, are {arms[0][worst]:.4g} and {arms[1][worst]:.4g} m"
+    return ""
+
+
+def _is_turned(one: Measured, two: Measured, size: float) -> bool:
+    """True if one body is the other one moved or turned by half a turn, as one part used on both sides is."""
+    first, second = (each.body.center_of_mass - each.joints[0] for each in (one, two))
+    turns = [rotation(np.asarray(each.body.quaternion)) for each in (one, two)]
+    inertias = [turn @ each.body.inertia @ turn.T for turn, each in zip(turns, (one, two), strict=True)]
+    largest = float(np.max(one.moments))
+    products = inertias[0] - np.diag(np.diag(inertias[0]))
+    telling = np.max(np.abs(products)) > 5.0 * MAX_TWIN_DIFFERENCE * largest
+    for signs in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
+        turn = np.diag(np.array(signs, dtype=float))
+        same_place = float(np.max(np.abs(turn @ first - second))) < 5.0 * MAX_TWIN_DIFFERENCE * size
+        gap = float(np.max(np.abs(turn @ inertias[0] @ turn - inertias[1])))
+        if same_place and gap < 5.0 * MAX_TWIN_DIFFERENCE * largest and (telling or signs == (1, 1, 1)):
+            return True
+    return False
+
+
+def _unlike(a: float, b: float, scale: float) -> bool:
+    return abs(a - b) > MAX_TWIN_DIFFERENCE * scale

@@ -1,0 +1,1 @@
+"""Runs of scenes: starts, simulation, sampled controllers, batches, variation."""

@@ -1,0 +1,352 @@
+"""Batches: many runs of one scene, over threads, for native code lets go of Python's lock."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, partial
+from queue import Empty, SimpleQueue
+from typing import Annotated, Any, Unpack, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from newton_euler.arguments import UNCHECKED, checked
+from newton_euler.compiled.lanes import Runs, SideBySide, go_in_lanes, load_lanes
+from newton_euler.compiled.outputs import named
+from newton_euler.compiled.run import PREPARING
+from newton_euler.equations.couplings import counted_angles
+from newton_euler.errors import (
+    MechanismError,
+    NewtonEulerError,
+    OptionError,
+    UnknownNameError,
+    is_count,
+    quoted,
+)
+from newton_euler.integrators.options import (
+    FormulationName,
+    IntegratorName,
+    Options,
+    StabilizationName,
+    StepControl,
+)
+from newton_euler.integrators.stepper import COUNTS, counted
+from newton_euler.model.digital_control import Digital
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import JointMotion, Trajectory, joint_motion
+from newton_euler.runs.assemble import check_states, coordinates_of, initial_state
+from newton_euler.runs.sampling import integrate_intervals
+from newton_euler.runs.simulate import KEPT, CompiledScene, native_trajectory, warn_of_round_off
+from newton_euler.runs.starts import assembly_of, initial_numbers
+from newton_euler.runs.variation import run_values
+from newton_euler.scalars import Array, Floats
+
+PIECES = 8
+"""Number of pieces of a thread's share, so that no thread waits long for the last one."""
+
+
+MAX_THREADS = 4096  # each takes memory for its stack, and a process has room for some thousands
+SMALLEST_PIECE = 64
+"""Runs of a piece that are made side by side, at least: at its end some lanes have none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Batch(Sequence[Trajectory]):
+    """Runs of one scene; `batch[k]` is the trajectory of run k, or raises the error that ended it.
+
+    Attributes:
+        wall_time: s, of all runs together.
+        errors: of runs that could not begin, with the value that makes no sense, or not go on, by number of
+            the run.
+    """
+
+    scene: Scene
+    settings: dict[str, Any]
+    wall_time: float
+    errors: dict[int, NewtonEulerError]
+    _compiled: CompiledScene
+    _runs: Runs
+
+    def __len__(self) -> int:
+        return len(self._runs.results)
+
+    def __repr__(self) -> str:
+        return f"<Batch of {self.scene.name!r}: runs: {len(self)}, errors: {len(self.errors)}>"
+
+    @overload
+    def __getitem__(self, run: int) -> Trajectory: ...
+    @overload
+    def __getitem__(self, run: slice) -> list[Trajectory]: ...
+    def __getitem__(self, run: int | slice) -> Trajectory | list[Trajectory]:
+        if isinstance(run, slice):
+            return [self[k] for k in range(len(self))[run]]
+        number = range(len(self))[run]
+        if number in self.errors:
+            raise self.errors[number]
+        arrays = named(self._compiled, self._runs.results[number])
+        settings = self.settings | counted(self._runs.counts[number])
+        found = native_trajectory(self.scene, settings, self.wall_time / len(self), arrays)
+        return replace(found, mechanism=self._mechanism(number))
+
+    @checked
+    def stacked(self, name: str) -> Floats:
+        """Return an array of all runs at all times, without a copy: `position` is (runs, n, b, 3).
+
+        Not a number in runs that could not go on. Quaternions are as they were computed, whose sign may
+        change from one time to the next; a trajectory's does not.
+
+        Raises:
+            UnknownNameError: for an array that the scene does not ask for.
+        """
+        places = self._compiled.arrays
+        if name not in places:
+            raise UnknownNameError("array", name, tuple(places))
+        place, shape = places[name]
+        results = self._runs.results
+        return results[:, :, place].reshape(*results.shape[:2], *shape)
+
+    @checked
+    def joint(self, name: str) -> JointMotion:
+        """Compute the coordinates (runs, n, k) of a joint and their rates, as `Trajectory.joint` does.
+
+        Not a number in runs that could not go on. Where geometry differs from run to run that takes some
+        milliseconds for each.
+
+        Raises:
+            UnknownNameError: for an unknown joint.
+        """
+        times, known = self.scene.times, self._compiled.arrays
+        position, quaternion = self.stacked("position"), self.stacked("quaternion")
+        velocities = [
+            self.stacked(each) if each in known else None for each in ("linear_velocity", "angular_velocity")
+        ]
+        counted = [(k, key[1]) for k, key in enumerate(counted_angles(self.scene)) if key[0] == name]
+        carried = {number: self.stacked("joint_angle")[:, :, k] for k, number in counted}
+        if not self._compiled.kinematic:
+            equations = self.scene.mechanism.joint_equations(name)
+            return joint_motion(equations, times, carried, position, quaternion, *velocities)
+        found = []
+        for run, mechanism in enumerate(self._mechanisms):
+            equations = mechanism.joint_equations(name)
+            own = [None if array is None else array[run] for array in velocities]
+            angles = {number: array[run] for number, array in carried.items()}
+            found.append(joint_motion(equations, times, angles, position[run], quaternion[run], *own))
+        coordinates = np.array([motion.coordinates for motion in found])
+        rates = None if velocities[0] is None else np.array([motion.rates for motion in found])
+        return JointMotion(found[0].names, coordinates, rates)
+
+    @cached_property
+    def _mechanisms(self) -> list[Mechanism]:
+        """The mechanisms of all runs, where their geometry differs."""
+        return [self._mechanism(run) for run in range(len(self))]
+
+    def _mechanism(self, run: int) -> Mechanism:
+        """Return the mechanism of a run."""
+        return self._compiled.parametrized(self._runs.starts[run]).mechanism
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        return (self[k] for k in range(len(self)))
+
+
+@checked
+def simulate_batch(
+    scene: Scene,
+    states: Annotated[Sequence[State] | None, UNCHECKED] = None,
+    parameters: Mapping[str, Sequence[ArrayLike] | Floats] | None = None,
+    threads: int | None = None,
+    formulation: FormulationName | None = None,
+    integrator: IntegratorName = "DOP853",
+    stabilization: StabilizationName = "projection",
+    alpha: float | None = None,
+    **control: Unpack[StepControl],
+) -> Batch:
+    """Run a scene many times, from other states or with other parameters; compiled once.
+
+    Results do not depend on the number of threads; from a state they are those of `simulate` from there. All
+    outputs of all runs are kept in memory, 8 bytes per number: 0.7 MB per run of the tracker.
+    `crosscheck.sweep` keeps a few numbers of each run instead.
+
+    Args:
+        scene: the scene of all runs.
+        states: initial states, one per run; the scene's own for all if not given.
+        parameters: values, one per run, by name; see `newton_euler.equations.parameters`, and
+            `newton_euler.runs.starts` for initial coordinates.
+        threads: their number, at most `MAX_THREADS`; that of the processors if not given.
+
+    The other arguments are those of `simulate`.
+
+    Raises:
+        NewtonEulerError: for an unknown name, an impossible option, and what is no state or value in any
+            run; a run that cannot begin or go on is in `Batch.errors`.
+
+    Examples:
+        >>> batch = simulate_batch(load("pendulum"), parameters={"dumbbell.mass": [1.0, 2.0]})
+        >>> len(batch), batch.stacked("position").shape
+        (2, (2, 1001, 2, 3))
+    """
+    chosen = formulation, integrator, stabilization, alpha
+    batch = make_batch(scene, states, parameters, threads, *chosen, **control)
+    batch._compiled.warn()
+    runs = (batch.settings | counted(counts) for counts in batch._runs.counts)
+    warn_of_round_off(scene, Options.of(integrator, control), runs)
+    return batch
+
+
+def make_batch(
+    scene: Scene,
+    states: Sequence[State] | None = None,
+    parameters: Mapping[str, Sequence[ArrayLike] | Floats] | None = None,
+    threads: int | None = None,
+    formulation: FormulationName | None = None,
+    integrator: IntegratorName = "DOP853",
+    stabilization: StabilizationName = "projection",
+    alpha: float | None = None,
+    **control: Unpack[StepControl],
+) -> Batch:
+    """Run a scene many times as `simulate_batch` does, without its warnings."""
+    options = Options.of(integrator, control)
+    options.check_steps(scene.duration)
+    parameters = dict(parameters or {})
+    given = states if isinstance(states, list | tuple) else ()
+    of_kind = states is given and (not given or any(isinstance(each, State) for each in given))
+    if states is not None and not of_kind:
+        needed = "State objects, one per run; coordinates are parameters: {'start.JOINT': [0.1, 0.2]}"
+        raise OptionError("states", quoted(states), needed)
+    for law in scene.sampled:
+        if not isinstance(law, Digital) or law.law.uses_model:
+            problem = "has a controller that calls Python, or knows the mechanism, at its instants"
+            needed = "its law without sampling, or `simulate` run by run"
+            raise MechanismError(f"joint {law.joint!r}", problem, needed)
+    workers = thread_count(threads)
+    initial = initial_numbers(scene, parameters)
+    names = tuple(name for name in parameters if name not in initial)
+    with PREPARING:
+        compiled = _compiled(scene, formulation, stabilization, alpha, names)
+        load_lanes(compiled, integrator)
+    count = _count(states, parameters)
+    shape = (len(scene.times), compiled.function("output").outputs)
+    try:
+        results = np.empty((count, *shape))
+        starts = np.tile(compiled.start, (count, 1))
+    except MemoryError as error:
+        megabytes = 8e-6 * math.prod(shape)
+        needed = f"memory for {count * megabytes:.3g} MB, {megabytes:.3g} MB per run, or crosscheck.sweep"
+        raise OptionError("states and parameters", f"{count} runs", needed) from error
+    errors = _set(starts, compiled, states, parameters)
+    results[list(errors)] = np.nan
+    runs = Runs(starts, results, np.zeros((count, COUNTS)), errors)
+    wall_time = _make(runs, compiled, options, workers)
+    settings = compiled.settings | {"threads": workers} | options.chosen()
+    return Batch(scene, settings, wall_time, dict(sorted(runs.errors.items())), compiled, runs)
+
+
+def _make(runs: Runs, compiled: CompiledScene, options: Options, workers: int) -> float:
+    """Make all runs but those with an error, on so many threads; returns the time that it took, s."""
+    side_by_side = go_in_lanes(compiled, options.integrator)
+    numbers = np.setdiff1d(np.arange(len(runs.starts)), list(runs.errors))
+    most = len(numbers) // SMALLEST_PIECE if side_by_side else len(numbers)
+    waiting: SimpleQueue[Array] = SimpleQueue()
+    for piece in np.array_split(numbers, max(min(PIECES * workers, most), workers)):
+        waiting.put(piece)
+    stopped: list[bool] = []
+
+    def work() -> None:
+        make: Callable[[Runs, Array], None] = partial(_make_one_by_one, compiled, options, stopped)
+        if side_by_side:
+            make = SideBySide(compiled, compiled.scene.times, options, stopped)
+        with suppress(Empty):
+            while not stopped:
+                make(runs, waiting.get_nowait())
+
+    start = time.perf_counter()
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            for worker in as_completed([pool.submit(work) for _ in range(workers)]):
+                worker.result()
+        except BaseException:
+            stopped.append(True)
+            raise
+    return time.perf_counter() - start
+
+
+def _make_one_by_one(
+    compiled: CompiledScene, options: Options, stopped: Sequence[bool], runs: Runs, numbers: Array
+) -> None:
+    """Make some of the runs, given by their numbers."""
+    for k in numbers.tolist():
+        if stopped:
+            return
+        found = integrate_intervals(compiled, runs.starts[k], options, stopped)
+        if found.stopped:
+            runs.errors[k] = found.stopped
+            runs.results[k] = np.nan
+        else:
+            runs.results[k] = found.results
+        runs.counts[k] = found.counts
+
+
+@lru_cache(maxsize=KEPT)
+def _compiled(
+    scene: Scene, formulation: str | None, stabilization: str, alpha: float | None, names: tuple[str, ...]
+) -> CompiledScene:
+    """Return the code of a scene, the same for one batch after another: LLVM keeps memory of all it makes."""
+    return CompiledScene(scene, formulation, stabilization, alpha, names)
+
+
+def thread_count(threads: int | None = None) -> int:
+    """Return a number of threads: as many as there are processors for this process if none is given.
+
+    Raises:
+        OptionError: for an impossible number.
+    """
+    if threads is None:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not is_count(threads) or threads > MAX_THREADS:
+        raise OptionError("threads", threads, f"a whole number, 1 to {MAX_THREADS}")
+    return int(threads)
+
+
+def _count(states: Sequence[State] | None, parameters: Mapping[str, Any]) -> int:
+    """Return the number of runs."""
+    series = dict(parameters) if states is None else {**parameters, "states": states}
+    for name, each in series.items():
+        if not len(each):
+            raise OptionError(name, each, "one value per run, of one run or more")
+    lengths = {name: len(values) for name, values in series.items()}
+    if len(set(lengths.values())) != 1:
+        raise OptionError("states and parameters", lengths, "one state or value per run, of one length")
+    return next(iter(lengths.values()))
+
+
+def _set(
+    starts: Array,
+    compiled: CompiledScene,
+    states: Sequence[State] | None,
+    parameters: Mapping[str, Any],
+) -> dict[int, NewtonEulerError]:
+    """Set the states and parameters of all runs in their x (runs, inputs); returns errors by runs."""
+    scene = compiled.scene
+    unclosed = check_states(scene, states or ())
+    closed = [initial_state(scene) if k in unclosed else state for k, state in enumerate(states or ())]
+    values = run_values(scene, parameters)
+    for name, array in values.arrays.items():
+        if name in compiled.parameters:
+            place, flat = compiled.place(name), array.reshape(len(array), -1)
+            starts[:, place : place + flat.shape[1]] = flat
+    errors: dict[int, NewtonEulerError] = {**values.errors, **unclosed}
+    assembly = assembly_of(scene, tuple(parameters))
+    if assembly.is_needed:
+        x, lost = assembly(values.arrays, closed or None)
+        starts[:, : compiled.size] = assembly.starts(compiled, x)
+        return {**lost, **errors}
+    if closed:
+        starts[:, : compiled.size] = coordinates_of(compiled.system, closed)
+    return errors

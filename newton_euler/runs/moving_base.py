@@ -1,0 +1,251 @@
+"""Mechanisms on a base that moves: a boat, a vehicle, a shaking table.
+
+The ground of a scene becomes a body with everything that was on it, on a joint between it and the world. The
+pose of that body, with the point c of the base that its motion is of,
+
+    r = c + surge x + sway y + heave z,    A = R_z(yaw) R_y(pitch) R_x(roll)
+
+in the world's axes x, y, z of the scene's initial pose: yaw first, about the world's z, then pitch about the
+base's own y, then roll about its own x. Where z is up and x is ahead, y is to the left, and positive pitch
+lowers the bow.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from newton_euler.arguments import checked
+from newton_euler.errors import MechanismError, choices, finite_array, listed, quoted
+from newton_euler.model.compound_joint import Compound
+from newton_euler.model.euler_parameters import from_rotation, from_rotation_vector, product, rotation
+from newton_euler.model.joint_kinds import Free
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.motions import PrescribedMotion, TimeFunction
+from newton_euler.model.scene import Scene
+from newton_euler.model.source_file import SourceError, TimeTable, check_names, csv_rows, path_text, read_text
+from newton_euler.model.splines import Spline
+from newton_euler.model.state import State
+from newton_euler.runs.assemble import initial_state
+from newton_euler.scalars import Array, Floats
+
+X, Y, Z = np.eye(3)
+SLIDES = {"surge": X, "sway": Y, "heave": Z}
+HINGES = {"yaw": Z, "pitch": Y, "roll": X}  # in their order from the world to the base
+
+
+@checked
+def on_moving_base(
+    scene: Scene,
+    motions: Mapping[str, TimeFunction] | None = None,
+    hull: Body | None = None,
+    point: ArrayLike = (0.0, 0.0, 0.0),
+    world: str = "world",
+    joint: str = "base_motion",
+) -> Scene:
+    """Return a scene whose ground is a body on a moving base, or one that floats.
+
+    Joints, forces, control and shapes stay on the body that has the ground's name. The mechanism starts as it
+    did against the base, which starts with the pose and the velocity of its motion at time 0.
+
+    Args:
+        scene: what is put on the base.
+        motions: functions of time out of surge, sway, heave (m along x, y, z of the world) and roll, pitch,
+            yaw (rad), see `newton_euler.runs.moving_base`; what is not given stays 0. A base that floats
+            freely if None.
+        hull: mass, center of mass, inertia and shapes of the base, at the scene's initial pose. If None those
+            of the ground; if that has no mass, numbers of the mechanism's size, on which nothing depends but
+            the forces that move the base.
+        point: (3,) c, m, in the world at the initial pose.
+        world: name of the new ground.
+        joint: name of the joint between the two: slides in the order surge, sway, heave, then hinges in the
+            order yaw, pitch, roll, those that are given.
+
+    Raises:
+        MechanismError: for an unknown motion, a name that the scene has, or a floating base without a mass.
+
+    Examples:
+        >>> waves = {"heave": Sine(0.3, 1.1), "roll": Sine(0.1, 1.1, phase=0.5)}
+        >>> scene = on_moving_base(load("pendulum"), waves)
+        >>> scene.mechanism.body_names, scene.mechanism.joint("base_motion").coordinate_kinds
+        (('world', 'ground', 'dumbbell'), ('slide', 'hinge'))
+    """
+    where = f"moving base of scene {quoted(scene.name)}"
+    center: Any = finite_array(where, "point", point, (3,))
+    mechanism = scene.mechanism
+    for what, name in (("world", world), ("joint", joint)):
+        if name in mechanism.body_names + mechanism.joint_names:
+            raise MechanismError(where, f"{what} is {quoted(name)}, a name that is in use", "another name")
+    base = _base(where, mechanism, hull, center, floats=motions is None)
+    carrier: Free | Compound
+    given = {} if motions is None else _checked(where, motions)
+    if motions is None:
+        carrier = Free(joint, world, base.name, center)
+    else:
+        axes: dict[str, Any] = {
+            "slides": [axis for name, axis in SLIDES.items() if name in given],
+            "hinges": [axis for name, axis in HINGES.items() if name in given],
+        }
+        carrier = Compound(joint, world, base.name, center, **axes)
+    prescribed = [PrescribedMotion(joint, function, k) for k, function in enumerate(given.values())]
+    bodies = [Body.ground(world), base, *mechanism.bodies[1:]]
+    return replace(
+        scene,
+        mechanism=Mechanism(bodies, [*mechanism.joints, carrier], mechanism.couplings),
+        motions=(*scene.motions, *prescribed),
+        initial_state=_carried(initial_state(scene), base, given, center),
+    )
+
+
+def _checked(where: str, motions: Mapping[str, TimeFunction]) -> dict[str, TimeFunction]:
+    """Return motions in the order of the joint's coordinates."""
+    names = (*SLIDES, *HINGES)
+    if not motions:
+        needed = f"functions of time by {', '.join(names)}"
+        raise MechanismError(where, f"motions is {quoted(motions)}", needed)
+    for name in motions:
+        if name not in names:
+            raise MechanismError(where, f"unknown motion {quoted(name)}", choices(name, names))
+    return {name: motions[name] for name in names if name in motions}
+
+
+def _base(where: str, mechanism: Mechanism, hull: Body | None, center: Floats, floats: bool) -> Body:
+    """Return the body that takes the ground's place."""
+    ground = mechanism.bodies[0]
+    if hull is not None:
+        shapes, meshes = (*ground.shapes, *hull.shapes), (*ground.meshes, *hull.meshes)
+        return replace(hull, name=ground.name, shapes=shapes, meshes=meshes)
+    if ground.mass > 0.0:
+        return ground
+    if floats:
+        problem = f"floats, and ground {quoted(ground.name)} has no mass"
+        raise MechanismError(where, problem, "hull=Body(...), whose mass it takes")
+    mass = sum(body.mass for body in mechanism.bodies[1:])
+    inertia = mass * mechanism.size**2 * np.eye(3)
+    return replace(ground, mass=mass, center_of_mass=center, inertia=inertia)
+
+
+def _carried(state: State, base: Body, motions: Mapping[str, TimeFunction], center: Floats) -> State:
+    """Return a state that bodies have against the base, with the base as it is at time 0, and the world."""
+    shift, velocity, omega, turn = np.zeros(3), np.zeros(3), np.zeros(3), np.eye(3)
+    for name, function in motions.items():
+        x, rate = float(function.value(0.0)), float(function.rate(0.0))
+        if name in SLIDES:
+            shift, velocity = shift + x * SLIDES[name], velocity + rate * SLIDES[name]
+        else:
+            omega = omega + rate * (turn @ HINGES[name])
+            turn = turn @ rotation(from_rotation_vector(x * HINGES[name]))
+    still, quaternion = np.zeros(3), from_rotation(turn)
+    arms = (np.vstack([base.center_of_mass, state.position[1:]]) - center) @ turn.T
+    own_velocities = np.vstack([still, state.linear_velocity[1:]]) @ turn.T
+    own_spins = np.vstack([still, state.angular_velocity[1:]]) @ turn.T
+    return State(
+        np.vstack([still, center + shift + arms]),
+        np.vstack(
+            [
+                [1.0, 0.0, 0.0, 0.0],
+                *(product(quaternion, p) for p in (base.quaternion, *state.quaternion[1:])),
+            ]
+        ),
+        np.vstack([still, velocity + np.cross(omega, arms) + own_velocities]),
+        np.vstack([still, omega + own_spins]),
+        angles=state.angles,
+    )
+
+
+# Files of poses
+
+PLACE = {"x": "surge", "y": "sway", "z": "heave"}
+QUATERNION = ("qw", "qx", "qy", "qz")
+ANGLES = ("roll", "pitch", "yaw")
+LEAST_ROWS = 6  # as many as a polynomial of a spline has coefficients
+GAP = 5.0  # times the usual time between rows (their median), from which poses are missing
+UNIT = 1e-3  # by how much the norm of a quaternion may differ from 1: files round to a few digits
+STEEPEST = np.radians(80.0)  # of the pitch: yaw and roll are one and the same at a right angle
+
+
+@checked
+def base_motion_from_csv(path: str | os.PathLike[str]) -> dict[str, Spline]:
+    """Read poses of a base over time, as `on_moving_base` takes them.
+
+    The first line names the columns, in any order: `time` in s; any of `x`, `y`, `z` in m for surge, sway and
+    heave; `roll`, `pitch`, `yaw` in rad, any of them, or a quaternion `qw`, `qx`, `qy`, `qz`, which is turned
+    into the three. Time 0 of the motion is the first row. Angles are continued through full revolutions.
+
+    Between rows go splines of degree 5 through each column, see `newton_euler.Spline`. Of a wave of period T,
+    poses every T / 20 give one that is off by 1e-7 of its amplitude and has accelerations off by 1.4e-5 of
+    theirs; next to the first and the last rows by 1e-5 and 5e-3. Accelerations have the noise of the poses.
+
+    Raises:
+        SourceError: naming the file, and the row by its line, the first line being 1: for cells that are
+            missing or no numbers, times that do not ascend or leave gaps, quaternions without norm 1, a pitch
+            beyond 80 degrees, too few rows, and unknown columns.
+
+    Examples:
+        >>> rows = [f"{t / 10}, {np.sin(t / 10)}" for t in range(100)]
+        >>> _ = open("boat.csv", "w").write("\\n".join(["time, roll", *rows]))
+        >>> motions = base_motion_from_csv("boat.csv")
+        >>> print(f"{motions['roll'].value(1.25):.6f}")
+        0.948985
+    """
+    table = _read(path_text(path), path)
+    time = table.columns["time"]
+    found = {PLACE[name]: table.columns[name] for name in PLACE if name in table.columns}
+    if QUATERNION[0] in table.columns:
+        angles = _angles(table)
+    else:
+        angles = {name: table.columns[name] for name in ANGLES if name in table.columns}
+    if "pitch" in angles:
+        steep = np.abs(angles["pitch"]) > STEEPEST
+        table.refuse(steep, "pitch", angles["pitch"], f"at most {STEEPEST:.4g} rad, 80 degrees")
+    found |= {name: np.unwrap(column) for name, column in angles.items()}
+    return {name: Spline(time - time[0], column) for name, column in found.items()}
+
+
+def _read(where: str, path: str | os.PathLike[str]) -> TimeTable:
+    """Read a file of poses; raises `SourceError`."""
+    rows = csv_rows(where, read_text(path, "csv_size"))
+    header = [cell.lower() for cell in rows[0][1]] if rows else []
+    _check_header(where, header)
+    if len(rows) <= LEAST_ROWS:
+        raise SourceError(where, f"has {len(rows) - 1} rows of poses; needed: {LEAST_ROWS} or more")
+    table = TimeTable.of(where, header, rows[1:])
+    time = table.columns["time"]
+    steps = np.diff(time)
+    longest = GAP * float(np.median(steps))
+    needed = f"at most {longest:.6g} s after the row before, {GAP:g} times as usual"
+    table.refuse(np.append(False, steps > longest), "time", time, needed)
+    return table
+
+
+def _angles(table: TimeTable) -> dict[str, Array]:
+    """Compute roll, pitch and yaw (n,), rad, from the quaternions."""
+    quaternions = np.column_stack([table.columns[name] for name in QUATERNION])
+    norms = np.linalg.norm(quaternions, axis=1)
+    table.refuse(np.abs(norms - 1.0) > UNIT, "the norm of the quaternion", norms, f"1, to {UNIT:g}")
+    w, x, y, z = (quaternions / norms[:, None]).T
+    return {
+        "roll": np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        "pitch": np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
+        "yaw": np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    }
+
+
+def _check_header(path: str, header: Sequence[str]) -> None:
+    """Raise `SourceError` for columns that are unknown, there twice, missing, or say the same."""
+    known = ("time", *PLACE, *ANGLES, *QUATERNION)
+    for name in header:
+        if name not in known:
+            raise SourceError(path, f"line 1: unknown column {quoted(name)}; {choices(name, known)}")
+    check_names(path, header)
+    given = set(header)
+    if "time" not in given or len(given) < 2:
+        raise SourceError(path, "line 1: needed: a column time, and at least one of poses")
+    if given & set(QUATERNION) and (not given >= set(QUATERNION) or given & set(ANGLES)):
+        needed = f"all of {', '.join(QUATERNION)}, or any of {', '.join(ANGLES)}"
+        raise SourceError(path, f"line 1: has columns {listed(header)}; needed: {needed}")

@@ -1,0 +1,347 @@
+"""Runs of scenes: simulate, compile for many runs, and trajectories from what the runs evaluated."""
+
+from __future__ import annotations
+
+import copy
+import time
+import warnings
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from functools import cached_property, lru_cache
+from typing import Any, Unpack
+
+import numpy as np
+
+from newton_euler.arguments import caller_level, checked
+from newton_euler.compiled.equations import Code
+from newton_euler.compiled.formulations import check_formulation
+from newton_euler.compiled.interpreted import integrate
+from newton_euler.compiled.outputs import named
+from newton_euler.compiled.run import load
+from newton_euler.equations.couplings import counted_angles, couplings
+from newton_euler.equations.parameters import pieces
+from newton_euler.equations.redundancy import NearlyRedundant, inherit_mobility, mobility
+from newton_euler.equations.system import Observation, System, at_time
+from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, RoundOffWarning
+from newton_euler.integrators.options import (
+    FormulationName,
+    IntegratorName,
+    Options,
+    StabilizationName,
+    StepControl,
+    baumgarte_alpha,
+)
+from newton_euler.integrators.stepper import counted
+from newton_euler.model.euler_parameters import continuous
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State, stacked
+from newton_euler.model.trajectory import (
+    IntegrationError,
+    StoppedError,
+    Trajectory,
+    UndeterminedStartError,
+    check_finite,
+)
+from newton_euler.runs.assemble import coordinates_of, inherit_initial_state, initial_state
+from newton_euler.runs.sampling import Controllers, holding, integrate_intervals, intervals
+from newton_euler.scalars import Array, unstacked
+
+KEPT = 8  # scenes, most recently simulated, whose code stays in memory
+MAX_ROUND_OFF = 20.0
+"""Largest error estimate that round-off may explain without a warning, in units of the tolerance. Below it,
+errors of runs of chains of 20 and 40 links are as small as the tolerance makes them elsewhere."""
+
+
+@checked
+def simulate(
+    scene: Scene,
+    formulation: FormulationName | None = None,
+    integrator: IntegratorName = "DOP853",
+    *,
+    stabilization: StabilizationName = "projection",
+    alpha: float | None = None,
+    **control: Unpack[StepControl],
+) -> Trajectory:
+    """Run a scene with this package's own equations, in native code.
+
+    Args:
+        scene: a mechanism with its surroundings, start and duration.
+        formulation: "relative" (joint coordinates) or "cartesian" (the paper's equation 21); if None, the one
+            whose code is made sooner, see `newton_euler.compiled.formulations.cheaper_formulation`. The
+            trajectory's settings say which it is.
+        integrator: one of `newton_euler.integrators.options.INTEGRATORS`.
+        stabilization: "projection", "baumgarte" or "none".
+        alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2; the paper's 10 if None.
+        control: of steps: rtol and atol of adaptive integrators, step (s) of those with fixed steps,
+            most_steps; see `newton_euler.integrators.options.Options`.
+
+    Raises:
+        NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
+
+    Examples:
+        >>> run = simulate(load("pendulum"), "cartesian", stabilization="baumgarte")
+        >>> run.settings["formulation"], run.position.shape
+        ('cartesian', (1001, 2, 3))
+    """
+    options = Options.of(integrator, control)
+    check_formulation(formulation)
+    compiled = _compiled(scene, formulation, stabilization, baumgarte_alpha(stabilization, alpha))
+    compiled.warn()
+    found = compiled._run(options)
+    warn_of_round_off(scene, options, [found.settings])
+    return found
+
+
+@lru_cache(maxsize=KEPT)
+def _compiled(scene: Scene, formulation: str | None, stabilization: str, alpha: float) -> CompiledScene:
+    """Return the code of a scene; scenes cannot change, so that of the same object is the same."""
+    return CompiledScene(scene, formulation, stabilization, alpha)
+
+
+@checked
+def compile_scene(
+    scene: Scene,
+    formulation: FormulationName | None = None,
+    stabilization: StabilizationName = "projection",
+    alpha: float | None = None,
+    parameters: Sequence[str] = (),
+) -> CompiledScene:
+    """Trace and compile a scene, for many runs; arguments as of `simulate`.
+
+    Args:
+        parameters: names of what may differ from run to run, see `newton_euler.equations.parameters`.
+
+    Raises:
+        NewtonEulerError: for an unknown name or an impossible option.
+
+    Examples:
+        >>> compiled = compile_scene(load("pendulum"))
+        >>> compiled.simulate("RK4", step=0.001).settings["steps"]
+        10000
+    """
+    check_formulation(formulation)
+    compiled = CompiledScene(scene, formulation, stabilization, alpha, parameters)
+    load(compiled, "DOP853")
+    return compiled
+
+
+class CompiledScene(Code):
+    """A scene in native code, to be run many times; see `compile_scene`."""
+
+    @cached_property
+    def start(self) -> Array:
+        """x (inputs,) at the scene's initial state."""
+        (state,) = coordinates_of(self.system, [initial_state(self.scene)])
+        return self._at(state)
+
+    def _at(self, state: Array) -> Array:
+        """Return x (inputs,) at a state (size,)."""
+        return self.packed(state[: self.system.nq], state[self.system.nq :])
+
+    def with_scene(self, scene: Scene) -> CompiledScene:
+        """Return the same code for a scene that differs in parameters, controllers and duration alone."""
+        _ = self._decided  # once for all
+        other = copy.copy(self)
+        other.scene = scene
+        if scene.initial_state is self.scene.initial_state:
+            inherit_mobility(scene, self.scene)
+            inherit_initial_state(scene, self.scene)
+            state = self.start[: self.size]
+        else:
+            (state,) = coordinates_of(self.system, [initial_state(scene)])
+        other.__dict__.update(start=other._at(state))
+        return other
+
+    def simulate(self, integrator: IntegratorName = "DOP853", **control: Unpack[StepControl]) -> Trajectory:
+        """Run the scene; arguments and errors as of `newton_euler.simulate`."""
+        options = Options.of(integrator, control)
+        self.warn()
+        found = self._run(options)
+        warn_of_round_off(self.scene, options, [found.settings])
+        return found
+
+    def warn(self) -> None:
+        """Warn of constraints that are almost redundant."""
+        warn_of(self.scene, self.nearly_redundant)
+
+    def _run(self, options: Options) -> Trajectory:
+        options.check_steps(self.scene.duration)
+        load(self, options.integrator)
+        x = self.start.copy()
+        if joint := mobility(self.scene).between_branches:
+            raise UndeterminedStartError(
+                0.0,
+                f"the run starts at a singular configuration, where joint {joint!r} loses rank, and no "
+                "motion has its velocities: they lie between the branches; start with velocities of one "
+                "branch, or elsewhere",
+            )
+        results, counts, stopped, wall_time = integrate_intervals(self, x, options)
+        arrays = named(self, results)
+        settings = self.settings | options.chosen() | counted(counts)
+        settings |= {"trace_time": self.trace_time, "compile_time": self.compile_time}
+        if stopped is None:
+            return native_trajectory(self.scene, settings, wall_time, arrays)
+        if len(results):
+            stopped.partial = native_trajectory(self.scene, settings, wall_time, arrays)
+        raise stopped
+
+
+def warn_of(scene: Scene, nearly: Iterable[NearlyRedundant]) -> None:
+    """Warn of almost redundant constraints, at the line that called into these packages."""
+    for weak in nearly:
+        warnings.warn(f"scene {scene.name!r}: {weak}", NearlyRedundantWarning, stacklevel=caller_level())
+
+
+def warn_of_round_off(scene: Scene, options: Options, runs: Iterable[dict[str, Any]]) -> None:
+    """Warn if round-off exceeds the tolerance in runs, at the line that called into these packages."""
+    found = max(runs, key=lambda settings: settings.get("round_off", 0.0), default={})
+    if (excess := found.get("round_off", 0.0)) > MAX_ROUND_OFF:
+        warning = RoundOffWarning(scene.name, found["formulation"], options.rtol, options.atol, excess)
+        warnings.warn(warning, stacklevel=caller_level())
+
+
+def native_trajectory(
+    scene: Scene, settings: dict[str, Any], wall_time: float, arrays: dict[str, Array]
+) -> Trajectory:
+    """Return the trajectory of a run in native code from its outputs by name."""
+    arrays.pop("pivot_ratio", None)
+    if "violation" in scene.outputs:
+        arrays["constraint_violation"] = _by_joint(scene, arrays["phi"])
+    arrays.pop("phi", None)  # runs without projection have it to be checked
+    return _trajectory(scene, "newton_euler", settings, wall_time, arrays)
+
+
+def _by_joint(scene: Scene, phi: Array) -> Array:
+    """Find the largest residual (n, j) of each joint among all (n, k); a gear's are its follower's."""
+    mechanism = scene.mechanism
+    owners = [k for k, equations in enumerate(mechanism.equations) for _ in range(equations.count)]
+    owners += [mechanism.joint_index(coupling.joint) for coupling in couplings(scene)]
+    residuals = np.ascontiguousarray(np.abs(phi).reshape(len(phi), len(owners)).T)
+    violation = np.zeros((len(mechanism.joints), len(phi)))
+    for owner, residual in zip(owners, residuals, strict=True):
+        np.maximum(violation[owner], residual, out=violation[owner])
+    return violation.T.copy()
+
+
+def _residuals(mechanism: Mechanism, states: Sequence[State], coupled: Sequence[Array]) -> Array:
+    """Evaluate the residuals (n, k) of all joints in n states, then those given of couplings, m or rad."""
+    frames = stacked(states).frames()
+    phis = [e.phi(frames[e.first], frames[e.second]) for e in mechanism.equations]
+    return np.hstack([unstacked(np.concatenate([np.zeros(0), *phis]), len(states)), np.array(coupled)])
+
+
+def run(system: System, engine: str, options: Options, settings: dict[str, Any]) -> Trajectory:
+    """Integrate any system of equations over its scene, in floats.
+
+    `settings` describes the system; the integrator's options and counts are added to it.
+    """
+    scene = system.scene
+    options.check_steps(scene.duration)
+    q, v = system.coordinates(initial_state(scene))
+    start = time.perf_counter()
+    rows: list[tuple[System, float, Array, Array]] = []
+    counts = Counter(steps=0, evaluations=0)
+    stopped: IntegrationError | None = None
+    held: dict[str, Any] = {}
+    given, controllers = system, Controllers(scene)
+    for interval in intervals(scene, scene.knots):
+        held |= pieces(scene, interval.middle)
+        if interval.due:
+            readings = np.array(system.measure(q, v), dtype=float)
+            try:
+                held |= controllers.sample(interval.due, float(interval.times[0]), readings)
+            except IntegrationError as error:
+                stopped = error
+                break
+        system = holding(given, held) if held else given
+        table, found, stopped = integrate(system, q, v, interval.times, options)
+        counts.update(found)
+        for t, wanted, state in zip(interval.times, interval.wanted, table, strict=False):
+            q, v = state[: system.nq], state[system.nq :]
+            if wanted:
+                rows.append((system, t, q, v))
+        if stopped:
+            break
+    wall_time = time.perf_counter() - start
+    evaluations: list[Observation] = []
+    coupled: list[Array] = []
+    for now, t, q, v in rows:
+        now = at_time(now, t)
+        try:
+            with np.errstate(all="ignore"):  # numbers are checked
+                evaluations.append(now.evaluate(q, v) if scene.needs_accelerations else now.observe(q, v))
+                coupled.append(now.coupling_phi(q))
+        except NewtonEulerError as error:
+            stopped = stopped or IntegrationError(t, str(error))
+            break
+    settings = settings | options.chosen() | dict(counts)
+    return trajectory_from(scene, engine, settings, wall_time, evaluations, coupled, stopped)
+
+
+def trajectory_from(
+    scene: Scene,
+    engine: str,
+    settings: dict[str, Any],
+    wall_time: float,
+    evaluations: Sequence[Observation],
+    coupled: list[Array],
+    stopped: StoppedError | None = None,
+) -> Trajectory:
+    """Build the trajectory of a scene from an engine's evaluations at the output times.
+
+    Args:
+        coupled: residuals (c,) of the couplings at each of them, m or rad.
+
+    Raises:
+        IntegrationError: for numbers that are not finite, with the trajectory before them.
+        `stopped`: the error that ended the run after these evaluations, if one did, with their trajectory.
+    """
+    states = [evaluation.state for evaluation in evaluations]
+    arrays = {
+        name: np.array([getattr(each, name) for each in rows])
+        for output, names, rows in (
+            ("velocities", ("linear_velocity", "angular_velocity"), states),
+            ("reactions", ("reaction_force", "reaction_torque"), evaluations),
+            ("actuation", ("actuator_force",), evaluations),
+            ("energy", ("kinetic_energy", "potential_energy"), evaluations),
+        )
+        if output in scene.outputs
+        for name in names
+    }
+    if scene.tracks_work and all(e.work is not None for e in evaluations):
+        arrays["work"] = np.array([e.work for e in evaluations])
+    if "violation" in scene.outputs and states:
+        arrays["constraint_violation"] = _by_joint(scene, _residuals(scene.mechanism, states, coupled))
+    arrays["position"] = np.array([s.position for s in states])
+    arrays["quaternion"] = np.array([s.quaternion for s in states])
+    if states and states[0].angles:
+        arrays["joint_angle"] = np.array([list(state.angles.values()) for state in states])
+    try:
+        check_finite(scene.times, arrays)
+    except IntegrationError as error:
+        stopped, rows = stopped or error, int(np.searchsorted(scene.times, error.time))
+        arrays = {name: array[:rows] for name, array in arrays.items()}
+    if stopped is None:
+        return _trajectory(scene, engine, settings, wall_time, arrays)
+    if len(arrays["position"]):
+        stopped.partial = _trajectory(scene, engine, settings, wall_time, arrays)
+    raise stopped
+
+
+def _trajectory(
+    scene: Scene, engine: str, settings: dict[str, Any], wall_time: float, arrays: dict[str, Array]
+) -> Trajectory:
+    labels, carried = scene.mechanism.coordinate_labels, "joint_angle" in arrays
+    arrays["quaternion"] = continuous(arrays["quaternion"], initial_state(scene).quaternion)
+    return Trajectory(
+        engine=engine,
+        settings=settings,
+        wall_time=wall_time,
+        time=scene.times[: len(arrays["position"])],
+        body_names=scene.mechanism.body_names,
+        joint_names=scene.mechanism.joint_names,
+        angle_names=tuple(labels[key] for key in counted_angles(scene)) if carried else (),
+        mechanism=scene.mechanism,
+        **arrays,
+    )

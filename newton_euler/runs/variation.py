@@ -1,0 +1,350 @@
+"""Numbers of a scene that vary from run to run: checks of many runs at once, and the scene of a single one.
+
+What values an element may have is what its constructor takes. Of a number these are an interval with the
+element's own value in it, so that a few constructions tell for all runs; inertias and directions are judged
+all at once, and only those that are suspicious constructed.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Annotated, Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from newton_euler.arguments import UNCHECKED, checked
+from newton_euler.equations.parameters import (
+    Owner,
+    Place,
+    element_of,
+    is_opening,
+    own_value,
+    parameter_values,
+    places,
+    rebuilt,
+    refusal,
+    with_values,
+)
+from newton_euler.errors import MechanismError, finite_array, quoted, real_array
+from newton_euler.model.compound_joint import Compound
+from newton_euler.model.control import ComputedTorque
+from newton_euler.model.initial_pose import coordinates_at, described_at
+from newton_euler.model.mechanism import LEAST, REALISABLE_TOLERANCE
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.model.variable import UNITS, UNITS_ALONG, functions_of
+from newton_euler.runs.starts import PREFIX, RATE, Assembly, assembly_of, initial_numbers, own_initial
+from newton_euler.scalars import Array, Floats
+
+RESTRICTED = frozenset({"axis_on_first", "axis_on_second", "first_side", "second_side", "stroke"})
+"""Attributes whose numbers restrict each other, or those of another attribute."""
+
+DIRECTIONS = frozenset({"direction", "axis", "quaternion"})  # attributes that are vectors of any length but 0
+NONZERO = frozenset({"ratio", "pitch", "terms"})  # attributes whose numbers are not 0
+SHORT, LONG = 1e-100, 1e100  # lengths of directions beyond which their constructors are asked
+CAREFUL = 1e-9  # relative margin within which inertias are suspicious
+
+
+Start: TypeAlias = Sequence[float] | Sequence[Sequence[float] | None] | Floats
+"""Coordinate and rate of a joint, or of each of its coordinates."""
+
+
+class RunValues(NamedTuple):
+    """Values of parameters in n runs."""
+
+    arrays: dict[str, Array]
+    """(n, ...) by name; the scene's own where a run has an error."""
+    errors: dict[int, MechanismError]
+    """The first value that makes no sense, by the number of the run."""
+
+
+@checked
+def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
+    """Return the scene with other values of some parameters, all of it checked, its loops closed again.
+
+    It is what a run of `simulate_batch` with these values is a run of; `simulate` alone goes over to other
+    constraint rows where those in use degenerate on the way. With `point_on_first`, `point_on_second` and
+    `length` of joints the scene is described at another initial pose, where its joints are closed: joint
+    coordinates are counted from there, those of the batch from the pose before. Poses are the same.
+
+    Args:
+        scene: the scene to change.
+        values: by name, see `newton_euler.equations.parameters`, and initial coordinates, see
+            `newton_euler.runs.starts`.
+
+    Raises:
+        UnknownNameError: for a name that is no parameter of the scene.
+        MechanismError: for a value that the scene cannot have, and values with which a loop stays open.
+
+    Examples:
+        >>> heavy = with_parameters(load("pendulum"), {"dumbbell.mass": 3.0})
+        >>> heavy.mechanism.body("dumbbell").mass
+        3.0
+    """
+    given = checked_values(scene, values)
+    assembly = assembly_of(scene, tuple(given))
+    if assembly.is_needed:
+        (x,), errors = assembly({name: value[None] for name, value in given.items()})
+        for error in errors.values():
+            raise of_single_run(scene, error)
+    numbers = {name: value for name, value in given.items() if name not in assembly.initial}
+    if not any(is_opening(place) for place in places(scene, numbers).values()):
+        changed = rebuilt(scene, numbers) if numbers else scene
+        return replace(changed, initial_state=assembly.state(x)) if assembly.is_needed else changed
+    varied, state = with_values(scene, numbers), assembly.state(x)
+    pose = _pose(scene, numbers) or state
+    zeros = coordinates_at(varied.mechanism, pose)
+    angles = {key: angle - zeros[key] for key, angle in state.angles.items()}
+    return replace(described_at(varied, pose), initial_state=replace(state, angles=angles))
+
+
+def checked_values(scene: Scene, values: Mapping[str, Any]) -> dict[str, Array]:
+    """Return values of parameters as arrays; raises `MechanismError` for what the scene cannot have."""
+    found = run_values(scene, {name: [value] for name, value in values.items()})
+    for error in found.errors.values():
+        raise of_single_run(scene, error)
+    return {name: array[0] for name, array in found.arrays.items()}
+
+
+def of_single_run(scene: Scene, error: MechanismError) -> MechanismError:
+    """Return the error of a run without its number, where it is the only one."""
+    element = error.element.removeprefix("run 0").removeprefix(": ") or f"scene {scene.name!r}"
+    return MechanismError(element, error.problem, error.needed)
+
+
+@checked
+def start(scene: Scene, /, **joints: Annotated[Start, UNCHECKED]) -> Scene:
+    """Return a scene that starts with these coordinates of joints and their rates.
+
+    All other coordinates start as near to those of the scene's own start as the loops let them.
+
+    Args:
+        scene: the scene to start.
+        joints: by name (coordinate, rate), in rad and rad/s or m and m/s from the initial pose. Joints of
+            several coordinates have a list of such pairs, None for a coordinate that is not given. Angles
+            are given with their revolutions: a spring is wound by them.
+
+    Raises:
+        UnknownNameError: for an unknown joint.
+        MechanismError: naming the joint that has no coordinate, follows a prescribed motion, or is not let
+            there by loops and couplings.
+
+    Examples:
+        >>> scene = start(load("pendulum"), pivot=(0.5, -2.0))
+        >>> motion = simulate(scene).joint("pivot")
+        >>> print(motion.coordinates[:2].round(3).tolist())
+        [[0.5], [0.48]]
+    """
+    labels, values = scene.mechanism.coordinate_labels, dict[str, float]()
+    for name, given in joints.items():
+        kinds, where = scene.mechanism.joint(name).coordinate_kinds, f"joint {name!r}"
+        if not kinds:
+            raise MechanismError(where, "has no coordinate to start at", "a joint with a hinge or a slide")
+        pairs: Any = [given] if len(kinds) == 1 else given
+        if not isinstance(pairs, list | tuple | np.ndarray) or len(pairs) != len(kinds):
+            needed = f"a list of {len(kinds)} pairs or None, {', '.join(kinds)}"
+            raise MechanismError(where, f"start is {quoted(given)}", needed)
+        for k, pair in enumerate(pairs):
+            if pair is not None:
+                x, rate = finite_array(where, "start", pair, (2,)).tolist()
+                values |= {f"{PREFIX}{labels[name, k]}": x, f"{PREFIX}{labels[name, k]}{RATE}": rate}
+    if not values:
+        raise MechanismError(f"scene {scene.name!r}", "has no joint to start", "one joint or more by name")
+    return with_parameters(scene, values)
+
+
+def _pose(scene: Scene, numbers: Mapping[str, Array]) -> State | None:
+    """Assemble the initial pose with other numbers; None where it is no pose that can be."""
+    still = replace(scene, motions=(), initial_state=None)
+    named = places(scene, numbers)
+    values = {name: value[None] for name, value in numbers.items() if named[name].owner[0] != "motions"}
+    assembly = Assembly(still, tuple(values))
+    (x,), errors = assembly(values)
+    return None if errors else assembly.state(x)
+
+
+def own_values(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
+    """Return the scene's own values of parameters and initial coordinates, by name.
+
+    Raises:
+        UnknownNameError: for a name that is none of these.
+        MechanismError: for a name that stands for two, and for two that stand for one number.
+    """
+    names = list(names)
+    initial = initial_numbers(scene, names)
+    own = parameter_values(scene, [name for name in names if name not in initial])
+    own |= {name: np.array(own_initial(scene, number)) for name, number in initial.items()}
+    return {name: own[name] for name in names}
+
+
+def units_of(scene: Scene, names: Iterable[str]) -> dict[str, str]:
+    """Return units of parameters and initial coordinates; empty for pure numbers and mixed ones.
+
+    Raises:
+        UnknownNameError: for a name that is none of these.
+        MechanismError: for a name that stands for two, and for two that stand for one number.
+    """
+    names = list(names)
+    found = {}
+    for name, number in initial_numbers(scene, names).items():
+        length = "m" if scene.mechanism.is_slide(*number.key) else "rad"
+        found[name] = f"{length}/s" if number.order else length
+    named = places(scene, [name for name in names if name not in found])
+    found |= {name: _unit(scene, place) for name, place in named.items()}
+    return {name: found[name] for name in names}
+
+
+def _unit(scene: Scene, place: Place) -> str:
+    what, _, name = place.owner
+    element, attribute = element_of(scene, place.owner), name.rpartition(".")[2]
+    if functions_of(getattr(element, name, None)):
+        return ""
+    if attribute not in UNITS_ALONG or what == "bodies":
+        return UNITS.get(attribute, "")
+    if isinstance(element, ComputedTorque) or own_value(scene, place.owner).ndim:
+        return ""
+    along = not hasattr(element, "key") or (not element.on_ball and scene.mechanism.is_slide(*element.key))
+    return UNITS_ALONG[attribute][0 if along else 1]
+
+
+def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunValues:
+    """Check values of parameters, one per run, by name.
+
+    Raises:
+        UnknownNameError: for a name that is no parameter of the scene.
+        MechanismError: for a name that stands for two, and for values of another shape in all runs.
+    """
+    initial, own, found = initial_numbers(scene, given), own_values(scene, given), RunValues({}, {})
+    for name, values in given.items():
+        array, unusable = _numbers(name, values, own[name])
+        found.arrays[name] = array
+        for k, value in unusable.items():
+            _refuse(found, k, name, f"is {quoted(value)}", f"finite numbers of shape {own[name].shape}")
+    by_element: dict[tuple[str, int], dict[str, Place]] = {}
+    for name, place in places(scene, [name for name in given if name not in initial]).items():
+        by_element.setdefault(place.owner[:2], {})[name] = place
+    for places_of in by_element.values():
+        _check_element(scene, places_of, found)
+    for k in found.errors:
+        for name, value in own.items():
+            found.arrays[name][k] = value
+    return found
+
+
+def _numbers(name: str, values: Sequence[Any] | Array, own: Array) -> tuple[Array, dict[int, Any]]:
+    """Return values (n, ...) as floats, and by runs those that are unusable, which have the own one."""
+    rows = list(values) if isinstance(values, Sequence) else np.asanyarray(values)  # by number, not by index
+    try:
+        array = real_array(rows)
+    except (TypeError, ValueError, OverflowError):
+        found = [_row(value, own) for value in rows]
+        usable = np.array([row is not None for row in found])
+        array = np.array([own if row is None else row for row in found])
+    else:
+        if array.shape[1:] != own.shape:
+            needed = f"finite numbers of shape {own.shape}"
+            raise MechanismError(f"parameter {name!r}", f"has values of shape {array.shape[1:]}", needed)
+        usable = np.isfinite(array).reshape(len(array), -1).all(axis=1)
+        array[~usable] = own
+    return array, {k: rows[k] for k in np.flatnonzero(~usable).tolist()}
+
+
+def _row(value: Any, own: Array) -> Array | None:
+    """Return the value of a run as floats, None if it has another shape or is not finite."""
+    try:
+        row = real_array(value)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return row if row.shape == own.shape and np.isfinite(row).all() else None
+
+
+def _refuse(found: RunValues, run: int, name: str, problem: str, needed: str) -> None:
+    found.errors.setdefault(run, MechanismError(f"run {run}: parameter {name!r}", problem, needed))
+
+
+def _check_element(scene: Scene, places_of: Mapping[str, Place], found: RunValues) -> None:
+    """Check the values of parameters of one element, by name, in all runs."""
+    stacks: dict[Owner, Array] = {}
+    for name, (owner, component) in places_of.items():
+        array = found.arrays[name]
+        if component is None:
+            stacks[owner] = array
+            continue
+        if owner not in stacks:
+            stacks[owner] = np.repeat(own_value(scene, owner)[None], len(array), axis=0)
+        columns = np.moveaxis(stacks[owner], 0, -1)  # a view
+        columns[component] = array
+        if stacks[owner].shape[1:] == (3, 3):  # which are symmetric
+            columns[component[::-1]] = array
+    bad = np.zeros(0, dtype=int)
+    for owner, stack in stacks.items():
+        bad = np.union1d(bad, _suspicious(scene, owner, stack))
+    for k in bad.tolist():
+        error = refusal(scene, {owner: stack[k] for owner, stack in stacks.items()})
+        if error is None:
+            continue
+        alone = [name for name, (owner, _) in places_of.items() if refusal(scene, {owner: stacks[owner][k]})]
+        name = next(iter([*alone, *places_of]))
+        value = found.arrays[name][k]
+        problem = f"is {value.tolist()!r:.100}"
+        if places_of[name].component is not None or value.ndim:
+            problem += f": {error.problem}"
+        _refuse(found, k, name, problem, error.needed)
+
+
+def _suspicious(scene: Scene, owner: Owner, stack: Array) -> Array:
+    """Find runs whose values (n, ...) of an attribute its element may not take."""
+    what, _, attribute = owner
+    if what == "bodies" and attribute == "inertia":
+        return np.flatnonzero(~_realisable(stack, element_of(scene, owner).allow_unrealisable_inertia))
+    own, outside = own_value(scene, owner), np.zeros(len(stack), dtype=bool)
+    of_compound = attribute.endswith("axis") and isinstance(element_of(scene, owner), Compound)
+    if attribute in RESTRICTED or of_compound:
+        return np.flatnonzero(np.any(stack != own, axis=1))
+    if attribute in DIRECTIONS:
+        lengths = np.max(np.abs(stack), axis=1)
+        turned = outside
+        if attribute == "axis":  # by which components others are chosen
+            units = np.abs(stack) / np.maximum(np.linalg.norm(stack, axis=1, keepdims=True), SHORT)
+            turned = np.argmin(units.round(6), axis=1) != np.argmin(np.abs(own).round(6))
+        return np.flatnonzero(turned | (lengths < SHORT) | (lengths > LONG))
+    if attribute in NONZERO:
+        outside |= np.any(stack.reshape(len(stack), -1) == 0.0, axis=1)
+    for component in np.ndindex(own.shape):
+        column = np.moveaxis(stack, 0, -1)[component]
+        low, high = _interval(scene, owner, own, component, np.unique(column))
+        outside |= (column < low) | (column > high)
+    return np.flatnonzero(outside)
+
+
+def _interval(
+    scene: Scene, owner: Owner, own: Array, component: tuple[int, ...], values: Array
+) -> tuple[float, float]:
+    """Find the lowest and the highest of ascending values that a component, or its own value, may have."""
+
+    def refused(value: float) -> bool:
+        changed = own.copy()
+        changed[component] = value
+        return refusal(scene, {owner: changed}) is not None
+
+    def farthest(ahead: Array) -> float:
+        """Return the last value that is not refused of some that lead away from the own one."""
+        if len(ahead) and not refused(ahead[-1]):
+            return float(ahead[-1])
+        count = bisect_left(ahead, True, key=refused)
+        return float(ahead[count - 1] if count else own[component])
+
+    above = int(np.searchsorted(values, own[component]))
+    return farthest(values[:above][::-1]), farthest(values[above:])
+
+
+def _realisable(inertia: Array, unrealisable: bool) -> Array:
+    """Tell for which inertias (n, 3, 3) there is no doubt that a body has them, (n,)."""
+    scale = np.max(np.abs(inertia), axis=(1, 2))
+    asymmetry = np.max(np.abs(inertia - np.swapaxes(inertia, 1, 2)), axis=(1, 2))
+    usable = (scale > LEAST) & (scale < 1.0 / LEAST)
+    a, b, c = np.linalg.eigvalsh(np.where(usable[:, None, None], inertia, np.eye(3))).T
+    fine = usable & (asymmetry == 0.0) & (a > CAREFUL * scale) & (a > 2.0 * LEAST)
+    return np.asarray(fine & (unrealisable | (a + b >= c * (1.0 + REALISABLE_TOLERANCE))))

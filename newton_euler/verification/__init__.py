@@ -1,1 +1,0 @@
-"""Verification of what was read from a model file, see `newton_euler.verification.verify`."""
