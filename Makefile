@@ -2,8 +2,9 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PART ?= newton_euler/equations tests/newton_euler/equations
 
-.PHONY: run test test-slow lint figures pictures docs clean
+.PHONY: run test test-slow mutants lint figures pictures docs clean
 
 run: $(VENV)/installed
 	$(BIN)/crosscheck run tracker
@@ -13,6 +14,10 @@ test: lint
 
 test-slow: $(VENV)/docs-installed
 	$(BIN)/python -m pytest -m slow
+
+# of another part, for one: make mutants PART="crosscheck/comparison tests/crosscheck/comparison --count 30"
+mutants: $(VENV)/mutants-installed
+	$(BIN)/python tests/support/mutants.py $(PART)
 
 lint: $(VENV)/installed
 	$(BIN)/ruff check .
@@ -38,6 +43,10 @@ $(VENV)/installed: pyproject.toml constraints.txt
 
 $(VENV)/docs-installed: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[docs]"
+	touch $@
+
+$(VENV)/mutants-installed: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[mutants]"
 	touch $@
 
 clean:
