@@ -73,7 +73,7 @@ def made_with(source: str, path: Path, options: dict[str, str]) -> dict[str, str
 def usual_path(source: str) -> Path:
     """Return a baseline's default path: in this package for the library, else beside the file."""
     if source in SCENES:
-        return Path(__file__).parents[1] / "baselines" / f"{source}.json"
+        return Path(__file__).parent / "baselines" / f"{source}.json"
     return Path(source).with_suffix(".baseline.json")
 
 
