@@ -393,6 +393,15 @@ def test_models_in_memory_are_read_with_their_changes_and_stay_as_they_are():
     np.testing.assert_array_equal(after, before)
 
 
+def test_inertia_that_no_mass_has_is_marked_and_none_other():
+    compiled = mujoco.MjModel.from_xml_string(TWO_BARS)
+    compiled.body_inertia[1] = 1.0, 1.0, 2.5
+    marked = {
+        body.name: body.allow_unrealisable_inertia for body in read(compiled).scene.mechanism.bodies[1:]
+    }
+    assert marked == {"a": True, "b": False}
+
+
 def test_models_in_memory_that_cannot_be_read_are_named():
     spec = mujoco.MjSpec()
     spec.worldbody.add_body(name="bare").add_joint()

@@ -258,3 +258,11 @@ def test_every_number_of_a_joint_is_in_the_report(field: str, topics: set[str]) 
     if not topics:
         element = scene.forces[0].damping if field == "damping" else scene.armatures[0].inertia
         assert element == 0.3
+
+
+def test_a_rotor_is_reported_with_the_square_of_its_gear_ratio() -> None:
+    model = pin.buildSampleModelManipulator()
+    model.rotorInertia, model.rotorGearRatio = 0.3 * np.eye(model.nv)[2], np.full(model.nv, 2.0)
+    (rotor,) = [entry for entry in urdf.read(model).report.entries if entry.topic == "rotor"]
+    assert rotor.element == f"joint {str(model.names[3])!r}"
+    assert dict(rotor.numbers) == {"rotor": pytest.approx((1.2,))}

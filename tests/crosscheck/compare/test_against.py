@@ -189,6 +189,18 @@ def test_an_axis_that_points_the_other_way_is_the_same_hinge(linkage: Scene, tmp
     assert first_failing(result) == ("dynamics", "actuator force", "motor")
 
 
+def test_angles_of_the_second_run_are_counted_as_in_the_first(linkage: Scene, tmp_path: Path) -> None:
+    """From another zero, and the other way round."""
+    text = LINKAGE.read_text()
+    for old, new in (("elbow", 'ref="0.5"'), ("pivot", 'axis="0 -1 0"')):
+        text = text.replace(f'name="{old}"', f'name="{old}" {new}', 1)
+    runs = compared(linkage, read_mjcf(tmp_path, text)).trajectories
+    first, second = (runs[name] for name in ("a", "b"))
+    assert first.angle_names == second.angle_names
+    # rad: both runs are good to 1e-8
+    assert second.joint_angle == pytest.approx(first.joint_angle, abs=1e-7)
+
+
 def test_a_ball_at_another_point_is_another_joint_though_all_moves_alike(linkage: Scene) -> None:
     """Beside the plane of the linkage, where the ball turns as before and loads its bodies otherwise."""
     beside = plant.joint_point("loop", np.array([0.0, FAULT, 0.0]))(linkage)

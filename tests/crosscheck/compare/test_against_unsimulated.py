@@ -126,7 +126,8 @@ def test_limits_are_compared_in_the_counting_of_each_file(tmp_path: Path) -> Non
 def test_a_range_of_a_control_that_only_one_file_has_is_a_difference(tmp_path: Path) -> None:
     free = DRIVEN.replace(' ctrlrange="-1 1"', "")
     models = loaded(tmp_path, "one.xml", DRIVEN), loaded(tmp_path, "two.xml", free)
-    assert apart(*models) == [("only here: control range of actuator 'm': -1 to 1", True)]
+    for pair, where in ((models, "here"), (models[::-1], "there")):
+        assert apart(*pair) == [(f"only {where}: control range of actuator 'm': -1 to 1", True)]
     # a URDF has no actuators, and an idle motor that only one file has is compared as a whole
     driven = loaded(tmp_path, "idle.xml", DRIVEN.replace(' forcerange="-5 5"', ""))
     assert not apart(driven, loaded(tmp_path, "arm.urdf", LIMITED))
