@@ -30,7 +30,8 @@ def test_a_control_is_reported_within_its_range(tmp_path: Path) -> None:
 
 LIMITED = model(
     PAIR.replace('name="p"', 'name="p" actuatorfrcrange="-2 1" damping="0.1"'),
-    '<tendon><fixed name="t" actuatorfrcrange="-9 3"><joint joint="q" coef="2"/></fixed></tendon>'
+    '<tendon><fixed name="t" actuatorfrcrange="-9 3"><joint joint="q" coef="2"/></fixed>'
+    '<fixed name="unlimited"><joint joint="q" coef="1"/></fixed></tendon>'
     '<actuator><motor name="one" joint="p"/><position name="two" joint="p" kp="20" kv="5"/>'
     '<motor name="three" tendon="t" gear="0.5"/><motor name="four" tendon="t"/></actuator>'
     '<keyframe><key qpos="0.1 0 0" qvel="{qvel} 0 0" ctrl="1 0.4 4 8"/></keyframe>',
