@@ -21,9 +21,10 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
-from cosmic_ray.commands.init import _all_work_items
+from cosmic_ray.commands.init import init
 from cosmic_ray.mutating import mutate_and_test, mutate_code
 from cosmic_ray.plugins import get_operator
+from cosmic_ray.work_db import WorkDB
 from cosmic_ray.work_item import MutationSpec
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -77,12 +78,16 @@ def is_effective(mutation: MutationSpec) -> bool:
 def sample(sources: list[str], count: int, seed: int) -> Iterator[MutationSpec]:
     """Draw places of all files, each file in proportion to its places, and one mutant of each place."""
     rng = random.Random(seed)
-    paths = sorted(path for source in map(Path, sources) for path in [*source.rglob("*.py"), source])
-    places: dict[tuple[Path, object], list[MutationSpec]] = defaultdict(list)
-    for item in _all_work_items([path for path in paths if path.is_file()], {}):
-        mutation = item.mutations[0]
-        if not UNLIKELY.search(mutation.operator_name):
-            places[mutation.module_path, mutation.start_pos].append(mutation)
+    files = [
+        path for source in map(Path, sources) for path in [*source.rglob("*.py"), source] if path.is_file()
+    ]
+    work = WorkDB(":memory:", WorkDB.Mode.create)
+    init(files, work, {})
+    found = [item.mutations[0] for item in work.work_items]
+    places: dict[tuple[Path, tuple[int, int]], list[MutationSpec]] = defaultdict(list)
+    for each in sorted(found, key=lambda m: (m.module_path, m.start_pos, m.operator_name, m.occurrence)):
+        if not UNLIKELY.search(each.operator_name):
+            places[each.module_path, each.start_pos].append(each)
     # every n-th place after a random first one is a sample stratified by file
     every, first = max(1.0, len(places) / count), rng.random()
     chosen = [list(places.values())[int((k + first) * every)] for k in range(min(count, len(places)))]
