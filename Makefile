@@ -15,7 +15,7 @@ test: lint
 test-slow: $(VENV)/docs-installed
 	$(BIN)/python -m pytest -m slow
 
-# of another part, for one: make mutants PART="crosscheck/comparison tests/crosscheck/comparison --count 30"
+# of another part, for one: make mutants PART="crosscheck/compare tests/crosscheck/compare --count 30"
 mutants: $(VENV)/mutants-installed
 	$(BIN)/python tests/support/mutants.py $(PART)
 
