@@ -1,4 +1,4 @@
-"""Controllers of a scene side by side: tracking error, effort and energy in each engine."""
+"""Comparison of the controllers of a scene: tracking error, actuator force and energy in each engine."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
-OPTION = "controller"
-"""Of a scene that has several."""
+CONTROLLER_OPTION = "controller"
+"""Name of the option by which a scene of the library chooses its controller."""
 
-OUTPUTS = 1000
-"""In a run, at least, by which means and integrals over time are taken."""
+MIN_OUTPUTS = 1000
+"""Smallest number of outputs of a run. Mean values and integrals over time are sums over the outputs."""
 
 
 class Performance(NamedTuple):
-    """Figures of one run, over coordinates of one kind whose laws follow targets; m, N, J or rad, N m, J.
+    """Tracking performance of one run, over all slides (m, N) or all hinges (rad, N m) that follow a target.
 
     Attributes:
-        error_rms, error_peak: of x - r, the root of the mean square over time of all coordinates, and the
-            largest.
-        force_rms, force_peak: of the actuators, likewise.
-        energy: J, of all actuators, see `work_and_energy`.
+        error_rms, error_peak: root mean square over time and coordinates, and largest magnitude, of the
+            tracking error x - r.
+        force_rms, force_peak: the same of the actuator forces or torques.
+        energy: J, positive work of all actuators, see `work_and_energy`.
     """
 
     error_rms: float
@@ -48,23 +48,30 @@ class Performance(NamedTuple):
 
 
 def controllers(scene: str, given: Mapping[str, str | float]) -> Iterator[tuple[str, Scene]]:
-    """Yield the scene with each of its controllers, or as it is if it has no option for that.
+    """Yield the name of each controller of a scene, and the scene with that controller.
+
+    A scene without the option `controller` is yielded once, with the control laws that it declares.
 
     Raises:
-        CrosscheckError: for a scene without laws that follow targets.
+        CrosscheckError: if no control law of the scene follows a target.
     """
     known = options_of(SCENES[scene]) if scene in SCENES else {}
-    values: object = known[OPTION].values if OPTION in known and OPTION not in given else ()
+    has_choice = CONTROLLER_OPTION in known and CONTROLLER_OPTION not in given
+    values: object = known[CONTROLLER_OPTION].values if has_choice else ()
     names = [str(value) for value in values] if isinstance(values, tuple) else []
     for name in names or [""]:
-        loaded = load(scene, **given, **({OPTION: name} if name else {}))
+        loaded = load(scene, **given, **({CONTROLLER_OPTION: name} if name else {}))
         if not _targets(loaded):
             raise CrosscheckError(f"scene {loaded.name!r} has no control law that follows a target")
-        yield name or str(given.get(OPTION, "as declared")), loaded
+        yield name or str(given.get(CONTROLLER_OPTION, "as declared")), loaded
 
 
 def performance(scene: Scene, run: Trajectory) -> dict[str, Performance]:
-    """Compute the figures of a run with velocities and actuation, of slides and of hinges."""
+    """Compute the tracking performance of a run with the output "actuation".
+
+    Returns:
+        The performance by kind of coordinate, "slides" or "hinges".
+    """
     found: dict[str, dict[int, float | TimeFunction]] = {}
     for k, target in _targets(scene).items():
         law = scene.control[k]
@@ -74,7 +81,7 @@ def performance(scene: Scene, run: Trajectory) -> dict[str, Performance]:
 
 
 def _performance(scene: Scene, run: Trajectory, targets: Mapping[int, float | TimeFunction]) -> Performance:
-    """Compute the figures of the laws of these numbers, by what they follow."""
+    """Compute the performance of the control laws in `targets`, whose keys are places in `scene.control`."""
     assert run.actuator_force is not None
     errors, energy = [], 0.0
     forces = run.actuator_force[:, list(targets)]
@@ -84,23 +91,23 @@ def _performance(scene: Scene, run: Trajectory, targets: Mapping[int, float | Ti
         energy += float(work_and_energy(force, x)[1][-1])
         errors.append(x - [float(reference(target, float(t)).value) for t in run.time])
 
-    def magnitudes(figures: Array) -> tuple[float, float]:
-        """Root of the mean square, and the largest, of figures (a, n)."""
-        mean = float(np.trapezoid(figures**2, run.time).mean() / run.time[-1])
-        return mean**0.5, float(np.max(np.abs(figures)))
+    def magnitudes(signals: Array) -> tuple[float, float]:
+        """Root mean square over time, and largest magnitude, of signals (a, n)."""
+        mean_square = float(np.trapezoid(signals**2, run.time).mean() / run.time[-1])
+        return mean_square**0.5, float(np.max(np.abs(signals)))
 
     return Performance(*magnitudes(np.array(errors)), *magnitudes(forces.T), energy)
 
 
 def _targets(scene: Scene) -> dict[int, float | TimeFunction]:
-    """Return what control laws follow, by their numbers."""
+    """Return the targets of control laws by the law's place in `scene.control`."""
     declared = [law.law if isinstance(law, Digital) else law for law in scene.control]
     laws = {k: law for k, law in enumerate(declared) if isinstance(law, DeclaredLaw)}
     return {k: law.target for k, law in laws.items() if _follows(law)}
 
 
 def _follows(law: DeclaredLaw) -> bool:
-    """Return True unless no gain acts on a target, as of motors of a file, and of dampers."""
+    """Return True if a gain of the law acts on its target. Motors of model files and dampers have none."""
     driven = isinstance(law.target, TimeFunction)
     gains = law.feedback.values()
     return isinstance(law, ComputedTorque) or any(k_p or (k_d and driven) for k_p, k_d in gains)
@@ -109,13 +116,23 @@ def _follows(law: DeclaredLaw) -> bool:
 def compared(
     scene: str, given: Mapping[str, str | float], engines: Sequence[str], progress: Callable[[str], None]
 ) -> list[Table]:
-    """Run a scene with each of its controllers in each engine: a table for slides, one for hinges."""
+    """Run a scene with each of its controllers in each engine.
+
+    Args:
+        scene: name or file of the scene.
+        given: options of the scene.
+        engines: names of the engines.
+        progress: called with the name of each stage.
+
+    Returns:
+        A table for slides and one for hinges, as far as the scene has such coordinates with targets.
+    """
     kinds: dict[str, Rows] = {}
     pairs = list(product(controllers(scene, given), engines))
     for (name, loaded), engine in paced(pairs, progress, "run"):
         wanted = replace(
             loaded,
-            output_period=min(loaded.output_period, loaded.duration / OUTPUTS),
+            output_period=min(loaded.output_period, loaded.duration / MIN_OUTPUTS),
             outputs=frozenset({"actuation"}),
         )
         for kind, found in performance(loaded, ENGINES[engine].simulate(wanted)).items():
@@ -131,5 +148,5 @@ def columns(kind: str) -> list[Column]:
     length, force = ("m", "N") if kind == "slides" else ("rad", "N m")
     return [
         *texts("controller"),
-        *figures(f"error, {length}", "its peak", f"force, {force}", "its peak", "energy, J"),
+        *figures(f"error, {length}", "peak error", f"force, {force}", "peak force", "energy, J"),
     ]

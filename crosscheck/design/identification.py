@@ -1,4 +1,4 @@
-"""The report on parameters that were fitted to measured motion, and their numbers."""
+"""Report on an identification: fitted parameters, residuals of the measurements, correlations."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
 from newton_euler.analysis.identification.identify import Identification
 
-MOST_CORRELATED = 0.99
-"""Correlation of two parameters that is told."""
+REPORTED_CORRELATION = 0.99
+"""Magnitude of the correlation of two parameters above which the report names them."""
 
-MOST_TOLD = 5
-"""Pairs of such parameters, the most correlated first."""
+MAX_REPORTED_PAIRS = 5
+"""Largest number of correlated pairs in a report; the most correlated pairs come first."""
 
 
 def report(found: Identification) -> Report:
-    """Make tables of parameters and columns, and lines on what is to be known about them."""
+    """Make the report: a table of parameters, a table of measured columns, and notes."""
     numbers = sum(len(column) for run in found.residuals for column in run.values())
     runs = f"{len(found.residuals)} run{'s' * (len(found.residuals) != 1)}"
     fitted = f"{len(found.parameters)} parameter{'s' * (len(found.parameters) != 1)}"
@@ -33,7 +33,7 @@ def report(found: Identification) -> Report:
 
 
 def _judged(found: Identification) -> Cell:
-    """Return the verdict in one word."""
+    """Return the verdict of the fit as one word."""
     if found.is_wrong:
         return Cell("wrong", "fails")
     if found.doubts:
@@ -42,7 +42,7 @@ def _judged(found: Identification) -> Cell:
 
 
 def _columns(found: Identification) -> Table:
-    """Return a table of measured columns: noise and residuals."""
+    """Tabulate the noise and the residuals of each measured column."""
     rows: Rows = []
     for name, misfit in found.misfits.items():
         levels = [run[name] for run in found.noise if name in run]
@@ -54,20 +54,20 @@ def _columns(found: Identification) -> Table:
 
 
 def _correlated(found: Identification) -> Iterator[str]:
-    """Name the pairs of parameters that the data hardly tell apart."""
+    """Name the pairs of parameters whose estimates are almost perfectly correlated."""
     correlation = found.correlation
     pairs = [
         (abs(correlation[a, b]), a, b)
         for a, b in combinations(range(len(found.parameters)), 2)
-        if abs(correlation[a, b]) > MOST_CORRELATED
+        if abs(correlation[a, b]) > REPORTED_CORRELATION
     ]
-    for _, a, b in sorted(pairs, reverse=True)[:MOST_TOLD]:
+    for _, a, b in sorted(pairs, reverse=True)[:MAX_REPORTED_PAIRS]:
         names = f"{found.parameters[a]} and {found.parameters[b]}"
-        yield f"{names} are hardly told apart: correlation {correlation[a, b]:.4f}"
+        yield f"{names} are almost perfectly correlated ({correlation[a, b]:.4f}); fix one of them"
 
 
 def data(found: Identification) -> dict[str, Any]:
-    """Return the numbers of a fit."""
+    """Return the numbers of a fit for JSON."""
     rows = zip(
         found.units,
         found.before.tolist(),

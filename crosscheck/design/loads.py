@@ -1,5 +1,7 @@
-"""Loads for design of a scene: its load cases are run, and what joints and actuators get becomes tables,
-CSV, a plot and a recording."""
+"""Design loads: run the load cases of a scene, and write the loads of joints and actuators.
+
+The results are tables, a CSV, a plot and a recording.
+"""
 
 from __future__ import annotations
 
@@ -35,38 +37,36 @@ from newton_euler.runs.simulate import simulate
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CASE = re.compile(r"[A-Za-z0-9_.\-]+")
-"""Names of load cases."""
+CASE_NAME = re.compile(r"[A-Za-z0-9_.\-]+")
 
-ALONE = "run"
-"""Name of the case where none is named."""
+UNNAMED_CASE = "run"
+"""Name of the only case if the user names no case."""
 
-MOST_DRAWN = 12
-"""Joints in the plot, those with the largest forces."""
+MAX_PLOTTED_JOINTS = 12
+"""Largest number of joints in the plot: the joints with the largest forces."""
 
-ADVICE = "a shorter duration, or fewer cases"
-"""What to do about one that takes too long."""
+LOAD_ROUND_OFF = 1e-9
+"""Loads below this fraction of the largest load and of the weight on Earth are printed as 0."""
 
-NO_LOAD = 1e-9
-"""Share of the largest load, or of the mechanism's weight on Earth, below which loads are printed as 0."""
-
-EARTH = 9.81
+STANDARD_GRAVITY = 9.81
 """m/s^2"""
 
-SHARED = "stiffness decides how these joints share loads, which is not known here: the tables have one way"
-"""About joints whose reactions are not unique."""
+NOT_UNIQUE = "stiffness decides how these joints share loads: the tables show one solution of many"
+"""Note on joints whose reactions are not unique."""
 
-MOVE = "; --set exercise=on moves joints of model files and drives their actuators"
-"""What to do about loads at rest."""
+EXCITE = "; --set exercise=on moves joints of model files and drives their actuators"
+"""Next step if nothing moves."""
 
-GOVERNS = Column("governed by", below=True)
+GOVERNED_BY = Column("governed by", below=True)
 
-PARTS = {"force": ("axial force", "shear force"), "torque": ("axial torque", "bending torque")}
-"""Of loads of joints with one axis."""
+COMPONENTS = {"force": ("axial force", "shear force"), "torque": ("axial torque", "bending torque")}
+"""Components along and across the axis, of the loads of joints with one axis."""
 
 
 def parse_cases(given: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """Parse `NAME:OPTION=VALUE,OPTION=VALUE` into settings by the names of cases; one if none is given.
+    """Parse texts `NAME:OPTION=VALUE,OPTION=VALUE` into the settings of each case, by the case's name.
+
+    Without texts there is one case, `UNNAMED_CASE`, without settings.
 
     Raises:
         CrosscheckError: naming the case at fault.
@@ -74,13 +74,13 @@ def parse_cases(given: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     cases: dict[str, tuple[str, ...]] = {}
     for case in given:
         name, _, settings = case.partition(":")
-        if not CASE.fullmatch(name):
+        if not CASE_NAME.fullmatch(name):
             needed = "letters, digits, _, . and - before the colon"
             raise CrosscheckError(f"--case {case!r} is not of the form NAME:OPTION=VALUE; needed: {needed}")
         if name in cases:
             raise CrosscheckError(f"--case {name} is given twice")
         cases[name] = tuple(filter(None, settings.split(",")))
-    return cases or {ALONE: ()}
+    return cases or {UNNAMED_CASE: ()}
 
 
 class Loads(NamedTuple):
@@ -88,8 +88,8 @@ class Loads(NamedTuple):
 
     Attributes:
         report: tables of loads.
-        written: files; the last is the recording.
-        acting: elements of the file that act and are not simulated, by the name of the case in which they do.
+        written: the files; the recording is the last one.
+        acting: by case, elements of the model file that would have acted and are not simulated.
     """
 
     report: Report
@@ -108,17 +108,15 @@ def loads(
 
     Args:
         source: name or file of the model.
-        models: scenes by the names of the cases, of one mechanism, with what became of elements of a file.
-        at_rest: whether to hold them at rest in their initial poses instead of running them.
-        folder: of `loads.csv`, `loads.json`, `loads.png` and `loads.rrd`.
-        progress: is told what is going on.
-
-    Returns:
-        The report, the files, and what acted and was not simulated.
+        models: by case, the scene and its import report (None if the scene is not from a model file). All
+            scenes have the same mechanism.
+        at_rest: True to hold the mechanism at rest in its initial pose, False to simulate the scene.
+        folder: where `loads.csv`, `loads.json`, `loads.png` and `loads.rrd` are written.
+        progress: called with the name of each stage.
 
     Raises:
-        CrosscheckError: naming the path that cannot be written, or a case that takes too long.
-        NewtonEulerError: for a scene that cannot be run.
+        CrosscheckError: naming the path that cannot be written, or the case that takes too long.
+        NewtonEulerError: for a scene that cannot be simulated.
     """
     from crosscheck.recording.log import log_run, recorded
 
@@ -126,7 +124,7 @@ def loads(
     check_writable(table, results, plot, recording)
     runs, acting = dict[str, Trajectory](), dict[str, list[ImportedElement]]()
     for name, (scene, mapping) in models.items():
-        with limited(f"case {name}", ADVICE, progress):
+        with limited(f"case {name}", "a shorter duration, or fewer cases", progress):
             complete = replace(scene, outputs=frozenset(OUTPUTS))
             runs[name] = rest_case(scene) if at_rest else simulate(complete)
             if mapping and (found := watched(scene, mapping, runs[name]).acting):
@@ -156,16 +154,16 @@ def _report(
     still: list[str],
     acting: Mapping[str, Sequence[ImportedElement]],
 ) -> Report:
-    """Report on loads.
+    """Make the report on design loads.
 
     Args:
-        scene: the first case.
-        envelope: the loads of all cases.
-        at_rest: True if the cases are held at rest.
-        still: cases in which nothing moves.
-        acting: elements by case that act and are not simulated.
+        scene: scene of the first case.
+        envelope: largest loads over all cases.
+        at_rest: True if the mechanism is held at rest.
+        still: names of cases in which nothing moves.
+        acting: by case, elements that would have acted and are not simulated.
     """
-    named = envelope.cases != (ALONE,)
+    named = envelope.cases != (UNNAMED_CASE,)
     cases = f"cases {', '.join(envelope.cases)}" if named else "initial pose" if at_rest else "its run"
     title = f"{scene.name}: loads {'at rest,' if at_rest else 'over'} {cases}"
     most, least = max(_of(envelope, "force"), key=lambda each: each.peak), _least(scene, envelope)
@@ -184,8 +182,8 @@ def _report(
         parts.append(_of_actuators(envelope))
     if still:
         where = f"cases {', '.join(still)}" if named else "the run"
-        parts.append(Lines("", [f"nothing moves in {where}: these are loads at rest{MOVE}"]))
-    parts.extend(Lines("", [line, SHARED]) for line in undetermined_lines(scene))
+        parts.append(Lines("", [f"nothing moves in {where}: these are loads at rest{EXCITE}"]))
+    parts.extend(Lines("", [line, NOT_UNIQUE]) for line in undetermined_lines(scene))
     return Report(title, verdict, Cell("", "doubtful" if acting else ""), parts, summary=parts)
 
 
@@ -199,21 +197,25 @@ def _when(load: LoadRange) -> str:
 
 
 def _least(scene: Scene, envelope: LoadEnvelope) -> float:
-    """Compute the force, N, below which there is none but round-off."""
-    size, weight = scene.mechanism.size, EARTH * sum(body.mass for body in scene.mechanism.bodies[1:])
+    """Compute the force, N, below which a force is round-off."""
+    size = scene.mechanism.size
+    weight = STANDARD_GRAVITY * sum(body.mass for body in scene.mechanism.bodies[1:])
     peaks = [each.peak for each in _of(envelope, "force")]
     peaks += [each.peak / size for each in _of(envelope, "torque")]
-    return NO_LOAD * max(weight, *peaks)
+    return LOAD_ROUND_OFF * max(weight, *peaks)
 
 
 def _of_joints(envelope: LoadEnvelope, quantity: str, unit: str, least: float) -> Table:
-    """The peaks of forces or torques, and of their parts along and across axes; 0 up to the least."""
-    names = [part.removesuffix(f" {quantity}") for part in PARTS[quantity]]
-    columns = [*texts("joint"), *figures(f"{quantity}, {unit}", *names, "rms"), GOVERNS]
+    """Tabulate peak forces or torques of joints, and of their components along and across the axis.
+
+    Values up to `least` are printed as 0.
+    """
+    names = [part.removesuffix(f" {quantity}") for part in COMPONENTS[quantity]]
+    columns = [*texts("joint"), *figures(f"{quantity}, {unit}", *names, "rms"), GOVERNED_BY]
     known, loads = {(each.element, each.quantity): each for each in envelope.joints}, _of(envelope, quantity)
     rows: Rows = []
     for load in loads:
-        parts = [known.get((load.element, part)) for part in PARTS[quantity]]
+        parts = [known.get((load.element, part)) for part in COMPONENTS[quantity]]
         values = [load.peak, *(part.peak if part else None for part in parts), load.rms]
         cells = ["" if value is None else f"{value if value > least else 0.0:.3g}" for value in values]
         rows.append([load.element, *cells, _when(load) if load.peak > least else ""])
@@ -221,7 +223,7 @@ def _of_joints(envelope: LoadEnvelope, quantity: str, unit: str, least: float) -
 
 
 def _of_actuators(envelope: LoadEnvelope) -> Table:
-    columns = [*texts("actuator"), *figures("force", "rms", "speed", "power, W", "energy, J"), GOVERNS]
+    columns = [*texts("actuator"), *figures("force", "rms", "speed", "power, W", "energy, J"), GOVERNED_BY]
     rows: Rows = []
     for load in _of(envelope, "actuator force"):
         speed, power, energy = (envelope.of(load.element, what) for what in ("speed", "power", "energy"))
@@ -233,7 +235,7 @@ def _of_actuators(envelope: LoadEnvelope) -> Table:
 
 @own_style()
 def _figure(scene: Scene, runs: Mapping[str, Trajectory]) -> Figure:
-    """Forces and torques of joints over time, a line a case."""
+    """Plot forces and torques of joints over time, one line per case."""
     from matplotlib.figure import Figure
 
     found = {case: joint_loads(scene, run) for case, run in runs.items()}
@@ -241,7 +243,7 @@ def _figure(scene: Scene, runs: Mapping[str, Trajectory]) -> Figure:
         joint: max(float(loads[Load(joint, "force", "N")].max()) for loads in found.values())
         for joint in scene.mechanism.joint_names
     }
-    chosen = sorted(forces, key=lambda joint: -forces[joint])[:MOST_DRAWN]
+    chosen = sorted(forces, key=lambda joint: -forces[joint])[:MAX_PLOTTED_JOINTS]
     joints = [joint for joint in forces if joint in chosen]
     figure = Figure(figsize=(9.0, 0.8 + 1.3 * len(joints)), layout="constrained")
     axes = figure.subplots(len(joints), 2, sharex=True, squeeze=False)

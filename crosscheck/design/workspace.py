@@ -1,4 +1,7 @@
-"""Workspace of a scene over joint coordinates: table, picture and CSV."""
+"""Workspace of a scene over joint coordinates: reachable poses, singular poses and clearances.
+
+The results are a table, a CSV and, for two coordinates, a picture.
+"""
 
 from __future__ import annotations
 
@@ -22,19 +25,28 @@ from newton_euler.errors import is_count, plain_number
 from newton_euler.model.joint import Key
 from newton_euler.scalars import Array
 
-POINTS = 61
-"""Of each coordinate, unless their number is given."""
+DEFAULT_POINTS = 61
+"""Number of values of each coordinate, unless the user gives it."""
 
-MOST_POINTS = 1_000_000
+MAX_POINTS = 1_000_000
+"""Largest number of points of the grid."""
 
-STARTS = 4000
-"""Random configurations that singular ones are searched from."""
+SINGULAR_SEARCHES = 4000
+"""Number of random configurations from which singular poses are searched."""
 
 FILES = "workspace.json", "workspace.png", "workspace.csv"
 
 
-class Mapped(NamedTuple):
-    """Workspace of a scene, its singular poses, and the clearances (n,) of its poses, m."""
+class WorkspaceMap(NamedTuple):
+    """Workspace of a scene.
+
+    Attributes:
+        scene: the scene.
+        space: reachable poses over a grid of joint coordinates.
+        singular: singular poses of all assembly branches.
+        clearance: (n,) m, smallest distance between bodies at each reachable pose; negative if bodies
+            collide, infinite if bodies have no shapes.
+    """
 
     scene: Scene
     space: Workspace
@@ -43,18 +55,23 @@ class Mapped(NamedTuple):
 
 
 def range_of(scene: Scene, text: str) -> tuple[str | Key, Array]:
-    """Parse JOINT=LOW:HIGH or JOINT=LOW:HIGH:POINTS; JOINT.K is coordinate K of a joint of several.
+    """Parse a range JOINT=LOW:HIGH[:POINTS] of a joint coordinate, m or rad from the initial pose.
+
+    JOINT.K names coordinate K of a joint with several coordinates.
+
+    Returns:
+        The coordinate, and its values (points,).
 
     Raises:
-        CrosscheckError: for another form.
+        CrosscheckError: if the text has another form, or the range is empty.
     """
     name, _, limits = text.partition("=")
     parts = limits.split(":")
     try:
-        low, high, count = *map(plain_number, parts[:2]), int(parts[2]) if len(parts) == 3 else POINTS
+        low, high, count = *map(plain_number, parts[:2]), int(parts[2]) if len(parts) == 3 else DEFAULT_POINTS
     except ValueError:
         low, high, count = 0.0, 0.0, 0
-    if len(parts) not in (2, 3) or not low < high or not is_count(count) or not 2 <= count <= MOST_POINTS:
+    if len(parts) not in (2, 3) or not low < high or not is_count(count) or not 2 <= count <= MAX_POINTS:
         raise CrosscheckError(f"--vary {text!r} is not of the form JOINT=LOW:HIGH[:POINTS], in m or rad")
     joint, _, number = name.rpartition(".")
     is_key = name not in scene.mechanism.joint_names and number.isdecimal()
@@ -62,7 +79,11 @@ def range_of(scene: Scene, text: str) -> tuple[str | Key, Array]:
 
 
 def axis_of(text: str) -> Axis:
-    """Parse BODY=X,Y,Z; raises `CrosscheckError` for another form."""
+    """Parse an axis BODY=X,Y,Z of a body frame.
+
+    Raises:
+        CrosscheckError: if the text has another form.
+    """
     body, _, components = text.partition("=")
     try:
         return Axis(body, [plain_number(each) for each in components.split(",")])
@@ -72,21 +93,31 @@ def axis_of(text: str) -> Axis:
 
 def measure(
     scene: Scene, grid: Mapping[str | Key, Array], axis: Axis | None, progress: Callable[[str], None]
-) -> Mapped:
-    """Map a workspace."""
-    if np.prod([float(len(values)) for values in grid.values()]) > MOST_POINTS:
-        raise CrosscheckError(f"--vary asks for more than {MOST_POINTS} points; give fewer, LOW:HIGH:POINTS")
+) -> WorkspaceMap:
+    """Map the workspace of a scene.
+
+    Args:
+        scene: the scene.
+        grid: values of each varied joint coordinate, m or rad.
+        axis: axis whose elevation and azimuth are computed; None for no axis.
+        progress: called with the name of each stage.
+
+    Raises:
+        CrosscheckError: for a grid with too many points.
+    """
+    if np.prod([float(len(values)) for values in grid.values()]) > MAX_POINTS:
+        raise CrosscheckError(f"--vary asks for more than {MAX_POINTS} points; give fewer, LOW:HIGH:POINTS")
     progress("solving poses")
     space = workspace(scene, grid, axis)
     progress("searching singular configurations")
-    singular = singular_poses(scene, list(grid), STARTS)
+    singular = singular_poses(scene, list(grid), SINGULAR_SEARCHES)
     progress("measuring clearances")
     poses = space.poses
-    return Mapped(scene, space, singular, clearances(scene.mechanism, poses.position, poses.quaternion))
+    return WorkspaceMap(scene, space, singular, clearances(scene.mechanism, poses.position, poses.quaternion))
 
 
-def table(found: Mapped) -> Table:
-    """Tabulate ranges over the reachable points, and over those without collision."""
+def table(found: WorkspaceMap) -> Table:
+    """Tabulate the ranges of all quantities over the reachable points, and over those without collision."""
     space = found.space
     free = found.clearance > 0.0
     rows: Rows = [_row(found, "reachable", np.ones(len(free), dtype=bool))]
@@ -106,17 +137,18 @@ def table(found: Mapped) -> Table:
     return Table("", columns, rows)
 
 
-def statement(found: Mapped) -> str:
-    """Say in a sentence that no point is reachable, or none without collision; empty if some are."""
+def statement(found: WorkspaceMap) -> str:
+    """Report in a sentence that no point is reachable, or that bodies collide at all of them; else ""."""
     if not len(found.clearance):
-        points = f"none of {found.space.reachable.size} points is reachable"
-        return f"{points} on the branch of the initial pose, from which --vary counts, in m and rad"
+        points = f"none of {found.space.reachable.size} points is reachable on the branch of the initial pose"
+        return f"{points}; --vary takes m and rad relative to that pose"
     if not np.any(found.clearance > 0.0):
         return f"bodies collide at all {len(found.clearance)} reachable points"
     return ""
 
 
-def _row(found: Mapped, name: str, which: Array) -> list[str | Cell]:
+def _row(found: WorkspaceMap, name: str, which: Array) -> list[str | Cell]:
+    """Make the row of the points (n,) that are True in `which`."""
     space = found.space
     total = space.reachable.size
     row: list[str | Cell] = [name, f"{int(np.sum(which))} of {total}"]
@@ -135,21 +167,21 @@ def _row(found: Mapped, name: str, which: Array) -> list[str | Cell]:
     return row
 
 
-def _unit(found: Mapped, name: str | Key) -> str:
+def _unit(found: WorkspaceMap, name: str | Key) -> str:
     return "m" if found.scene.mechanism.is_slide(*found.scene.mechanism.coordinate(name)) else "rad"
 
 
-def write(found: Mapped, folder: Path, source: str, options: Mapping[str, str]) -> list[Path]:
-    """Write the CSV, and the picture of a workspace over two coordinates.
+def write(found: WorkspaceMap, folder: Path, source: str, options: Mapping[str, str]) -> list[Path]:
+    """Write `workspace.csv`, and `workspace.png` if the workspace has two coordinates.
 
     Args:
         found: the workspace.
-        folder: of the files; there, `workspace.json` records the model.
+        folder: folder of the files; `workspace.json` there records the model.
         source: name or file of the model.
-        options: of the model.
+        options: options of the model.
 
     Returns:
-        The CSV and the picture.
+        Paths of the CSV and of the picture.
     """
     files = {folder / "workspace.csv": _csv(found).encode()}
     if len(found.space.grid) == 2:
@@ -158,8 +190,8 @@ def write(found: Mapped, folder: Path, source: str, options: Mapping[str, str]) 
     return list(files)
 
 
-def _csv(found: Mapped) -> str:
-    """Write a row for each reachable point."""
+def _csv(found: WorkspaceMap) -> str:
+    """Return the CSV, with one row for each reachable point."""
     space = found.space
     quantities = {f"{name}, {_unit(found, name)}": values for name, values in space.poses.coordinates.items()}
     for name, values in (("elevation, deg", space.elevation), ("azimuth, deg", space.azimuth)):
@@ -178,8 +210,8 @@ def _csv(found: Mapped) -> str:
 
 
 @own_style()
-def _picture(found: Mapped) -> bytes:
-    """Draw the distance from singular configurations and their curves, beside the elevation of the axis."""
+def _picture(found: WorkspaceMap) -> bytes:
+    """Draw a map of the distance from singular configurations, and one of the elevation of the axis."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch

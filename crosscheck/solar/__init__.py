@@ -1,1 +1,7 @@
-"""The sun over a place, set-points that face it, and a tracker's day: motion, error and energy."""
+"""Solar tracking: positions of the sun, set-points that face the sun, and the motion of a tracker over a day.
+
+In: a tracker scene, a place, a date and rules of tracking. Out: a `Day` with set-points, motion, pointing
+error, loads and energy, and the report on it. Needs the extra `sun` (pvlib and pandas), which no other room
+imports.
+Start reading at `day.py`: `tracker_day` computes the set-points and simulates the day.
+"""

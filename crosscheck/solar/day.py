@@ -1,4 +1,4 @@
-"""A day of a solar tracker: set-points by inverse kinematics, the motion between them, and what it yields."""
+"""A day of a solar tracker: set-points by inverse kinematics, simulated motion, pointing error and energy."""
 
 from __future__ import annotations
 
@@ -22,28 +22,27 @@ from newton_euler.model.splines import Steps
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
-REST = 1e-8
-"""Rates, SI, below which the tracker stays where it is until the next set-point."""
+REST_RATE = 1e-8
+"""Rates, SI, below which the tracker is at rest: the simulation skips to the next set-point."""
 
-
-FOLLOWING = Tracking()
+DEFAULT_TRACKING = Tracking()
 
 
 @dataclass(frozen=True, eq=False)
 class Day:
-    """A tracker's day; n set-points.
+    """Simulated day of a tracker with n set-points.
 
     Attributes:
-        place: where.
-        sun: at the set-points.
-        wanted: (n, 3) where the panel's normal was to point.
-        poses: that face there, or as nearly as the mechanism can.
-        loads: on actuators and joints where they hold these poses at rest, under weight alone.
-        tracking: how it was to follow the sun.
-        scene: the tracker with these set-points.
-        run: its motion, with an output at each set-point, just before the next.
-        axis: the panel's normal.
-        wind: (n,) m/s at the set-points; None for calm.
+        place: place of the tracker.
+        sun: positions of the sun at the set-points.
+        wanted: (n, 3) wanted directions of the panel's normal (east, north, up).
+        poses: poses of the mechanism whose normal is as close to `wanted` as the mechanism allows.
+        loads: static loads of actuators and joints at these poses, under weight only.
+        tracking: rules of tracking.
+        scene: the tracker with these set-points as targets of its controllers.
+        run: simulated motion, with one output at the end of each set-point's interval.
+        axis: the panel's normal as an axis of a body.
+        wind: (n,) m/s, wind speed at the set-points; None for calm.
     """
 
     place: Place
@@ -68,7 +67,7 @@ class Day:
         return self.scene.output_period
 
     def hours(self, which: Array) -> float:
-        """Compute the time, h, of those set-points (n,) that are True."""
+        """Return the total time, h, of the set-points (n,) that are True in `which`."""
         return float(np.sum(which)) * self.period / 3600.0
 
     def is_slide(self, joint: str) -> bool:
@@ -94,59 +93,64 @@ class Day:
 
     @property
     def stowed(self) -> Array:
-        """(n,) True where the panel is to lie flat in the wind."""
+        """(n,) True where the panel is stowed (lies flat) because of the wind."""
         return self.tracking.stows(self.wind, len(self.seconds))
 
     @property
     def faces(self) -> Array:
-        """(n,) True where the sun is up, and neither tilt, shadow, reach nor wind keep the panel off it."""
+        """(n,) True where the panel faces the sun: no limit of tilt, shadow, reach or wind prevents it."""
         return self.tracking.can_face(self.sun) & self.poses.reached & ~self.stowed
 
     @property
     def sun_seen(self) -> Array:
-        """(n, 3) the sun's direction, at night along the horizon below which it is."""
+        """(n, 3) direction of the sun; at night its projection onto the horizon."""
         seen = self.sun.direction
         seen[~self.sun.is_up, 2] = 0.0
         return np.asarray(seen / np.linalg.norm(seen, axis=1, keepdims=True))
 
     @cached_property
     def irradiance(self) -> dict[str, Array]:
-        """W/m^2 (n,) of sunlight on this panel, the first, and on others by name."""
+        """(n,) W/m^2, irradiance on this tracker's panel (`THIS`, first) and on other panels, by name."""
         sky = ClearSky(self.place, self.sun)
         return {name: sky.on(normals) for name, normals in {THIS: self.normals, **sky.alternatives()}.items()}
 
     @cached_property
     def light(self) -> dict[str, float]:
-        """W h/m^2 over the day, by the same names."""
+        """W h/m^2, irradiation over the day, by the names of `irradiance`."""
         return {name: over_day(self.seconds, power) for name, power in self.irradiance.items()}
 
     @cached_property
     def work(self) -> float:
-        """W h that the actuators take over the day against weight, as if they moved slowly, see
-        `work_and_energy`. Jumps that PD laws make take more."""
+        """W h, positive work of the actuators against weight over the day, for quasi-static motion.
+
+        See `work_and_energy`. The steps of PD controllers take more than that.
+        """
         pairs = zip(self.loads.actuator_force.T, self.commands.values(), strict=True)
         return sum(float(work_and_energy(force, x)[1][-1]) for force, x in pairs) / 3600.0
 
 
 def following(scene: Scene, axis: Axis, wanted: Array, period: float) -> tuple[Scene, Poses, Loads]:
-    """Return a tracker that is sent to face directions, the poses that do, and what holds these at rest.
+    """Give a tracker set-points that make its panel face given directions.
 
-    The feedforward of each PD law is the force that holds the pose of its set-point
-    (`newton_euler.statics`), so that weight does not pull the panel off it.
+    The feedforward of each PD controller is the static force of its set-point (`newton_euler.statics`), so
+    that weight causes no steady-state error.
 
     Args:
-        scene: the tracker; actuated joints have PD laws.
-        axis: of the panel, its normal.
-        wanted: (n, 3) where it is to point.
+        scene: the tracker; all its controllers are `PD`.
+        axis: the panel's normal.
+        wanted: (n, 3) wanted directions of the normal, world frame.
         period: s between set-points.
 
+    Returns:
+        The scene with these set-points, the poses of the set-points, and the static loads there.
+
     Raises:
-        CrosscheckError: for a scene without PD laws.
+        CrosscheckError: if a controller of the scene is not `PD`.
     """
     laws = [law for law in scene.control if isinstance(law, PD)]
     if not laws or len(laws) < len(scene.control):
         raise CrosscheckError(
-            f"scene {scene.name!r}: its laws are not PD laws alone, whose targets set-points are"
+            f"scene {scene.name!r}: set-points need PD controllers; found none, or other controllers too"
         )
     poses = solve_poses(scene, axis=axis, towards=wanted, measure=[law.key for law in laws])
     times = period * np.arange(len(wanted))
@@ -165,9 +169,9 @@ def following(scene: Scene, axis: Axis, wanted: Array, period: float) -> tuple[S
 
 
 def check_period(period: float) -> None:
-    """Raise `CrosscheckError` for a time between set-points, s, that days are not made with."""
+    """Raise `CrosscheckError` unless the time between set-points is from 1 s to 12 h."""
     if not 1.0 <= period <= 43200.0:
-        raise CrosscheckError(f"period is {period:g} s: from 1 s to half a day")
+        raise CrosscheckError(f"period is {period:g} s; needed: 1 to 43200 s (12 h)")
 
 
 def tracker_day(
@@ -176,31 +180,33 @@ def tracker_day(
     place: Place,
     date: str,
     zone: str | None = None,
-    tracking: Tracking = FOLLOWING,
+    tracking: Tracking = DEFAULT_TRACKING,
     period: float = 60.0,
     wind: Array | None = None,
 ) -> Day:
-    """Simulate a day of a tracker from midnight to midnight, its set-points changed every `period` s.
+    """Simulate a day of a tracker, from midnight to midnight, with a new set-point every `period` s.
 
-    Rests between set-points are skipped, see `newton_euler.integrators.options.Options`.
+    The simulation skips the time in which the tracker is at rest, see `rest` of
+    `newton_euler.integrators.options.Options`.
 
     Args:
-        scene, axis: as of `following`; x is east, y north, z up.
-        place: where.
+        scene: the tracker, with PD controllers; x is east, y north, z up.
+        axis: the panel's normal.
+        place: place of the tracker.
         date: YYYY-MM-DD.
-        zone: time zone of that day; the place's own hours from Greenwich if None.
-        tracking: how to follow the sun.
-        period: s.
-        wind: (n,) m/s at the n set-points from midnight on, for `Tracking.stow`; None for calm.
+        zone: time zone, for example "Asia/Phnom_Penh"; the nautical time zone of the place if None.
+        tracking: rules of tracking.
+        period: s between set-points.
+        wind: (n,) m/s, wind speed at the n set-points, for `Tracking.stow`; None for calm.
 
     Raises:
-        CrosscheckError: for a scene without PD laws, a date, a zone or a period that is none.
-        NewtonEulerError: for a run that cannot go on.
+        CrosscheckError: for a scene with other controllers, and for an invalid date, zone or period.
+        NewtonEulerError: if the simulation fails.
     """
     check_period(period)
     sun = sun_over(place, day_times(date, zone or place.zone, period))
     wanted = tracking.normals(sun, wind)
     driven, poses, loads = following(scene, axis, wanted, period)
     driven = replace(driven, outputs=frozenset({"velocities", "actuation"}))
-    run = simulate(driven, rest=REST)
+    run = simulate(driven, rest=REST_RATE)
     return Day(place, sun, wanted, poses, loads, tracking, driven, run, axis, wind)

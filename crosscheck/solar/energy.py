@@ -1,7 +1,8 @@
-"""Sunlight on panels over a day, by pvlib's clear-sky model: a tracker beside panels that others would build.
+"""Irradiance on a tracker's panel, and on the panels of usual mountings, over a clear day.
 
-Assumptions: a clear sky of the climatological turbidity (Ineichen and Perez, Solar Energy 73, 2002), diffuse
-light of Hay and Davies, ground of albedo 0.2, no losses at glancing angles, by heat, dirt or shadows.
+The models are pvlib's: clear sky of climatological turbidity (Ineichen and Perez, Solar Energy 73, 2002),
+diffuse light after Hay and Davies, ground of albedo 0.2. Losses by reflection, heat, dirt or shadows are not
+modeled.
 """
 
 from __future__ import annotations
@@ -17,20 +18,19 @@ from newton_euler.scalars import Array
 ALBEDO = 0.2
 
 ROW_TILT = 60.0
-"""Degrees that a horizontal single-axis tracker, from east to west, turns at most; common in fields."""
-
+"""Degrees, largest rotation of a horizontal single-axis tracker; a common value in solar fields."""
 
 THIS, FIXED, FACING = "this tracker", "tilted by the latitude", "facing the sun"
 FLAT, ONE_AXIS = "flat", f"one axis, {ROW_TILT:g} deg"
-"""Panels."""
+"""Names of the panels that are compared."""
 
 
 class ClearSky:
-    """Clear-sky light over a place at n times.
+    """Clear-sky irradiance over a place at n times.
 
     Attributes:
-        place: where.
-        sun: positions of the sun.
+        place: the place.
+        sun: positions of the sun at the n times.
     """
 
     def __init__(self, place: Place, sun: Sun) -> None:
@@ -41,7 +41,7 @@ class ClearSky:
         self._beyond = self._pvlib.irradiance.get_extra_radiation(sun.times)
 
     def on(self, normals: Array) -> Array:
-        """Compute the irradiance (n,), W/m^2, on panels with these normals (n, 3): east, north, up."""
+        """Compute the irradiance (n,), W/m^2, on a panel with the normals (n, 3): east, north, up."""
         tilt = np.degrees(np.arccos(np.clip(normals[:, 2], -1.0, 1.0)))
         azimuth = np.degrees(np.arctan2(normals[:, 0], normals[:, 1])) % 360.0
         total = self._pvlib.irradiance.get_total_irradiance(
@@ -59,10 +59,10 @@ class ClearSky:
         return np.nan_to_num(np.asarray(total["poa_global"], dtype=float))
 
     def alternatives(self) -> dict[str, Array]:
-        """Return the normals (n, 3) of other panels by name.
+        """Return the normals (n, 3) of the panels that a tracker is compared with, by name.
 
-        One that lies flat, one that is tilted by the latitude towards the equator, one on a horizontal axis
-        from north to south that turns up to `ROW_TILT`, and one that always faces the sun.
+        These panels are a flat one, one tilted by the latitude towards the equator, one on a horizontal
+        north-south axis that turns by up to `ROW_TILT`, and one that always faces the sun.
         """
         count, latitude = len(self.sun.times), np.radians(self.place.latitude)
         fixed = np.array([0.0, -np.sin(latitude), np.cos(latitude)])
@@ -78,5 +78,5 @@ class ClearSky:
 
 
 def over_day(times: Array, power: Array) -> float:
-    """Integrate power (n,), W, over times (n,), s, by the trapezoidal rule: W h."""
+    """Integrate power (n,), W, over times (n,), s, by the trapezoidal rule. Returns W h."""
     return float(np.trapezoid(power, times)) / 3600.0

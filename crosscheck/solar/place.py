@@ -1,6 +1,6 @@
-"""Places on the globe, days there, and the sun's directions; positions of the sun are pvlib's.
+"""Places on the globe, times of a day, and directions of the sun (computed by pvlib).
 
-Directions are in the world frame of a scene whose x is east, y north and z up.
+Directions are in the world frame of a scene: x is east, y north, z up.
 """
 
 from __future__ import annotations
@@ -62,15 +62,15 @@ SUN = "sun"
 
 
 def day_times(date: str, zone: str, period: float) -> pd.DatetimeIndex:
-    """Return the times from a midnight on for 24 hours, every `period` s.
+    """Return the times of 24 hours from midnight, every `period` s.
 
     Args:
         date: YYYY-MM-DD.
-        zone: name of a time zone, as "Asia/Phnom_Penh" or "UTC+07:00".
+        zone: name of a time zone, for example "Asia/Phnom_Penh" or "UTC+07:00".
         period: s.
 
     Raises:
-        CrosscheckError: for what is no date or no time zone.
+        CrosscheckError: for an invalid date or time zone.
         MissingPackageError: if pandas is not installed.
     """
     pd = optional_package("pandas", SUN)
@@ -83,7 +83,7 @@ def day_times(date: str, zone: str, period: float) -> pd.DatetimeIndex:
         begin = pd.Timestamp(start).tz_localize(zone)
     except Exception as error:  # of zoneinfo, dateutil or pandas, by the kind of mistake
         raise CrosscheckError(
-            f"time zone {zone!r:.100} is unknown: as Asia/Phnom_Penh or UTC+07:00"
+            f"time zone {zone!r:.100} is unknown; needed: a name such as Asia/Phnom_Penh or UTC+07:00"
         ) from error
     return begin + pd.to_timedelta(seconds_of_day(period), unit="s")
 
@@ -125,9 +125,9 @@ class Sun:
 
 
 def sun_over(place: Place, times: pd.DatetimeIndex) -> Sun:
-    """Compute where the sun is, by NREL's algorithm (Reda and Andreas, Solar Energy 76, 2004), through pvlib.
+    """Compute positions of the sun by NREL's algorithm (Reda and Andreas, Solar Energy 76, 2004) in pvlib.
 
-    Refraction is that of the pressure at the place's altitude and 12 degrees Celsius.
+    Refraction is that of 12 degrees Celsius and of the pressure at the place's altitude.
 
     Raises:
         CrosscheckError: for times without a zone.

@@ -1,4 +1,4 @@
-"""Tables, plots and files of a tracker's day, and of days at several places and dates."""
+"""Report on a tracker's day, or on days at several places and dates: tables, plots and files."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from newton_euler.scalars import Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MOST_ROWS = 9
-"""Of the table of a day, so that all fits 25 lines."""
+MAX_PRINTED_HOURS = 9
+"""Largest number of rows of the table of a day in the terminal; the whole report is 25 lines long."""
 
 SURVEYED = ("on sun\nh", "off\ndeg", "fixed\nkWh/m^2", "this\n%", "1 axis\n%", "facing\n%", "work\nmWh")
 """Columns of several days."""
@@ -31,7 +31,7 @@ SURVEY_FILES = ("days.csv",)
 
 
 def hours(day: Day) -> Iterator[list[str | Cell]]:
-    """Rows of the hours in which the sun is up."""
+    """Yield a table row for each whole hour in which the sun is up."""
     is_whole = (day.sun.times.minute == 0) & (day.sun.times.second == 0)
     for k in np.flatnonzero(is_whole & day.sun.is_up):
         yield [
@@ -46,13 +46,13 @@ def hours(day: Day) -> Iterator[list[str | Cell]]:
 
 
 def day_report(day: Day) -> Report:
-    """Report on one day: the sun, the set-points, what is left between panel and sun, and the light."""
+    """Report on one day: positions of the sun, set-points, pointing error, irradiation and loads."""
     units = {"azimuth": "deg", "elevation": "deg"}
     units |= {name: "mm" if day.is_slide(name) else "mrad" for name in day.commands}
     units |= {"tilt": "deg", "off sun": "deg"} | ({} if day.wind is None else {"wind": "m/s"})
     columns = [*texts("time"), *(Column(f"{name}\n{unit}", numeric=True) for name, unit in units.items())]
     rows: Rows = list(hours(day))
-    few = rows[:: -(-len(rows) // MOST_ROWS) or 1]
+    few = rows[:: -(-len(rows) // MAX_PRINTED_HOURS) or 1]
     tables = [Table("sun, set-points and panel", columns, chosen) for chosen in (rows, few)]
     light = Table(
         "clear sky over the day",
@@ -70,7 +70,7 @@ def day_report(day: Day) -> Report:
 
 
 def loads_table(day: Day) -> Table:
-    """Tabulate the largest forces of the day at rest, and when: of actuators, and on joints."""
+    """Tabulate the largest static forces of actuators and joints over the day, and when they occur."""
     rows: Rows = []
     forces = np.abs(day.loads.actuator_force)
     kinds = [(f"actuator {name}", force) for name, force in zip(day.loads.actuators, forces.T, strict=True)]
@@ -86,14 +86,16 @@ def loads_table(day: Day) -> Table:
 
 
 def verdict(day: Day) -> str:
-    """Sum up in one sentence how well the sun was followed."""
+    """Report in one sentence how well the panel followed the sun."""
     faces = day.faces
     found = f"faces the sun for {day.hours(faces):.1f} h"
     if faces.any():
         found += f" to {np.degrees(np.max(day.errors[faces])):.2f} deg"
     low = day.hours(day.sun.is_up & ~faces & ~day.stowed)
     if low > 0.0:
-        found += f", for {low:.1f} h as nearly as a tilt of {day.tracking.most_tilt:g} deg allows"
+        found += (
+            f", and for {low:.1f} h points as close to it as a tilt of {day.tracking.most_tilt:g} deg allows"
+        )
     if day.wind is not None:
         flat = day.hours(day.sun.is_up & day.stowed)
         found += f"; lies flat for {flat:.1f} h of daylight, in winds from {day.tracking.stow:g} m/s on"
@@ -107,20 +109,20 @@ def verdict(day: Day) -> str:
 
 
 def assumptions(day: Day) -> Iterator[str]:
-    """List what the figures rest on."""
+    """Yield the assumptions of the report, one sentence each."""
     yield "x is east, y north, z up; sun by NREL's algorithm, refraction at 12 degrees Celsius included"
     yield (
         f"set-points every {day.period:g} s, held by PD laws with the weight fed forward; tilt at most "
         f"{day.tracking.most_tilt:g} degrees; dead band {day.tracking.deadband:g} degrees"
     )
-    wind = "no wind" if day.wind is None else "the wind has the panel lie flat, and no other effect"
-    yield f"at night the panel waits where it faces the sun first; the base stands still, {wind}"
+    wind = "no wind" if day.wind is None else "wind makes the panel lie flat and has no other effect"
+    yield f"at night the panel waits in the position of the next morning; the base is fixed; {wind}"
     yield "clear sky (Ineichen, pvlib's turbidity), diffuse light of Hay and Davies, ground of albedo 0.2"
-    yield "work of actuators is against weight, done slowly; what comes back is lost, friction is none"
+    yield "actuator work is positive work against weight in quasi-static motion; no recuperation, no friction"
 
 
 def survey_report(days: Sequence[Day]) -> Report:
-    """Report on days at several places or dates, a row each."""
+    """Report on days at several places or dates, one row per day."""
     names = (THIS, ONE_AXIS, FACING)
     columns = [
         *texts("place", "date"),
@@ -150,7 +152,7 @@ def survey_report(days: Sequence[Day]) -> Report:
 
 
 def table_of_commands(day: Day) -> bytes:
-    """The set-points as CSV: times, sun, joint coordinates in m or rad, and what came of them."""
+    """Return the set-points as CSV: times, sun, joint coordinates in m or rad, and the pointing error."""
     units = ("m" if day.is_slide(name) else "rad" for name in day.commands)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -180,7 +182,7 @@ def table_of_commands(day: Day) -> bytes:
 
 
 def files_of(folder: Path, several: bool) -> list[Path]:
-    """Files that a day or several days are written to."""
+    """Return the paths of the files of a day, or of several days."""
     return [folder / name for name in (SURVEY_FILES if several else FILES)]
 
 
@@ -198,7 +200,7 @@ def write_survey(report: Report, folder: Path) -> list[Path]:
 
 @own_style()
 def picture(day: Day) -> Figure:
-    """Draw the sun and the panel, the set-points, and the light over the day."""
+    """Plot the elevations of sun and panel, the set-points, and the irradiance over the day."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.0, 7.0), layout="constrained")
@@ -227,7 +229,7 @@ def picture(day: Day) -> Figure:
 
 
 def write(day: Day, report: Report, folder: Path) -> list[Path]:
-    """Write the set-points, the plots and the recording; all or none.
+    """Write the set-points, the plot and the recording: all files or none.
 
     Raises:
         CrosscheckError: naming the path that cannot be written.

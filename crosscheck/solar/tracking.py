@@ -1,7 +1,7 @@
-"""Set-points of a solar tracker: the directions that its panel is to face over a day.
+"""Rules of solar tracking: the directions that a panel should face over a day.
 
-Where the sun is below the horizon the panel waits for the morning. What cannot be faced, low suns mostly, is
-faced as nearly as the largest tilt allows.
+If the sun is below the horizon, the panel waits in its position of the next morning. If the sun is too low
+to be faced, the panel points as close to the sun as its largest tilt allows.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class Tracking:
-    """Rules by which a panel follows the sun.
+    """Rules of tracking.
 
     Attributes:
-        deadband: degrees that it may be off before it moves again; 0 to move at each set-point.
-        most_tilt: degrees from the horizontal that it is tilted at most.
-        pitch: distance of the next row towards the sun, in lengths of the panel: low suns are backtracked so
-            that no shadow falls on it (Lorenzo, Narvarte, Munoz, Progress in Photovoltaics 19, 2011, in the
-            vertical plane of the sun); infinite for a panel that stands alone.
-        stow: wind in m/s from which it lies flat.
+        deadband: degrees; the panel moves only if its direction is off by more. 0 to move at each set-point.
+        most_tilt: degrees, largest tilt from the horizontal.
+        pitch: distance of the next row towards the sun, in panel lengths. If the sun is low, the panel turns
+            back so that no shadow falls on the next row (backtracking: Lorenzo, Narvarte, Munoz, Progress in
+            Photovoltaics 19, 2011, in the vertical plane of the sun). Infinite for a panel that stands alone.
+        stow: m/s, wind speed from which the panel lies flat.
 
     Raises:
-        CrosscheckError: for a value that is none.
+        CrosscheckError: naming a value that is out of range.
     """
 
     deadband: float = 0.0
@@ -50,50 +50,61 @@ class Tracking:
             value, (low, high) = getattr(self, field.name), limits[field.name]
             is_number = is_finite_number(value) or value == np.inf == high
             if not is_number or not low <= value <= high:
-                raise CrosscheckError(f"{field.name} is {value!r:.100}: a number from {low:g} to {high:g}")
+                raise CrosscheckError(
+                    f"{field.name} is {value!r:.100}; needed: a number from {low:g} to {high:g}"
+                )
 
     def normals(self, sun: Sun, wind: Array | None = None) -> Array:
-        """Return where the panel's normal is to point (n, 3); `wind` (n,) is its speed, m/s.
+        """Compute the wanted directions (n, 3) of the panel's normal: east, north, up.
+
+        Args:
+            sun: n positions of the sun.
+            wind: (n,) m/s, wind speed; None for calm.
 
         Raises:
-            CrosscheckError: for a sun that does not rise, and as of `stows`.
+            CrosscheckError: if the sun does not rise on that day, and for wind at other times.
         """
         up = sun.is_up
         if not up.any():
             raise CrosscheckError(
-                f"the sun does not rise on {sun.times[0].date()}: there is nothing to follow"
+                f"the sun does not rise on {sun.times[0].date()}; choose another date or place"
             )
         tilt = np.minimum(self._without_shadow(sun.elevation), np.radians(self.most_tilt))
         wanted = tilted(tilt, sun.azimuth)
         waits = np.flatnonzero(~up)
         risen = np.flatnonzero(up)
-        nearest = np.searchsorted(risen, waits)  # after sunset the first of the day, which is next morning's
+        # after sunset, the first direction of the day stands for that of the next morning
+        nearest = np.searchsorted(risen, waits)
         wanted[waits] = wanted[risen[nearest % len(risen)]]
         wanted[self.stows(wind, len(up))] = UP
         return self._held(wanted)
 
     def stows(self, wind: Array | None, count: int) -> Array:
-        """Return True (n,) where the panel lies flat in winds, m/s, at n = `count` times; None for calm.
+        """Return True (n,) where the panel lies flat because of the wind.
+
+        Args:
+            wind: (n,) m/s, wind speed; None for calm.
+            count: n.
 
         Raises:
-            CrosscheckError: for winds at other times.
+            CrosscheckError: for a wrong number of speeds, or speeds that are not finite.
         """
         if wind is None:
             return np.zeros(count, dtype=bool)
         if np.shape(wind) != (count,) or not np.all(np.isfinite(wind)):
-            raise CrosscheckError(f"wind has shape {np.shape(wind)}: {count} speeds, m/s")
+            raise CrosscheckError(f"wind has shape {np.shape(wind)}; needed: {count} finite speeds, m/s")
         return np.asarray(wind) >= self.stow
 
     def can_face(self, sun: Sun) -> Array:
-        """Return True (n,) where the sun is up and the panel may face it."""
+        """Return True (n,) where the sun is up, and neither tilt nor shadow keep the panel from facing it."""
         tilt = self._without_shadow(sun.elevation)
         facing = tilt == 0.5 * np.pi - sun.elevation
         return np.asarray(sun.is_up & facing & (tilt <= np.radians(self.most_tilt)))
 
     def _without_shadow(self, elevation: Array) -> Array:
-        """Compute the tilt (n,) towards the sun, rad, that leaves the next row in the sun.
+        """Compute the tilt (n,) towards the sun, rad, at which no shadow falls on the next row.
 
-        A panel of length 1 and tilt t under a sun of elevation e shades sin(e + t) / sin e of the ground.
+        The shadow of a panel of length 1 and tilt t under a sun of elevation e is sin(e + t) / sin e long.
         """
         facing = 0.5 * np.pi - elevation
         if self.pitch == np.inf:
@@ -102,7 +113,7 @@ class Tracking:
         return np.where(share < 1.0, np.arcsin(np.minimum(share, 1.0)) - elevation, facing)
 
     def _held(self, wanted: Array) -> Array:
-        """Hold directions (n, 3) until they are off by more than the dead band."""
+        """Hold each direction (n, 3) until the wanted one differs by more than the dead band."""
         if self.deadband == 0.0:
             return wanted
         held, least = wanted.copy(), np.cos(np.radians(self.deadband))

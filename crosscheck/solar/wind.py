@@ -1,4 +1,4 @@
-"""Speeds of the wind over a day, in which a tracker stows: a number, or samples in a CSV."""
+"""Wind speeds over a day, from a number or a CSV; a tracker lies flat in strong wind."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from newton_euler.scalars import Array
 
 COLUMNS = ("time", "speed")
 
-NEEDED = "columns time, s since midnight, and speed, m/s, with commas between them"
+NEEDED_COLUMNS = "columns time, s since midnight, and speed, m/s, separated by commas"
 
 
 def wind_over_day(given: str, seconds: Array) -> Array:
-    """Return the speed of the wind (n,), m/s, at times of a day.
+    """Return the wind speed (n,), m/s, at times of a day.
 
     Args:
-        given: a number, or the path of a CSV with the columns `time`, s since midnight, and `speed`, m/s;
-            between its rows speeds are interpolated linearly.
-        seconds: (n,) since midnight.
+        given: a number, or the path of a CSV with the columns `time`, s since midnight, and `speed`, m/s.
+            Speeds between rows are interpolated linearly.
+        seconds: (n,) s since midnight.
 
     Raises:
-        CrosscheckError: for a negative number, other columns, and times that leave a part of the day out.
-        SourceError: naming the file, and the line, for a file that cannot be read, cells that are no numbers
-            or negative speeds, and times that do not ascend.
+        CrosscheckError: for a negative number, other columns, and times that do not cover the day.
+        SourceError: naming the file and line, for a file that cannot be read, cells that are not numbers,
+            negative speeds, and times that do not ascend.
     """
     try:
         speed = plain_number(given)
@@ -41,7 +41,7 @@ def _read(path: str, seconds: Array) -> Array:
     header = [cell.lower() for cell in rows[0][1]] if rows else []
     if sorted(header) != sorted(COLUMNS) or not rows[1:]:
         found = listed(header) if rows[1:] else "no rows"
-        raise CrosscheckError(f"{path}: has {found:.200}; needed: {NEEDED}")
+        raise CrosscheckError(f"{path}: has {found:.200}; needed: {NEEDED_COLUMNS}")
     table = TimeTable.of(path, header, rows[1:])
     time, speed = (table.columns[name] for name in COLUMNS)
     table.refuse(speed < 0.0, "speed", speed, "0 m/s or more")

@@ -200,7 +200,7 @@ def test_work_of_actuators_is_what_they_lift(day):
 
 
 def test_storms_come_at_set_points():
-    with pytest.raises(CrosscheckError, match=r"wind has shape \(3,\): 25 speeds"):
+    with pytest.raises(CrosscheckError, match=r"\(3,\).* 25 finite speeds"):
         tracker_day(sun_tracker(), PANEL_NORMAL, EQUATOR, "2026-06-21", period=3600.0, wind=np.zeros(3))
 
 
@@ -263,7 +263,7 @@ def test_trackings_that_are_none(value):
 def test_set_points_are_those_of_pd_laws():
     scene = load("tracker")
     laws = tuple(Sampled(law.joint, lambda time, x, x_rate: 0.0, 0.01) for law in scene.control)
-    with pytest.raises(CrosscheckError, match="not PD laws alone"):
+    with pytest.raises(CrosscheckError, match=r"'tracker'.*PD"):
         following(replace(scene, control=laws), PANEL_NORMAL, np.array([[0.0, 0.0, 1.0]] * 2), 60.0)
 
 
