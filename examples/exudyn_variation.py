@@ -36,7 +36,7 @@ from newton_euler.equations.relative import Relative
 from newton_euler.model.joint import Pose, perpendicular_pair
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.scalars import Array
 
 vars(sys)["exudynFast"] = True  # without range checks, if set before the import

@@ -5,10 +5,10 @@ the scene is made from the compiled model at the pose that it starts from: a key
 loops closed. Bodies that are fixed to each other are one body.
 
 What was read is verified against MuJoCo's own model of the file, see `newton_euler.reading` and
-`mjcf.original`. The reading is a function of the model and of the controls, and so that actuators show it is
+`mjcf.reference`. The reading is a function of the model and of the controls, and so that actuators show it is
 made and verified once more, with all controls at random.
 
-An exercised reading is one with controls that swing, and with start velocities; see `mjcf.reading.laws`.
+An excited reading is one with controls that swing, and with start velocities; see `mjcf.reading.laws`.
 """
 
 from __future__ import annotations
@@ -26,18 +26,17 @@ import mujoco
 import numpy as np
 
 from mjcf.errors import heard_warnings
-from mjcf.original import MjcfOriginal
 from mjcf.reading.actuators import Actuators, driven_joints
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.forces import Forces, armatures
 from mjcf.reading.joints import Joints, Ties
-from mjcf.reading.laws import Drive
-from mjcf.reading.laws import exercise as exercised
+from mjcf.reading.laws import Drive, excite
 from mjcf.reading.leftovers import report_leftovers
 from mjcf.reading.loops import Loops
 from mjcf.reading.plausibility import key_findings, mesh_findings
 from mjcf.reading.source import UNNAMED, SourceError, check_memory, compiled, given, model_name
 from mjcf.reading.start import Start
+from mjcf.reference import MjcfReference
 from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.errors import NewtonEulerError, OptionError
 from newton_euler.model.forces import Armature, BallArmature
@@ -48,9 +47,9 @@ from newton_euler.model.source_file import ReadOptions, Request, path_text
 from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.model.state import State
 from newton_euler.reading import plausibility
-from newton_euler.reading.exercise import HIGHEST, LOWEST, moving
+from newton_euler.reading.excitation import HIGHEST, LOWEST, moving
 from newton_euler.reading.import_report import ChangedVelocities, ImportReport, unique_name
-from newton_euler.reading.original import Original
+from newton_euler.reading.reference import ReferenceModel
 from newton_euler.reading.verify import check
 from newton_euler.runs.assemble import assemble
 from newton_euler.scalars import Array
@@ -123,13 +122,13 @@ def read(
         found_of_file = [*mesh_findings(made), *key_findings(made, sizes)]
         found = _reading(where, copy.copy(made), key, request)
         try:
-            originals = [_original(copy.copy(made), key, found)]
+            references = [_reference(copy.copy(made), key, found)]
             if made.nu:
-                originals.append(_driven(where, made, key, request))
-            if request.exercise:  # the last use of the model, which takes no copy
-                found = _exercised(where, made, key, request, found)
+                references.append(_driven(where, made, key, request))
+            if request.excitation:  # the last use of the model, which takes no copy
+                found = _excited(where, made, key, request, found)
             report = found.report
-            report.originals.extend(originals)
+            report.references.extend(references)
             report.findings.extend(plausibility.findings(found.scene.mechanism))
             report.findings.extend(plausibility.grouped(found_of_file))
             if request.verified:
@@ -143,19 +142,19 @@ def read(
 
 
 @np.errstate(all="ignore")  # what overflows is refused
-def _original(
+def _reference(
     model: Any, key: str | None, found: Reading, controls: tuple[Array, Array] | None = None
-) -> tuple[Original, Scene]:
-    """Pair a reading with the original that it is verified against."""
-    return MjcfOriginal(model, key, found.report, found.scene, controls), found.scene
+) -> tuple[ReferenceModel, Scene]:
+    """Pair a reading with the reference that it is verified against."""
+    return MjcfReference(model, key, found.report, found.scene, controls), found.scene
 
 
 @np.errstate(all="ignore")  # what overflows is refused
-def _driven(where: str, model: Any, key: str | None, request: Request) -> tuple[Original, Scene]:
+def _driven(where: str, model: Any, key: str | None, request: Request) -> tuple[ReferenceModel, Scene]:
     """The reading with all controls at random, and what it is verified against."""
     control = _random_control(model)
     driven = _reading(where, copy.copy(model), key, request, control)
-    return _original(copy.copy(model), key, driven, (control, np.array(driven.start.data.act)))
+    return _reference(copy.copy(model), key, driven, (control, np.array(driven.start.data.act)))
 
 
 def _random_control(model: Any) -> Array:
@@ -172,11 +171,11 @@ def _random_control(model: Any) -> Array:
 
 
 @np.errstate(all="ignore")  # what overflows is refused
-def _exercised(where: str, model: Any, key: str | None, request: Request, found: Reading) -> Reading:
+def _excited(where: str, model: Any, key: str | None, request: Request, found: Reading) -> Reading:
     """Drive actuators, and let joints move at the start unless the file does. The model is changed."""
     start = found.start
     control, places = np.array(start.data.ctrl), start.model.actuator_ctrladr
-    plan = exercised(found.scene, found.drives, control, places, found.report.bounds)
+    plan = excite(found.scene, found.drives, control, places, found.report.bounds)
     driven = _reading(where, model, key, request, plan.control, plan.swings)
     names = [model.actuator(k).name or repr(k) for k in range(model.nactuator)]
     said = []
@@ -194,7 +193,7 @@ def _exercised(where: str, model: Any, key: str | None, request: Request, found:
         driven = replace(driven, scene=moved)
         said.append(fastest)
     words = ", ".join(said) or "the velocities of the start are enough"
-    driven.report.start.append(f"exercised: {words}")
+    driven.report.start.append(f"excited: {words}")
     return driven
 
 

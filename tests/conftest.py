@@ -27,7 +27,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 
 # shells have what they start in the background ignore interrupts, which some tests send
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

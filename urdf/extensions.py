@@ -1,6 +1,6 @@
 """Loops, springs and rotors of a URDF beyond its links and joints, as plain numbers.
 
-`urdf.reading.extensions` reads them. The reader makes joints and forces of them, and `urdf.original` rows
+`urdf.reading.extensions` reads them. The reader makes joints and forces of them, and `urdf.reference` rows
 and forces of Pinocchio's own model, each in its own way.
 """
 

@@ -2,7 +2,7 @@
 
 Pinocchio parses the URDF and adds up what fixed joints hold together; the scene is made of its model at
 coordinates 0, with followers of mimics where their offsets put them, or next to that where the loops close.
-It is verified against Pinocchio's own model of the file, see `newton_euler.reading` and `urdf.original`.
+It is verified against Pinocchio's own model of the file, see `newton_euler.reading` and `urdf.reference`.
 Models in memory, with their constraints, go the same way.
 
 The loop file has the keys of Gepetto's example-parallel-robots, see `urdf.loops`.
@@ -34,7 +34,7 @@ from newton_euler.model.source_file import ReadOptions, Request, path_text, read
 from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.reading import plausibility
 from newton_euler.reading.activity import Bounds, Rest, Watch
-from newton_euler.reading.exercise import moving as exercised
+from newton_euler.reading.excitation import moving
 from newton_euler.reading.import_report import (
     CONTACTS,
     FRICTION,
@@ -44,14 +44,13 @@ from newton_euler.reading.import_report import (
     ImportReport,
     unique_name,
 )
-from newton_euler.reading.original import Original
+from newton_euler.reading.reference import ReferenceModel
 from newton_euler.reading.verify import check
 from newton_euler.scalars import Array
 from urdf.errors import UrdfError
 from urdf.extensions import Extensions, PointSpringElement
 from urdf.loops import NO_LOOPS, REVOLUTE, Loops
 from urdf.model import BASES, BaseName, ClosedLoopModel, build
-from urdf.original import ModelOriginal, UrdfOriginal
 from urdf.reading.bodies import Tree
 from urdf.reading.extensions import read_extensions
 from urdf.reading.forces import armatures, joint_springs, point_springs
@@ -67,6 +66,7 @@ from urdf.reading.source import (
 )
 from urdf.reading.start import Mimic, Start
 from urdf.reading.visuals import dressed
+from urdf.reference import ModelOriginal, UrdfReference
 
 GRAVITY = (0.0, 0.0, -9.81)
 """m/s^2, unless another one is asked for; a URDF has none."""
@@ -196,7 +196,7 @@ def _from_file(
         springs = tuple(extensions.point_springs)
         robot = Robot(where, name, Path(where).name, closed, closing, mimics, joints, root, springs=springs)
         found = _reading(
-            robot, report, request, gravity, partial(UrdfOriginal, extensions, loop_text, base, gravity)
+            robot, report, request, gravity, partial(UrdfReference, extensions, loop_text, base, gravity)
         )
     except RuntimeError as error:  # what Pinocchio asserts, of inertias for one
         check_inertias(where, root)
@@ -280,7 +280,7 @@ def _reading(
     report: ImportReport,
     request: Request,
     gravity: Sequence[float],
-    original: Callable[[ImportReport, Scene], Original],
+    reference: Callable[[ImportReport, Scene], ReferenceModel],
 ) -> Reading:
     tolerance = request.redundancy_tolerance
     start = Start(robot.where, robot.closed, robot.loops, robot.mimics, report, tolerance, robot.first)
@@ -290,13 +290,13 @@ def _reading(
     scene = _scene(robot, start, tree, report, request, gravity)
     # what overflows is refused; the parser has been heard before
     with np.errstate(all="ignore"), overheard([]):
-        report.originals.append((original(report, scene), scene))
+        report.references.append((reference(report, scene), scene))
     if request.verified:
         report.start.append(check(report))
     report.findings.extend(plausibility.findings(scene.mechanism))
-    if request.exercise:
-        scene, fastest = exercised(scene, report.bounds)
-        report.start.append(f"exercised: {fastest}")
+    if request.excitation:
+        scene, fastest = moving(scene, report.bounds)
+        report.start.append(f"excited: {fastest}")
     return Reading(scene, report)
 
 

@@ -17,7 +17,7 @@ from crosscheck.cli.shared import (
     scene_options,
     setting_options,
     show,
-    without_exercise,
+    without_excitation,
 )
 from crosscheck.report.render import as_json
 
@@ -55,7 +55,7 @@ def identify_command(
     from crosscheck.support.files import check_no_source, check_writable, write_files
     from newton_euler.analysis.identification.identify import identify
 
-    options = without_exercise(scene_options(settings), "measured is the scene as it stands")
+    options = without_excitation(scene_options(settings), "measured is the scene as it stands")
     loaded = load_and_tell(scene, options)
     path = (output or usual_folder(Path("output/identify"), scene, "fit")) / "identify.json"
     check_no_source([path], [scene, *measured])

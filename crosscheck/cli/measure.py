@@ -23,7 +23,7 @@ from crosscheck.cli.shared import (
     show,
     tell,
     verbose_option,
-    without_exercise,
+    without_excitation,
 )
 from crosscheck.report.render import as_json, terminal
 from crosscheck.studies.faults import PLANTED_IN
@@ -72,7 +72,7 @@ def bench_command(
 
     SCENE is a name or a file, as of run.
     """
-    from crosscheck.loading.load import exercised
+    from crosscheck.loading.load import excited
     from crosscheck.studies.benchmark.run import Wanted, bench
 
     asked = {"rhs": rhs, "batch": batch is not None, "sensitivities": sensitivities}
@@ -80,7 +80,7 @@ def bench_command(
     if len(kinds) > 1:
         names = " and ".join(f"--{kind}" for kind in kinds)
         raise CrosscheckError(f"{names} are different benchmarks; choose one")
-    options = exercised(scene, scene_options(settings))
+    options = excited(scene, scene_options(settings))
     wanted = Wanted(load_and_tell(scene, options), scene, options, error, batch or 0)
     with progress_shown() as progress:
         found, written = bench(wanted, kinds[0], output, progress)
@@ -102,7 +102,7 @@ def controllers_command(scene: str, settings: tuple[str, ...], engines: list[str
     from crosscheck.design.controllers import compared
     from crosscheck.engines.engine import ENGINES
 
-    options = without_exercise(scene_options(settings), "controllers are those of the scene")
+    options = without_excitation(scene_options(settings), "controllers are those of the scene")
     with progress_shown() as progress:
         tables = compared(scene, options, engines or list(ENGINES), progress)
     click.echo(terminal(tables), nl=False)
@@ -187,7 +187,7 @@ def modes_command(
     from newton_euler.analysis.linear.linearization import linearize
     from newton_euler.analysis.loads.equilibrium import at_rest, equilibrium
 
-    options = without_exercise(scene_options(settings), "modes are those of the scene as it stands")
+    options = without_excitation(scene_options(settings), "modes are those of the scene as it stands")
     loaded = load_and_tell(scene, options)
     path = save or usual_folder(Path("output/modes"), scene, "modal analysis") / "modes.rrd"
     beside = {} if save else {path.with_name("modes.json"): record(scene, options)}
@@ -230,7 +230,7 @@ def workspace_command(
     from crosscheck.report.output import usual_folder
     from crosscheck.support.files import check_no_source, check_writable
 
-    options = without_exercise(scene_options(settings), "a workspace is that of the scene as it stands")
+    options = without_excitation(scene_options(settings), "a workspace is that of the scene as it stands")
     loaded = load_and_tell(scene, options)
     grid = dict(workspace.range_of(loaded, each) for each in ranges)
     pointing = None if axis is None else workspace.axis_of(axis)
@@ -306,7 +306,7 @@ def faults_command(
 
     options = scene_options(settings)
     if reading:
-        options = without_exercise(options, "what is read is verified as the file stands")
+        options = without_excitation(options, "what is read is verified as the file stands")
     loaded, mapping = load_scene(scene, options)
     if reading and mapping is None:
         raise CrosscheckError(f"{scene} is read from no model file; --reading needs an MJCF or a URDF")

@@ -30,7 +30,7 @@ from crosscheck.cli.shared import (
     setting_options,
     show,
     verbose_option,
-    without_exercise,
+    without_excitation,
 )
 from crosscheck.report.render import printable, terminal
 from crosscheck.support.errors import CrosscheckError
@@ -152,7 +152,7 @@ def _run(
 ) -> int:
     from crosscheck.compare.crosscheck import crosscheck
     from crosscheck.engines.engine import choose
-    from crosscheck.loading.load import exercised, load_scene
+    from crosscheck.loading.load import excited, load_scene
     from crosscheck.report.output import own_name, usual_folder
     from crosscheck.support.files import check_no_source
 
@@ -160,7 +160,7 @@ def _run(
     folder = output or usual_folder(OUTPUT, scene, "crosscheck")
     check_no_source([folder / "summary.json"], [scene])
     options = scene_options(settings)
-    taken = exercised(scene, options)
+    taken = excited(scene, options)
     loaded, mapping = load_scene(scene, taken, verified=False)  # the run says all that is not right
 
     def work(progress: Progress) -> Crosscheck:
@@ -364,7 +364,7 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int
     check_target(target)
     options = scene_options(settings)
     if target.suffix == ".urdf":
-        without_exercise(options, "a URDF holds no control and no start")
+        without_excitation(options, "a URDF holds no control and no start")
     check_no_source(files_of(target), [source, *([options["loops"]] if "loops" in options else [])])
     check_writable(target)
     scene, report = load_scene(source, options)

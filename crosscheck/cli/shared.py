@@ -122,10 +122,10 @@ def engines_option(command: Callable[..., int]) -> Callable[..., int]:
     return click.option("--engines", metavar="NAMES", callback=names, help=text)(command)
 
 
-def without_exercise(options: dict[str, str], why: str) -> dict[str, str]:
-    """Options of a command on which exercise has no effect; an error, which says why, if they ask for it."""
-    if options.get("exercise") == "on":
-        raise CrosscheckError(f"--set exercise=on has no effect here: {why}")
+def without_excitation(options: dict[str, str], why: str) -> dict[str, str]:
+    """Return the options of a command without excitation; refuse, with the reason, if they ask."""
+    if options.get("excitation") == "on":
+        raise CrosscheckError(f"--set excitation=on has no effect here: {why}")
     return options
 
 

@@ -79,16 +79,16 @@ def sweep_command(
 ) -> int:
     """Run a scene many times with other numbers, and tell what comes of it and what matters.
 
-    SCENE is a name or a file, which is exercised, as of run. A sweep that was interrupted goes on where it
+    SCENE is a name or a file, which is excited, as of run. A sweep that was interrupted goes on where it
     was.
     """
-    from crosscheck.loading.load import exercised, load_scene
+    from crosscheck.loading.load import excited, load_scene
     from crosscheck.sweeps.distributions import parse_vary
     from crosscheck.sweeps.store import NAME, interruptible
     from crosscheck.sweeps.sweep import own_scene, sweep
 
     vary = parse_vary(varied)
-    given = exercised(scene, scene_options(settings))
+    given = excited(scene, scene_options(settings))
     read, mapping = load_scene(scene, given)
     tell(scene, mapping, read)
     loaded = own_scene(scene, read)

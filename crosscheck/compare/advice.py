@@ -27,7 +27,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory, distance
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import initial_state
 
 WANTED = 1e-6

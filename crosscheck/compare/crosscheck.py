@@ -247,8 +247,8 @@ class Crosscheck:
             said += f"; {self.coverage}"
         elif len(self.engines) > 1:
             said += "; what the motion covers is not known"
-        originals = self.mapping.originals if self.mapping else []
-        if originals and not any(original.tells for original, _ in originals):
+        references = self.mapping.references if self.mapping else []
+        if references and not any(reference.tells for reference, _ in references):
             said += "; motions are not verified against the file: no state tells them"
         if self.mapping and (counts := self.mapping.counts()):
             said += f"; of what can act in the file {counts}"

@@ -26,7 +26,7 @@ from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import Engine
 from newton_euler.errors import AssemblyError
 from newton_euler.model.scene import Scene
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.reading.verify import verify
 from newton_euler.runs.assemble import initial_state
@@ -166,8 +166,8 @@ def reading_rows(engines: Sequence[Engine], report: ImportReport | None) -> Iter
         return
     for engine in engines:
         found: dict[str, Figure] = {}
-        for original, scene in report.originals:
-            for quantity, value, tolerance, where in verify(original, engine.systems(scene)[0]):
+        for reference, scene in report.references:
+            for quantity, value, tolerance, where in verify(reference, engine.systems(scene)[0]):
                 row = Figure(READING, quantity, (engine.name, FILE), value, tolerance, where)
                 known = found.setdefault(quantity, row)
                 if not row.share <= known.share:

@@ -54,7 +54,7 @@ STANDARD_GRAVITY = 9.81
 NOT_UNIQUE = "stiffness decides how these joints share loads: the tables show one solution of many"
 """Note on joints whose reactions are not unique."""
 
-EXCITE = "; --set exercise=on moves joints of model files and drives their actuators"
+EXCITE = "; --set excitation=on moves joints of model files and drives their actuators"
 """Next step if nothing moves."""
 
 GOVERNED_BY = Column("governed by", below=True)

@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
     Model: TypeAlias = str | os.PathLike[str] | Scene | MujocoModel | PinocchioModel
 
-EXERCISED = {"exercise": "on"}
+EXCITED = {"excitation": "on"}
 """Options of models of other tools that crosschecks take by default."""
 
 
 def told_options(options: Mapping[str, str]) -> dict[str, str]:
     """Return the options that a title names: all but those that crosschecks take by default."""
-    return {name: value for name, value in options.items() if EXERCISED.get(name) != value}
+    return {name: value for name, value in options.items() if EXCITED.get(name) != value}
 
 
 def is_own(model: Model) -> bool:
@@ -35,9 +35,9 @@ def is_own(model: Model) -> bool:
     )
 
 
-def exercised(model: Model, options: dict[str, str]) -> dict[str, str]:
-    """Return the options with which models of other tools are exercised unless the options say otherwise."""
-    return options if is_own(model) else EXERCISED | options
+def excited(model: Model, options: dict[str, str]) -> dict[str, str]:
+    """Return the options with which models of other tools are excited unless the options say otherwise."""
+    return options if is_own(model) else EXCITED | options
 
 
 def load_scene(

@@ -76,7 +76,7 @@ COMMON = {
     "redundancy_tolerance": Option(
         "NUMBER, 0 takes all constraints literally", "1e-4", plain_number, "a number"
     ),
-    "exercise": Option(
+    "excitation": Option(
         "on|off, moving joints and driven actuators; on in run, regress, sweep, bench",
         "off",
         _switch,

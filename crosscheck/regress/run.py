@@ -11,7 +11,7 @@ import numpy as np
 from crosscheck.compare.activity import watched_in_own_run
 from crosscheck.library import SCENES
 from crosscheck.library.options import titled
-from crosscheck.loading.load import exercised, load_scene
+from crosscheck.loading.load import excited, load_scene
 from crosscheck.loading.model_files import is_model
 from crosscheck.regress.baseline import Baseline, GroupName, Record, StoredFigure, read
 from crosscheck.regress.compare import Comparison, compare, unsimulated
@@ -80,7 +80,7 @@ def usual_path(source: str) -> Path:
 def guard(source: str, options: dict[str, str], baseline: Path | None = None) -> Guarded:
     """Load a scene or model file for its baseline, which is at its usual place if None."""
     path = baseline or usual_path(source)
-    options = exercised(source, made_with(source, path, options))
+    options = excited(source, made_with(source, path, options))
     scene, mapping = load_scene(source, options)
     return Guarded(source, options, scene, path, mapping)
 

@@ -203,10 +203,10 @@ def limiting(result: Crosscheck) -> Iterator[str]:
         yield f"active, and left out: {entry.element}: {'; '.join(filter(None, [entry.seen, entry.how]))}"
     if more := [acted(entry) for entry in acting[MOST_ACTING_LINES:]]:
         yield f"active, and left out, too: {_named(more)}"
-    if result.until and any(line.startswith("exercised") for line in mapping.start):
+    if result.until and any(line.startswith("excited") for line in mapping.start):
         yield (
             f"the excitation may be the cause of what acts from {result.until:.4g} s on; "
-            "--set exercise=off runs the file without it"
+            "--set excitation=off runs the file without it"
         )
     if unknown := [entry for entry in mapping.entries if not entry.examined]:
         yield "not examined whether they act: " + "; ".join(f"{e.element}: {e.how}" for e in unknown)
@@ -252,7 +252,7 @@ def notes(result: Crosscheck) -> Iterator[str]:
             yield f"untested {why}: {_named(names)}{listed}"
     for title, read in _mappings(result):
         yield f"{title}: {fates_line(read)}"
-        yield from sorted(read.start, key=lambda line: not line.startswith("exercised"))
+        yield from sorted(read.start, key=lambda line: not line.startswith("excited"))
     yield from undetermined_lines(scene)
     runs = result.trajectories.items()
     implicit = [name for name, run in runs if run.settings.get("integrator") in IMPLICIT]

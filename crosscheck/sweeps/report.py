@@ -96,7 +96,7 @@ class Findings:
         checked: crosschecks of some runs.
         too_few: why there are no shares of variance; empty if there are.
         options: of the scene or the file.
-        start: lines about how a file is exercised, and how far the start is from the file's.
+        start: lines about how a file is excited, and how far the start is from the file's.
     """
 
     swept: Results
@@ -150,7 +150,7 @@ class Findings:
 
     @cached_property
     def notes(self) -> list[str]:
-        """Lines on how a file is exercised, and on kept reactions that redundant constraints leave open."""
+        """Lines on how a file is excited, and on kept reactions that redundant constraints leave open."""
         reacts = any(each.reacts for each in self.scalars)
         return [*self.start, *(undetermined_lines(self.swept.plan.scene) if reacts else ())]
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Unpack, cast
 import numpy as np
 
 from crosscheck.engines.engine import ENGINES, choose
-from crosscheck.loading.load import exercised, load_scene
+from crosscheck.loading.load import excited, load_scene
 from crosscheck.report.output import own_name
 from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal
@@ -194,11 +194,11 @@ def own_scene(model: Model, scene: Scene) -> Scene:
 
 
 def start_lines(mapping: ImportReport | None, scene: Scene) -> tuple[str, ...]:
-    """Return the lines about how a file is exercised, and how far the start is from the file's."""
+    """Return the lines about how a file is excited, and how far the start is from the file's."""
     if mapping is None:
         return ()
-    exercised = (line for line in mapping.start if line.startswith("exercised"))
-    return (*exercised, *moved_start_lines(mapping, scene))
+    excited = (line for line in mapping.start if line.startswith("excited"))
+    return (*excited, *moved_start_lines(mapping, scene))
 
 
 @checked
@@ -216,7 +216,7 @@ def sweep(
     """Run a scene many times with parameters from distributions, and keep chosen numbers of each run.
 
     Args:
-        scene: as of `check`; files are exercised like there.
+        scene: as of `check`; files are excited like there.
         vary: distributions by the names of parameters, see `newton_euler.equations.parameters`: texts such as
             "normal(14, 0.5)", or numbers, one as likely as the other.
         runs: their number; None for all combinations of a grid.
@@ -240,7 +240,7 @@ def sweep(
         ('run', 'joint')
     """
     check_choices("option", options, Execution.__annotations__)
-    given = exercised(scene, {})
+    given = excited(scene, {})
     read, mapping = load_scene(scene, given)
     loaded = replace(own_scene(scene, read), outputs=frozenset(OUTPUTS))
     threads, executor = options.pop("threads", None), options.pop("executor", None)

@@ -1,4 +1,4 @@
-"""Forces of an actuator and of all on a joint coordinate, and controls that swing to exercise them."""
+"""Forces of an actuator and of all on a joint coordinate, and controls that excite mechanisms."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from newton_euler.model.motions import Sum
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.reading.activity import Bounds
-from newton_euler.reading.exercise import HIGHEST, swings
+from newton_euler.reading.excitation import HIGHEST, swings
 from newton_euler.scalars import Array
 
 
-class Exercise(NamedTuple):
+class Excitation(NamedTuple):
     """Controls of actuators.
 
     Attributes:
@@ -33,9 +33,9 @@ class Exercise(NamedTuple):
     moved: dict[int, tuple[float, float]]
 
 
-def exercise(
+def excite(
     scene: Scene, drives: Mapping[int, Drive], control: Array, places: Array, bounds: Iterable[Bounds]
-) -> Exercise:
+) -> Excitation:
     """Choose sines within half of the room that the ranges leave about the start.
 
     Controls of the start are moved into their ranges if they lie at an end.
@@ -61,7 +61,7 @@ def exercise(
         else:  # controls that move take joints elsewhere, too
             room = min(room, 2.0 * swing.within)
         found[actuator] = Sine(0.5 * room, swing.angular_frequency)
-    return Exercise(control, found, moved)
+    return Excitation(control, found, moved)
 
 
 class Affine(NamedTuple):

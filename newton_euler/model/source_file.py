@@ -31,7 +31,7 @@ class ReadOptions(TypedDict, total=False):
     output_period: float
     redundancy_tolerance: float
     verified: bool
-    exercise: bool
+    excitation: bool
 
 
 @dataclass(frozen=True)
@@ -41,15 +41,15 @@ class Request:
     Attributes:
         duration, output_period: of the scene, s; files say nothing about either.
         redundancy_tolerance: of the scene, see `newton_euler.Scene`.
-        verified: True to verify the reading. If not, `report.originals` is what to verify it against.
-        exercise: True to drive actuators by sines and to let joints move at the start.
+        verified: True to verify the reading. If not, `report.references` is what to verify it against.
+        excitation: True to drive actuators by sines and to let joints move at the start.
     """
 
     duration: float = 1.0
     output_period: float = 0.01
     redundancy_tolerance: float = REDUNDANCY_TOLERANCE
     verified: bool = True
-    exercise: bool = False
+    excitation: bool = False
 
     @classmethod
     def of(cls, options: ReadOptions) -> Request:

@@ -16,9 +16,9 @@ from newton_euler.equations.system import Evaluation
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.reading.figure import Figure, figure, worst
 from newton_euler.reading.forces import largest, row_figure
-from newton_euler.reading.original import ROUND_OFF, Sample
 from newton_euler.reading.placed import Place, Placed
 from newton_euler.reading.quantities import DOUBT, FREE, KINDS
+from newton_euler.reading.reference import ROUND_OFF, Sample
 from newton_euler.scalars import Array
 
 RATE = 1.0  # rad/s and sizes per s, of the samples' velocities: what mechanisms do at least
@@ -32,7 +32,7 @@ def system_figures(placed: Placed) -> Iterator[Figure]:
     """Poses, energies and accelerations of a system at the samples."""
     coordinates = [placed.system.coordinates(place.state) for place in placed.places]
     found = [placed.system.evaluate(q, v) for q, v in coordinates]
-    reach = placed.original.size
+    reach = placed.reference.size
     reach += max(float(np.max(np.abs(place.state.position))) for place in placed.places)
     yield from _pose_figures(placed, found, reach)
     yield from _energy_figures(placed, found, reach)
@@ -57,11 +57,11 @@ def _pose_figures(placed: Placed, found: Sequence[Evaluation], reach: float) -> 
 
 def _energy_figures(placed: Placed, found: Sequence[Evaluation], reach: float) -> Iterator[Figure]:
     """Potential energies are compared less those at the start: files and scenes have different zeros."""
-    samples = placed.original.samples
+    samples = placed.reference.samples
     wanted = np.array([sample.energies for sample in samples])
     energies = np.array([[each.kinetic_energy, each.potential_energy] for each in found])
     mass = sum(body.mass for body in placed.mechanism.bodies)
-    usual = 0.5 * mass * (placed.original.size * RATE) ** 2
+    usual = 0.5 * mass * (placed.reference.size * RATE) ** 2
     weight = mass * float(np.linalg.norm(placed.scene.gravity)) * reach
     limits = np.array([sample.tolerance_of_motion for sample in samples])
     names = [f"state {k}" for k in range(len(found))]
@@ -74,39 +74,39 @@ def _energy_figures(placed: Placed, found: Sequence[Evaluation], reach: float) -
 
 def _acceleration_figures(placed: Placed, found: Sequence[Evaluation]) -> Iterator[Figure]:
     """Accelerations of bodies in the file's own equations of motion and of constraints."""
-    original, across, loops, left, scales = placed.original, [], [], [], []
+    reference, across, loops, left, scales = placed.reference, [], [], [], []
     for place, each in zip(placed.places, found, strict=True):
         accelerations = np.hstack([each.linear_acceleration, each.angular_acceleration]).ravel()
         own, strange = _own_acceleration(placed, place, accelerations)
         across.append(strange)
-        loops += _loop_figures(place.sample, own, original.units)
-        basis, a = place.sample.freedom.basis, original.units * own
+        loops += _loop_figures(place.sample, own, reference.units)
+        basis, a = place.sample.freedom.basis, reference.units * own
         mass, forces = np.sum(place.sample.mass_matrices, axis=0), np.array(place.sample.forces)
         push = forces[: len(KINDS)].sum(axis=0) - forces[-1]
         certain = place.sample.freedom.certain
         onto = certain @ np.linalg.pinv(certain)
         left.append(onto.T @ (basis.T @ (mass @ a - push)))
-        usual = np.abs(a) + RATE**2 * original.units  # where nothing pushes, the rest is round-off
+        usual = np.abs(a) + RATE**2 * reference.units  # where nothing pushes, the rest is round-off
         scales.append(np.abs(basis).T @ (np.abs(mass) @ usual + np.abs(forces).sum(axis=0)))
     yield worst(across)
     if loops:
         yield worst(loops)
     # multipliers of rows in doubt are large, and what round-off lets them do to free motions is too
-    doubts = [sample.freedom.doubt for sample in original.samples if sample.freedom.doubt > FREE]
+    doubts = [sample.freedom.doubt for sample in reference.samples if sample.freedom.doubt > FREE]
     spread = max((np.finfo(float).eps / (ROUND_OFF * doubt) for doubt in doubts), default=0.0)
-    scale = (LOSS + spread) * largest(original, scales)
-    limits = [sample.tolerance_of_motion for sample in original.samples]
-    yield row_figure(original, "accelerations, as forces, rel", left, scale, limits)
+    scale = (LOSS + spread) * largest(reference, scales)
+    limits = [sample.tolerance_of_motion for sample in reference.samples]
+    yield row_figure(reference, "accelerations, as forces, rel", left, scale, limits)
 
 
 def _own_acceleration(placed: Placed, place: Place, accelerations: Array) -> tuple[Array, Figure]:
     """(nv,) of the file's coordinates, dimensionless, and the part of those of bodies across its joints."""
-    rows = place.of_parts / placed.part_units[:, None] * placed.original.units
+    rows = place.of_parts / placed.part_units[:, None] * placed.reference.units
     reached, drift = placed.of_parts(accelerations), place.drift / placed.part_units
     own = least_squares(rows, reached - drift)
     scale = max(RATE**2, float(np.max(np.abs([reached, drift]))))
     gaps = np.abs(rows @ own - (reached - drift)).reshape(-1, 6).max(axis=1) / scale
-    limit, names = place.sample.tolerance_of_motion, placed.original.names
+    limit, names = place.sample.tolerance_of_motion, placed.reference.names
     return own, figure("accelerations across joints, rel", gaps, limit, names)
 
 

@@ -18,9 +18,9 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.reading.activity import Bounds
 from newton_euler.reading.figure import SPREAD, Figure, figure, positive, worst
-from newton_euler.reading.original import Original
 from newton_euler.reading.placed import Place, Placed
 from newton_euler.reading.quantities import KINDS
+from newton_euler.reading.reference import ReferenceModel
 from newton_euler.reading.wrenches import Wrenches
 from newton_euler.scalars import Array
 
@@ -38,7 +38,7 @@ def force_figures(placed: Placed) -> Iterator[Figure]:
     for n in range(len(KINDS)):
         yield _force_figure(placed, n, [each[n] for each in acting], [each[n] for each in wanted])
     yield _armature_figure(placed)
-    if placed.original.force_limits(placed.original.start, placed.original.stated[1]):
+    if placed.reference.force_limits(placed.reference.start, placed.reference.stated[1]):
         yield _limit_figure(placed)
 
 
@@ -47,10 +47,10 @@ def _limit_figure(placed: Placed) -> Figure:
 
     The largest terms at any sample, or at 1 rad or a size times `SPREAD`, are what forces are relative to.
     """
-    original = placed.original
+    reference = placed.reference
     gaps, scales, names = [], [], list[str]()
     for place in placed.places:
-        limits = original.force_limits(place.sample.q, place.sample.v)
+        limits = reference.force_limits(place.sample.q, place.sample.v)
         names = [limit.element for limit in limits]
         worked_out = [_watched(placed, place, limit.watched) for limit in limits]
         scales.append([scale for _, scale in worked_out])
@@ -73,7 +73,7 @@ def _watched(placed: Placed, place: Place, bounds: Bounds) -> tuple[float, float
     scale = abs(force)
     for (joint, number), factor in bounds.terms:
         equations = placed.mechanism.joint_equations(joint)
-        least = SPREAD * (placed.original.size if equations.coordinates[number].is_length else 1.0)
+        least = SPREAD * (placed.reference.size if equations.coordinates[number].is_length else 1.0)
         for gain, x in zip((bounds.by_value, bounds.by_rate), equations.measure(number, frames), strict=True):
             force += gain * factor * x
             scale += abs(gain * factor) * max(abs(x), least)
@@ -83,7 +83,7 @@ def _watched(placed: Placed, place: Place, bounds: Bounds) -> tuple[float, float
 def _force_figure(
     placed: Placed, kind: int, acting: Sequence[tuple[Array, Array]], wanted: Sequence[Array]
 ) -> Figure:
-    original, left, scales = placed.original, [], []
+    reference, left, scales = placed.reference, [], []
     for place, (wrench, magnitude), force in zip(placed.places, acting, wanted, strict=True):
         basis = place.sample.freedom.basis
         onto = place.transformation @ basis
@@ -91,72 +91,72 @@ def _force_figure(
         scales.append(np.abs(onto).T @ magnitude.ravel() + np.abs(basis).T @ np.abs(force))
 
     def alone() -> Alone:
-        for name, ways in original.elements(original.samples):
-            yield name, [_reduced(original, [forces[kind] for forces in each]) for each in ways]
+        for name, ways in reference.elements(reference.samples):
+            yield name, [_reduced(reference, [forces[kind] for forces in each]) for each in ways]
 
     def at_joints() -> Alone:
         """Forces that joints might have: constant ones, springs and dampers."""
-        moved = [original.difference(original.start, sample.q) for sample in original.samples]
-        for k, name in enumerate(original.motions):
-            unit = np.eye(len(original.motions))[k]
-            springs, dampers = [x[k] * unit for x in moved], [s.v[k] * unit for s in original.samples]
+        moved = [reference.difference(reference.start, sample.q) for sample in reference.samples]
+        for k, name in enumerate(reference.motions):
+            unit = np.eye(len(reference.motions))[k]
+            springs, dampers = [x[k] * unit for x in moved], [s.v[k] * unit for s in reference.samples]
             ways = ([unit] * len(moved), springs, dampers)
-            yield name, [_reduced(original, forces) for forces in ways]
+            yield name, [_reduced(reference, forces) for forces in ways]
 
-    scale = largest(original, scales)
-    return row_figure(original, f"{KINDS[kind]}, rel", left, scale, placed.limits, alone, at_joints)
+    scale = largest(reference, scales)
+    return row_figure(reference, f"{KINDS[kind]}, rel", left, scale, placed.limits, alone, at_joints)
 
 
 def _armature_figure(placed: Placed) -> Figure:
     """Armatures as parts of the mass matrix that independent velocities see."""
-    original = placed.original
-    wanted = _reduced(original, [sample.mass_matrices[1] for sample in original.samples])
+    reference = placed.reference
+    wanted = _reduced(reference, [sample.mass_matrices[1] for sample in reference.samples])
     found = []
     for place in placed.places:
         onto = _spins(placed, place) @ place.transformation @ place.sample.freedom.basis
         found.append(onto.T @ onto)
     sums = [np.diag(one) + np.abs(np.diag(two)) for one, two in zip(found, wanted, strict=True)]
-    scale = np.sqrt(largest(original, sums, 2))
+    scale = np.sqrt(largest(reference, sums, 2))
 
     def relative(masses: Sequence[Array]) -> list[Array]:
-        units = (positive(scale[sample.freedom.rows]) for sample in original.samples)
+        units = (positive(scale[sample.freedom.rows]) for sample in reference.samples)
         return [mass / unit for mass, unit in zip(masses, units, strict=True)]
 
     def alone() -> Alone:
-        for name, each in original.rotors(original.samples):
-            yield name, [relative(_reduced(original, each))]
+        for name, each in reference.rotors(reference.samples):
+            yield name, [relative(_reduced(reference, each))]
 
     def at_other_joints() -> Alone:
         """Armatures that went to another joint."""
-        units = [np.diag(unit) for unit in np.eye(len(original.motions))]
-        others = [relative(_reduced(original, [unit] * len(original.samples))) for unit in units]
+        units = [np.diag(unit) for unit in np.eye(len(reference.motions))]
+        others = [relative(_reduced(reference, [unit] * len(reference.samples))) for unit in units]
         for name, (own,) in alone():
             yield from ((name, [own, other]) for other in others)
 
     left = relative([one - two for one, two in zip(found, wanted, strict=True)])
-    return row_figure(original, "armatures, rel", left, scale, placed.limits, alone, at_other_joints)
+    return row_figure(reference, "armatures, rel", left, scale, placed.limits, alone, at_other_joints)
 
 
-def _reduced(original: Original, of_velocities: Sequence[Array]) -> list[Array]:
+def _reduced(reference: ReferenceModel, of_velocities: Sequence[Array]) -> list[Array]:
     """Forces (nv,) or mass matrices (nv, nv) at the samples as their independent velocities see them."""
     found = []
-    for sample, whole in zip(original.samples, of_velocities, strict=True):
+    for sample, whole in zip(reference.samples, of_velocities, strict=True):
         basis = sample.freedom.basis
         found.append(basis.T @ (whole @ basis if whole.ndim == 2 else whole))
     return found
 
 
-def largest(original: Original, scales: Sequence[Array], power: int = 1) -> Array:
+def largest(reference: ReferenceModel, scales: Sequence[Array], power: int = 1) -> Array:
     """(nv,) the largest of all samples, each in its independent velocities, and a floor of `SPREAD`."""
-    units = original.units**power
+    units = reference.units**power
     total = np.zeros(len(units))
-    for sample, scale in zip(original.samples, scales, strict=True):
+    for sample, scale in zip(reference.samples, scales, strict=True):
         np.maximum.at(total, sample.freedom.rows, scale)
     return np.maximum(total, SPREAD * np.max(total * units, initial=0.0) / units)
 
 
 def row_figure(
-    original: Original,
+    reference: ReferenceModel,
     quantity: str,
     left: Sequence[Array],
     scale: Array,
@@ -169,11 +169,11 @@ def row_figure(
     `alone` that has any.
     """
     found, weights = [], []
-    for gap, sample, limit in zip(left, original.samples, limits, strict=True):
+    for gap, sample, limit in zip(left, reference.samples, limits, strict=True):
         weights.append(1.0 / positive(scale[sample.freedom.rows]))
         shares = (np.abs(gap).T * weights[-1]).T
         shares = shares.max(axis=1, initial=0.0) if shares.ndim == 2 else shares
-        names = [original.motions[k] for k in sample.freedom.rows]
+        names = [reference.motions[k] for k in sample.freedom.rows]
         found.append(figure(quantity, shares, limit, names))
     most = worst(found)
     named = (_most_alike(left, weights, elements()) for elements in alone)

@@ -11,7 +11,7 @@ from typing import Literal
 from newton_euler.equations.loop_closure import MovedStart
 from newton_euler.model.scene import Scene
 from newton_euler.reading.activity import Bounds, Course, Watch, judged
-from newton_euler.reading.original import Original
+from newton_euler.reading.reference import ReferenceModel
 
 Fate = Literal["exactly", "inactive", "left out"]
 
@@ -125,7 +125,7 @@ class ImportReport:
         entries: in the order in which they were added.
         findings: likely mistakes in the file.
         start: lines about the pose and the velocities that the scene starts from.
-        originals: what the scene, and others that are read from the file to verify the reading, are verified
+        references: what the scene, and others that are read from the file to verify the reading, are verified
             against, see `newton_euler.reading.verify`; the scene's first.
         watches: what tells of entries, by their numbers, whether they are active in a run.
         unsettled: numbers of entries whose run had outputs too far apart to tell whether they act.
@@ -139,7 +139,7 @@ class ImportReport:
         self.entries: list[ImportedElement] = []
         self.findings: list[Finding] = []
         self.start: list[str] = []
-        self.originals: list[tuple[Original, Scene]] = []
+        self.references: list[tuple[ReferenceModel, Scene]] = []
         self.watches: dict[int, Sequence[Watch]] = {}
         self.unsettled: frozenset[int] = frozenset()
         self.settings = ""
@@ -239,7 +239,7 @@ class ImportReport:
     def unverified(self) -> ImportReport:
         """Return the report for a scene with other parameter values, which the file cannot verify."""
         found = copy(self)
-        found.originals = []
+        found.references = []
         return found
 
     @property

@@ -10,16 +10,16 @@ from newton_euler.equations.couplings import couplings, residuals
 from newton_euler.equations.dense import least_squares, singular_values
 from newton_euler.equations.system import MassProperties, dimensionless_jacobian
 from newton_euler.reading.figure import SPREAD, Figure, figure, worst
-from newton_euler.reading.original import ROUND_OFF, Original
 from newton_euler.reading.placed import Place, Placed, shifted
 from newton_euler.reading.quantities import FREE, Freedom
+from newton_euler.reading.reference import ROUND_OFF, ReferenceModel
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
 TIMES = 10.0  # offsets of loops, times the condition, by which starts of two readers may differ
 STALLED_RATIO = 10.0
-"""Loop-closure error of `Original.closest` by that of the scene's start, of loops that share joints. Above,
-`closest` is no reference for them."""
+"""Loop-closure error of `ReferenceModel.closest`, divided by the error of the scene's start, for loops that
+share joints. Loops above this ratio are not compared with `closest`."""
 
 LEAST_STALLED = 1e-9
 """Loop-closure error, sizes or rad, that is round-off."""
@@ -30,18 +30,18 @@ ARMS = 1e3  # times as large as round-off an inertia's may be that is a differen
 
 def body_figures(placed: Placed) -> Iterator[Figure]:
     """Mass properties, where bodies start among them, and the mass matrix with loops open."""
-    original, names = placed.original, placed.mechanism.body_names[1:]
+    reference, names = placed.reference, placed.mechanism.body_names[1:]
     stated = placed.system.mass_properties()
     found = _moving(stated)
-    wanted = _moving(_put_together(original.mass_properties(), placed.bodies))
-    reach = original.size + float(np.max(np.abs(wanted.center_of_mass)))
+    wanted = _moving(_put_together(reference.mass_properties(), placed.bodies))
+    reach = reference.size + float(np.max(np.abs(wanted.center_of_mass)))
     yield figure("mass, rel", np.abs(found.mass / wanted.mass - 1.0), ROUND_OFF, names)
     gaps = np.linalg.norm(found.center_of_mass - wanted.center_of_mass, axis=1)
-    kept = original.offset if placed.halved else 0.0
+    kept = reference.offset if placed.halved else 0.0
     yield figure(PLACES, gaps, reach * (ROUND_OFF + 10.0 * kept), names)
     largest = np.linalg.norm(wanted.inertia, ord=2, axis=(1, 2))
     gaps = np.linalg.norm(found.inertia - wanted.inertia, ord=2, axis=(1, 2)) / largest
-    arms = np.clip(wanted.mass * original.size * reach / largest, 1.0, ARMS)
+    arms = np.clip(wanted.mass * reference.size * reach / largest, 1.0, ARMS)
     yield figure("inertia, rel", gaps, ROUND_OFF * arms, names)
     yield _mass_matrix_figure(placed, stated)
 
@@ -69,9 +69,9 @@ def _mass_matrix_figure(placed: Placed, stated: MassProperties) -> Figure:
 
     At configurations with loops open; where bodies are halved in the file, with loops closed.
     """
-    original, (centers, turns) = placed.original, placed.first
+    reference, (centers, turns) = placed.reference, placed.first
     found, quantity = [], "mass matrix, loops open, rel"
-    for sample in original.samples if placed.halved else original.far:
+    for sample in reference.samples if placed.halved else reference.far:
         basis, chosen = sample.freedom.basis, sample.freedom.rows
         if not len(chosen):
             continue
@@ -83,10 +83,10 @@ def _mass_matrix_figure(placed: Placed, stated: MassProperties) -> Figure:
             inertia = turn @ stated.inertia[body] @ turn.T
             mass += stated.mass[body] * rows[:3].T @ rows[:3] + rows[3:].T @ inertia @ rows[3:]
         scale = np.sqrt(np.diag(basis.T @ (wanted + rotors) @ basis))
-        units = original.units[chosen]  # links without mass have no scale of their own
+        units = reference.units[chosen]  # links without mass have no scale of their own
         scale = np.maximum(scale, SPREAD * np.max(scale * units) / units)
         gaps = np.max(np.abs(basis.T @ (mass - wanted) @ basis) / np.outer(scale, scale), axis=1)
-        names = [original.motions[k] for k in chosen]
+        names = [reference.motions[k] for k in chosen]
         found.append(figure(quantity, gaps, sample.precision, names))
     return worst(found) if found else Figure(quantity, 0.0, ROUND_OFF, "")
 
@@ -104,7 +104,7 @@ def joint_figures(placed: Placed) -> Iterator[Figure]:
 
 def _joint_gaps(placed: Placed, place: Place) -> tuple[list[float], list[float]]:
     """Openings of joints and couplings of the scene, sizes or rad, and their rates, 1/s."""
-    frames, size = place.state.frames(), placed.original.size
+    frames, size = place.state.frames(), placed.reference.size
     gaps, rates = list[float](), list[float]()
     for e in placed.mechanism.equations:
         if e.count:
@@ -123,19 +123,19 @@ def _joint_gaps(placed: Placed, place: Place) -> tuple[list[float], list[float]]
 
 def _free_figure(placed: Placed, place: Place) -> Figure:
     """Motions that the scene leaves free have to be motions of the file's joints, and free there."""
-    original, system, sample = placed.original, placed.system, place.sample
+    reference, system, sample = placed.reference, placed.system, place.sample
     q, _ = system.coordinates(place.rest)
     free = _null(dimensionless_jacobian(system, q))
     moved = placed.of_parts(system.velocity_transformation(q) * system.velocity_units @ free)
     norms = np.linalg.norm(moved, axis=0)
     moved = moved[:, norms > FREE] / norms[norms > FREE]
-    rows = place.of_parts / placed.part_units[:, None] * original.units
+    rows = place.of_parts / placed.part_units[:, None] * reference.units
     velocities = least_squares(rows, moved)
     strange = np.abs(rows @ velocities - moved).reshape(len(placed.bodies), -1).max(axis=1, initial=0.0)
     _, jacobian, owners = sample.constraints
     opened = np.abs(jacobian @ velocities).max(axis=1, initial=0.0)
     limit = sample.tolerance_of_motion
-    names = [*original.names, *owners]
+    names = [*reference.names, *owners]
     return figure("motions free in the scene alone, rel", np.concatenate([strange, opened]), limit, names)
 
 
@@ -149,58 +149,58 @@ def _null(jacobian: Array) -> Array:
 
 def start_figures(placed: Placed) -> Iterator[Figure]:
     """Loops of the file, pose and velocities at the scene's start."""
-    original, place = placed.original, placed.places[0]
+    reference, place = placed.reference, placed.places[0]
     free, limit = place.sample.freedom, place.sample.tolerance
-    closest, opened = original.open
-    of_rows, of_motions = _components(original)
+    closest, opened = reference.open
+    of_rows, of_motions = _components(reference)
     offsets = np.zeros(len(of_rows) + len(of_motions))
     np.maximum.at(offsets, of_rows, np.abs(closest.residual))
     limits = limit + TIMES * offsets * free.condition
     if len(of_rows):
         gaps, names = np.abs(opened.residual), opened.owners
         yield figure("loops open at the start, sizes or rad", gaps, limits[of_rows], names)
-    away = np.abs(original.difference(original.closest, original.start)) / original.units
-    judged = np.flatnonzero(~_stalled(original))
+    away = np.abs(reference.difference(reference.closest, reference.start)) / reference.units
+    judged = np.flatnonzero(~_stalled(reference))
     if len(judged):
-        motions = [original.motions[k] for k in judged]
+        motions = [reference.motions[k] for k in judged]
         yield figure("start, sizes or rad", away[judged], limits[of_motions[judged]], motions)
     state = initial_state(placed.scene)
     reached = placed.of_parts(np.hstack([state.linear_velocity, state.angular_velocity]).ravel())
-    rows = place.of_parts / placed.part_units[:, None] * original.units
+    rows = place.of_parts / placed.part_units[:, None] * reference.units
     own = least_squares(rows, reached)
-    stated = original.stated[1] / original.units
-    wanted = _nearest(stated, rows, free, original.units)
+    stated = reference.stated[1] / reference.units
+    wanted = _nearest(stated, rows, free, reference.units)
     scale = max(1.0, float(np.max(np.abs(stated), initial=0.0)))
     yield figure(
         "velocities at the start, rel",
         np.abs(own - wanted) / scale,
         place.sample.tolerance_of_motion,
-        original.motions,
+        reference.motions,
     )
 
 
-def starts_not_compared(original: Original) -> list[str]:
+def starts_not_compared(reference: ReferenceModel) -> list[str]:
     """Name the joints in loops of the file whose closing stalls, so that their start is unknown."""
-    return list(dict.fromkeys(original.motions[k] for k in np.flatnonzero(_stalled(original))))
+    return list(dict.fromkeys(reference.motions[k] for k in np.flatnonzero(_stalled(reference))))
 
 
-def _stalled(original: Original) -> Array:
-    """(nv,) true for velocities in loops that are further open in `Original.closest` than in the scene.
+def _stalled(reference: ReferenceModel) -> Array:
+    """(nv,) true for velocities in loops that are further open in `ReferenceModel.closest` than in the scene.
 
     Next to a singular configuration, closing the file's loops may stall and leave no start to compare with.
     Loops that share no joint are judged apart.
     """
-    of_rows, of_motions = _components(original)
+    of_rows, of_motions = _components(reference)
     closest, opened = openings = np.zeros((2, len(of_rows) + len(of_motions)))
-    for opening, constraints in zip(openings, original.open, strict=True):
+    for opening, constraints in zip(openings, reference.open, strict=True):
         np.maximum.at(opening, of_rows, np.abs(constraints.residual))
     return np.asarray(~(closest <= np.maximum(LEAST_STALLED, STALLED_RATIO * opened))[of_motions])
 
 
-def _components(original: Original) -> tuple[Array, Array]:
+def _components(reference: ReferenceModel) -> tuple[Array, Array]:
     """Label the connected component of each row (k,) and each velocity (nv,) of a file's constraints."""
     # a lever arm may vanish in one of both configurations
-    jacobian = np.maximum(*(np.abs(constraints.jacobian) for constraints in original.open))
+    jacobian = np.maximum(*(np.abs(constraints.jacobian) for constraints in reference.open))
     joined = jacobian > ROUND_OFF
     of_rows, of_velocities = np.arange(len(jacobian)), np.arange(jacobian.shape[1]) + len(jacobian)
     for row, velocities in zip(of_rows.copy(), joined, strict=True):

@@ -10,7 +10,7 @@ import numpy as np
 from newton_euler.equations.system import System
 from newton_euler.model.euler_parameters import from_rotation, product
 from newton_euler.model.state import State
-from newton_euler.reading.original import Original, Sample
+from newton_euler.reading.reference import ReferenceModel, Sample
 from newton_euler.scalars import Array, cross, tilde
 
 
@@ -36,19 +36,19 @@ class Placed:
     neither side matter.
 
     Attributes:
-        original, system: the two.
+        reference, system: the two.
         bodies: (g,) the scene's body of each rigid group.
         parts: for each of these bodies its first group.
         first: (g, 3) and (g, 3, 3), centers and rotations of the groups at the start.
     """
 
-    def __init__(self, original: Original, system: System) -> None:
-        self.original, self.system = original, system
+    def __init__(self, reference: ReferenceModel, system: System) -> None:
+        self.reference, self.system = reference, system
         self.scene, self.mechanism = system.scene, system.mechanism
-        self.bodies = [self.mechanism.body_index(name) for name in original.names]
+        self.bodies = [self.mechanism.body_index(name) for name in reference.names]
         self.parts = {body: self.bodies.index(body) for body in self.bodies}
-        self.part_units = np.tile(np.repeat([original.size, 1.0], 3), len(self.bodies))
-        found = original.samples[0].kinematics
+        self.part_units = np.tile(np.repeat([reference.size, 1.0], 3), len(self.bodies))
+        found = reference.samples[0].kinematics
         self.first = found.position, found.rotation
 
     @property
@@ -64,7 +64,7 @@ class Placed:
         """
         sees = self.halved or self.mechanism.couplings
         return [
-            sample.tolerance + (10.0 * sample.opening if sees else 0.0) for sample in self.original.samples
+            sample.tolerance + (10.0 * sample.opening if sees else 0.0) for sample in self.reference.samples
         ]
 
     def of_parts(self, values: Array) -> Array:
@@ -75,7 +75,7 @@ class Placed:
     @cached_property
     def places(self) -> list[Place]:
         """At the samples."""
-        return [self._place(sample) for sample in self.original.samples]
+        return [self._place(sample) for sample in self.reference.samples]
 
     def _place(self, sample: Sample) -> Place:
         bodies = self.mechanism.bodies

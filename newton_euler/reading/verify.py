@@ -39,8 +39,8 @@ from newton_euler.reading.model import (
     start_figures,
     starts_not_compared,
 )
-from newton_euler.reading.original import LOOSEST, Original
 from newton_euler.reading.placed import Placed
+from newton_euler.reading.reference import LOOSEST, ReferenceModel
 
 NOT_IN_MOTION = "but for motions, which no state tells to better than {:.0e},"
 """Words where loops are next to singular or in doubt at all states; forces are compared at round-off."""
@@ -54,7 +54,7 @@ PARTS: tuple[Callable[[Placed], Iterator[Figure]], ...] = (
 )
 
 
-def verify(original: Original, system: System) -> Iterator[Figure]:
+def verify(reference: ReferenceModel, system: System) -> Iterator[Figure]:
     """Compare equations of motion of a scene with the file's own.
 
     The first figure that does not agree tells the most: what is after it may follow from it. Nothing is
@@ -63,14 +63,14 @@ def verify(original: Original, system: System) -> Iterator[Figure]:
     Raises:
         NewtonEulerError: for numbers that are not finite, and a scene that the system cannot evaluate.
     """
-    unknown = sorted(set(system.mechanism.body_names[1:]) ^ set(original.names))
-    missing = [*unknown, *original.unaccounted]
+    unknown = sorted(set(system.mechanism.body_names[1:]) ^ set(reference.names))
+    missing = [*unknown, *reference.unaccounted]
     yield Figure("elements unaccounted for", len(missing), 0.5, ", ".join(missing[:5]))
     if unknown:
         return
     try:
         with np.errstate(all="ignore"):  # what overflows is not finite, and said
-            placed = Placed(original, system)
+            placed = Placed(reference, system)
         for part in PARTS:
             with np.errstate(all="ignore"):
                 found = list(part(placed))
@@ -91,14 +91,14 @@ def check(report: ImportReport) -> str:
         VerificationError: naming the quantity, and the element or body, of the first figure that fails.
     """
     found = []
-    for original, scene in report.originals:
-        for figure in verify(original, Relative(scene)):
+    for reference, scene in report.references:
+        for figure in verify(reference, Relative(scene)):
             if not figure.agrees:
                 raise VerificationError(*figure)
             found.append(figure)
     nearest = worst(found)
-    originals = [original for original, _ in report.originals]
-    samples = [sample for original in originals for sample in original.samples]
+    references = [reference for reference, _ in report.references]
+    samples = [sample for reference in references for sample in reference.samples]
     informative = [sample for sample in samples if sample.tells]
     moving = "moving " if any(np.any(sample.v) for sample in samples) else ""
     loosest = max((sample.tolerance_of_motion for sample in informative or samples), default=LOOSEST)
@@ -116,9 +116,9 @@ def check(report: ImportReport) -> str:
         )
     if not moving:
         limits.append("nothing can move")
-    elif any(len(original.samples) == 1 for original in originals):
+    elif any(len(reference.samples) == 1 for reference in references):
         limits.append("loops close nowhere but at the start")
-    unknown = dict.fromkeys(name for original in originals for name in starts_not_compared(original))
+    unknown = dict.fromkeys(name for reference in references for name in starts_not_compared(reference))
     if unknown:
         limits.append(f"the start of {listed(unknown)} is not compared, as its loops do not close")
     return "; ".join([said, *limits])

@@ -54,7 +54,7 @@ def test_round_off_is_no_load_and_rest_is_told(capsys, tmp_path):
     )
     _, out, _ = run(capsys, "loads", still, "--output", tmp_path)
     assert "no joint carries a force" in out
-    assert "nothing moves in the run: these are loads at rest; --set exercise=on moves" in " ".join(
+    assert "nothing moves in the run: these are loads at rest; --set excitation=on moves" in " ".join(
         out.split()
     )
 

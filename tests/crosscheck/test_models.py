@@ -40,7 +40,7 @@ def test_a_motion_that_tests_nothing_is_no_plain_agreement(capsys, tmp_path):
     """In free fall no mass and no inertia shows; the table lists all of them, the terminal counts."""
     path, out = tmp_path / "balls.xml", tmp_path / "out"
     path.write_text(FALLING.format("".join(BALL.format(k) for k in range(10))))
-    options = ("--set", "duration=0.1", "--set", "exercise=off", "--output", out)
+    options = ("--set", "duration=0.1", "--set", "excitation=off", "--output", out)
     status, text, _ = run(capsys, "run", path, *options)
     assert status == 0
     verdict = verdict_of(text)

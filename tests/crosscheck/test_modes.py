@@ -32,7 +32,7 @@ def test_modes_about_a_state_that_is_no_equilibrium(capsys, tmp_path):
     status, out, _ = run(capsys, "modes", "tracker", "--at-start", "--open-loop", *save)
     assert status == 0
     assert "tracker about a state that is no equilibrium: 2 degrees of freedom" in out
-    status, out, err = run(capsys, "modes", "tracker_gravity", *save, "--set", "exercise=on")
+    status, out, err = run(capsys, "modes", "tracker_gravity", *save, "--set", "excitation=on")
     assert (status, out) == (2, "")
     assert "modes are those of the scene as it stands" in err
 

@@ -52,7 +52,7 @@ def files(tmp_path_factory):
     """A folder with the linkage as MJCF, scene file and URDF, for `DURATION`."""
     folder = tmp_path_factory.mktemp("files")
     (folder / "six_bar.xml").write_text(SIX_BAR)
-    found = mjcf.read(folder / "six_bar.xml", duration=DURATION, exercise=True).scene
+    found = mjcf.read(folder / "six_bar.xml", duration=DURATION, excitation=True).scene
     write_scene(found, folder / "six_bar.yaml")
     urdf.write(found, folder / "six_bar.urdf")
     return folder

@@ -57,7 +57,7 @@ def test_exit_statuses():
 def test_a_cube_that_falls_through_a_floor_is_no_plain_agreement(capsys, tmp_path):
     """It falls by 9.81 / 2 t^2 and touches after 0.05 m: at 0.101 s."""
     path, out = file(tmp_path, DROP.format(height=0.07)), tmp_path / "out"
-    arguments = [path, "--engines", "newton_euler,mujoco", "--set", "exercise=off", "--output", out]
+    arguments = [path, "--engines", "newton_euler,mujoco", "--set", "excitation=off", "--output", out]
     status, text, _ = run(capsys, "run", *arguments)
     assert status == ExitStatus.REDUCED
     assert verdict_of(text).startswith(Outcome.AGREE_ON_A_REDUCED_MODEL)
@@ -78,14 +78,18 @@ def test_a_cube_that_falls_through_a_floor_is_no_plain_agreement(capsys, tmp_pat
     assert run(capsys, "run", *arguments, "--allow-reduced")[0] == ExitStatus.AGREE
 
 
-@pytest.mark.parametrize(("exercise", "named"), [("on", 1), ("off", 0)])
-def test_an_excitation_is_named_as_a_possible_cause_of_what_acts_later(exercise, named, tmp_path):
+@pytest.mark.parametrize(("excitation", "named"), [("on", 1), ("off", 0)])
+def test_an_excitation_is_named_as_a_possible_cause_of_what_acts_later(excitation, named, tmp_path):
     """Not of what acts from the start on, as in a cube that starts in the floor."""
     late, early = (
-        crosscheck.check(file(tmp_path, DROP.format(height=height)), FAST, exercise=exercise, duration=0.2)
+        crosscheck.check(
+            file(tmp_path, DROP.format(height=height)), FAST, excitation=excitation, duration=0.2
+        )
         for height in (0.07, 0.01)
     )
-    lines = [[line for line in limiting(each.crosscheck) if "exercise=off" in line] for each in (late, early)]
+    lines = [
+        [line for line in limiting(each.crosscheck) if "excitation=off" in line] for each in (late, early)
+    ]
     assert (len(lines[0]), lines[1]) == (named, [])
 
 
@@ -170,17 +174,17 @@ def test_the_settings_of_the_file_stand_in_the_output(capsys, tmp_path, monkeypa
 def test_after_a_wrong_reading_no_engine_runs(tmp_path):
     """The scene of a file in which gravity pulls twice as much as the file says."""
     path = str(file(tmp_path, LOOP.format(reach=0.4)))
-    _, report = load_scene(path, {"exercise": "on"}, verified=False)
+    _, report = load_scene(path, {"excitation": "on"}, verified=False)
     wrong, _ = load_scene(
         str(file(tmp_path, LOOP.format(reach=0.4).replace('density="900"', 'density="1800"'), "wrong.xml")),
-        {"exercise": "on"},
+        {"excitation": "on"},
         verified=False,
     )
-    report.originals = [(original, wrong) for original, _ in report.originals]
+    report.references = [(reference, wrong) for reference, _ in report.references]
     told = []
     begin = time.perf_counter()
     engines = [ENGINES[name] for name in FAST]
-    found = run_crosscheck(wrong, engines, told.append, path, {"exercise": "on"}, report)
+    found = run_crosscheck(wrong, engines, told.append, path, {"excitation": "on"}, report)
     assert time.perf_counter() - begin < 60.0
     assert found.outcome is Outcome.DISAGREE
     assert not found.trajectories
@@ -196,7 +200,7 @@ def test_options_of_a_summary_make_the_same_scene(tmp_path):
     again = crosscheck.check(path, ["newton_euler"], **options)
     first, second = (each.trajectories["newton_euler"].position for each in (verdict, again))
     assert (first == second).all()
-    assert options["exercise"] == "on"
+    assert options["excitation"] == "on"
 
 
 def test_regress_reports_elements_that_act(capsys, tmp_path):

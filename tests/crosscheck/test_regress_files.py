@@ -170,4 +170,4 @@ def test_options_of_one_baseline_are_not_those_of_the_next(capsys, tmp_path, mon
         '<mujoco><worldbody><body name="bob"><joint/><geom size="1" pos="0 0 9"/></body></worldbody></mujoco>'
     )
     assert run(capsys, "regress", "m.xml", "pendulum")[0] == 0
-    assert [each.options for each in seen] == [{"exercise": "on"}, {}]
+    assert [each.options for each in seen] == [{"excitation": "on"}, {}]

@@ -52,7 +52,7 @@ def test_results_are_saved(verdict, tmp_path):
 
 def test_a_file_is_checked_with_its_options():
     found = crosscheck.check(LINKAGE, ["newton_euler"], key="go", duration=0.05)
-    assert found.crosscheck.options == {"exercise": "on", "key": "go", "duration": "0.05"}  # as it was run
+    assert found.crosscheck.options == {"excitation": "on", "key": "go", "duration": "0.05"}  # as it was run
     assert found.trajectories["newton_euler"].time[-1] == 0.05
     with pytest.raises(CrosscheckError, match="has no option 'duratoin'; did you mean 'duration'"):
         crosscheck.check(LINKAGE, duratoin=1)
@@ -85,7 +85,7 @@ def test_models_of_pinocchio_are_checked_with_their_constraints():
         for several in ([], [held])
     )
     given = {"q": "0.25", "gravity": "0.0,0.0,-1.0", "duration": "0.05"}
-    assert free.crosscheck.options == {"exercise": "on"} | given
+    assert free.crosscheck.options == {"excitation": "on"} | given
     assert np.ptp(free.trajectories["newton_euler"].position, axis=0).max() > 1e-3
     assert np.ptp(stuck.trajectories["newton_euler"].position, axis=0).max() < 1e-12
     with pytest.raises(CrosscheckError, match="Model has no option 'key'"):

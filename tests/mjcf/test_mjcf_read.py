@@ -388,7 +388,7 @@ def test_models_in_memory_are_read_with_their_changes_and_stay_as_they_are():
     size = mujoco.mj_sizeModel(compiled)
     before, after = np.empty((2, size), np.uint8)
     mujoco.mj_saveModel(compiled, None, before)
-    assert read(compiled, exercise=True).scene.mechanism.body("a").mass == 3.0
+    assert read(compiled, excitation=True).scene.mechanism.body("a").mass == 3.0
     mujoco.mj_saveModel(compiled, None, after)
     np.testing.assert_array_equal(after, before)
 

@@ -20,7 +20,7 @@ from newton_euler.model.joint_kinds import Fixed, Free, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import initial_state
 
 KINEMATICS = 1e-12

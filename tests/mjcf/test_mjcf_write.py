@@ -29,7 +29,7 @@ from newton_euler.model.joint_kinds import Free, Revolute, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import unweld_loops, weld_loops
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from urdf import read as read_urdf
 from urdf.write import loops_path
 

@@ -15,7 +15,7 @@ from newton_euler import State, assemble
 from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.errors import MechanismError
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import check_states, coordinates_of, initial_state
 from newton_euler.runs.simulate import CompiledScene
 

@@ -16,7 +16,7 @@ from mechanisms import pendulum
 import mjcf
 import newton_euler
 import urdf
-from mjcf import tight as mjcf_tight
+from mjcf import benchmark_kernels as mjcf_kernels
 from mjcf.errors import MjcfError
 from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
@@ -29,7 +29,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.runs.assemble import initial_state
-from urdf import tight as urdf_tight
+from urdf import benchmark_kernels as urdf_kernels
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import UrdfError
 
@@ -203,26 +203,26 @@ def test_the_loop_file_holds_rods_and_couplings() -> None:
     ]
 
 
-# What the tight loops of benchmarks refuse
+# What the benchmark kernels refuse
 
 
 @pytest.mark.parametrize(
     ("name", "message"),
     [
         ("motion of gears", "motion of joint 'axle': MuJoCo has no equality that depends on time"),
-        (WIND, "wind load 'wind': no actuator of MuJoCo's, and its tight loops call no Python"),
+        (WIND, "wind load 'wind': no actuator of MuJoCo's, and benchmark kernels call no Python"),
     ],
 )
 def test_tight_mujoco_refuses_what_needs_python(name: str, message: str) -> None:
     with pytest.raises(MjcfError, match=message):
-        mjcf_tight.compiled(ELEMENTS[name])
+        mjcf_kernels.compiled(ELEMENTS[name])
 
 
 @pytest.mark.parametrize("name", ["rods", "gears", "screw", "control and forces"])
 def test_tight_mujoco_is_the_same_model(name: str) -> None:
     scene = ELEMENTS[name]
-    tight, soft = mjcf_tight.compiled(scene), SoftMuJoCo(scene)
-    found, wanted = (s.evaluate(*s.coordinates(initial_state(scene))) for s in (tight, soft))
+    kernel, soft = mjcf_kernels.compiled(scene), SoftMuJoCo(scene)
+    found, wanted = (s.evaluate(*s.coordinates(initial_state(scene))) for s in (kernel, soft))
     # the solver's tolerance, with a warm start or without
     assert found.linear_acceleration == pytest.approx(wanted.linear_acceleration, rel=1e-9, abs=1e-9)
 
@@ -247,21 +247,21 @@ def pushed() -> Scene:
 )
 def test_tight_pinocchio_has_what_its_recursion_has_no_place_for(scene: Scene, element: str) -> None:
     """1e-12: the same equations in another order; that they are right is asserted of the system above."""
-    equations = urdf_tight.equations_of(scene, 10.0, None)
+    equations = urdf_kernels.equations_of(scene, 10.0, None)
     system = equations.system
     wanted = system.acceleration(*system.coordinates(initial_state(scene)))
     rates = equations.rates(0.0, equations.start)
     assert system.map.v_from_pinocchio(rates[equations.nq :]) == pytest.approx(wanted, rel=1e-12)
     assert np.abs(wanted).max() > 1e-3
     with pytest.raises(UrdfError, match=f"^{element}: Pinocchio's lcaba knows"):
-        urdf_tight.equations_of(scene, 10.0, (1e-6, 10))
+        urdf_kernels.equations_of(scene, 10.0, (1e-6, 10))
 
 
 def test_tight_pinocchio_has_springs_of_joints() -> None:
     """1e-12: the same equations in other units."""
     scene = forced(pendulum())
     springs = replace(scene, forces=scene.forces[:1])
-    equations = urdf_tight.equations_of(springs, 10.0, None)
+    equations = urdf_kernels.equations_of(springs, 10.0, None)
     wanted = equations.system.acceleration(*equations.system.coordinates(initial_state(springs)))
     assert equations.acceleration() == pytest.approx(wanted, rel=1e-12)
     assert np.abs(wanted).max() > 1.0

@@ -16,7 +16,7 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
 from newton_euler.model.compound_joint import Compound
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from urdf import read as read_urdf
 
 PAIR = """

@@ -287,7 +287,7 @@ def functions(folder: Path) -> list[Target]:
     steps = {"rtol": 1e-8, "atol": 1e-10, "most_steps": 1000}
     chosen: dict[str, Any] = {"formulation": "relative", "stabilization": "projection", "alpha": None}
     read = {"duration": 0.05, "output_period": 0.01, "redundancy_tolerance": 1e-4, "verified": True}
-    read |= {"exercise": False}
+    read |= {"excitation": False}
     vary = {"arm.mass": "normal(1, 0.1)"}
     sampled = {"runs": 2, "keep": ["peak:reaction_force"], "sampling": "random", "seed": 0, "output": None}
     placed = {"threads": 1, "executor": None, "cluster": None, "progress": print}
@@ -359,7 +359,7 @@ def functions(folder: Path) -> list[Target]:
         (
             crosscheck.check,
             {"model": str(folder / "swing.xml"), "engines": ["newton_euler"], "duration": 0.05}
-            | {"output_period": 0.01, "exercise": "off", "key": "qpos0"},
+            | {"output_period": 0.01, "excitation": "off", "key": "qpos0"},
         ),
         (load, {"name": "chain", "N": 2}),
     ]

@@ -119,7 +119,7 @@ def command_lines() -> Iterator[tuple[str, ...]]:
         "duration",
         "output_period",
         "redundancy_tolerance",
-        "exercise",
+        "excitation",
         "key",
         "root",
         "loops",

@@ -59,7 +59,7 @@ def option_cases() -> Iterator[Refused]:
         (("run", "scene.json", "--save", "x.txt"), "--save x.txt: a recording's name ends in .rrd"),
         (("run", "scene.json", "--against", "nothing.xml"), "nothing.xml: cannot be read"),
         (("run", "\udcff.xml"), "\\udcff.xml: cannot be read"),
-        (("run", "model.xml", "--set", "exercise=maybe"), "exercise is 'maybe'; needed: on or off"),
+        (("run", "model.xml", "--set", "excitation=maybe"), "excitation is 'maybe'; needed: on or off"),
         (("run", "model.xml", "--set", "root=model.xml"), "leads outside of"),
         (("run", "robot.urdf", "--set", "duration=1e-300"), "duration is 1e-300 s; needed: at least 1e-06 s"),
         (("run", "model.xml", "--set", "duration=1_0"), "duration is '1_0'; needed: a positive number"),

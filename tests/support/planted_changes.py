@@ -3,7 +3,7 @@
 By a path that shares nothing with `crosscheck.compare.coverage`: another engine gets a scene with the
 change, planted as `crosscheck faults` plants its faults, and its run is compared with newton_euler's of the
 scene as any two engines' are. A joint shows if any tilt of its axes or any shift of its point does. Model
-files are exercised.
+files are excited.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ def _more(function: TimeFunction) -> TimeFunction:
 
 
 def shortened(source: str, duration: float) -> Scene:
-    """A scene by name or file, exercised, of so many s at most."""
-    options = {"exercise": "on"} if is_model(source) else {}
+    """A scene by name or file, excited, of so many s at most."""
+    options = {"excitation": "on"} if is_model(source) else {}
     scene = load(source, **options)
     return replace(scene, duration=min(scene.duration, duration))

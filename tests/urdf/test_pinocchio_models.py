@@ -79,7 +79,7 @@ def test_a_scene_moves_as_pinocchio_moves_the_model(four_bar):
     assert scene.name == "four_bar"
     assert scene.mechanism.body_names == ("ground", "crank", "coupler", "rocker")
     assert scene.mechanism.joint_names == ("crank", "coupler", "rocker", "tip")
-    start = reading.report.originals[0][0].start
+    start = reading.report.references[0][0].start
     run = newton_euler.simulate(scene)
     for k, pose in enumerate(pinocchio_run(model, constraints, start, 0.5), start=1):
         center = pose.act(model.inertias[k].lever)

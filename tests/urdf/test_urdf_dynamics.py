@@ -29,7 +29,7 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import initial_state
 from urdf import to_loops, to_urdf
 from urdf.dynamics import PinocchioSystem

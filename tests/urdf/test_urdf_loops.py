@@ -14,7 +14,7 @@ from newton_euler.equations.relative import Relative
 from newton_euler.errors import UnknownNameError
 from newton_euler.model.joint_kinds import Fixed, Free, Revolute, Spherical, Universal
 from newton_euler.model.scene import Scene
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import LoopFileError
 from urdf.reader import Reading

@@ -19,7 +19,7 @@ from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.runs.assemble import initial_state
-from urdf.tight import equations_of
+from urdf.benchmark_kernels import equations_of
 
 
 @pytest.fixture(scope="module")

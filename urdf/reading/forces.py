@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 from newton_euler.model.forces import Armature, JointSpring, PointSpring
 from newton_euler.reading.import_report import FORCE, ImportReport
 from urdf.extensions import PointSpringElement
-from urdf.original import ARMATURE, STIFFNESS
 from urdf.reading.bodies import Tree
 from urdf.reading.source import JointProperties
 from urdf.reading.start import Start
+from urdf.reference import ARMATURE, STIFFNESS
 
 
 def joint_springs(

@@ -31,7 +31,7 @@ from newton_euler.model.joint import Joint
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 

@@ -50,7 +50,7 @@ from newton_euler.integrators.options import Options as OfMethod
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import IntegrationError
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.runs.batch import simulate_batch, thread_count
 from newton_euler.runs.simulate import compile_scene
 
@@ -181,7 +181,7 @@ class MuJoCo:
 
     def __init__(self, scene: Scene, period: float) -> None:
         """Steps are no shorter than in the ladder of runs with outputs of this period, s."""
-        from mjcf.tight import compiled
+        from mjcf.benchmark_kernels import compiled
 
         self._system = compiled(scene)
         self._interval = output_interval(scene)
@@ -191,7 +191,7 @@ class MuJoCo:
         yield from mujoco_ladders(self._interval, range(1, self._most + 1))
 
     def run(self, options: Options, states: Sequence[State], threads: int) -> Done:
-        from mjcf.tight import Rollout, physics_states
+        from mjcf.benchmark_kernels import Rollout, physics_states
 
         start = time.perf_counter()
         rollout = Rollout(self._system, **options, threads=threads)

@@ -3,10 +3,10 @@
 A run's time is what it takes to have the poses of all bodies at all outputs, as the engine has them:
 
 - newton_euler: `Trajectory.wall_time`, the integration and positions and quaternions of all bodies.
-- MuJoCo, see `mjcf.tight`: all steps, its kinematics at every output and copies of the positions and
-  quaternions of its bodies then. Steps from one output to the next run inside one call.
-- Pinocchio, see `urdf.tight`: the integration, forward kinematics at every output and a copy of translations
-  and rotation matrices of all joints then.
+- MuJoCo, see `mjcf.benchmark_kernels`: all steps, its kinematics at every output and copies of the
+  positions and quaternions of its bodies then. Steps from one output to the next run inside one call.
+- Pinocchio, see `urdf.benchmark_kernels`: the integration, forward kinematics at every output and a copy
+  of translations and rotation matrices of all joints then.
 """
 
 from __future__ import annotations
@@ -206,7 +206,7 @@ def _mujoco(scene: Scene) -> Models:
 
 
 def _load_mujoco(scene: Scene) -> Model:
-    from mjcf.tight import Stepper, compiled
+    from mjcf.benchmark_kernels import Stepper, compiled
 
     system = compiled(scene)
     outputs = intervals(scene.times)
@@ -249,7 +249,7 @@ def _pinocchio(scene: Scene) -> Models:
 
 
 def _load_pinocchio(scene: Scene, alpha: float) -> Model:
-    from urdf.tight import Kinematics, equations_of, lsoda
+    from urdf.benchmark_kernels import Kinematics, equations_of, lsoda
 
     equations = equations_of(scene, alpha, None)
     kinematics = Kinematics(equations)

@@ -88,20 +88,20 @@ def _newton_euler(scene: Scene, formulation: FormulationName) -> RightHandSide:
 
 
 def _mj_forward(scene: Scene) -> RightHandSide:
-    from mjcf.tight import forward
+    from mjcf.benchmark_kernels import forward
 
     return RightHandSide(Timer(forward(scene)).timeit)
 
 
 def _mj_step(scene: Scene) -> RightHandSide:
-    from mjcf.tight import steps
+    from mjcf.benchmark_kernels import steps
 
     call = steps(scene)
     return RightHandSide(lambda count: Timer(partial(call, count)).timeit(1))
 
 
 def _pinocchio(scene: Scene, lcaba: tuple[float, int] | None) -> RightHandSide:
-    from urdf.tight import equations_of
+    from urdf.benchmark_kernels import equations_of
 
     return RightHandSide(Timer(equations_of(scene, 0.0, lcaba).acceleration).timeit)
 

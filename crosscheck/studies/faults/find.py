@@ -29,9 +29,9 @@ from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.reading.import_report import ImportReport
-from newton_euler.reading.original import Original
+from newton_euler.reading.reference import ReferenceModel
 from newton_euler.reading.verify import verify
 from newton_euler.runs.assemble import initial_state
 
@@ -281,18 +281,18 @@ def find_in_reading(
     report: ImportReport, progress: Callable[[str], None], faults: Sequence[Fault] | None = None
 ) -> Search:
     """Plant faults, all that there are if None are given, one at a time, and verify the scene with each."""
-    original, scene = report.originals[-1]
+    reference, scene = report.references[-1]
     own = samples_of(scene)
     faults = list(misreadings(scene)) if faults is None else faults
-    found = [_found_in_reading(fault, original, own, report) for _, fault in _counted(faults, progress)]
+    found = [_found_in_reading(fault, reference, own, report) for _, fault in _counted(faults, progress)]
     return Search(tuple(found), (READING,), {}, smallest=0.0)
 
 
-def _found_in_reading(fault: Fault, original: Original, own: Samples, report: ImportReport) -> Found:
+def _found_in_reading(fault: Fault, reference: ReferenceModel, own: Samples, report: ImportReport) -> Found:
     """Verify a scene with one fault; one that is not seen is looked for in the motion."""
     try:
         planted = fault.plant(own.states.scene)
-        figures = verify(original, Relative(planted))
+        figures = verify(reference, Relative(planted))
         failing = next((figure for figure in figures if not figure.agrees), None)
     except NewtonEulerError as error:
         where = fault.element if fault.element in str(error) else ""

@@ -30,11 +30,11 @@ from newton_euler import BallArmature, BallSpring, JointSpring, Mechanism
 from newton_euler.compiled.formulations import FORMULATIONS, formulate
 from newton_euler.equations.relative import Relative
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import initial_state
+from urdf.benchmark_kernels import equations_of
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import UrdfError
-from urdf.tight import equations_of
 
 both = pytest.mark.parametrize("formulation", FORMULATIONS)
 

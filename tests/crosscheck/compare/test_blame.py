@@ -14,7 +14,7 @@ from crosscheck.studies.faults.plant import inertia_entry, joint_axes
 from newton_euler.equations.relative import Relative
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint_kinds import Revolute, Translational
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 
 LOOP, TREE = seven_hinges(), slider_tree()
 

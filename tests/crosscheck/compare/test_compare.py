@@ -29,7 +29,7 @@ from newton_euler.model.couplings import Gear
 from newton_euler.model.joint_kinds import Free, Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import initial_state
 
 EXAMPLE = str(Path(__file__).parents[3] / "examples" / "four_bar.yaml")

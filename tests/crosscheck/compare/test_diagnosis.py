@@ -33,7 +33,7 @@ from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.control import PD
 from newton_euler.model.forces import JointSpring, PointSpring
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.runs.assemble import initial_state
 
@@ -270,7 +270,7 @@ def test_a_law_that_newton_euler_gets_wrong_is_blamed_on_it(law, force, tmp_path
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))  # others would get the wrong law from theirs
     path = tmp_path / "driven.xml"
     path.write_text(DRIVEN)
-    found = mjcf.read(path, duration=0.02, exercise=True, verified=False)
+    found = mjcf.read(path, duration=0.02, excitation=True, verified=False)
     monkeypatch.setattr(law, "at_joint", force)
     result = crosscheck(found.scene, list(ENGINES.values()), lambda _: None, "driven", {}, found.report)
     (first,) = result.diagnosis
@@ -303,14 +303,14 @@ def misread(fault, found):
     """A whole crosscheck of what was read with a fault, which all engines share, against the file."""
     report = ImportReport()
     report.entries, report.start = found.report.entries, found.report.start
-    report.originals = [(original, fault.plant(scene)) for original, scene in found.report.originals]
+    report.references = [(reference, fault.plant(scene)) for reference, scene in found.report.references]
     return crosscheck(fault.plant(found.scene), list(ENGINES.values()), lambda _: None, "x", {}, report)
 
 
 @pytest.mark.slow
 def test_thirty_faults_in_the_reading_are_blamed_on_it():
-    found = mjcf.read(LINKAGE, duration=0.05, output_period=0.01, exercise=True, verified=False)
-    faults = list(misreadings(found.report.originals[-1][1]))
+    found = mjcf.read(LINKAGE, duration=0.05, output_period=0.01, excitation=True, verified=False)
+    faults = list(misreadings(found.report.references[-1][1]))
     blamed = 0
     for k in np.linspace(0, len(faults) - 1, 40).round().astype(int):
         try:

@@ -12,7 +12,7 @@ from crosscheck.compare.samples import RATE_ERROR, Samples, States
 from crosscheck.engines.engine import ENGINES
 from crosscheck.library import load
 from newton_euler.equations.relative import Relative
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import initial_state
 
 QUANTITY = "joint acceleration, rel"

@@ -64,7 +64,7 @@ def test_a_scene_at_a_limit_is_taken_and_one_above_it_refused(name, most, scene)
 
 
 def test_many_slow_laws_are_not_many_cycles():
-    """As a humanoid that is exercised has: steps are as short as the fastest of them needs."""
+    """As a humanoid that is excited has: steps are as short as the fastest of them needs."""
     law = PD("rail", 0.0, 0.0, 0.0, feedforward=Sine(1.0, 10.0))
     check_functions("here", RAIL.mechanism, (), [law] * 300, duration=10.0)
     fast = replace(law, feedforward=Sine(1.0, 1e14))

@@ -335,7 +335,7 @@ def test_a_reference_comes_from_looser_tolerances_where_the_tight_one_fails(shor
 def test_mujoco_delivers_poses_of_its_own_outputs(short, integrator):
     """A last output out of period, and poses of each output, not of the step before."""
     import mjcf
-    from mjcf.tight import Stepper, compiled
+    from mjcf.benchmark_kernels import Stepper, compiled
 
     stepper = Stepper(compiled(short), integrator, intervals(short.times), 2, 1.0)
     stepper.reset()

@@ -88,7 +88,7 @@ def test_outputs_are_as_rare_as_memory_needs(tracker):
 
 
 def test_rollouts_are_the_runs_one_by_one(short, tracker_states):
-    from mjcf.tight import Rollout, Stepper, compiled, physics_states
+    from mjcf.benchmark_kernels import Rollout, Stepper, compiled, physics_states
 
     system = compiled(short)
     rollout = Rollout(system, "RK4", 2, 1.0, 2)

@@ -98,7 +98,7 @@ def test_a_variable_of_many_numbers_hides_no_other_one():
     assert swept.check(1, ["pinocchio"]).report.verdict.startswith("DISAGREE")
 
 
-def test_how_a_file_is_exercised_is_said(capsys, tmp_path):
+def test_how_a_file_is_excited_is_said(capsys, tmp_path):
     path = tmp_path / "pair.xml"
     path.write_text(model(PAIR, '<actuator><motor name="motor" joint="p"/></actuator>'))
     more = (
@@ -115,12 +115,12 @@ def test_how_a_file_is_exercised_is_said(capsys, tmp_path):
         "--output",
         tmp_path,
     )
-    for settings, exercise in (((), "on"), (("--set", "exercise=off"), "off")):
+    for settings, excitation in (((), "on"), (("--set", "excitation=off"), "off")):
         out = run(capsys, "sweep", path, *more, *settings)[1]
         content = json.loads((tmp_path / "sweep.json").read_text())
-        assert content["options"] == {"exercise": exercise, "duration": "0.1"}
-        line = "exercised: 1 actuator driven at "
-        assert (line in out, any(line in note for note in content["notes"])) == (exercise == "on",) * 2
+        assert content["options"] == {"excitation": excitation, "duration": "0.1"}
+        line = "excited: 1 actuator driven at "
+        assert (line in out, any(line in note for note in content["notes"])) == (excitation == "on",) * 2
         shutil.rmtree(tmp_path / "sweep.zarr")
 
 

@@ -20,7 +20,7 @@ from newton_euler.equations.undetermined import determined, undetermined
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.state import State
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.reading.wrenches import Wrenches
 from urdf.dynamics import PinocchioSystem
 

@@ -30,7 +30,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.splines import Spline
 from newton_euler.model.state import State
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import initial_state
 from newton_euler.runs.simulate import compile_scene
 from urdf.dynamics import PinocchioSystem

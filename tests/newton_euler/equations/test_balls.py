@@ -20,7 +20,7 @@ from newton_euler.model.balls import rotation_by, rotation_vector, spin, spin_ra
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint_kinds import Spherical
 from newton_euler.model.spanning_tree import SpanningTree, weld_loops
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 
 both = pytest.mark.parametrize("formulation", FORMULATIONS)
 

@@ -17,8 +17,8 @@ from crosscheck.compare.energy import energy_balance
 from crosscheck.library import load
 from crosscheck.library.scene_file import write_scene
 from crosscheck.loading.convert import scene_report, write_as
+from mjcf.benchmark_kernels import Rollout, Stepper, compiled, physics_states
 from mjcf.rigid import RigidMuJoCo
-from mjcf.tight import Rollout, Stepper, compiled, physics_states
 from newton_euler.equations.parameters import parameter_values, with_values
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import at_time

@@ -30,7 +30,7 @@ from newton_euler.model.couplings import Gear
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import assemble, initial_state
 from urdf import read as read_urdf
 from urdf.dynamics import PinocchioSystem

@@ -38,7 +38,7 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import initial_state
 
 FORMULATIONS = (Relative, Cartesian)

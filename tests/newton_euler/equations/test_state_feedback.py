@@ -13,10 +13,10 @@ import newton_euler
 import urdf
 from crosscheck.compare.coverage import covered_by
 from crosscheck.compare.energy import energy_balance
+from mjcf.benchmark_kernels import compiled
 from mjcf.errors import MjcfError
 from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
-from mjcf.tight import compiled
 from mjcf.write import to_xml
 from newton_euler.equations.parameters import parameter_values, with_values
 from newton_euler.equations.relative import Relative

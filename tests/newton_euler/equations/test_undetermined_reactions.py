@@ -13,7 +13,7 @@ from crosscheck.library import load
 from crosscheck.studies.random_scenes import random_scene
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.undetermined import determined, undetermined, undetermined_joints
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import initial_state
 
 

@@ -18,7 +18,7 @@ from newton_euler.integrators.dense_projection import ROUND_OFF
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.projection import project_rows
 from newton_euler.model.trajectory import IntegrationError
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.runs.simulate import CompiledScene
 
 

@@ -22,7 +22,7 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Spline, Steps
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 from newton_euler.runs.simulate import simulate
 
 TURNING = {"forces, slider_tree", "forces, planar, reversed", "forces, motions of a tree"}

@@ -22,7 +22,7 @@ from newton_euler.model.joint_kinds import Planar, PointOnLine, Revolute, Rod, S
 from newton_euler.model.joint_parts import Part, combined
 from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.spanning_tree import SpanningTree
-from newton_euler.reading.exercise import random_states
+from newton_euler.reading.excitation import random_states
 
 ORIGIN = [0.0, 0.0, 0.0]
 INTEGRATED = 2e-8

@@ -15,12 +15,12 @@ from mjcf_models import BOX, model, reading
 from crosscheck.engines.engine import ENGINES
 from crosscheck.studies.faults.find import find_in_reading
 from crosscheck.studies.faults.misreadings import misreadings
-from mjcf.accounts import unaccounted
 from mjcf.errors import MjcfError
 from mjcf.reading.actuators import Actuators, Affine
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.loops import Loops
 from mjcf.reading.start import Start
+from mjcf.report_audit import unaccounted
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import VerificationError
 from newton_euler.model.mechanism import Body
@@ -68,7 +68,7 @@ def test_every_fault_that_moves_something_is_found_and_named(tmp_path: Path) -> 
     report = reading(tmp_path, ZOO).report
     faults = [
         f
-        for f in misreadings(report.originals[-1][1])
+        for f in misreadings(report.references[-1][1])
         if f.size != 0.1 and not any(x in f.detail for x in LARGER)
     ]
     first = {(fault.element, fault.kind): fault for fault in reversed(faults)}
@@ -102,8 +102,8 @@ def test_every_fault_that_moves_something_is_found_and_named(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("name", ENGINES)
 def test_every_engine_has_what_the_file_says(name: str, tmp_path: Path) -> None:
-    for original, scene in reading(tmp_path, ZOO).report.originals:
-        figures = list(verify(original, ENGINES[name].systems(scene)[0]))
+    for reference, scene in reading(tmp_path, ZOO).report.references:
+        figures = list(verify(reference, ENGINES[name].systems(scene)[0]))
         assert len(figures) == 24
         assert not [figure for figure in figures if not figure.agrees]
 
@@ -153,7 +153,7 @@ BORNE = model(
 """A limit that counts more than the control law."""
 
 
-@pytest.mark.parametrize("exercise", [False, True])
+@pytest.mark.parametrize("excitation", [False, True])
 @pytest.mark.parametrize(
     ("text", "method", "fault", "named"),
     [
@@ -176,14 +176,14 @@ def test_a_reader_at_fault_is_refused(
     method: tuple[type, str],
     fault: Any,
     named: str,
-    exercise: bool,
+    excitation: bool,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    reading(tmp_path, text, exercise=exercise)
+    reading(tmp_path, text, excitation=excitation)
     monkeypatch.setattr(*method, fault)
     with pytest.raises(MjcfError, match=f"model.xml: .*{named}"):
-        reading(tmp_path, text, exercise=exercise)
+        reading(tmp_path, text, excitation=excitation)
 
 
 POSE = "0 0 0 0.2 2 1 0.8 0.2 -0.4 0.4 1 0 0 0 0.1 0.2 -0.08 -0.2"
@@ -278,8 +278,10 @@ def test_tolerances_are_those_of_the_line(tmp_path: Path) -> None:
     report = reading(tmp_path, ZOO).report
     (line,) = (line for line in report.start if line.startswith("verified"))
     loosest = float(line.split(" to ")[1].split()[0])
-    for original, scene in report.originals:
-        figures = [f for f in verify(original, Relative(scene)) if f.quantity.endswith(("rel", "rad", "1/s"))]
+    for reference, scene in report.references:
+        figures = [
+            f for f in verify(reference, Relative(scene)) if f.quantity.endswith(("rel", "rad", "1/s"))
+        ]
         # inertias are known to as many digits less as places in the world cost; the line has one digit
         assert max(f.tolerance for f in figures if f.quantity != "inertia, rel") <= 1.5 * loosest
 
@@ -287,21 +289,21 @@ def test_tolerances_are_those_of_the_line(tmp_path: Path) -> None:
 def test_every_element_has_to_be_accounted_for(tmp_path: Path) -> None:
     text = ZOO.replace('name="r" type="slide"', 'name="r" type="slide" range="-1 1" frictionloss="2"')
     report = reading(tmp_path, text).report
-    original, _ = report.originals[0]
-    assert original.unaccounted == ()
+    reference, _ = report.references[0]
+    assert reference.unaccounted == ()
     kept = ImportReport()
     kept.entries = [
         entry for entry in report.entries if "'r'" not in entry.element and "'c'" not in entry.element
     ]
-    missing = set(unaccounted(original._model, original._roots, kept))  # type: ignore[attr-defined]
+    missing = set(unaccounted(reference._model, reference._roots, kept))  # type: ignore[attr-defined]
     assert missing == {"joint 'r'", "equality 'c'"}
 
 
 def test_an_error_keeps_its_values(tmp_path: Path) -> None:
     report = reading(tmp_path, ZOO).report
-    original, scene = report.originals[0]
+    reference, scene = report.references[0]
     other = ImportReport()
-    other.originals = [(original, replace(scene, gravity=np.array([0.0, 0.0, -9.8])))]
+    other.references = [(reference, replace(scene, gravity=np.array([0.0, 0.0, -9.8])))]
     with pytest.raises(VerificationError) as caught:
         check(other)
     assert (caught.value.where, caught.value.quantity) == ("gravity", "gravity, rel")
@@ -309,7 +311,7 @@ def test_an_error_keeps_its_values(tmp_path: Path) -> None:
 
 
 def test_verification_shares_nothing_with_the_readers() -> None:
-    for module in ("mjcf/original.py", "mjcf/accounts.py", "urdf/original.py"):
+    for module in ("mjcf/reference.py", "mjcf/report_audit.py", "urdf/reference.py"):
         tree = ast.parse((Path(__file__).parents[3] / module).read_text())
         imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
         package = module.partition("/")[0]

@@ -39,9 +39,9 @@ TILTED = model(
 @pytest.mark.parametrize("tilt", ["0", "1e-12", "1e-10", "1e-9", "1e-8", "1e-7"])
 def test_nearly_redundant_rows_pass_whatever_is_decided_of_them(tilt: str, tmp_path: Path) -> None:
     """A planar four-bar with one hinge out of the plane; a damper that is off is found all the same."""
-    (original, scene), *_ = reading(tmp_path, TILTED.format(tilt)).report.originals
+    (reference, scene), *_ = reading(tmp_path, TILTED.format(tilt)).report.references
     wrong = replace(scene, forces=(JointSpring("a", damping=1.0 + 1e-5),))
-    (failing, *_) = (figure for figure in verify(original, Relative(wrong)) if not figure.agrees)
+    (failing, *_) = (figure for figure in verify(reference, Relative(wrong)) if not figure.agrees)
     assert (failing.quantity, failing.where) == ("dampers, rel", "joint 'a': damping")
 
 
@@ -67,7 +67,7 @@ def test_offsets_that_loops_keep_hide_no_fault(tmp_path: Path) -> None:
         (line,) = (line for line in report.start if line.startswith("verified"))
         faults = [
             f
-            for f in misreadings(report.originals[-1][1])
+            for f in misreadings(report.references[-1][1])
             if f.size == 1e-6 or "1e-6" in f.detail or "1e-06" in f.detail
         ]
         found = find_in_reading(report, lambda _: None, faults).found
@@ -175,11 +175,11 @@ def test_a_verdict_says_that_no_state_tells_motions(tilt: str, told: bool, tmp_p
 def test_loops_that_close_nowhere_far_away_are_moved_a_little(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("newton_euler.reading.original.ATTEMPTS", 0)
-    (original, _), *_ = reading(tmp_path, stretched(1e-4)).report.originals
-    _, near = original.samples
-    assert 0.0 < np.max(np.abs(original.difference(original.start, near.q))) < 0.1
-    monkeypatch.setattr("newton_euler.reading.original.NEAR", ())
+    monkeypatch.setattr("newton_euler.reading.reference.ATTEMPTS", 0)
+    (reference, _), *_ = reading(tmp_path, stretched(1e-4)).report.references
+    _, near = reference.samples
+    assert 0.0 < np.max(np.abs(reference.difference(reference.start, near.q))) < 0.1
+    monkeypatch.setattr("newton_euler.reading.reference.NEAR", ())
     (line,) = (x for x in reading(tmp_path, stretched(1e-4)).report.start if x.startswith("verified"))
     assert line.endswith("; loops close nowhere but at the start")
 
@@ -215,12 +215,12 @@ def test_mimics_of_very_light_links_are_held_to_what_an_elimination_leaves_of_th
     """An error of 1e-9 in a factor is found in positions, one of 1e-8 (50 tolerances) in accelerations."""
     path = tmp_path / "hand.urdf"
     path.write_text(hand(0.9999))
-    (original, scene), *_ = urdf.read(path, base="free").report.originals
-    assert all(figure.agrees for figure in verify(original, Relative(scene)))
+    (reference, scene), *_ = urdf.read(path, base="free").report.references
+    assert all(figure.agrees for figure in verify(reference, Relative(scene)))
     for error, quantity in ((1e-9, "joints open, sizes or rad"), (1e-8, "accelerations across loops, rel")):
         path.write_text(hand(0.9999 + error))
         wrong = urdf.read(path, base="free").scene
-        failing = [figure for figure in verify(original, Relative(wrong)) if not figure.agrees]
+        failing = [figure for figure in verify(reference, Relative(wrong)) if not figure.agrees]
         assert quantity in {figure.quantity for figure in failing}
 
 
@@ -240,7 +240,7 @@ def test_a_file_that_starts_in_a_singular_configuration_is_read_and_compared(tmp
     path = tmp_path / "model.xml"
     path.write_text(FOLDED)
     verdict = check(path, duration=0.1)
-    (said,) = (line for line in verdict.crosscheck.mapping.start if line.startswith("exercised: "))
+    (said,) = (line for line in verdict.crosscheck.mapping.start if line.startswith("excited: "))
     assert "the start is a singular configuration" in said
     assert verdict.outcome is Outcome.AGREE_AT_RANDOM_STATES_ONLY
     assert {figure.level for figure in verdict.figures} >= {*OF_EQUATIONS, *OF_RUNS}

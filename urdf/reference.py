@@ -17,8 +17,8 @@ from newton_euler.equations.system import MassProperties
 from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.model.scene import Scene
 from newton_euler.reading.import_report import ImportReport, left_out, unique_name
-from newton_euler.reading.original import SEVERAL_HINGES, Original, Sample, wholes
 from newton_euler.reading.quantities import Constraints, Forces, Kinematics
+from newton_euler.reading.reference import SEVERAL_HINGES, ReferenceModel, Sample, wholes
 from newton_euler.scalars import Array, cross, tilde
 from urdf.constraints import power_sums
 from urdf.extensions import Extensions
@@ -49,7 +49,7 @@ class Closure(NamedTuple):
     second: int
 
 
-class PinocchioOriginal(Original):
+class PinocchioOriginal(ReferenceModel):
     """A Pinocchio model and what closes its loops."""
 
     def __init__(
@@ -268,7 +268,7 @@ class PinocchioOriginal(Original):
                 yield name, [np.diag(np.where(own, self._model.armature, 0.0))] * len(samples)
 
 
-class UrdfOriginal(PinocchioOriginal):
+class UrdfReference(PinocchioOriginal):
     """A URDF and its loop file."""
 
     def __init__(

@@ -1,6 +1,6 @@
 """A compiled MJCF file held to the report of its reading, element by element.
 
-For `mjcf.original`: names of elements are all that is shared with the reading. What a report leaves out is
+For `mjcf.reference`: names of elements are all that is shared with the reading. What a report leaves out is
 switched off in MuJoCo's model, and equalities are rows of constraints by MuJoCo's own functions, made
 dimensionless, with the offsets that are left at the start.
 """

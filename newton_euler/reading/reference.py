@@ -1,8 +1,8 @@
 """A model file as an independent reader holds it, to verify a scene that was read from the file.
 
-A package for a file format says in a subclass of `Original` what its own reader's model does, in that model's
-own velocities. Closed states, and the motions that are free there, are worked out here, and with no help of
-what is verified.
+A package for a file format derives from `ReferenceModel`: the subclass evaluates the model of the format's
+own parser, in that model's velocities. Closed states and the free motions of these states are computed here,
+without the scene under test.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ what turns at 1 rad/s. Short rods turn faster; by how much the two steps differ 
 
 CLOSED = 1e-12  # of residuals in sizes or rad that are round-off
 NEWTON_STEPS = 40
-ALIGNING_STEPS = 100  # of `Original.aligned`, enough for several joints that are half a revolution away
+ALIGNING_STEPS = 100  # of `ReferenceModel.aligned`, enough for several joints that are half a revolution away
 LONGEST_STEP = 0.2  # rad or sizes, of one step of closing
 AMPLITUDES = (0.2, 0.6, 2.5)  # rad or sizes, by which coordinates are moved from the start before loops close
 REACH = 2.9  # rad, that an angle may be from where it starts, so that poses tell it, and sizes
@@ -53,7 +53,7 @@ NEAR = (1e-2, 1e-3, 1e-4, 1e-5)  # rad or sizes, along free motions at the start
 ELSEWHERE = 1e-9  # rad or sizes, from the start: less is the start itself
 
 
-class Original(ABC):
+class ReferenceModel(ABC):
     """A file's own model.
 
     Attributes:
@@ -274,13 +274,13 @@ class Sample:
     """A state, and what the file's own model says there, each worked out when first asked for.
 
     Attributes:
-        original: the model.
+        reference: the model.
         q, v: configuration, and velocities (nv,), SI.
         opening: of the constraints there, in sizes or rad, beyond the offsets that they keep.
         freedom: motions that these do not hold.
     """
 
-    original: Original
+    reference: ReferenceModel
     q: Array
     v: Array
     opening: float
@@ -289,7 +289,7 @@ class Sample:
     @property
     def precision(self) -> float:
         """Relative, of coordinates: round-off, far from the origin that of the distance."""
-        distance = float(np.max(np.abs(self.kinematics.position), initial=0.0)) / self.original.size
+        distance = float(np.max(np.abs(self.kinematics.position), initial=0.0)) / self.reference.size
         return ROUND_OFF + 10.0 * float(np.finfo(float).eps) * distance
 
     @property
@@ -316,27 +316,27 @@ class Sample:
     @cached_property
     def kinematics(self) -> Kinematics:
         """Of the rigid groups."""
-        return self.original.kinematics(self.q, self.v)
+        return self.reference.kinematics(self.q, self.v)
 
     @cached_property
     def constraints(self) -> Constraints:
         """At the configuration."""
-        return self.original.constraints(self.q)
+        return self.reference.constraints(self.q)
 
     @cached_property
     def mass_matrices(self) -> tuple[Array, Array]:
         """(nv, nv) of the bodies, and of the rotors."""
-        return self.original.mass_matrix(self.q)
+        return self.reference.mass_matrix(self.q)
 
     @cached_property
     def forces(self) -> Forces:
         """Of everything but constraints."""
-        return self.original.forces(self.q, self.v)
+        return self.reference.forces(self.q, self.v)
 
     @cached_property
     def energies(self) -> tuple[float, float]:
         """Kinetic and potential, J."""
-        return self.original.energies(self.q, self.v)
+        return self.reference.energies(self.q, self.v)
 
     @cached_property
     def velocity_products(self) -> tuple[Array, Array]:
@@ -346,8 +346,8 @@ class Sample:
             total = np.zeros(len(self.constraints.residual))
             for number, weight in STENCIL:
                 for sign in (1.0, -1.0):
-                    q = self.original.moved(self.q, sign * number * step * self.v)
-                    rate = self.original.constraints(q).jacobian @ (self.v / self.original.units)
+                    q = self.reference.moved(self.q, sign * number * step * self.v)
+                    rate = self.reference.constraints(q).jacobian @ (self.v / self.reference.units)
                     total += sign * weight / step * rate
             found.append(total)
         return found[0], found[1]

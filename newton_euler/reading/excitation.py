@@ -1,4 +1,4 @@
-"""Exercise: states at random, and small motions that make a run depend on as much of a scene as it can.
+"""Excitation: states at random, and small motions that make a run depend on as much of a scene as it can.
 
 Models stand still or fall freely as their files have them, and engines that agree on such runs show little.
 Everything here is a function of the scene alone, the same in every process.

@@ -53,11 +53,11 @@ def compiled(scene: Scene) -> SoftMuJoCo:
     for motion in scene.motions:
         raise MjcfError(
             f"motion of joint {motion.joint!r}: MuJoCo has no equality that depends on time, "
-            "and its tight loops call no Python to make one"
+            "and benchmark kernels call no Python to make one"
         )
     system = SoftMuJoCo(scene)
     for each in (*system.evaluated.values(), *wind_loads(scene)):
-        raise MjcfError(f"{each.element}: no actuator of MuJoCo's, and its tight loops call no Python")
+        raise MjcfError(f"{each.element}: no actuator of MuJoCo's, and benchmark kernels call no Python")
     disabled = [*UNUSED, *(() if scene.forces else PASSIVE), *(() if np.any(scene.gravity) else ("GRAVITY",))]
     flags = (int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")) for name in disabled)
     system.model.opt.disableflags = sum(flags)

@@ -1,4 +1,4 @@
-"""Exercised model files: what drives and moves them, against MuJoCo's own runs of the files."""
+"""Excited model files: what drives and moves them, against MuJoCo's own runs of the files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from newton_euler.model.motions import Sum
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.reading.activity import Bounds, Course
-from newton_euler.reading.exercise import SHIFT, SPEED, SPIN, moving, swings
+from newton_euler.reading.excitation import SHIFT, SPEED, SPIN, moving, swings
 from newton_euler.runs.assemble import initial_state
 
 ACTUATORS = (
@@ -90,7 +90,7 @@ def test_a_motor_moves_a_joint_by_half_of_the_room_that_its_limits_leave(room: f
 
 
 def test_controls_swing_within_half_of_their_ranges(tmp_path: Path) -> None:
-    found = reading(tmp_path, FILE, exercise=True)
+    found = reading(tmp_path, FILE, excitation=True)
     assert verified(found)
     driven = sines(found.scene)
     frequencies = [sine.angular_frequency / (2.0 * np.pi) for each in driven.values() for sine in each]
@@ -103,8 +103,8 @@ def test_controls_swing_within_half_of_their_ranges(tmp_path: Path) -> None:
     end = hows["actuator 'end'"]  # a quarter of the range off its end, half of that to and fro
     assert "its control 0.025 + 0.0125 sin(" in end
     assert "its control held at 0" in hows["actuator 'of_length'"]
-    (line,) = [line for line in found.report.start if line.startswith("exercised: ")]
-    assert line.startswith("exercised: 5 actuators driven at 0.7 to 1.9 Hz, ")
+    (line,) = [line for line in found.report.start if line.startswith("excited: ")]
+    assert line.startswith("excited: 5 actuators driven at 0.7 to 1.9 Hz, ")
     assert "1 control moved inside the ranges of control and force (end from 0 to 0.025), " in line
     assert "1 actuator with the controls of the file (of_length)" in line
     slow = driven["p", 0][1]  # what its filter leaves of the range, at its fastest
@@ -118,8 +118,8 @@ def test_controls_that_the_file_clips_are_named(tmp_path: Path) -> None:
         '<motor name="far" joint="q" ctrlrange="-1 1"/>'
     )
     text = model(PAIR, f'<actuator>{servos}</actuator><keyframe><key name="go" ctrl="1 5"/></keyframe>')
-    found = reading(tmp_path, text, exercise=True)
-    (line,) = [line for line in found.report.start if line.startswith("exercised: ")]
+    found = reading(tmp_path, text, excitation=True)
+    (line,) = [line for line in found.report.start if line.startswith("excited: ")]
     assert "weak from 1 to " in line
     found = reading(tmp_path, text)
     hows = {entry.element: entry.how for entry in found.report.entries}
@@ -130,7 +130,7 @@ def test_start_velocities_leave_room_to_the_force_of_a_damped_servo(tmp_path: Pa
     """At 0.5 rad/s its damping alone would take 200 N m, four times the range of its force."""
     servo = '<position joint="p" kp="4000" kv="400" ctrlrange="-1 1" forcerange="-50 50"/>'
     option = '<option gravity="0 0 0"/>'
-    found = reading(tmp_path, model(PAIR, f"<actuator>{servo}</actuator>", option), exercise=True)
+    found = reading(tmp_path, model(PAIR, f"<actuator>{servo}</actuator>", option), excitation=True)
     (bound,) = (each for each in found.report.bounds if each.by_rate)
     run = newton_euler.simulate(found.scene)
     course = Course(found.scene, run)
@@ -147,7 +147,7 @@ def test_start_velocities_stay_within_the_limits_of_joints(tmp_path: Path) -> No
         '<body pos="{} 0 0"><joint name="{}" axis="0 0 1" range="{}"/>' + BOX.format("0.1 0 0") + "</body>"
     )
     bodies = "".join(hinge.format(k, *each) for k, each in enumerate(ranges.items()))
-    found = reading(tmp_path, model(bodies), exercise=True, duration=0.5)
+    found = reading(tmp_path, model(bodies), excitation=True, duration=0.5)
     start = initial_state(found.scene)
     rates = {name: found.scene.mechanism.measure((name, 0), start.frames())[1] for name in ranges}
     assert 0.0 < rates["low"] <= SPIN
@@ -178,7 +178,7 @@ def test_start_velocities_of_a_closed_loop_stay_within_the_limits_of_joints(
     )
     loop = '<equality><connect name="loop" site1="p" site2="q"/></equality>'
     option = '<option gravity="0 0 0"/>'
-    found = reading(tmp_path, model(bodies, loop, option), exercise=True, duration=0.5)
+    found = reading(tmp_path, model(bodies, loop, option), excitation=True, duration=0.5)
     start = initial_state(found.scene)
     rates = {name: found.scene.mechanism.measure((name, 0), start.frames())[1] for name in "abc"}
     assert rates[joint] * inwards > 0.0
@@ -205,7 +205,7 @@ def test_start_velocities_of_loops_without_a_common_constraint_are_chosen_apart(
     for limits in (("-90 0.5", "-0.5 90"), ("-90 90", "-90 90")):
         (one, first), (two, second) = (loop(k, each) for k, each in enumerate(limits))
         text = model(one + two + arm, f"<equality>{first}{second}</equality>")
-        scene = reading(tmp_path, text, exercise=True, duration=0.5).scene
+        scene = reading(tmp_path, text, excitation=True, duration=0.5).scene
         frames = initial_state(scene).frames()
         rates.append([scene.mechanism.measure((name, 0), frames)[1] for name in ("a0", "a1", "arm")])
     limited, free = rates
@@ -218,17 +218,17 @@ def test_start_velocities_of_loops_without_a_common_constraint_are_chosen_apart(
 def test_an_early_activation_is_read_as_that_of_the_state(tmp_path: Path, dynamics: str) -> None:
     """MuJoCo takes `actearly` activations from the end of its time step, which no motion in time has."""
     actuator = f'<general joint="p" dyntype="{dynamics}" dynprm="0.9" gainprm="3" actearly="true"/>'
-    assert verified(reading(tmp_path, model(PAIR, f"<actuator>{actuator}</actuator>"), exercise=True))
+    assert verified(reading(tmp_path, model(PAIR, f"<actuator>{actuator}</actuator>"), excitation=True))
 
 
-@pytest.mark.parametrize("exercise", [False, True])
-def test_a_range_without_end_is_read(tmp_path: Path, exercise: bool) -> None:
+@pytest.mark.parametrize("excitation", [False, True])
+def test_a_range_without_end_is_read(tmp_path: Path, excitation: bool) -> None:
     """MuJoCo takes controls beyond 1e10 for a mistake, ranges not."""
     text = (
         '<mujoco><worldbody><body><joint name="j"/><geom size="1" pos="1 0 0"/></body></worldbody>'
         '<actuator><motor joint="j" ctrllimited="true" ctrlrange="-1e12 1e12"/></actuator></mujoco>'
     )
-    assert verified(reading(tmp_path, text, exercise=exercise))
+    assert verified(reading(tmp_path, text, excitation=excitation))
 
 
 def controls(found: Reading, time: float) -> list[float]:
@@ -255,7 +255,7 @@ def controls(found: Reading, time: float) -> list[float]:
 
 def test_mujoco_moves_alike_with_the_controls_that_swing(tmp_path: Path) -> None:
     """The file itself with these controls, filters and integrators included: 1e-4 m at 0.5 ms, order 1."""
-    found = reading(tmp_path, FILE, exercise=True, duration=0.5, output_period=0.1)
+    found = reading(tmp_path, FILE, excitation=True, duration=0.5, output_period=0.1)
     run = newton_euler.simulate(found.scene)
     own, data = found.start.model, mujoco.MjData(found.start.model)
     body = {name: own.body(name).id for name in ("one", "two")}
@@ -277,24 +277,24 @@ def test_mujoco_moves_alike_with_the_controls_that_swing(tmp_path: Path) -> None
 
 def test_velocities_of_a_keyframe_are_kept(tmp_path: Path) -> None:
     text = FILE.replace("</mujoco>", '<keyframe><key qvel="1 2 3"/></keyframe></mujoco>')
-    as_it_stands, found = (reading(tmp_path, text, exercise=exercise) for exercise in (False, True))
+    as_it_stands, found = (reading(tmp_path, text, excitation=excitation) for excitation in (False, True))
     assert np.array_equal(
         initial_state(as_it_stands.scene).linear_velocity, initial_state(found.scene).linear_velocity
     )
 
 
-def test_a_reading_is_not_exercised_unless_asked_for(tmp_path: Path) -> None:
+def test_a_reading_is_not_excited_unless_asked_for(tmp_path: Path) -> None:
     found = reading(tmp_path, FILE)
     assert not np.any(initial_state(found.scene).linear_velocity)
     assert not any(sines(found.scene).values())
-    assert not any(line.startswith("exercised") for line in found.report.start)
+    assert not any(line.startswith("excited") for line in found.report.start)
 
 
 @pytest.mark.parametrize("control", [0, 5], ids=["within", "beyond"])
 def test_a_force_is_driven_within_its_limit(control: int, tmp_path: Path) -> None:
     motor = '<actuator><motor name="m" joint="p" ctrlrange="-9 9" forcerange="-1 1"/></actuator>'
     key = f'<keyframe><key ctrl="{control}"/></keyframe>'
-    found = reading(tmp_path, model(PAIR, f"{motor}{key}"), exercise=True)
+    found = reading(tmp_path, model(PAIR, f"{motor}{key}"), excitation=True)
     (sine,) = sines(found.scene)["p", 0]
     assert 0.0 < sine.amplitude <= 0.5
     assert abs(sine.offset) + sine.amplitude <= 1.0
@@ -312,45 +312,45 @@ def test_a_watched_limit_sees_a_force_that_swings() -> None:
 def test_a_urdf_moves_at_the_start(tmp_path: Path) -> None:
     path = tmp_path / "chain.urdf"
     path.write_text(CHAIN)
-    still, moved = (urdf.read(path, exercise=exercise) for exercise in (False, True))
+    still, moved = (urdf.read(path, excitation=excitation) for excitation in (False, True))
     assert not np.any(initial_state(still.scene).angular_velocity)
     assert np.all(np.any(initial_state(moved.scene).angular_velocity[1:], axis=1))
-    assert any(line.startswith("exercised: start velocities up to ") for line in moved.report.start)
+    assert any(line.startswith("excited: start velocities up to ") for line in moved.report.start)
 
 
-def test_exercise_covers_what_a_file_leaves_still(tmp_path: Path) -> None:
+def test_excitation_covers_what_a_file_leaves_still(tmp_path: Path) -> None:
     text = FILE.replace('gravity="0 0 -1"', 'gravity="0 0 0"')
     shares = []
-    for exercise in (False, True):
-        scene = reading(tmp_path, text, exercise=exercise).scene
+    for excitation in (False, True):
+        scene = reading(tmp_path, text, excitation=excitation).scene
         covered = covered_by(scene, 1e-6, 1e-6)
         shares.append(1.0 - len(covered.untested) / len(covered.elements))
     assert shares[0] == 0.0
     assert shares[1] >= 0.9
 
 
-@pytest.mark.parametrize(("command", "exercised"), [("run", True), ("convert", False)])
-def test_runs_exercise_by_default(
-    command: str, exercised: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("command", "excited"), [("run", True), ("convert", False)])
+def test_runs_excite_by_default(
+    command: str, excited: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "model.xml"
     path.write_text(FILE)
     more = ["--output", str(tmp_path / "out"), "--set", "duration=0.1"] if command == "run" else []
     target = [] if command == "run" else [str(tmp_path / "model.yaml")]
-    for settings, expected in (([], exercised), (["--set", "exercise=off"], False)):
+    for settings, expected in (([], excited), (["--set", "excitation=off"], False)):
         with pytest.raises(SystemExit) as end:
             main([command, str(path), *target, *more, *settings])
         assert end.value.code == 0
-        assert ("exercised: " in capsys.readouterr().out) == expected
+        assert ("excited: " in capsys.readouterr().out) == expected
 
 
-def test_the_list_names_the_commands_that_exercise(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_names_the_commands_that_excite(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["list"])
     assert "on in run, regress, sweep, bench" in " ".join(capsys.readouterr().out.split())
 
 
-def test_bench_exercises_as_run_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bench_excites_as_run_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "model.xml"
     path.write_text(FILE)
     moves: list[bool] = []
@@ -360,30 +360,30 @@ def test_bench_exercises_as_run_does(tmp_path: Path, monkeypatch: pytest.MonkeyP
         return [], []
 
     monkeypatch.setattr("crosscheck.studies.benchmark.run.bench", bench)
-    for settings in ([], ["--set", "exercise=off"]):
+    for settings in ([], ["--set", "excitation=off"]):
         with pytest.raises(SystemExit):
             main(["bench", str(path), *settings])
     assert moves == [True, False]
 
 
 @pytest.mark.parametrize("command", [["convert", "{0}", "{0}.urdf"], ["faults", "{0}", "--reading"]])
-def test_exercise_without_effect_is_refused(
+def test_excitation_without_effect_is_refused(
     command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "model.xml"
     path.write_text(FILE)
     with pytest.raises(SystemExit) as end:
-        main([*(word.format(path) for word in command), "--set", "exercise=on"])
+        main([*(word.format(path) for word in command), "--set", "excitation=on"])
     assert end.value.code == 2
-    assert "--set exercise=on has no effect here: " in capsys.readouterr().err
+    assert "--set excitation=on has no effect here: " in capsys.readouterr().err
 
 
-def test_models_of_which_one_is_exercised_are_different(
+def test_models_of_which_one_is_excited_are_different(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Their starts, a level that no two engines have, differ."""
     path = Path(__file__).parents[3] / "examples" / "linkage.xml"
     with pytest.raises(SystemExit) as end:
-        main(["run", str(path), "--against", str(path), "--set", "exercise=on", "--output", str(tmp_path)])
+        main(["run", str(path), "--against", str(path), "--set", "excitation=on", "--output", str(tmp_path)])
     assert end.value.code == 1
     assert "DIFFERENT: " in capsys.readouterr().out

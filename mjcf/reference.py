@@ -13,14 +13,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjcf.accounts import Equalities, switch_off, unaccounted, without_force
 from mjcf.layout import element_name
+from mjcf.report_audit import Equalities, switch_off, unaccounted, without_force
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.scene import Scene
 from newton_euler.reading.activity import Bounds
 from newton_euler.reading.import_report import ImportReport, left_out, unique_name
-from newton_euler.reading.original import SEVERAL_HINGES, Original, Sample, wholes
 from newton_euler.reading.quantities import Constraints, ForceLimit, Forces, Kinematics
+from newton_euler.reading.reference import SEVERAL_HINGES, ReferenceModel, Sample, wholes
 from newton_euler.scalars import Array, cross
 
 ROUND_OFF = 1e-14
@@ -39,7 +39,7 @@ OFF = {
 """Arrays that forces are made of, all zero where nothing acts."""
 
 
-class MjcfOriginal(Original):
+class MjcfReference(ReferenceModel):
     """A compiled MJCF file."""
 
     def __init__(
