@@ -21,7 +21,8 @@ from newton_euler.integrators.options import MOST_FIXED_STEPS
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory
 from newton_euler.runs.assemble import initial_state
-from newton_euler.runs.sampling import Controllers, Interval, holding, intervals
+from newton_euler.runs.controllers import Controllers
+from newton_euler.runs.intervals import Interval, intervals, with_held_values
 from newton_euler.runs.simulate import trajectory_from
 from newton_euler.scalars import Array
 
@@ -227,7 +228,7 @@ def _run(
                 except IntegrationError as error:
                     return rows, error
             if held:
-                system = holding(given, held)
+                system = with_held_values(given, held)
                 system.actuate()
             if interval.wanted[0]:
                 record()

@@ -16,7 +16,8 @@ from newton_euler.analysis.linear.linearization import linearize
 from newton_euler.analysis.linear.regulator import lqr
 from newton_euler.analysis.loads.envelope import LoadEnvelope, LoadRange, load_envelope, rest_case
 from newton_euler.analysis.loads.equilibrium import equilibrium
-from newton_euler.analysis.loads.inverse_dynamics import Loads, inverse_dynamics, statics
+from newton_euler.analysis.loads.inverse_dynamics import Loads, inverse_dynamics
+from newton_euler.analysis.loads.statics import statics
 from newton_euler.analysis.sensitivity.sensitivities import Sensitivities, sensitivities
 from newton_euler.errors import (
     ArgumentError,

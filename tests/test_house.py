@@ -30,8 +30,11 @@ ROOMS: dict[str, set[str]] = {
     "codegen": set(),
     "integrators": {"model", "equations", "codegen"},
     "compiled": {"model", "equations", "codegen", "integrators"},
+    "runs": {"model", "equations", "codegen", "integrators", "compiled"},
+    "analysis": {"model", "equations", "codegen", "integrators", "compiled", "runs"},
+    "reading": {"model", "equations", "codegen", "integrators", "compiled", "runs"},
 }
-"""Rooms of newton_euler, and those that each may import; what stands above them all may import any."""
+"""Rooms of newton_euler, and the rooms that each may import."""
 
 GROUND = {
     "newton_euler.arguments",
@@ -102,6 +105,10 @@ def test_modules_do_not_import_each_other_in_a_circle(package):
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         pytest.fail(" imports ".join(reversed(error.args[1])))
+
+
+def test_every_folder_is_a_room():
+    assert {path.parent.name for path in (ROOT / "newton_euler").glob("*/__init__.py")} == set(ROOMS)
 
 
 @pytest.mark.parametrize("room", ROOMS)

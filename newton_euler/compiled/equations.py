@@ -58,6 +58,9 @@ SIDE_BY_SIDE = (("output",), ("position", "velocity"))
 OF_POSITIONS = frozenset({"violation"})
 """Outputs that depend on q alone, as poses do."""
 
+CACHED_SCENES = 8
+"""Number of most recently used scenes whose compiled code stays in memory, for each kind of code."""
+
 NEUTRAL = frozenset(
     {"description", "duration", "output_period", "controller", "shapes", "meshes", "times", "values"}
 )

@@ -7,237 +7,37 @@ Equation (21), body 1 (the ground) left out:
     |            | |        | =
     | Phi_q  0   | | -lambda| | gamma - K_D (Phi_q qdot) - K_P Phi(q)     |
 
-with q = (r, p) of each body. Each symbol is the method of that name below. Two points go beyond the printed
-equation, as the list of errata says: the Euler-parameter rows are stabilized like the others (erratum 11),
-and the ground takes no part (erratum 4), which leaves 42 coordinates, 34 + 6 constraints and 2 degrees of
-freedom of the tracker. Couplings and prescribed motions are further rows of Phi and B; rotors are a section
-of their own.
+with q = (r, p) of each body. Each symbol is the method of that name in
+`newton_euler.equations.cartesian_terms`. Two errata change the printed equation: the Euler-parameter rows are
+stabilized like the others (erratum 11), and the ground has no coordinates (erratum 4). The tracker then has
+42 coordinates, 34 + 6 constraints and 2 degrees of freedom.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from newton_euler.equations import dense, sparse
-from newton_euler.equations.applied_forces import body_wrenches
-from newton_euler.equations.couplings import Measured
-from newton_euler.equations.formulation import Formulation
-from newton_euler.equations.model_control import model_control
+from newton_euler.equations.cartesian_terms import CartesianTerms
 from newton_euler.equations.reactions import at_joint_points, pushes
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
 from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, add, spread, to_array
 from newton_euler.equations.system import fastest_joint
 from newton_euler.errors import SingularityError
-from newton_euler.model import balls
-from newton_euler.model.constraints import Frame, Jacobian
-from newton_euler.model.euler_parameters import matrix_g, matrix_l, rotation
+from newton_euler.model.constraints import Frame
+from newton_euler.model.euler_parameters import matrix_g, matrix_l
 from newton_euler.model.joint import Key
-from newton_euler.model.mechanism import Body
-from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.state import State
-from newton_euler.scalars import Array, Scalar, cross, sqrt, zeros
+from newton_euler.scalars import Array, Scalar, sqrt, zeros
 
 
-class Rotors(NamedTuple):
-    """Armatures a of coordinates x: d2x/dt2 = Phi_q qddot - gamma, and a force on x acts through B^T."""
-
-    inertias: list[Scalar]  # kg m^2 or kg
-    on_q: Rows  # of Phi_q
-    on_b: Rows  # of B
-    gammas: list[Scalar]
-
-
-class Cartesian(Formulation):
-    """Cartesian formulation of a scene. State: q (7 n,), qdot (7 n,) of the n moving bodies.
-
-    The residuals `phi` are Phi(q) of joints and couplings, then 1/2 (p^T p - 1) of the bodies.
-    """
+class Cartesian(CartesianTerms):
+    """Cartesian formulation of a scene: equation (21), solved with dense matrices or by elimination."""
 
     name = "cartesian"
-
-    def __init__(self, scene: Scene, alpha: float = 0.0) -> None:
-        """Baumgarte's gains are K_D = 2 alpha, K_P = alpha^2 (Appendix B); none for alpha = 0."""
-        mechanism = scene.mechanism
-        self.bodies = mechanism.bodies[1:]
-        n, poses = len(self.bodies), [body.pose for body in mechanism.bodies]
-        super().__init__(scene, alpha, poses, mechanism.equations, mechanism.equations, 7 * n, 7 * n)
-        self.inertias = [body.inertia for body in mechanism.bodies]
-        self.phi_units = np.concatenate([self.phi_units, np.ones(n)])
-        self.row_owners = (*self.row_owners, *(body.name for body in self.bodies))
-        self.quaternions = [slice(k + 3, k + 7) for k in range(0, self.nv, 7)]
-        size, mass = mechanism.size, sum(body.mass for body in self.bodies)
-        self.velocity_units = self.coordinate_units = np.tile([size] * 3 + [1.0] * 4, n)
-        self.force_units = np.tile([mass * size] * 3 + [mass * size**2] * 3, n)
-
-    # Section 2: coordinates
-
-    def split(self, q: Array) -> list[tuple[Array, Array]]:
-        """Return (r, p) of each moving body, or their rates."""
-        return [(q[k : k + 3], q[k + 3 : k + 7]) for k in range(0, self.nv, 7)]
-
-    def frames(self, q: Array, v: Array) -> list[Frame]:
-        """Compute the frames of all bodies: R = G L^T, eq. (3), and omega = 2 G pdot."""
-        return self.remembered(q, v, self._frames)
-
-    def _frames(self, q: Array, qdot: Array) -> list[Frame]:
-        ground = self.mechanism.bodies[0]
-        frames = [Frame(ground.center_of_mass, ground.pose.rotation, np.zeros(3), np.zeros(3))]
-        for (r, p), (rdot, pdot) in zip(self.split(q), self.split(qdot), strict=True):
-            frames.append(Frame(r, rotation(p), rdot, 2.0 * matrix_g(p) @ pdot))
-        return frames
-
-    def norms(self, q: Array) -> Array:
-        """Compute 1/2 (p^T p - 1) of each body, (n,), eq. (1)."""
-        return np.array([0.5 * (p @ p - 1.0) for _, p in self.split(q)])
-
-    def c(self, qdot: Array) -> Array:
-        """Compute c = pdot^T pdot of each body, (n,), eqs (2) and (20)."""
-        return np.array([pdot @ pdot for _, pdot in self.split(qdot)])
-
-    def P(self, q: Array) -> Rows:
-        """Compute the nonzeros of P (n, 7 n), eqs (15) and (20): p_i^T of each body."""
-        rows: Rows = [{} for _ in self.bodies]
-        for k, (_, p) in enumerate(self.split(q)):
-            spread(rows[k : k + 1], 7 * k + 3, p[None])
-        return rows
-
-    # Section 2: constraints. Those of a joint are in `newton_euler.model.joint_kinds`, eqs (25) to (28).
-
-    def Phi(self, q: Array, qdot: Array) -> Array:
-        """Compute Phi(q) (k,), eq. (4): joints, then couplings."""
-        frames, measured = self.frames(q, qdot), self.measured(q, qdot)
-        phis = [e.phi(frames[e.first], frames[e.second]) for e in self.equations]
-        return np.concatenate([*phis, [c.phi(measured, self.time) for c in self.couplings]])
-
-    def gamma(self, q: Array, qdot: Array) -> Array:
-        """Compute gamma (k,), eq. (5): joints, then couplings."""
-        frames, measured = self.frames(q, qdot), self.measured(q, qdot)
-        gammas = [e.gamma(frames[e.first], frames[e.second]) for e in self.equations]
-        return np.concatenate([*gammas, [c.gamma(measured, self.time) for c in self.couplings]])
-
-    def Phi_q_and_B(self, q: Array, qdot: Array) -> tuple[Rows, Rows]:
-        """Compute the nonzeros of Phi_q (k, 7 n), eq. (5), and B (k, 6 n), eqs (18) and (20).
-
-        Phi_p = 2 Phi_theta G, since delta theta = 2 G delta p. It makes the paper's
-        B = [Phi_r, 1/2 Phi_p L^T] equal to [Phi_r, Phi_theta R], with no product to work out,
-        because G L^T = R.
-        """
-        frames = self.frames(q, qdot)
-        phi_q: Rows = []
-        b: Rows = []
-        for e in self.equations:
-            blocks = e.jacobian(frames[e.first], frames[e.second])
-            on_q, on_b = self._rows(q, frames, e.first, e.second, blocks)
-            phi_q.extend(on_q)
-            b.extend(on_b)
-        measured = self.measured(q, qdot)
-        for coupling in self.couplings:
-            totals: Rows = [{}, {}]
-            for key, slope in coupling.seen_slopes(measured).items():
-                first, second = self.between[key].first, self.between[key].second
-                blocks = Jacobian(*(slope * block for block in measured[key].jacobian))
-                for total, (share,) in zip(totals, self._rows(q, frames, first, second, blocks), strict=True):
-                    for k, entry in share.items():
-                        add(total, k, entry)
-            phi_q.append(totals[0])
-            b.append(totals[1])
-        return phi_q, b
-
-    def right_side(self, q: Array, qdot: Array) -> Array:
-        """Compute gamma - K_D (Phi_q qdot) - K_P Phi(q), eqs (6), (8) and (9) with erratum 1."""
-        gamma = self.gamma(q, qdot)
-        if not (self.K_D or self.K_P):
-            return gamma
-        return gamma - self.K_D * self.phi_rate(q, qdot) - self.K_P * self.Phi(q, qdot)
-
-    def _rows(
-        self, q: Array, frames: list[Frame], first: int, second: int, blocks: Jacobian
-    ) -> tuple[Rows, Rows]:
-        """Compute the nonzeros of rows of Phi_q and of B for a Jacobian between two bodies."""
-        r_i, theta_i, r_j, theta_j = blocks
-        on_q: Rows = [{} for _ in r_i]
-        on_b: Rows = [{} for _ in r_i]
-        for body, phi_r, phi_theta in ((first, r_i, theta_i), (second, r_j, theta_j)):
-            if body == 0:
-                continue
-            k = body - 1
-            p = q[7 * k + 3 : 7 * k + 7]
-            spread(on_q, 7 * k, np.hstack([phi_r, 2.0 * phi_theta @ matrix_g(p)]))
-            spread(on_b, 6 * k, np.hstack([phi_r, phi_theta @ frames[body].rotation]))
-        return on_q, on_b
-
-    # Section 3: bodies
-
-    def M(self, q: Array) -> Array:
-        """Compute M (6 n, 7 n), eq. (20): N_i = m_i I and 2 J'_i L_i on its diagonal, eqs (10) to (15)."""
-        mass = zeros((6 * len(self.bodies), self.nv), q)
-        for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
-            mass[6 * k : 6 * k + 3, 7 * k : 7 * k + 3] = body.mass * np.eye(3)
-            mass[6 * k + 3 : 6 * k + 6, 7 * k + 3 : 7 * k + 7] = 2.0 * body.inertia @ matrix_l(p)
-        return mass
-
-    def b(self, q: Array, qdot: Array) -> Array:
-        """Compute b (6 n,), eq. (20): 0 and L_i H_i pdot_i of each body, eq. (14)."""
-        terms = [np.zeros(0)]
-        for body, (_, p), (_, pdot) in zip(self.bodies, self.split(q), self.split(qdot), strict=True):
-            terms += [np.zeros(3), self.l_h_pdot(body, p, pdot)]
-        return np.concatenate(terms)
-
-    def l_h_pdot(self, body: Body, p: Array, pdot: Array) -> Array:
-        """Compute L H pdot (3,) of a body with H = 4 Ldot^T J' L, eq. (13).
-
-        With omega' = 2 L pdot, eq. (11), L H pdot = omega' x J' omega' + 2 (p^T pdot) J' omega'. The last
-        term is zero where eq. (1) holds, and eq. (12) leaves it out.
-        """
-        omega = 2.0 * matrix_l(p) @ pdot
-        momentum = body.inertia @ omega
-        return cross(omega, momentum) + 2.0 * (p @ pdot) * momentum
-
-    def g(self, q: Array, qdot: Array) -> Array:
-        """Compute g (6 n,), eqs (20) and (24): applied f_i in the world and n'_i in the body."""
-        frames = self.frames(q, qdot)
-        applied = body_wrenches(self.scene, self.seen(q, qdot))
-        wrenches = [
-            wrench + np.concatenate([body.mass * self.scene.gravity, np.zeros(3)])
-            for body, wrench in zip(self.mechanism.bodies, applied, strict=True)
-        ]
-        measured = self.measured(q, qdot)
-        for law, u in zip(self.scene.joint_forces, self.joint_forces(q, qdot), strict=True):
-            (r_i, theta_i, r_j, theta_j), driven = measured[law.key].jacobian, self.between[law.key]
-            for body, r, theta in ((driven.first, r_i, theta_i), (driven.second, r_j, theta_j)):
-                wrenches[body] = wrenches[body] + u * np.concatenate([r[0], theta[0]])
-        parts = [np.zeros(0)]
-        for wrench, frame in zip(wrenches[1:], frames[1:], strict=True):
-            parts += [wrench[:3], frame.rotation.T @ wrench[3:]]
-        return np.concatenate(parts)
-
-    def model_forces(self, q: Array, v: Array) -> Mapping[Key, Scalar]:
-        return model_control(self).forces(self, q, v)
-
-    # Extension: rotors
-
-    def rotors(self, q: Array, qdot: Array) -> Rotors:
-        """Compute the rows of armatures: of one coordinate each, of three angular velocities on balls."""
-        frames, measured = self.frames(q, qdot), self.measured(q, qdot)
-        found = Rotors([], [], [], [])
-        for armature in self.scene.armatures:
-            if armature.on_ball:
-                first, second = balls.ends(self.mechanism, armature.joint)
-                jacobian, gammas = balls.SPIN, balls.spin_gamma(frames[first], frames[second])
-            else:
-                first, second = self.between[armature.key].first, self.between[armature.key].second
-                seen = measured[armature.key]
-                jacobian, gammas = seen.jacobian, np.array([seen.gamma])
-            on_q, on_b = self._rows(q, frames, first, second, jacobian)
-            found.inertias.extend([armature.inertia] * len(gammas))
-            found.on_q.extend(on_q)
-            found.on_b.extend(on_b)
-            found.gammas.extend(gammas)
-        return found
 
     # Equation (21), solved with dense matrices
 
@@ -273,10 +73,10 @@ class Cartesian(Formulation):
     def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Solve equation (21), as eq. (22) does, for qddot (7 n,) and lambda (k,).
 
-        lambda is the smallest one where constraints are redundant.
+        If constraints are redundant, lambda is the smallest of the solutions.
 
         Raises:
-            SingularityError: if qddot is not unique all the same.
+            SingularityError: if qddot is not unique, naming the joint that loses rank.
         """
         matrix, right = self.equation_21(q, v)
         n, unused = self.nv, rows_left_out(self)
@@ -324,9 +124,9 @@ class Cartesian(Formulation):
         for k, scale in enumerate(scales):
             for i in range(6 * k + 3, 6 * k + 6):
                 factor.inverse_pivots[i] = factor.inverse_pivots[i] / scale
-        # the rows of the norms of p are met by construction
+        # the rows of the norms of p need no equation: the unknowns omegadot' keep the norms
         count = sum(number < self.rows for number in rows.numbers)
-        # a rotor is a constraint that gives way: x'' + lambda / a = 0
+        # an armature is a soft constraint: x'' + lambda / a = 0
         inertias, _, of_rotors, gammas = self.rotors(q, v)
         soft = dict(enumerate([1.0 / inertia for inertia in inertias], start=self.rows))
         usual = rows.scales and rows.scales[: count + len(soft)]
@@ -337,8 +137,9 @@ class Cartesian(Formulation):
     def sparse_residuals(
         self, q: Array, v: Array, rows: RowsInUse, accelerations: Array, multipliers: Array
     ) -> tuple[Array, Array]:
-        """Compute the residuals without B: constraint by constraint."""
+        """Compute the residuals of a sparse solution constraint by constraint, without the matrix B."""
         equations, frames = self.sparse_equations(q, v, rows), self.frames(q, v)
+        # bodies: accelerations minus applied forces
         force, right = zeros(len(accelerations), accelerations), -equations.gamma.astype(object)
         for k, share in equations.force.items():
             force[k] = -share
@@ -350,6 +151,7 @@ class Cartesian(Formulation):
             force[angular] = force[angular] + (p @ p) * (body.inertia @ spin)
             r, rotation = frames[k + 1][:2]
             moving.append(Frame(r, rotation, accelerations[linear], rotation @ spin))
+        # joints: relative accelerations, and the wrenches of their multipliers
         given, start = sparse.sparse_vector(accelerations), 0
         for e in self.equations:
             own = slice(start, start + e.count)
@@ -363,6 +165,7 @@ class Cartesian(Formulation):
                 if k > 0:
                     turned = np.concatenate([wrench[:3], frames[k].rotation.T @ wrench[3:]])
                     force[6 * k - 6 : 6 * k] = force[6 * k - 6 : 6 * k] - turned
+        # couplings, prescribed motions and armatures
         for i in range(start, len(equations.jacobian)):
             soft = (equations.softness or {}).get(i, 0.0)
             right[i] = right[i] + sparse.dot(equations.jacobian[i], given) + soft * multipliers[i]
@@ -400,15 +203,11 @@ class Cartesian(Formulation):
                     add(rows[i], j, inertia * (x * y))
         return rows
 
-    # As integrators, projection and assembly see it
+    # Interface to integrators, projection and assembly
 
     def orientations(self, q: Array, v: Array) -> list[Array]:
         """Return the Euler parameters (4,) of all bodies as they are, not normalized."""
         return [self.mechanism.bodies[0].quaternion, *(p for _, p in self.split(q))]
-
-    def measured(self, q: Array, v: Array) -> dict[Key, Measured]:
-        frames = self.frames(q, v)
-        return {key: coordinate.measure(q, frames) for key, coordinate in self.between.items()}
 
     def own_coordinates(self, state: State) -> tuple[Array, Array]:
         """Compute (r, p) and their rates in a state: pdot = 1/2 G^T omega."""

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from newton_euler.arguments import UNCHECKED, checked
+from newton_euler.compiled.equations import CACHED_SCENES
 from newton_euler.compiled.lanes import Runs, SideBySide, go_in_lanes, load_lanes
 from newton_euler.compiled.outputs import named
 from newton_euler.compiled.run import PREPARING
@@ -43,8 +44,8 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import JointMotion, Trajectory, joint_motion
 from newton_euler.runs.assemble import check_states, coordinates_of, initial_state
-from newton_euler.runs.sampling import integrate_intervals
-from newton_euler.runs.simulate import KEPT, CompiledScene, native_trajectory, warn_of_round_off
+from newton_euler.runs.intervals import integrate_intervals
+from newton_euler.runs.simulate import CompiledScene, native_trajectory, warn_of_round_off
 from newton_euler.runs.starts import assembly_of, initial_numbers
 from newton_euler.runs.variation import run_values
 from newton_euler.scalars import Array, Floats
@@ -293,7 +294,7 @@ def _make_one_by_one(
         runs.counts[k] = found.counts
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_SCENES)
 def _compiled(
     scene: Scene, formulation: str | None, stabilization: str, alpha: float | None, names: tuple[str, ...]
 ) -> CompiledScene:

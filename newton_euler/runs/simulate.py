@@ -13,7 +13,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from newton_euler.arguments import caller_level, checked
-from newton_euler.compiled.equations import Code
+from newton_euler.compiled.equations import CACHED_SCENES, Code
 from newton_euler.compiled.formulations import check_formulation
 from newton_euler.compiled.interpreted import integrate
 from newton_euler.compiled.outputs import named
@@ -44,10 +44,10 @@ from newton_euler.model.trajectory import (
     check_finite,
 )
 from newton_euler.runs.assemble import coordinates_of, inherit_initial_state, initial_state
-from newton_euler.runs.sampling import Controllers, holding, integrate_intervals, intervals
+from newton_euler.runs.controllers import Controllers
+from newton_euler.runs.intervals import integrate_intervals, intervals, with_held_values
 from newton_euler.scalars import Array, unstacked
 
-KEPT = 8  # scenes, most recently simulated, whose code stays in memory
 MAX_ROUND_OFF = 20.0
 """Largest error estimate that round-off may explain without a warning, in units of the tolerance. Below it,
 errors of runs of chains of 20 and 40 links are as small as the tolerance makes them elsewhere."""
@@ -93,7 +93,7 @@ def simulate(
     return found
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_SCENES)
 def _compiled(scene: Scene, formulation: str | None, stabilization: str, alpha: float) -> CompiledScene:
     """Return the code of a scene; scenes cannot change, so that of the same object is the same."""
     return CompiledScene(scene, formulation, stabilization, alpha)
@@ -244,17 +244,17 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
     counts = Counter(steps=0, evaluations=0)
     stopped: IntegrationError | None = None
     held: dict[str, Any] = {}
-    given, controllers = system, Controllers(scene)
+    given, controllers = system, Controllers(scene) if scene.sampled else None
     for interval in intervals(scene, scene.knots):
         held |= pieces(scene, interval.middle)
-        if interval.due:
+        if controllers and interval.due:
             readings = np.array(system.measure(q, v), dtype=float)
             try:
                 held |= controllers.sample(interval.due, float(interval.times[0]), readings)
             except IntegrationError as error:
                 stopped = error
                 break
-        system = holding(given, held) if held else given
+        system = with_held_values(given, held) if held else given
         table, found, stopped = integrate(system, q, v, interval.times, options)
         counts.update(found)
         for t, wanted, state in zip(interval.times, interval.wanted, table, strict=False):

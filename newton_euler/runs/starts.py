@@ -31,11 +31,12 @@ from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.codegen.native import Record, Vector, native
 from newton_euler.compiled.callbacks import raise_fatal
-from newton_euler.compiled.equations import NEUTRAL, Code
+from newton_euler.compiled.equations import CACHED_SCENES, NEUTRAL, Code
 from newton_euler.compiled.formulations import formulate
 from newton_euler.compiled.outputs import at_rows
 from newton_euler.compiled.run import Fallback, equations, native_method
 from newton_euler.equations.couplings import counted_angles, couplings
+from newton_euler.equations.driven import DrivenMechanism, driven
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.independence import independent
 from newton_euler.equations.kinematics import TreeKinematics
@@ -56,13 +57,11 @@ from newton_euler.integrators.projection import project, worst_joint
 from newton_euler.integrators.stepper import DONE, OPEN, Equations
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint import Key
-from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State, whole_revolutions
 from newton_euler.model.variable import UNITS
 from newton_euler.runs.assemble import coordinates_of, initial_state, measured_coordinate, with_angles
-from newton_euler.runs.simulate import KEPT
 from newton_euler.scalars import Array, Scalar
 
 PREFIX, RATE = "start.", ".rate"  # parts of names of initial coordinates and their rates
@@ -187,7 +186,7 @@ def assemble_all(system: Equations, course: Course) -> None:
         course.statuses[run] = float(status)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_SCENES)
 def assembly_of(scene: Scene, names: tuple[str, ...]) -> Assembly:
     """Return the assembly for parameters of a scene, the same one each time: LLVM keeps all that it makes."""
     return Assembly(scene, names)
@@ -212,21 +211,23 @@ class Assembly:
         self._rates = {number.key for number in self.initial.values() if number.order == 1}
         keys = dict.fromkeys(number.key for number in self.initial.values())
         ordered = sorted(keys, key=lambda key: key not in self._rates)
-        self._motions = {
-            key: numbered("motions", k, "function") for k, key in enumerate(ordered, start=len(scene.motions))
-        }
+        self._keys = tuple(ordered)
+
+    @cached_property
+    def _driven(self) -> DrivenMechanism:
+        """The mechanism driven at the initial coordinates, which also carries the angles of the scene."""
+        start = initial_state(self.scene)
+        functions = {key: self._held(start, key) for key in self._keys}
+        coupled = {key for coupling in couplings(self.scene) for key in coupling.factors}
+        others = [key for key in counted_angles(self.scene) if key not in coupled.union(self._keys)]
+        carrying = [JointSpring(joint, coordinate=k) for joint, k in others]  # without stiffness
+        return driven(self.scene, functions, forces=carrying, initial_state=self._completed(start))
 
     @cached_property
     def code(self) -> Code:
-        """Equations of the constraints, with prescribed motions for the initial coordinates."""
-        start, bare = initial_state(self.scene), self.scene.without_forces()
-        motions = [PrescribedMotion(key[0], self._held(start, key), key[1]) for key in self._motions]
-        coupled = {key for coupling in couplings(self.scene) for key in coupling.factors}
-        others = [key for key in counted_angles(self.scene) if key not in coupled.union(self._motions)]
-        carrying = [JointSpring(joint, coordinate=k) for joint, k in others]  # of no stiffness
-        start = self._completed(start)
-        held = replace(bare, motions=(*bare.motions, *motions), forces=carrying, initial_state=start)
-        parameters = (*self._names.values(), *self._motions.values())
+        """Equations of the constraints of the driven mechanism."""
+        held = self._driven.scene
+        parameters = (*self._names.values(), *self._driven.functions.values())
         code = Code(held, "relative", parameters=parameters)
         if not self._is_overdetermined(code):
             return code
@@ -236,7 +237,7 @@ class Assembly:
             rows = [row if k in numbers else {} for k, row in enumerate(at.rows)]
             return independent(rows, held.redundancy_tolerance).rows
 
-        moved = range(self._free_rows(code).stop - len(self._motions), self._free_rows(code).stop)
+        moved = self._driven.rows(code.system)
         used = selected(set(range(len(at.rows))) - set(moved))
         for row in moved:  # those of given rates are the first
             used = max(used, selected({*used, row}), key=len)
@@ -244,14 +245,12 @@ class Assembly:
 
     def _free_rows(self, code: Code) -> range:
         """Return the constraint rows of motions whose rates are not given, which yield to all others."""
-        system = code.system
-        end = system.rows - len(system.couplings) + len(code.scene.motions)
-        return range(end - len(self._motions) + len(self._rates), end)
+        return self._driven.rows(code.system)[len(self._rates) :]
 
     def _is_overdetermined(self, code: Code) -> bool:
         """True if some initial coordinates follow from the others: then rates may contradict each other."""
         left = code.system.nv - code.rank
-        return bool(self._motions) and left > mobility(self.scene).degrees_of_freedom - len(self._motions)
+        return bool(self._keys) and left > mobility(self.scene).degrees_of_freedom - len(self._keys)
 
     @property
     def is_needed(self) -> bool:
@@ -308,14 +307,14 @@ class Assembly:
         states = [self._completed(state) for state in states]
         own[:, : code.size] = coordinates_of(code.system, states)
         for row, state in zip(own, states, strict=True):
-            for key, name in self._motions.items():
+            for key, name in self._driven.functions.items():
                 row[code.place(name) :][:2] = self._held(state, key).coefficients
         return own
 
     def _completed(self, state: State) -> State:
         """Return a state with the angles that the scene depends on, and those that are to move."""
         state = with_angles(self.scene, state)
-        angles = [key for key in self._motions if not self.scene.mechanism.is_slide(*key)]
+        angles = [key for key in self._keys if not self.scene.mechanism.is_slide(*key)]
         moved = {key: measured_coordinate(self.scene, state, key)[0] for key in angles}
         return replace(state, angles={**state.angles, **moved})
 
@@ -327,7 +326,7 @@ class Assembly:
             targets[:, self.code.place(place) :][:, : flat.shape[1]] = flat
         self._set_pieces(targets)
         for name, (key, order) in self.initial.items():
-            column = self.code.place(self._motions[key]) + order
+            column = self.code.place(self._driven.functions[key]) + order
             targets[:, column] = values[name]
             if order == 0 and key in self._free_angles:
                 targets[:, column] -= whole_revolutions(values[name] - own[:, column])  # the shorter way
@@ -337,14 +336,14 @@ class Assembly:
     def _free_angles(self) -> set[Key]:
         """Initial coordinates that are angles which no coupling of the scene ties to others."""
         coupled = {key for coupling in couplings(self.scene) for key in coupling.factors}
-        angles = {key for key in self._motions if not self.scene.mechanism.is_slide(*key)}
+        angles = {key for key in self._keys if not self.scene.mechanism.is_slide(*key)}
         return angles - coupled
 
     def _set_revolutions(self, x: Array, values: Mapping[str, Array]) -> None:
         """Give angles in x (n, inputs) the revolutions of the values (n,) that were asked for."""
         for name, (key, order) in self.initial.items():
             if order == 0 and key in self._free_angles:
-                place, column = self.code.system.angles[key], self.code.place(self._motions[key])
+                place, column = self.code.system.angles[key], self.code.place(self._driven.functions[key])
                 turned = whole_revolutions(values[name] - x[:, place])
                 x[:, place] += turned
                 x[:, column] += turned
@@ -370,7 +369,7 @@ class Assembly:
             count = max(1, math.prod(code.parameters[name]))
             attribute = name.partition("].")[2].partition(".")[0]
             units[code.place(name) :][:count] = size if UNITS.get(attribute) == "m" else 1.0
-        for key, name in self._motions.items():
+        for key, name in self._driven.functions.items():
             units[code.place(name)] = size if self.scene.mechanism.is_slide(*key) else 1.0
             units[code.place(name) + 1] = np.inf  # rates move nothing
         longest = np.max(np.abs(targets - own) / units, axis=1)
@@ -399,7 +398,7 @@ class Assembly:
         problem = f"joint {joint!r} stays open by {residual:.3g} (m or rad) {way}"
         given = {number.key for number in self.initial.values() if number.order == 0}
         labels = self.scene.mechanism.coordinate_labels
-        held = listed(PREFIX + labels[key] for key in self._motions if key not in given)
+        held = listed(PREFIX + labels[key] for key in self._keys if key not in given)
         problem += f", where {held} is the own one of the scene" if held else ""
         return MechanismError(f"run {run}", problem, "values that loops let joints move to")
 

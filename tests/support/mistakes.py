@@ -84,7 +84,7 @@ MISTAKES = {
         "newton_euler/integrators/test_simulate.py::test_drift_is_bounded_with_baumgarte_and_grows_without",
     ),
     "a held force that outlives its run": (
-        "newton_euler/runs/sampling.py",
+        "newton_euler/runs/intervals.py",
         "changed = copy.copy(system)",
         "changed = system",
         "newton_euler/integrators/test_sampled.py::test_a_run_leaves_the_system_as_it_was",

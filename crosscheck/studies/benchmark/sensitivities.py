@@ -23,7 +23,7 @@ from newton_euler.analysis.sensitivity.tangent_starts import Starts, own_numbers
 from newton_euler.equations.parameters import parameter_names
 from newton_euler.errors import SensitivityError
 from newton_euler.model.scene import Scene
-from newton_euler.runs.sampling import integrate_intervals
+from newton_euler.runs.intervals import integrate_intervals
 from newton_euler.scalars import Array
 
 COUNTS = (1, 2, 4, 8)

@@ -21,6 +21,7 @@ from newton_euler.analysis.identification.measurements import (
 from newton_euler.analysis.sensitivity.tangent_code import ALONG, tangent_code
 from newton_euler.analysis.sensitivity.tangent_run import Followed, FollowedRun
 from newton_euler.analysis.sensitivity.tangent_starts import Starts
+from newton_euler.compiled.equations import CACHED_SCENES
 from newton_euler.equations.undetermined import is_undetermined, undetermined_joints, worded
 from newton_euler.errors import MechanismError, NewtonEulerError, UnknownNameError
 from newton_euler.integrators.options import FormulationName, Options
@@ -28,7 +29,6 @@ from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.source_file import SourceError
 from newton_euler.model.trajectory import QUANTITIES
 from newton_euler.runs.assemble import initial_state
-from newton_euler.runs.simulate import KEPT
 from newton_euler.scalars import Array, Floats
 
 REACTIONS = "reaction_force", "reaction_torque"
@@ -199,7 +199,7 @@ class Residuals:
                 yield name, Angle(_rms(left[name]), _rms(as_degrees), size)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_SCENES)
 def _asking(scene: Scene, wanted: frozenset[str | None]) -> Scene:
     """Return a scene with other outputs, the same one each time, by which its code is found again."""
     return replace(scene, outputs=frozenset(output for output in OUTPUTS if output in wanted))

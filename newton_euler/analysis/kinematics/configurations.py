@@ -21,12 +21,12 @@ from newton_euler.compiled.equations import NEUTRAL
 from newton_euler.compiled.outputs import at_rows
 from newton_euler.equations.couplings import couplings
 from newton_euler.equations.dense import RANK_TOLERANCE
+from newton_euler.equations.driven import driven
 from newton_euler.equations.kinematics import TreeKinematics
 from newton_euler.equations.redundancy import inherit_mobility, mobility, rows_left_out
 from newton_euler.errors import MechanismError, quoted, real_array
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.joint import Key
-from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
@@ -153,26 +153,21 @@ class Chain:
         self.goals, self.pointing = goals, pointing
         held = tuple(motion.held() for motion in scene.motions if motion.key not in self.keys[:goals])
         values = {motion.key: motion.function.value(0.0) for motion in held}
-        chosen = tuple(
-            PrescribedMotion(joint, Polynomial((0.0,)), k)
-            for joint, k in self.keys
-            if (joint, k) not in values
-        )
-        bare = scene.without_forces()
-        loops = replace(bare, motions=held, initial_state=state)
+        chosen = {key: Polynomial((0.0,)) for key in self.keys if key not in values}
+        loops = replace(scene.without_forces(), motions=held, initial_state=state)
         if not scene.motions:
             mobility(scene)  # decided once for all chains
             inherit_mobility(loops, scene)
         found = mobility(loops)
-        self.driven = replace(bare, motions=(*held, *chosen), initial_state=None)
+        mechanism = driven(scene, chosen, held, initial_state=None)
+        self.driven = mechanism.scene
         self.system = TreeKinematics(self.driven)
         self.freedoms = found.degrees_of_freedom
         closures = self.system.rows - len(self.system.couplings)
         places = {motion.key: closures + k for k, motion in enumerate(self.driven.motions)}
         self.driving = np.array([places[key] for key in self.keys], dtype=int)
         self.offsets = np.array([values.get(key, 0.0) for key in self.keys])
-        first = closures + len(held)
-        own = np.delete(np.arange(len(self.system.phi_units)), np.arange(first, first + len(chosen)))
+        own = np.delete(np.arange(len(self.system.phi_units)), mechanism.rows(self.system))
         self.closing = np.delete(own, rows_left_out(TreeKinematics(loops)))
         self.independent = own[found.independent]
         self.units = self.system.phi_units[self.driving]

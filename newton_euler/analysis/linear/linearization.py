@@ -24,12 +24,11 @@ import numpy as np
 
 from newton_euler.analysis.kinematics.freedoms import AXES, Freedom, chosen_freedoms, rates_of
 from newton_euler.analysis.linear.linear_model import LinearModel, label
-from newton_euler.analysis.loads.inverse_dynamics import KEPT
 from newton_euler.arguments import checked
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, differentiate_along
 from newton_euler.codegen.fingerprint import fingerprint
-from newton_euler.compiled.equations import NEUTRAL
+from newton_euler.compiled.equations import CACHED_SCENES, NEUTRAL
 from newton_euler.compiled.outputs import at_rows
 from newton_euler.equations.dense import largest, singular_values
 from newton_euler.equations.model_control import share_model_control
@@ -60,7 +59,8 @@ from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.runs.assemble import check_revolutions, initial_state
-from newton_euler.runs.sampling import Controllers, holding
+from newton_euler.runs.controllers import Controllers
+from newton_euler.runs.intervals import with_held_values
 from newton_euler.scalars import Array, minimum, tilde
 
 SINGULAR = 1e-9  # of singular values of [J; J_z], below which coordinates do not determine the motion
@@ -387,7 +387,7 @@ class Linearization:
         return np.concatenate(rows), tuple(labels)
 
 
-_compiled = lru_cache(maxsize=KEPT)(Linearization)
+_compiled = lru_cache(maxsize=CACHED_SCENES)(Linearization)
 
 
 def held_forces(scene: Scene, state: State, time: float) -> dict[Key, float]:
@@ -396,5 +396,5 @@ def held_forces(scene: Scene, state: State, time: float) -> dict[Key, float]:
     q, v = system.coordinates(state)
     if scene.sampled:
         readings = np.array(system.measure(q, v), dtype=float)
-        system = holding(system, Controllers(scene).sample(scene.sampled, time, readings))
+        system = with_held_values(system, Controllers(scene).sample(scene.sampled, time, readings))
     return {law.key: float(u) for law, u in zip(scene.control, system.joint_forces(q, v), strict=False)}

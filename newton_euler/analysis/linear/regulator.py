@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from newton_euler.analysis.linear.linearization import linearize
-from newton_euler.analysis.loads.inverse_dynamics import statics
+from newton_euler.analysis.loads.statics import statics
 from newton_euler.arguments import checked
 from newton_euler.errors import MechanismError, OptionError, real_array
 from newton_euler.model.control import PD, StateFeedback

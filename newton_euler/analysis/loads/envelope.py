@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.analysis.loads.inverse_dynamics import statics
+from newton_euler.analysis.loads.statics import statics
 from newton_euler.arguments import checked
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.euler_parameters import rotations

@@ -10,7 +10,7 @@ import numpy as np
 
 from newton_euler.codegen.compile import VERY_LARGE, Traced
 from newton_euler.codegen.expression import Graph, Program, differentiate_along, substitute
-from newton_euler.compiled.equations import used_by
+from newton_euler.compiled.equations import CACHED_SCENES, used_by
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.parameters import is_kinematic, places
 from newton_euler.equations.row_choice import dimensionless_rows
@@ -19,7 +19,7 @@ from newton_euler.integrators.options import FormulationName
 from newton_euler.integrators.singular import UNSAFE
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
-from newton_euler.runs.simulate import KEPT, CompiledScene
+from newton_euler.runs.simulate import CompiledScene
 from newton_euler.runs.starts import initial_numbers
 from newton_euler.scalars import Array, Scalar, minimum, objects, zeros
 
@@ -31,7 +31,7 @@ REVERSING = "reversing"
 """Name of the program of what reverses where forces jump."""
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_SCENES)
 def tangent_code(scene: Scene, names: tuple[str, ...], formulation: FormulationName | None) -> TangentCode:
     """Return the code of a scene with derivatives by numbers that are parameters, see `components`.
 

@@ -23,7 +23,7 @@ from newton_euler.integrators.options import Options, StepControl, most_steps
 from newton_euler.integrators.singular import FAR, NEAR, UNSAFE
 from newton_euler.integrators.tangent_steps import follow, methods
 from newton_euler.integrators.tangents import REACHED, Tangents, evaluate_along
-from newton_euler.runs.sampling import Interval, integrate_intervals
+from newton_euler.runs.intervals import Interval, integrate_intervals
 from newton_euler.scalars import Array
 
 TOO_NEAR = "the run comes too near to a singular configuration"
@@ -182,7 +182,7 @@ class FollowedRun:
             for name, part in self._along(integrator, begun, interval, directions).items():
                 parts[name].append(part if interval.wanted.all() else part[interval.wanted])
 
-        run = integrate_intervals(self._code, x, self._options, room=ROOM, carry=carry, times=times)
+        run = integrate_intervals(self._code, x, self._options, room=ROOM, after_interval=carry, times=times)
         if run.stopped:
             raise run.stopped
         derivatives = {

@@ -13,7 +13,8 @@ from crosscheck.library import load
 from mjcf.rigid import RigidMuJoCo
 from newton_euler import start
 from newton_euler.analysis.kinematics.poses import solve_poses
-from newton_euler.analysis.loads.inverse_dynamics import inverse_dynamics, statics
+from newton_euler.analysis.loads.inverse_dynamics import inverse_dynamics
+from newton_euler.analysis.loads.statics import statics
 from newton_euler.codegen.expression import Graph
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.parameters import measuring

@@ -16,7 +16,7 @@ from newton_euler import start
 from newton_euler.analysis.linear.linear_model import LinearModel, Modes
 from newton_euler.analysis.linear.linearization import linearize
 from newton_euler.analysis.loads.equilibrium import at_rest, equilibrium
-from newton_euler.analysis.loads.inverse_dynamics import statics
+from newton_euler.analysis.loads.statics import statics
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.projection import project_position, project_velocity

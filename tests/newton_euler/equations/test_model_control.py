@@ -250,7 +250,7 @@ def test_an_mjcf_has_the_forces_of_the_start():
 
 def test_encoders_have_to_tell_the_pose():
     scene = pendulum_on_cart(Digital(ComputedTorque("rail", 100.0, 20.0, 0.0), 0.01))
-    with pytest.raises(MechanismError, match="coordinates of control laws do not determine its pose"):
+    with pytest.raises(MechanismError, match="coordinates of control laws do not determine the pose"):
         newton_euler.simulate(scene)
 
 

@@ -1,0 +1,142 @@
+"""Statics: forces of actuators that hold a mechanism at rest, and reactions of its joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from newton_euler.analysis.kinematics.poses import Poses
+from newton_euler.analysis.loads.inverse_dynamics import Loads, compiled_dynamics, loads_of
+from newton_euler.analysis.loads.states import States
+from newton_euler.arguments import checked
+from newton_euler.compiled.inverse_dynamics import InverseDynamics, SolvedStates
+from newton_euler.equations.applied_forces import surroundings
+from newton_euler.equations.parameters import measuring
+from newton_euler.equations.redundancy import mobility
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.servos import coordinate_rows, independent_rows, tangents
+from newton_euler.errors import MechanismError
+from newton_euler.model.elements import CoordinateForce
+from newton_euler.model.joint import Key
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.runs.assemble import initial_state
+from newton_euler.scalars import Array
+
+MAX_UNBALANCED = 1e-7
+"""Fraction of the forces on a body that may be unbalanced in statics: round-off."""
+
+
+@checked
+def statics(
+    scene: Scene,
+    states: State | Trajectory | Poses | None = None,
+    actuators: Sequence[str | Key] | None = None,
+) -> Loads:
+    """Compute the forces of actuators that hold a mechanism at rest, and all reactions of joints.
+
+    Gravity, springs and wrenches act; prescribed motions hold their coordinates; control laws do not act.
+
+    Args:
+        scene: the mechanism with its forces.
+        states: see `inverse_dynamics`, velocities are ignored; the scene's initial pose if None.
+        actuators: see `inverse_dynamics`; the coordinates of the scene's control laws if None.
+
+    Raises:
+        MechanismError: naming the body that the actuators do not hold.
+        NewtonEulerError: see `inverse_dynamics`.
+
+    Examples:
+        >>> held = statics(load("tracker_gravity"))
+        >>> held.actuators, held.reaction_force.shape
+        (('slide_12', 'slide_13'), (8, 3))
+    """
+    given = States(scene, initial_state(scene) if states is None else states)
+    given.velocities = None
+    if scene.motions:
+        still = tuple(motion.held() for motion in scene.motions)
+        scene = replace(scene, motions=still, initial_state=given.state(0))
+    keys = tuple(law.key for law in scene.control)
+    if actuators is not None:
+        keys = tuple(scene.mechanism.coordinate(name) for name in actuators)
+    compiled = compiled_dynamics(scene, _independent(scene, given.state(0), keys), keys)
+    zeros = [np.zeros(len(given))] * len(compiled.servos.coordinates)
+    times = np.zeros(len(given))
+    solved = compiled.solve(*given.coordinates(compiled.system, times), zeros, times)
+    _check_at_rest(compiled, given, solved)
+    return loads_of(compiled, solved, given.is_single)
+
+
+def _independent(scene: Scene, state: State, keys: tuple[Key, ...]) -> tuple[Key, ...]:
+    """Choose as many of these coordinates as are independent at a state, in their order."""
+    count = mobility(scene).degrees_of_freedom
+    system = Relative(measuring(scene, keys))
+    q, _ = system.coordinates(state)
+    rows = coordinate_rows(system, q, keys) @ tangents(system, q)
+    chosen = independent_rows(rows, [], range(len(keys)), count)
+    return tuple(keys[k] for k in sorted(chosen))
+
+
+def _check_at_rest(compiled: InverseDynamics, given: States, solved: SolvedStates) -> None:
+    """Raise `MechanismError` for a body that forces accelerate."""
+    mechanism, size = compiled.scene.mechanism, compiled.scene.mechanism.size
+    mass = np.array([body.mass for body in mechanism.bodies])
+    inertia = np.array([np.linalg.norm(body.inertia, 2) for body in mechanism.bodies])
+    linear = np.linalg.norm(solved.linear_acceleration, axis=-1)
+    angular = np.linalg.norm(solved.angular_acceleration, axis=-1)
+    left = mass * linear + inertia * angular / size
+    known = _forces_on_bodies(compiled, solved)
+    for row in np.flatnonzero(np.any(left > MAX_UNBALANCED * _scale(mechanism, known), axis=1)):
+        # springs, wrenches and wind are only added where the other forces do not explain the acceleration
+        applied = _applied(compiled.scene, given.state(int(row)))
+        moved = np.flatnonzero(left[row] > MAX_UNBALANCED * _scale(mechanism, known[row] + applied))
+        if len(moved):
+            body = moved[np.argmax(left[row, moved])]
+            problem = f"is left with a force of {left[row, body]:.3g} N at state {row}"
+            raise MechanismError(f"body {mechanism.body_names[body]!r}", problem, "actuators that hold it")
+
+
+def _forces_on_bodies(compiled: InverseDynamics, solved: SolvedStates) -> Array:
+    """Add up the magnitudes, N, of weights, reactions and actuators at each body (n, b).
+
+    A torque counts as a force at a lever of the mechanism's size.
+    """
+    scene, mechanism, size = compiled.scene, compiled.scene.mechanism, compiled.scene.mechanism.size
+    weights = [body.mass * np.linalg.norm(scene.gravity) for body in mechanism.bodies]
+    found = np.tile(weights, (len(solved.reaction_force), 1))
+    at_joints = np.linalg.norm(solved.reaction_force, axis=-1)
+    at_joints = at_joints + np.linalg.norm(solved.reaction_torque, axis=-1) / size
+    for key, force in zip(compiled.servos.actuators, solved.actuator_force.T, strict=True):
+        lever = 1.0 if mechanism.is_slide(*key) else size
+        at_joints[:, mechanism.joint_index(key[0])] += np.abs(force) / lever
+    for joint, equations in enumerate(mechanism.equations):
+        found[:, [equations.first, equations.second]] += at_joints[:, [joint]]
+    return found
+
+
+def _applied(scene: Scene, state: State) -> Array:
+    """Add up the magnitudes, N, of springs, wrenches and wind at each body (b,)."""
+    mechanism, at = scene.mechanism, surroundings(scene, state)
+    found = np.zeros(len(mechanism.bodies))
+    for force in scene.forces:
+        if isinstance(force, CoordinateForce):
+            equations = mechanism.joint_equations(force.joint)
+            bodies = [equations.first, equations.second]
+        else:
+            bodies = [body for body, _ in force.wrenches(at)]
+        found[bodies] += force.magnitude(at)
+    return found
+
+
+def _scale(mechanism: Mechanism, forces: Array) -> Array:
+    """Return the forces (..., b), N, that unbalanced forces on bodies are compared with.
+
+    A body with small forces of its own still has the round-off of its neighbors' accelerations. Its scale is
+    at least its mass times the acceleration that all forces together give to all masses.
+    """
+    mass = np.array([body.mass for body in mechanism.bodies])
+    return np.maximum(forces, mass * forces.sum(axis=-1, keepdims=True) / mass.sum())

@@ -1,0 +1,204 @@
+"""Parts of a run between sampling instants and knots, integrated one after the other.
+
+A run restarts its integrator where a sampled controller changes its force and where a function of time has a
+knot, so that each part is smooth. A scene with neither has a single interval: the whole run.
+"""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+
+from newton_euler.compiled.equations import Code
+from newton_euler.compiled.failures import singular_joint
+from newton_euler.compiled.run import Integrator
+from newton_euler.equations.parameters import pieces, with_values
+from newton_euler.integrators.options import Options
+from newton_euler.integrators.singular import UNSAFE
+from newton_euler.integrators.stepper import COUNTS, EXCESS
+from newton_euler.model.digital_control import HeldLaw
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import IntegrationError
+from newton_euler.runs.controllers import Controllers
+from newton_euler.scalars import Array
+
+SAME_TIME = 1e-9
+"""Fraction of a controller's period, or of the time between knots, below which two times are one."""
+
+
+class Interval(NamedTuple):
+    """A part of a run in which forces of sampled controllers are constant and functions of time are smooth.
+
+    Attributes:
+        due: control laws whose controllers are called at the beginning.
+        times: (n,) s, n >= 2: the beginning, the output times inside, the end.
+        wanted: (n,) True for the `times` that are outputs of this interval. An output at the end belongs to
+            the next interval: at a sampling instant the new force already acts.
+    """
+
+    due: tuple[HeldLaw, ...]
+    times: Array
+    wanted: Array
+
+    @property
+    def middle(self) -> float:
+        """The middle of the interval, s: no knot is near."""
+        return float(0.5 * (self.times[0] + self.times[-1]))
+
+
+def intervals(scene: Scene, knots: Sequence[float], times: Array | None = None) -> Iterator[Interval]:
+    """Divide a run of the scene at sampling instants and knots; a single interval if there are none.
+
+    Controllers are called at the multiples 0, 1, ... of their periods, but not at the end of the run.
+
+    Args:
+        scene: the scene that is run.
+        knots: s, ascending.
+        times: output times, s, ascending, none negative; those of the scene if not given.
+    """
+    outputs, laws = scene.times if times is None else times, scene.sampled
+    end = float(outputs[-1])
+    slack = SAME_TIME * float(np.min(np.diff(knots), initial=scene.output_period))
+    ahead = [_snapped(knot, slack, outputs) for knot in reversed(knots) if slack < knot < end - slack]
+    begin, due, calls = 0.0, list(range(len(laws))), [0] * len(laws)
+    while begin < end:
+        # the interval ends at the next call of a controller, the next knot, or the end of the run
+        for k in due:
+            calls[k] += 1
+        upcoming = [_call_time(law, number, outputs) for law, number in zip(laws, calls, strict=True)]
+        while ahead and ahead[-1] <= begin + slack:
+            ahead.pop()
+        stop = min([*upcoming, *ahead[-1:], end])
+        # an output at `stop` belongs to this interval only at the end of the run
+        first, last = np.searchsorted(outputs, [begin, stop])
+        inside = outputs[first:] if stop == end else outputs[first:last]
+        times = np.union1d(inside, [begin, stop])
+        yield Interval(tuple(laws[k] for k in due), times, np.isin(times, inside))
+        begin, due = stop, [k for k, law in enumerate(laws) if upcoming[k] - stop < SAME_TIME * law.period]
+
+
+def _call_time(law: HeldLaw, number: int, outputs: Array) -> float:
+    """Return the time, s, of the call of a controller with a number; the first call has number 0."""
+    return _snapped(number * law.period, SAME_TIME * law.period, outputs)
+
+
+def _snapped(time: float, slack: float, outputs: Array) -> float:
+    """Return the output time, s, that differs from a time by less than the slack, else the time itself."""
+    k = int(np.searchsorted(outputs, time - slack))
+    return float(outputs[k]) if k < len(outputs) and outputs[k] < time + slack else time
+
+
+class SceneEquations(Protocol):
+    """Equations that take control laws and functions from their scene whenever they are evaluated."""
+
+    scene: Scene
+
+
+S = TypeVar("S", bound=SceneEquations)
+
+
+def with_held_values(system: S, values: Mapping[str, Any]) -> S:
+    """Copy equations and give the copy's scene values by name; the engine's model is shared.
+
+    Args:
+        system: equations of a scene.
+        values: as `Controllers.sample` and `newton_euler.equations.parameters.pieces` name them.
+    """
+    changed = copy.copy(system)
+    changed.scene = with_values(system.scene, values)
+    return changed
+
+
+AfterInterval = Callable[[Integrator, Array, Interval], None]
+"""Function called after each interval: with its integrator, x (inputs,) at its beginning, and itself."""
+
+
+class NativeRun(NamedTuple):
+    """A run in native code.
+
+    Attributes:
+        results: (n, outputs) outputs of the scene at the n output times reached, see
+            `newton_euler.compiled.outputs.named`.
+        counts: (COUNTS,) of steps and evaluations, see `newton_euler.integrators.stepper.counted`.
+        stopped: the error that ended the run before the last output; None if none did.
+        wall_time: s, of the run itself, without the construction of its integrator.
+    """
+
+    results: Array
+    counts: Array
+    stopped: IntegrationError | None
+    wall_time: float
+
+
+def integrate_intervals(
+    code: Code,
+    x: Array,
+    options: Options,
+    stopped: Sequence[bool] = (),
+    times: Array | None = None,
+    after_interval: AfterInterval | None = None,
+    room: int = 0,
+) -> NativeRun:
+    """Run a compiled scene from x (inputs,), interval by interval; x is changed.
+
+    Args:
+        code: compiled equations of the scene.
+        x: state, time and parameters of the start.
+        options: integrator and step control.
+        stopped, room: see `newton_euler.compiled.run.Integrator`.
+        times: output times, s; those of the scene if not given.
+        after_interval: called after each interval that reached its end.
+    """
+    start = time.perf_counter()
+    is_divided = code.piecewise or code.scene.sampled
+    scene = code.parametrized(x) if is_divided else code.scene
+    controllers = Controllers(scene) if scene.sampled else None
+    end = (code.scene.times if times is None else times)[-1]
+    integrators: dict[int, Integrator] = {}  # by number of output times
+    parts: list[Array] = []
+    total = np.zeros(COUNTS)
+    error: IntegrationError | None = None
+    for interval in intervals(scene, scene.knots, times):
+        # 1. numbers that are constant in the interval: pieces of functions of time, forces of controllers
+        values: dict[str, Any] = pieces(scene, interval.middle) if is_divided else {}
+        if controllers and interval.due:
+            readings = code.function("measured")(x).reshape(2, -1).T
+            try:
+                values |= controllers.sample(interval.due, float(interval.times[0]), readings)
+            except IntegrationError as failed:
+                error = failed
+                break
+        for name, value in values.items():
+            place = code.place(name)
+            x[place : place + np.size(value)] = value
+        # 2. integrate to the end of the interval
+        if len(interval.times) not in integrators:
+            integrators[len(interval.times)] = Integrator(code, interval.times, options, stopped, room)
+        integrator = integrators[len(interval.times)]
+        integrator.times[:] = interval.times
+        if not values:  # the only interval: its integrator is not counted as run time
+            start = time.perf_counter()
+        results, error = integrator.attempt(x)
+        # 3. collect outputs and counts
+        excess = max(total[EXCESS], integrator.counts[EXCESS])
+        total += integrator.counts
+        total[EXCESS] = excess
+        wanted = interval.wanted[: len(results)]
+        parts.append(results if wanted.all() else results[wanted])
+        if error:
+            break
+        if after_interval:
+            after_interval(integrator, x, interval)
+        # 4. the next interval begins here, unless the configuration is singular: it could change the branch
+        x[:] = integrator.x
+        if code.projects and x[code.size] < end and code.pivot_ratio(x) < UNSAFE:
+            where = f"a singular configuration, where joint {singular_joint(code, x)!r} loses rank"
+            error = IntegrationError(float(x[code.size]), f"a knot or a controller sample falls on {where}")
+            break
+    none = np.zeros((0, code.function("output").outputs))
+    results = parts[0] if len(parts) == 1 else np.concatenate([none, *parts])
+    return NativeRun(results, total, error, time.perf_counter() - start)
