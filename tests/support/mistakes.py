@@ -81,19 +81,19 @@ MISTAKES = {
         "newton_euler/runs/simulate.py",
         "_compiled(scene, formulation, stabilization, baumgarte_alpha(stabilization, alpha))",
         '_compiled(scene, formulation, "projection", 0.0)',
-        "newton_euler/integrators/test_simulate.py::test_drift_is_bounded_with_baumgarte_and_grows_without",
+        "newton_euler/runs/test_simulate.py::test_drift_is_bounded_with_baumgarte_and_grows_without",
     ),
     "a held force that outlives its run": (
         "newton_euler/runs/intervals.py",
         "changed = copy.copy(system)",
         "changed = system",
-        "newton_euler/integrators/test_sampled.py::test_a_run_leaves_the_system_as_it_was",
+        "newton_euler/runs/test_sampled.py::test_a_run_leaves_the_system_as_it_was",
     ),
     "a batch whose runs start from the first state": (
         "newton_euler/compiled/lanes.py",
         "ends, states = runs.starts[numbers],",
         "ends, states = runs.starts[numbers - numbers],",
-        "newton_euler/test_batch.py::test_runs_are_those_one_by_one",
+        "newton_euler/runs/test_batch.py::test_runs_are_those_one_by_one",
     ),
     "an element left out that is reported as carried over": (
         "newton_euler/reading/import_report.py",
