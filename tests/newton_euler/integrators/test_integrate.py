@@ -12,6 +12,7 @@ from scipy.special import ellipj, ellipk
 import newton_euler
 import urdf
 from crosscheck.library import load
+from newton_euler import Body, Mechanism
 from newton_euler.compiled.interpreted import integrate
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import OptionError, UnknownNameError
@@ -45,6 +46,22 @@ def test_pendulum_matches_its_closed_form(formulation, integrator):
     assert np.abs(run.position[:, 1, 2] - exact_height(scene, run.time)).max() < bound
     energy = run.kinetic_energy + run.potential_energy
     assert np.abs(energy - energy[0]).max() < 10 * bound
+
+
+@pytest.mark.parametrize("integrator", ["DOP853", "Radau"])
+def test_copies_of_a_mechanism_take_the_steps_of_one(integrator):
+    """Errors are root mean squares over the coordinates, so that the number of coordinates is no factor."""
+    one = replace(pendulum(), output_period=0.01)
+    rod, pivot = one.mechanism.bodies[1], one.mechanism.joints[0]
+    rods = [replace(rod, name=f"rod_{k}") for k in range(5)]
+    pivots = [replace(pivot, name=f"pivot_{k}", second=f"rod_{k}") for k in range(5)]
+    five = replace(one, mechanism=Mechanism([Body.ground(), *rods], pivots))
+    options = {"integrator": integrator, "rtol": 1e-7, "atol": 1e-9}
+    single, copies = (newton_euler.simulate(scene, **options) for scene in (one, five))
+    for count in ("steps", "rejected"):
+        assert copies.settings[count] == single.settings[count]
+    assert np.ptp(copies.position[:, 1:], axis=1).max() < 1e-14
+    assert copies.position[:, 1] == pytest.approx(single.position[:, 1], abs=1e-12)
 
 
 @pytest.mark.parametrize(("integrator", "order"), [("RK4", 4), ("Euler", 1)])
