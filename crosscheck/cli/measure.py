@@ -73,7 +73,7 @@ def bench_command(
     SCENE is a name or a file, as of run.
     """
     from crosscheck.loading.load import excited
-    from crosscheck.studies.benchmark.run import Wanted, bench
+    from crosscheck.studies.benchmark.run import BenchmarkRequest, bench
 
     asked = {"rhs": rhs, "batch": batch is not None, "sensitivities": sensitivities}
     kinds = [kind for kind, is_asked in asked.items() if is_asked] or ["runs"]
@@ -81,7 +81,7 @@ def bench_command(
         names = " and ".join(f"--{kind}" for kind in kinds)
         raise CrosscheckError(f"{names} are different benchmarks; choose one")
     options = excited(scene, scene_options(settings))
-    wanted = Wanted(load_and_tell(scene, options), scene, options, error, batch or 0)
+    wanted = BenchmarkRequest(load_and_tell(scene, options), scene, options, error, batch or 0)
     with progress_shown() as progress:
         found, written = bench(wanted, kinds[0], output, progress)
     more = f"more  -v; {next_step('report', written[0].parent)}"

@@ -1,13 +1,13 @@
-"""Many runs of one scene: runs per second of newton_euler and MuJoCo, on one thread and on all cores.
+"""Batch benchmark: runs per second of newton_euler and MuJoCo at an error, on one thread and on all cores.
 
-newton_euler's runs are side by side in the lanes of vector registers; as many as `ALONE` says are also made
-one by one by scalar code, on one thread, with the same results to the last bit.
+The runs start from random consistent states. For each engine a sample of these states selects the fastest
+setting whose largest error is below the wanted one. newton_euler delivers the poses of all bodies at all
+outputs. `mujoco.rollout` delivers MuJoCo's full physics state (time, qpos, qvel) after every step; qpos at
+the outputs is kept, and no poses are computed. Making the states, and converting them for each engine, is not
+timed.
 
-Runs start from random consistent states. Each engine has the setting that runs a sample of these very states
-in the least time with none of them further off than the wanted error. newton_euler delivers the poses of all
-bodies at all outputs. `mujoco.rollout` delivers MuJoCo's full physics state (time, qpos, qvel) after every
-step, of which qpos at outputs is kept; poses are not worked out. States are made, and turned into each
-engine's own, before.
+newton_euler simulates several runs at once, one in each lane of the vector registers. One run of every
+`SCALAR_SAMPLE_EVERY` is also simulated alone by scalar code, with bitwise identical results.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 from crosscheck.report.table import Lines, Part, Rows, Table, figures, texts
 from crosscheck.studies.benchmark.ladders import (
     JUDGED,
-    STEPS,
+    STEPS_PER_OUTPUT,
     Ladder,
     Options,
     Poses,
@@ -46,7 +46,7 @@ from newton_euler.compiled.outputs import named
 from newton_euler.compiled.run import Integrator
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.options import STABILIZATIONS
-from newton_euler.integrators.options import Options as OfMethod
+from newton_euler.integrators.options import Options as IntegratorOptions
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import IntegrationError
@@ -54,43 +54,43 @@ from newton_euler.reading.excitation import random_states
 from newton_euler.runs.batch import simulate_batch, thread_count
 from newton_euler.runs.simulate import compile_scene
 
-REPEATS = 5
-"""Of every batch, engines and numbers of threads taking turns."""
+BATCH_REPEATS = 5
+"""Number of times that every batch is timed; engines and numbers of threads alternate."""
 
-SAMPLE = 20
-"""Runs that settings are chosen on."""
+SAMPLE_RUNS = 20
+"""Number of runs on which settings are chosen."""
 
-MOST = 150_000_000
-"""Bytes that the poses of one batch may hold; outputs are as rare as that needs."""
+MAX_POSE_BYTES = 150_000_000
+"""Bytes, largest memory of the poses of one batch; larger batches have fewer outputs per run."""
 
-LIMIT = 10.0
-"""s that MuJoCo's runs on one thread may take; it makes fewer runs than newton_euler where they would take
-longer."""
+MUJOCO_TIME_LIMIT = 10.0
+"""s, longest time of MuJoCo's runs on one thread; if all runs would take longer, MuJoCo makes fewer of
+them."""
 
-ALONE = 8
-"""Runs of a batch for each one that is made by scalar code."""
+SCALAR_SAMPLE_EVERY = 8
+"""Number of runs of a batch for each run that scalar code repeats."""
 
-LONGEST = 20.0
-"""s that a sample may take: settings that are slower are not tried."""
+SAMPLE_TIME_LIMIT = 20.0
+"""s, longest time of a sample; slower settings are not tried."""
 
-PER_DECADE = 8
-"""Tolerances of newton_euler: MuJoCo's steps are as close to each other."""
+TOLERANCES_PER_DECADE = 8
+"""Density of newton_euler's tolerances, as dense as MuJoCo's steps."""
 
-TRIES = 2
-"""How often a sample is run at a setting that reaches the error; the quicker counts."""
+SAMPLE_TRIES = 2
+"""Number of times that a sample is timed at a setting that reaches the error; the shorter time counts."""
 
 
 # Engines
 
 
-class Done(NamedTuple):
-    """A batch that was run.
+class CompletedBatch(NamedTuple):
+    """A batch that was simulated.
 
     Attributes:
-        seconds: what it took.
-        setup: s that it took before to turn states into the engine's own, and to load.
-        poses: works out those of each run; raises what ended one of them.
-        failed: runs that could not go on.
+        seconds: s, time of the simulation.
+        setup: s, time before it to load the scene and to convert states for the engine.
+        poses: computes the poses of each run; raises the error of a run that failed.
+        failed: number of runs that failed.
     """
 
     seconds: float
@@ -100,24 +100,25 @@ class Done(NamedTuple):
 
 
 class Engine(Protocol):
-    """One engine on the states of one scene.
+    """An engine that simulates batches of one scene.
 
     Attributes:
-        delivers: what is included in the time of a run.
+        name: name of the engine.
+        delivers: the results whose computation is included in the time.
     """
 
     name: str
     delivers: str
 
     def ladders(self) -> Iterator[Ladder]:
-        """Yield all methods that run a batch."""
+        """Yield the settings of each method."""
 
-    def run(self, options: Options, states: Sequence[State], threads: int) -> Done:
-        """Run a batch."""
+    def run(self, options: Options, states: Sequence[State], threads: int) -> CompletedBatch:
+        """Simulate one run from each state."""
 
 
-class Own:
-    """newton_euler: its adaptive methods. Fixed steps could only favor MuJoCo."""
+class NewtonEulerBatch:
+    """newton_euler in lanes, with its adaptive methods. Its fixed steps are slower at every error."""
 
     name = JUDGED
     delivers = "poses of all bodies at all outputs"
@@ -129,29 +130,31 @@ class Own:
         for formulation, stabilization in product(FORMULATIONS, STABILIZATIONS):
             compiled = compile_scene(self._scene, formulation, stabilization)
             how = {"formulation": formulation, "stabilization": stabilization}
-            for ladder in adaptive_ladders(formulation, stabilization, PER_DECADE):
-                load_lanes(compiled, ladder.common["integrator"])  # compiling is no time of a sample's
+            for ladder in adaptive_ladders(formulation, stabilization, TOLERANCES_PER_DECADE):
+                load_lanes(compiled, ladder.common["integrator"])  # compile before a sample is timed
                 yield ladder._replace(common=ladder.common | how)
 
-    def run(self, options: Options, states: Sequence[State], threads: int) -> Done:
+    def run(self, options: Options, states: Sequence[State], threads: int) -> CompletedBatch:
         start = time.perf_counter()
         batch = simulate_batch(self._scene, states, threads=threads, **options)
         setup = time.perf_counter() - start - batch.wall_time
         failed = len(batch.errors)
-        return Done(batch.wall_time, setup, lambda: [(r.position, r.quaternion) for r in batch], failed)
+        return CompletedBatch(
+            batch.wall_time, setup, lambda: [(r.position, r.quaternion) for r in batch], failed
+        )
 
 
-class Scalar(Own):
-    """newton_euler's scalar code, which makes one run after another."""
+class NewtonEulerScalar(NewtonEulerBatch):
+    """newton_euler's scalar code, which simulates one run after another."""
 
     name = f"{JUDGED}, one by one"
     delivers = "the same, by scalar code"
 
-    def run(self, options: Options, states: Sequence[State], threads: int) -> Done:
+    def run(self, options: Options, states: Sequence[State], threads: int) -> CompletedBatch:
         start = time.perf_counter()
         how = {name: options[name] for name in ("formulation", "stabilization")}
         compiled = compile_scene(self._scene, **how)
-        chosen = OfMethod(**{name: value for name, value in options.items() if name not in how})
+        chosen = IntegratorOptions(**{name: value for name, value in options.items() if name not in how})
         starts = np.tile(compiled.start, (len(states), 1))
         for x, state in zip(starts, states, strict=True):
             x[: compiled.size] = np.concatenate(compiled.system.coordinates(state))
@@ -170,27 +173,32 @@ class Scalar(Own):
             arrays = [named(compiled, result) for result in results]
             return [(each["position"], each["quaternion"]) for each in arrays]
 
-        return Done(seconds, begun - start, poses, failed)
+        return CompletedBatch(seconds, begun - start, poses, failed)
 
 
-class MuJoCo:
+class MuJoCoRollout:
     """`mujoco.rollout`, which writes the full physics state after every step."""
 
     name = "mujoco"
     delivers = "time, qpos and qvel after every step, of which qpos at outputs is kept"
 
     def __init__(self, scene: Scene, period: float) -> None:
-        """Steps are no shorter than in the ladder of runs with outputs of this period, s."""
+        """Compile the scene for MuJoCo.
+
+        Args:
+            scene: the scene of the batch.
+            period: s, output period of the benchmark of whole runs, whose shortest step limits steps here.
+        """
         from mjcf.benchmark_kernels import compiled
 
         self._system = compiled(scene)
         self._interval = output_interval(scene)
-        self._most = max(1, round(self._interval / period * STEPS[-1]))
+        self._most = max(1, round(self._interval / period * STEPS_PER_OUTPUT[-1]))
 
     def ladders(self) -> Iterator[Ladder]:
         yield from mujoco_ladders(self._interval, range(1, self._most + 1))
 
-    def run(self, options: Options, states: Sequence[State], threads: int) -> Done:
+    def run(self, options: Options, states: Sequence[State], threads: int) -> CompletedBatch:
         from mjcf.benchmark_kernels import Rollout, physics_states
 
         start = time.perf_counter()
@@ -200,14 +208,20 @@ class MuJoCo:
         begun = time.perf_counter()
         runs = rollout(starts)
         seconds = time.perf_counter() - begun
-        return Done(seconds, begun - start, lambda: [rollout.poses(qpos) for qpos in runs])
+        return CompletedBatch(seconds, begun - start, lambda: [rollout.poses(qpos) for qpos in runs])
 
 
 # Settings
 
 
-class Choice(NamedTuple):
-    """A setting tried on a sample: the largest error (m or rad), and the time of the whole sample, s."""
+class TriedSetting(NamedTuple):
+    """A setting that was tried on the sample.
+
+    Attributes:
+        name, options: the setting.
+        error: m or rad, largest error of the sample; infinite if a run failed.
+        seconds: s, time of the whole sample.
+    """
 
     name: str
     options: Options
@@ -217,18 +231,25 @@ class Choice(NamedTuple):
 
 def cheapest(
     engine: Engine, states: Sequence[State], exact: Sequence[Poses], error: float, progress: Progress
-) -> Choice:
-    """Find the setting that runs these states in the least time, none of them further off than `error`.
+) -> TriedSetting:
+    """Find the fastest setting of an engine whose largest error over the states is at most `error`.
+
+    Args:
+        engine: the engine.
+        states: initial states of the sample.
+        exact: reference poses of the sample.
+        error: m or rad.
+        progress: called with the name of each stage.
 
     Raises:
         CrosscheckError: if no setting reaches the error.
     """
-    tried: list[Choice] = []
-    reaching: list[Choice] = []
+    tried: list[TriedSetting] = []
+    reaching: list[TriedSetting] = []
     for ladder in engine.ladders():
         progress(f"{len(states)} runs of {engine.name}: {ladder.method}")
-        # a method is left where it takes longer than another that reaches the error
-        longest = min((choice.seconds for choice in reaching), default=LONGEST)
+        # stop a method when it takes longer than another method that reaches the error
+        longest = min((choice.seconds for choice in reaching), default=SAMPLE_TIME_LIMIT)
 
         def suffices(n: int, ladder: Ladder = ladder, longest: float = longest) -> bool:
             number = ladder.numbers[n - 1]
@@ -239,28 +260,28 @@ def cheapest(
         reaching = [choice for choice in tried if choice.error <= error]
     if not reaching:
         least = min(choice.error for choice in tried)
-        reason = f"does not reach an error of {error:g} on all of {len(states)} runs in {LONGEST:g} s"
-        raise CrosscheckError(f"{engine.name} {reason}; the least is {least:.1e}")
+        reason = f"does not reach an error of {error:g} on all {len(states)} runs in {SAMPLE_TIME_LIMIT:g} s"
+        raise CrosscheckError(f"{engine.name} {reason}; its smallest error is {least:.1e}")
     return min(reaching, key=lambda choice: choice.seconds)
 
 
 def _try(
     engine: Engine, name: str, options: Options, states: Sequence[State], exact: Sequence[Poses], error: float
-) -> Choice:
-    """Run a sample at a setting; its error is infinite if a run cannot go on."""
+) -> TriedSetting:
+    """Simulate a sample at a setting."""
     seconds, worst = math.inf, math.inf
-    for _ in range(TRIES):
+    for _ in range(SAMPLE_TRIES):
         start = time.perf_counter()
         try:
-            with uncollected(), time_limit(LONGEST):
+            with uncollected(), time_limit(SAMPLE_TIME_LIMIT):
                 done = engine.run(options, states, threads=1)
             worst = max(max(pose_errors(*pair)) for pair in zip(done.poses(), exact, strict=True))
         except (NewtonEulerError, CrosscheckError):
-            return Choice(name, options, math.inf, time.perf_counter() - start)
+            return TriedSetting(name, options, math.inf, time.perf_counter() - start)
         seconds = min(seconds, done.seconds)
         if not worst <= error:
             break
-    return Choice(name, options, worst, seconds)
+    return TriedSetting(name, options, worst, seconds)
 
 
 # Rates
@@ -268,15 +289,15 @@ def _try(
 
 @dataclass(frozen=True)
 class Rate(Timed):
-    """One engine on some threads.
+    """Throughput of one engine on a number of threads.
 
     Attributes:
-        engine, delivers, setting: names, see `Engine` and `Choice`.
-        error: m or rad, the largest of the sample.
-        threads, runs: how many.
-        setup: s, to turn the states of as many runs into the engine's own, and to load.
-        failed: runs that could not go on.
-        times: s, of all runs together.
+        engine, delivers, setting: names, see `Engine` and `TriedSetting`.
+        error: m or rad, largest error of the sample.
+        threads, runs: number of threads and of runs.
+        setup: s, time to load the scene and to convert the states of all runs for the engine.
+        failed: number of runs that failed.
+        times: s, time of all runs together, at each repetition.
     """
 
     engine: str
@@ -291,19 +312,21 @@ class Rate(Timed):
 
     @property
     def per_second(self) -> float:
+        """1/s, runs per second by the median time."""
         return self.runs / self.median
 
 
 @dataclass(frozen=True)
 class BatchBenchmark:
-    """Rates of all engines.
+    """Result of the batch benchmark.
 
     Attributes:
-        duration, outputs: s and number of outputs of each run.
-        error: m or rad, what settings had to reach.
-        uncertainty: m or rad, of the sample's reference.
-        sample, unknown: runs of the sample with and without a reference.
-        missing: engines that take no part, and why.
+        duration, outputs: s, and number of outputs of each run.
+        error: m or rad, error that settings had to reach.
+        uncertainty: m or rad, of the reference motions of the sample.
+        sample, unknown: runs of the sample with and without a reference motion.
+        rates: throughput of each engine and number of threads.
+        missing: reason by engine that could not take part.
     """
 
     duration: float
@@ -317,55 +340,67 @@ class BatchBenchmark:
 
 
 def thread_counts() -> tuple[int, ...]:
-    """One thread, and one per core."""
+    """Return the numbers of threads that are timed: one, and one per core."""
     return tuple(sorted({1, thread_count()}))
 
 
 def rarer(scene: Scene, runs: int) -> Scene:
-    """Return the scene with equal periods between outputs, at least its own, that keep a batch's poses small.
+    """Return the scene with so few outputs that the poses of a batch fit into `MAX_POSE_BYTES`.
+
+    Outputs stay equally spaced, and are never more frequent than the scene's own.
 
     Raises:
-        CrosscheckError: where even the last poses alone are too many.
+        CrosscheckError: if the poses of two outputs per run are too large.
     """
-    outputs = MOST // (runs * len(scene.mechanism.bodies) * 7 * 8)
+    outputs = MAX_POSE_BYTES // (runs * len(scene.mechanism.bodies) * 7 * 8)
     if outputs < 2:
-        raise CrosscheckError(f"--batch {runs}: poses of two outputs already take more than {MOST:g} bytes")
+        problem = f"poses of two outputs already take more than {MAX_POSE_BYTES:g} bytes"
+        raise CrosscheckError(f"--batch {runs}: {problem}; give fewer runs")
     number = max(1, min(outputs - 1, int(scene.duration / scene.output_period + 1e-9)))
     return replace(scene, output_period=scene.duration / number)
 
 
 def benchmark_batch(given: Scene, runs: int, error: float, progress: Progress) -> BatchBenchmark:
-    """Measure the throughput of all engines at an error; `progress` is told each stage.
+    """Measure the throughput of all engines at an error.
+
+    Args:
+        given: the scene.
+        runs: number of runs of a batch.
+        error: m or rad, largest error of a run.
+        progress: called with the name of each stage.
 
     Raises:
         CrosscheckError: for a scene that cannot be benchmarked, and an error that newton_euler cannot reach.
-        NewtonEulerError: for a mechanism that hardly ever closes from nearby.
+        NewtonEulerError: if too few random configurations can be closed.
     """
+    # Random states, and the reference motions of a sample of them
     scene = rarer(poses_only(given), runs)
     progress(f"{runs} random states")
     states = random_states(scene, runs)
-    sample = [states[k] for k in np.linspace(0, runs - 1, min(SAMPLE, runs)).astype(int)]
+    sample = [states[k] for k in np.linspace(0, runs - 1, min(SAMPLE_RUNS, runs)).astype(int)]
     exact, uncertainty = batch_references(scene, sample, error, progress)
     known, poses = [sample[k] for k in exact], list(exact.values())
-    own = Own(scene)
+    # The fastest setting of each engine on the sample
+    own = NewtonEulerBatch(scene)
     choice = cheapest(own, known, poses, error, progress)
-    shares: list[tuple[Engine, Choice, Sequence[State]]] = [(own, choice, states)]
+    batches: list[tuple[Engine, TriedSetting, Sequence[State]]] = [(own, choice, states)]
     missing: dict[str, str] = {}
     try:
-        other = MuJoCo(scene, given.output_period)
+        other = MuJoCoRollout(scene, given.output_period)
         found = cheapest(other, known, poses, error, progress)
     except (NewtonEulerError, CrosscheckError) as reason:
-        missing[MuJoCo.name] = reason_of(reason)
+        missing[MuJoCoRollout.name] = reason_of(reason)
     else:
-        most = LIMIT * len(known) / found.seconds
-        shares.append((other, found, states[: max(len(known), int(most))]))
-    cases = [*product(shares, thread_counts())]
-    cases.append(((Scalar(scene), choice, states[:: min(ALONE, runs)]), 1))
-    firsts: dict[str, Done] = {}
+        most = MUJOCO_TIME_LIMIT * len(known) / found.seconds
+        batches.append((other, found, states[: max(len(known), int(most))]))
+    # Times of the batches, engines and threads alternating
+    cases = [*product(batches, thread_counts())]
+    cases.append(((NewtonEulerScalar(scene), choice, states[:: min(SCALAR_SAMPLE_EVERY, runs)]), 1))
+    firsts: dict[str, CompletedBatch] = {}
     calls = [partial(_timed, *case, threads, firsts) for case, threads in cases]
     rates = []
     for ((engine, chosen, share), threads), times in zip(
-        cases, in_turns(calls, [REPEATS] * len(calls), progress), strict=True
+        cases, in_turns(calls, [BATCH_REPEATS] * len(calls), progress), strict=True
     ):
         first = firsts[engine.name]
         of_sample = engine.name, engine.delivers, chosen.name, chosen.error
@@ -376,12 +411,16 @@ def benchmark_batch(given: Scene, runs: int, error: float, progress: Progress) -
 
 
 def _timed(
-    engine: Engine, choice: Choice, states: Sequence[State], threads: int, firsts: dict[str, Done]
+    engine: Engine,
+    choice: TriedSetting,
+    states: Sequence[State],
+    threads: int,
+    firsts: dict[str, CompletedBatch],
 ) -> float:
-    """Return the s of a batch, and keep the first of each engine."""
-    np.ones(
-        MOST // 8
-    )  # a virtual machine takes back what is free for seconds, and would give it anew meanwhile
+    """Return the time of a batch, s, and keep the first batch of each engine in `firsts`."""
+    # Touch as much memory as a batch needs: a virtual machine reclaims memory that is free for some seconds,
+    # and returning it would be timed.
+    np.ones(MAX_POSE_BYTES // 8)
     done = engine.run(choice.options, states, threads)
     firsts.setdefault(engine.name, done)
     return done.seconds
@@ -391,8 +430,10 @@ def _timed(
 
 
 def parts(result: BatchBenchmark) -> list[Part]:
-    """Return the rates by engine and number of threads; ratios are newton_euler's rate side by side over the
-    other's."""
+    """Make the report: throughput by engine and number of threads.
+
+    The column `ratio` is newton_euler's throughput in lanes divided by that of the engine.
+    """
     rates = {(rate.engine, rate.threads): rate.per_second for rate in result.rates}
     rows: Rows = [
         [
@@ -412,15 +453,15 @@ def parts(result: BatchBenchmark) -> list[Part]:
     period = result.duration / (result.outputs - 1)
     lines = [
         f"runs of {result.duration:g} s from random states, {result.outputs} outputs {period:.3g} s apart; "
-        f"rates by the median of {REPEATS} repeats in turns; setup is not counted",
-        f"settings: the cheapest with none of {result.sample} runs off by more than {result.error:g} m, rad; "
+        f"rates by the median of {BATCH_REPEATS} alternating repeats, without setup",
+        f"settings: fastest whose error in {result.sample} sample runs is {result.error:g} m, rad or less; "
         f"reference known to {result.uncertainty:.1e}"
-        + (f"; {result.unknown} more runs have none known as well as that" if result.unknown else ""),
+        + (f"; {result.unknown} more sample runs have no reference that good" if result.unknown else ""),
     ]
     for rate in result.rates:
         if rate.threads == 1:
-            failed = f"; {rate.failed} runs could not go on" if rate.failed else ""
+            failed = f"; {rate.failed} runs failed" if rate.failed else ""
             made = f"{rate.setting} (error {rate.error:.1e}); delivers {rate.delivers}"
             lines.append(f"{rate.engine}: {made}{failed}")
-    lines += [f"{name} takes no part: {reason}" for name, reason in result.missing.items()]
+    lines += [f"{name} is missing: {reason}" for name, reason in result.missing.items()]
     return [table, Lines("", lines)]

@@ -1,12 +1,13 @@
-"""The engines of a benchmark, each in its cheapest ways: ladders of settings, ever finer.
+"""Settings of each engine for benchmarks: one ladder per method, from coarse to fine tolerances or steps.
 
-A run's time is what it takes to have the poses of all bodies at all outputs, as the engine has them:
+The time of a run includes everything until the poses of all bodies at all outputs are known in the engine's
+own form:
 
-- newton_euler: `Trajectory.wall_time`, the integration and positions and quaternions of all bodies.
-- MuJoCo, see `mjcf.benchmark_kernels`: all steps, its kinematics at every output and copies of the
-  positions and quaternions of its bodies then. Steps from one output to the next run inside one call.
-- Pinocchio, see `urdf.benchmark_kernels`: the integration, forward kinematics at every output and a copy
-  of translations and rotation matrices of all joints then.
+- newton_euler: `Trajectory.wall_time`: integration, positions and quaternions of all bodies.
+- MuJoCo (`mjcf.benchmark_kernels`): all steps, kinematics at every output, and copies of positions and
+  quaternions there. The steps from one output to the next run inside one call.
+- Pinocchio (`urdf.benchmark_kernels`): integration, forward kinematics at every output, and copies of the
+  translations and rotation matrices of all joints there.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
 JUDGED = "newton_euler"
-"""The engine that the others are compared with."""
+"""Name of the engine that the others are compared with."""
 
 Options = dict[str, Any]
 
@@ -39,9 +40,9 @@ class Run(NamedTuple):
     """One timed run.
 
     Attributes:
-        seconds: what it took, by its own clock.
-        evaluations: of the equations of motion.
-        poses: works them out; not timed.
+        seconds: s, time of the run by its own clock.
+        evaluations: number of evaluations of the equations of motion.
+        poses: converts the results to `Poses`; not timed.
     """
 
     seconds: float
@@ -50,12 +51,12 @@ class Run(NamedTuple):
 
 
 class Ladder(NamedTuple):
-    """Settings of one method.
+    """Settings of one method, from the coarsest to the finest.
 
     Attributes:
-        method: name.
-        finer: the name of the n-th setting, and its own options; errors fall with n.
-        numbers: those that are run, from the coarsest to the finest.
+        method: name of the method.
+        finer: returns the name and the own options of setting n; errors decrease with n.
+        numbers: the values of n that are run, ascending.
         common: options of all settings.
     """
 
@@ -65,7 +66,7 @@ class Ladder(NamedTuple):
     common: Options
 
     def setting(self, number: int) -> tuple[str, Options]:
-        """Return the n-th setting's full name, and its options."""
+        """Return the full name and all options of setting n."""
         name, options = self.finer(number)
         return f"{self.method}, {name}", self.common | options
 
@@ -74,8 +75,8 @@ class Model(NamedTuple):
     """A scene as loaded by an engine.
 
     Attributes:
-        ladders: its methods.
-        run: a run at a setting's options; raises an exception that says why if it cannot.
+        ladders: settings of each method.
+        run: simulates the scene with given options; raises an exception with the reason if it fails.
     """
 
     ladders: Sequence[Ladder]
@@ -83,14 +84,14 @@ class Model(NamedTuple):
 
 
 Models = Mapping[str, Callable[[], Model]]
-"""Loads a scene in each of the ways that an engine knows, by name."""
+"""Functions that load a scene into an engine, one for each variant of its equations, by name."""
 
 
 def poses_only(scene: Scene) -> Scene:
-    """Return the scene without outputs but the poses of its bodies.
+    """Return the scene with the poses of its bodies as its only outputs.
 
     Raises:
-        CrosscheckError: for a scene with a sampled controller, whose Python all engines would wait for.
+        CrosscheckError: for a scene with a sampled controller: its Python code would dominate every time.
     """
     if scene.sampled:
         raise CrosscheckError(
@@ -102,7 +103,7 @@ def poses_only(scene: Scene) -> Scene:
 def _by_tolerance(
     method: str, coarsest: float, finest: float, share: float, per_decade: int = 2, **options: Any
 ) -> Ladder:
-    """A ladder of rtol from 10^-coarsest to 10^-finest, atol being a share of it."""
+    """Make a ladder of rtol from 10^-coarsest to 10^-finest, with atol = share * rtol."""
 
     def finer(number: int) -> tuple[str, Options]:
         rtol = 10.0 ** (-number / per_decade)
@@ -113,7 +114,15 @@ def _by_tolerance(
 
 
 def _by_step(method: str, option: str, interval: float, numbers: Sequence[int], **options: Any) -> Ladder:
-    """A ladder of numbers of steps from one output to the next, `interval` s later; `option` sets them."""
+    """Make a ladder of fixed steps.
+
+    Args:
+        method: name of the method.
+        option: the option that sets the step: "number" of steps per output interval, or the step's size, s.
+        interval: s between outputs.
+        numbers: numbers of steps from one output to the next.
+        options: options of all settings.
+    """
 
     def finer(number: int) -> tuple[str, Options]:
         step = interval / number
@@ -129,22 +138,23 @@ def output_interval(scene: Scene) -> float:
 
 # newton_euler
 
-SHARES = (1.0, 1e-2)
-"""atol, in units of rtol."""
+ATOL_PER_RTOL = (1.0, 1e-2)
+"""Ratios of atol (SI) and rtol that are run."""
 
-FINEST = 13.5
-"""Decades of rtol, 3e-14; the limit of DOP853, scipy's and newton_euler's, is 2.2e-14."""
+FINEST_DECADE = 13.5
+"""Decades of the finest rtol, 3e-14. DOP853 accepts no rtol below 2.2e-14, in scipy and here."""
 
-STIFF = ("relative", "projection")
-"""What Radau runs. The Jacobian of Cartesian coordinates would take half a minute to compile."""
+RADAU_VARIANT = ("relative", "projection")
+"""Formulation and stabilization of Radau. The Jacobian of Cartesian coordinates compiles for half a
+minute."""
 
 
 def adaptive_ladders(formulation: str, stabilization: str, per_decade: int = 2) -> list[Ladder]:
-    """newton_euler's methods with error control, at so many tolerances per decade."""
+    """Make the ladders of newton_euler's methods with error control."""
     prefix = f"{formulation}, {stabilization}"
-    kinds = [("DOP853", FINEST, share) for share in SHARES]
-    if (formulation, stabilization) == STIFF:
-        kinds.append(("Radau", 9.5, SHARES[1]))
+    kinds = [("DOP853", FINEST_DECADE, share) for share in ATOL_PER_RTOL]
+    if (formulation, stabilization) == RADAU_VARIANT:
+        kinds.append(("Radau", 9.5, ATOL_PER_RTOL[1]))
     return [
         _by_tolerance(f"{prefix}, {name}", 2.0, finest, share, per_decade, integrator=name)
         for name, finest, share in kinds
@@ -159,7 +169,7 @@ def _newton_euler(scene: Scene) -> Models:
 def _load_own(scene: Scene, formulation: FormulationName, stabilization: StabilizationName) -> Model:
     compiled = compile_scene(scene, formulation=formulation, stabilization=stabilization)
     load(compiled, "Euler")
-    if (formulation, stabilization) == STIFF:
+    if (formulation, stabilization) == RADAU_VARIANT:
         load(compiled, "Radau")
     ladders, interval = adaptive_ladders(formulation, stabilization), output_interval(scene)
     for integrator in ("RK4", "Euler"):
@@ -175,19 +185,20 @@ def _load_own(scene: Scene, formulation: FormulationName, stabilization: Stabili
 
 # MuJoCo
 
-STEPS = (1, 2, 3, 5, 7, 10, 20, 50, 100, 200)
-"""MuJoCo's steps from one output to the next. It has no outputs between its steps."""
+STEPS_PER_OUTPUT = (1, 2, 3, 5, 7, 10, 20, 50, 100, 200)
+"""Numbers of MuJoCo's steps from one output to the next; MuJoCo has outputs only at its steps."""
 
-METHODS = (("RK4", 1.0), ("RK4", 0.6), ("implicitfast", 1.0), ("implicit", 1.0), ("Euler", 1.0))
-"""Integrators, and the constraints' damping ratio with the stiffest time constant, two steps.
+MUJOCO_METHODS = (("RK4", 1.0), ("RK4", 0.6), ("implicitfast", 1.0), ("implicit", 1.0), ("Euler", 1.0))
+"""MuJoCo's integrators, each with a damping ratio of the constraints; their time constant is two steps.
 
-Of softer, direct (negative) and less damped constraints on the tracker, a ratio of 0.6 makes RK4 most
-exact, at every step: by a third. The others hardly depend on it, and RK4 is cheaper than they are at the one
-step (10 ms) where they do."""
+Two steps are the stiffest stable time constant. Softer, direct (negative) and less damped constraints were
+tried on the tracker. A ratio of 0.6 makes RK4 a third more accurate at every step. Other integrators depend
+on the ratio only at a step of 10 ms, where RK4 is faster.
+"""
 
 
-def mujoco_ladders(interval: float, numbers: Sequence[int] = STEPS) -> list[Ladder]:
-    """MuJoCo's methods, with outputs `interval` s apart."""
+def mujoco_ladders(interval: float, numbers: Sequence[int] = STEPS_PER_OUTPUT) -> list[Ladder]:
+    """Make the ladders of MuJoCo's methods for outputs every `interval` s."""
     return [
         _by_step(
             f"{integrator}, solref (2 steps, {ratio:g})",
@@ -197,7 +208,7 @@ def mujoco_ladders(interval: float, numbers: Sequence[int] = STEPS) -> list[Ladd
             integrator=integrator,
             damping_ratio=ratio,
         )
-        for integrator, ratio in METHODS
+        for integrator, ratio in MUJOCO_METHODS
     ]
 
 
@@ -224,7 +235,7 @@ def _load_mujoco(scene: Scene) -> Model:
 
 
 def intervals(times: Array) -> list[tuple[int, float]]:
-    """Count equal intervals, s, between outputs, and then the last if it is shorter."""
+    """Return the numbers and lengths (s) of equal intervals between outputs; the last may be shorter."""
     first, last = float(times[1] - times[0]), float(times[-1] - times[-2])
     if abs(first - last) <= 1e-9 * first:
         return [(len(times) - 1, first)]
@@ -233,18 +244,19 @@ def intervals(times: Array) -> list[tuple[int, float]]:
 
 # Pinocchio
 
-ALPHAS = (0.0, 3.0, 10.0)
-"""1/s, of Baumgarte's gains. On the tracker 30 is no better than 10, and 100 is stiff."""
+BAUMGARTE_ALPHAS = (0.0, 3.0, 10.0)
+"""1/s, Baumgarte gains alpha. On the tracker 30 is not better than 10, and 100 makes the equations stiff."""
 
 
 def _pinocchio(scene: Scene) -> Models:
     """Return a model for each Baumgarte gain.
 
-    Its accelerations are those of `constraintDynamics`: those of `lcaba` are no smoother than 1e-9, and
-    methods with error control stall on the noise.
+    Accelerations come from `constraintDynamics`. Those of `lcaba` are smooth to 1e-9 only, and integrators
+    with error control stall on this noise.
     """
     return {
-        f"constraintDynamics, alpha {alpha:g}": partial(_load_pinocchio, scene, alpha) for alpha in ALPHAS
+        f"constraintDynamics, alpha {alpha:g}": partial(_load_pinocchio, scene, alpha)
+        for alpha in BAUMGARTE_ALPHAS
     }
 
 
@@ -262,7 +274,7 @@ def _load_pinocchio(scene: Scene, alpha: float) -> Model:
         return Run(seconds, evaluations, partial(kinematics.poses, placements))
 
     method = f"constraintDynamics, alpha {alpha:g}, LSODA"
-    ladders = [_by_tolerance(method, 1.0, FINEST, share) for share in SHARES]
+    ladders = [_by_tolerance(method, 1.0, FINEST_DECADE, share) for share in ATOL_PER_RTOL]
     return Model(ladders, run)
 
 
@@ -271,3 +283,4 @@ ENGINES: dict[str, Callable[[Scene], Models]] = {
     "mujoco": _mujoco,
     "pinocchio": _pinocchio,
 }
+"""Functions that return the models of a scene, by engine."""

@@ -1,10 +1,11 @@
-"""The motion that errors of benchmarks are taken against, with its own uncertainty.
+"""Reference motion of a benchmark, from which errors are measured, and its uncertainty.
 
-It is Pinocchio's, by scipy's DOP853 at a tolerance near the limit of double precision, or at the next looser
-one that two equations of motion can be run at: an engine, equations and an integrator that share nothing with
-`newton_euler`, which is what the benchmark judges. Where Pinocchio cannot run a scene it is newton_euler's
-Cartesian formulation. The uncertainty is the largest difference to the same at twice the tolerance and to
-other equations of motion at tight tolerances, so an error that was Pinocchio's own would show in it.
+The reference is Pinocchio's motion at a tolerance near the limit of double precision, or at a looser one if
+fewer than two equations of motion run at that. Pinocchio's equations share nothing with `newton_euler`, which
+the benchmark judges. If Pinocchio cannot run a scene, the reference is newton_euler's Cartesian formulation.
+
+The uncertainty is the largest difference from the same run at twice the tolerance, and from runs of other
+equations of motion at tight tolerances. An error of Pinocchio would therefore show in the uncertainty.
 """
 
 from __future__ import annotations
@@ -27,31 +28,39 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 
-RTOLS = (5e-14, 1e-11)
-"""Tried in turn, with atol = 0.01 rtol. DOP853 takes no rtol below 2.2e-14."""
+REFERENCE_RTOLS = (5e-14, 1e-11)
+"""Relative tolerances of the reference, tried in this order with atol = 0.01 rtol; DOP853 needs 2.2e-14 or
+more."""
 
-BATCH_RTOL = 1e-12
-"""Of references of many runs."""
+BATCH_REFERENCE_RTOL = 1e-12
+"""Relative tolerance of the references of a batch."""
 
-LIMIT = 10.0
-"""s after which a run is given up."""
+RUN_TIME_LIMIT = 10.0
+"""s, longest time of a reference run."""
 
 
 def pose_errors(poses: Poses, exact: Poses) -> tuple[float, float]:
-    """Return the largest distance, m, of positions (n, b, 3) and angle, rad, of quaternions (n, b, 4)."""
+    """Compute the largest errors of poses at n outputs of b bodies.
+
+    Args:
+        poses, exact: positions (n, b, 3), m, and quaternions (n, b, 4), scalar first.
+
+    Returns:
+        The largest distance between positions, m, and the largest angle between orientations, rad.
+    """
     distance = np.linalg.norm(poses[0] - exact[0], axis=-1)
     return float(np.max(distance)), float(np.max(angle_between(poses[1], exact[1])))
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A motion and how well it is known.
+    """Reference motion and its uncertainty.
 
     Attributes:
-        name: how it was made.
-        poses: of all bodies at all outputs.
-        differences: to other runs, m and rad, by name.
-        missing: what could not be run, and why.
+        name: engine, integrator and tolerance.
+        poses: poses of all bodies at all outputs.
+        differences: by name of another run, its largest differences from the reference, m and rad.
+        missing: by name of a run that failed, the reason.
     """
 
     name: str
@@ -61,15 +70,15 @@ class Reference:
 
     @property
     def uncertainty(self) -> float:
-        """m or rad: the larger of both."""
+        """m or rad, the largest of all differences."""
         return max(max(difference) for difference in self.differences.values())
 
 
-def reference(scene: Scene, progress: Progress, rtols: Sequence[float] = RTOLS) -> Reference:
-    """Make the reference of a scene, at the first of these tolerances that it can be made at.
+def reference(scene: Scene, progress: Progress, rtols: Sequence[float] = REFERENCE_RTOLS) -> Reference:
+    """Compute the reference of a scene at the first tolerance at which two equations of motion run.
 
     Raises:
-        CrosscheckError: where fewer than two independent equations of motion can run it.
+        CrosscheckError: if fewer than two independent equations of motion run the scene.
     """
     missing: dict[str, str] = {}
     for rtol in rtols:
@@ -84,12 +93,12 @@ def reference(scene: Scene, progress: Progress, rtols: Sequence[float] = RTOLS) 
 
 
 def _runs(scene: Scene, rtol: float, missing: dict[str, str], progress: Progress) -> dict[str, Poses]:
-    """Run what can be run at a tolerance; reasons for the rest are added to `missing`."""
+    """Return the poses of all runs that succeed at a tolerance; add the reasons of others to `missing`."""
     runs: dict[str, Poses] = {}
-    for name, run in _ways(scene, rtol).items():
+    for name, run in _candidates(scene, rtol).items():
         progress(f"reference: {name}")
         try:
-            with time_limit(LIMIT):
+            with time_limit(RUN_TIME_LIMIT):
                 found = run()
         except (NewtonEulerError, CrosscheckError, ArithmeticError, MemoryError) as error:
             missing[name] = reason_of(error)
@@ -101,36 +110,40 @@ def _runs(scene: Scene, rtol: float, missing: dict[str, str], progress: Progress
     return runs
 
 
-def _ways(scene: Scene, tightest: float) -> dict[str, Callable[[], Trajectory]]:
-    """The runs that are compared, the most wanted reference first."""
-    ways: dict[str, Callable[[], Trajectory]] = {}
+def _candidates(scene: Scene, tightest: float) -> dict[str, Callable[[], Trajectory]]:
+    """Return the runs that are compared; the first one that succeeds becomes the reference."""
+    runs: dict[str, Callable[[], Trajectory]] = {}
     for rtol in (tightest, 2.0 * tightest):
-        ways[f"Pinocchio, DOP853 rtol {rtol:.0e}"] = partial(
+        runs[f"Pinocchio, DOP853 rtol {rtol:.0e}"] = partial(
             urdf.simulate, scene, rtol=rtol, atol=0.01 * rtol
         )
     for formulation in ("cartesian", "relative"):
-        ways[f"newton_euler {formulation}, DOP853 rtol {tightest:.0e}"] = partial(
+        runs[f"newton_euler {formulation}, DOP853 rtol {tightest:.0e}"] = partial(
             newton_euler.simulate, scene, formulation=formulation, rtol=tightest, atol=0.01 * tightest
         )
-    return ways
+    return runs
 
 
 def batch_references(
     scene: Scene, states: Sequence[State], error: float, progress: Progress
 ) -> tuple[dict[int, Poses], float]:
-    """Make references of runs from several states; return them by number of the state, and their uncertainty.
+    """Compute reference poses of runs from several states.
 
-    A state has none from which engines cannot go that tightly, or do not agree to `error`, m or rad: its run
-    passes a singular configuration.
+    A state has no reference if its run passes a singular configuration: runs at tight tolerances then fail,
+        or
+    differ by more than `error`, m or rad.
+
+    Returns:
+        Poses by number of the state, and their largest uncertainty, m or rad.
 
     Raises:
-        CrosscheckError: if none has any.
+        CrosscheckError: if no state has a reference.
     """
     found: dict[int, Reference] = {}
     for k, state in enumerate(states):
         progress(f"reference of run {k + 1} of {len(states)}")
         try:
-            made = reference(replace(scene, initial_state=state), lambda _: None, (BATCH_RTOL,))
+            made = reference(replace(scene, initial_state=state), lambda _: None, (BATCH_REFERENCE_RTOL,))
         except CrosscheckError as failure:
             reason = str(failure)
             continue

@@ -1,4 +1,4 @@
-"""The report of work and precision: the time that each engine needs to reach an error."""
+"""Report of the benchmark of whole runs: time that each engine needs to reach an error."""
 
 from __future__ import annotations
 
@@ -13,55 +13,56 @@ from crosscheck.report.table import Cell, Lines, Part, Rows, Table, figures, tex
 from crosscheck.studies.benchmark.ladders import ENGINES, JUDGED
 from crosscheck.studies.benchmark.reference import Reference
 from crosscheck.studies.benchmark.timing import rounded, shown
-from crosscheck.studies.benchmark.work_precision import Measured, Measurement
+from crosscheck.studies.benchmark.work_precision import Measurement, WorkPrecision
 from crosscheck.support.palette import ENGINE_COLORS
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
-DECADES = tuple(10.0**-power for power in range(3, 12))
-"""Errors, m and rad, that the table has a row for."""
+TABLE_ERRORS = tuple(10.0**-power for power in range(3, 12))
+"""m and rad, errors of the rows of the table."""
 
-SMALLEST = 1e-16
-"""Errors are drawn no smaller than this, m or rad: zero has no logarithm."""
+SMALLEST_PLOTTED_ERROR = 1e-16
+"""m or rad, lower end of errors in the plot, whose axis is logarithmic."""
 
-DELIVERED = (
-    "times: one thread, medians of repeats in turns, spread of quartiles, without loading and first run; "
-    "for the poses of all bodies at all outputs as the engine has them"
+METHOD_NOTE = (
+    "times: one thread, median of alternating repeats, spread of quartiles, without loading and first run; "
+    "until the poses of all bodies at all outputs are known in the engine's own form"
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Benchmark:
-    """Result of a benchmark.
+    """Result of the benchmark of whole runs.
 
     Attributes:
-        title: of the scene, with its options.
-        scene: what was run.
-        reference: what errors are taken against.
-        measured: all settings.
+        title: title of the scene, with its options.
+        scene: the scene.
+        reference: motion from which errors are measured.
+        measured: measurements of all settings.
     """
 
     title: str
     scene: Scene
     reference: Reference
-    measured: Measured
+    measured: WorkPrecision
 
     @property
     def run(self) -> str:
-        """The scene, its duration and its outputs."""
+        """Title, duration and number of outputs of the scene."""
         return f"{self.title}: {self.scene.duration:g} s, {len(self.scene.times)} outputs"
 
     def cheapest(self, engine: str, error: float) -> Measurement | None:
-        """The fastest setting of an engine whose error is at most `error`, by its median.
+        """Return the setting of an engine with the shortest median time among those with at most this error.
 
-        An error below the uncertainty of the reference counts as that uncertainty.
+        An error below the uncertainty of the reference counts as the uncertainty. None if no setting reaches
+        `error`, m or rad.
         """
         unknown = self.reference.uncertainty
         reaching = [m for m in self._of(engine) if max(m.error, unknown) <= error]
         return min(reaching, key=lambda m: m.median, default=None)
 
     def frontier(self, engine: str) -> list[Measurement]:
-        """The settings of an engine that none of its others beats in both time and error, fastest first."""
+        """Return the Pareto-optimal settings of an engine in time and error, the fastest first."""
         best: list[Measurement] = []
         for m in sorted(self._of(engine), key=lambda m: (m.median, m.error)):
             if not best or m.error < best[-1].error:
@@ -73,14 +74,14 @@ class Benchmark:
 
 
 def parts(result: Benchmark) -> Iterator[Part]:
-    """The times for each error, and on demand settings and failures."""
+    """Yield the parts of the report: times for each error, then settings and failures (shown by `-v`)."""
     reference = result.reference
     yield Lines(
         "",
         [
             result.run,
             f"reference: {reference.name}, known to {reference.uncertainty:.1e} m and rad",
-            DELIVERED,
+            METHOD_NOTE,
         ],
     )
     yield _times(result)
@@ -90,13 +91,17 @@ def parts(result: Benchmark) -> Iterator[Part]:
     yield Lines("the reference differs by", [*against, *missing], folded=True)
     failures: Rows = [[x.engine, x.name, x.reason] for x in result.measured.failures]
     if failures:
-        yield Table("what cannot run the scene", texts("engine", "setting", "reason"), failures, folded=True)
+        yield Table(
+            "settings that cannot run the scene", texts("engine", "setting", "reason"), failures, folded=True
+        )
 
 
 def verdict(result: Benchmark, error: float) -> str:
-    """Word the time that each engine needs to reach an error."""
+    """Report in one line the time that each engine needs to reach an error, m or rad."""
     if result.reference.uncertainty > error:
-        return f"error {error:g} is below what the reference is known to, {result.reference.uncertainty:.1e}"
+        return (
+            f"error {error:g} is below the uncertainty of the reference, {result.reference.uncertainty:.1e}"
+        )
     own, said = result.cheapest(JUDGED, error), list[str]()
     for engine in ENGINES:
         m = result.cheapest(engine, error)
@@ -110,8 +115,8 @@ def verdict(result: Benchmark, error: float) -> str:
 
 
 def summary(result: Benchmark, error: float) -> Iterator[Part]:
-    """A row per engine with its times for every other error, and its cheapest setting for the wanted one."""
-    errors = DECADES[::2]
+    """Yield the short report: times of each engine for some errors, and its fastest setting for `error`."""
+    errors = TABLE_ERRORS[::2]
     rows: Rows = []
     for engine in ENGINES:
         every = [result.cheapest(engine, each) for each in errors]
@@ -122,12 +127,12 @@ def summary(result: Benchmark, error: float) -> Iterator[Part]:
 
 
 def _times(result: Benchmark) -> Table:
-    """The time of each engine's cheapest setting for each error, and as a multiple of newton_euler's."""
+    """Tabulate the time of each engine's fastest setting for each error, and its ratio to newton_euler's."""
     heads = figures("error")
     for engine in ENGINES:
         heads += figures(engine, "spread", *(() if engine == JUDGED else ("ratio",)))
     rows: Rows = []
-    for error in DECADES:
+    for error in TABLE_ERRORS:
         own, row = result.cheapest(JUDGED, error), list[str | Cell]()
         for engine in ENGINES:
             m = result.cheapest(engine, error)
@@ -135,11 +140,11 @@ def _times(result: Benchmark) -> Table:
             if engine != JUDGED:
                 row.append("" if m is None or own is None else rounded(m.ratio(own)))
         rows.append([f"{error:.0e}", *row])
-    return Table("ms of the cheapest setting for each error, m and rad", heads, rows)
+    return Table("ms of the fastest setting for each error, m and rad", heads, rows)
 
 
 def _settings(result: Benchmark) -> Table:
-    """The settings that none of their engine's others beats."""
+    """Tabulate the Pareto-optimal settings of each engine."""
     unknown = result.reference.uncertainty
     rows: Rows = []
     for engine in ENGINES:
@@ -159,12 +164,12 @@ def _settings(result: Benchmark) -> Table:
                 ]
             )
     names = ("position, m", "angle, rad", "time, ms", "spread", "repeats", "first, ms", "evaluations")
-    title = "settings that none of their engine's others beats"
+    title = "Pareto-optimal settings of each engine"
     return Table(title, [*texts("setting"), *figures(*names)], rows, folded=True)
 
 
 def data(result: Benchmark) -> dict[str, Any]:
-    """Return every setting that ran and every one that did not, for JSON."""
+    """Return the reference, all measurements and all failures, for JSON."""
     reference, measured = result.reference, result.measured
     return {
         "scene": result.scene.name,
@@ -182,7 +187,7 @@ def data(result: Benchmark) -> dict[str, Any]:
 
 @own_style()
 def picture(result: Benchmark) -> bytes:
-    """Draw run time (s) over error (m and rad), a line through the settings that none beats, as a PNG."""
+    """Plot run time (s) over error (m and rad), with a line through the Pareto-optimal settings, as PNG."""
     from matplotlib.figure import Figure
 
     drawn = Figure(figsize=(9.0, 5.0), layout="constrained")
@@ -208,4 +213,4 @@ def picture(result: Benchmark) -> bytes:
 
 
 def _points(measurements: Sequence[Measurement]) -> Array:
-    return np.array([(max(m.error, SMALLEST), m.median) for m in measurements])
+    return np.array([(max(m.error, SMALLEST_PLOTTED_ERROR), m.median) for m in measurements])

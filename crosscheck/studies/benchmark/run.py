@@ -1,4 +1,4 @@
-"""`crosscheck bench`: measure, write the files, and report."""
+"""`crosscheck bench`: run one of the four benchmarks, write its files, and report."""
 
 from __future__ import annotations
 
@@ -22,16 +22,18 @@ from crosscheck.support.files import check_no_source, check_writable, write_file
 from newton_euler.model.scene import Scene
 
 SMALLEST_ERROR = 1e-13
-"""m and rad, that settings are looked for to reach."""
+"""m and rad, smallest error that a user can ask for."""
 
 
-class Wanted(NamedTuple):
-    """The scene of a benchmark and what is asked of it.
+class BenchmarkRequest(NamedTuple):
+    """Arguments of a benchmark.
 
     Attributes:
-        scene: loaded from its source, a name or a file, with options as they were set.
-        error: m and rad, that settings are to reach.
-        runs: of a batch.
+        scene: the scene.
+        source: name or file that the scene was loaded from.
+        options: options of the scene that the user set.
+        error: m and rad, error that settings must reach.
+        runs: number of runs of a batch.
     """
 
     scene: Scene
@@ -42,30 +44,48 @@ class Wanted(NamedTuple):
 
     @property
     def title(self) -> str:
-        """The scene with its options."""
+        """Name of the scene with its options."""
         return titled(self.scene.name, self.options)
 
 
-class Found(NamedTuple):
-    """Results: everything measured, for JSON, what is shown of it, a picture, the verdict and a summary."""
+class BenchmarkResult(NamedTuple):
+    """Result of a benchmark.
+
+    Attributes:
+        data: all measurements, for JSON.
+        parts: parts of the report.
+        picture: plot as PNG, if the benchmark has one.
+        verdict: one line, or empty.
+        summary: parts that the terminal shows without `-v`; all parts if None.
+    """
 
     data: Mapping[str, Any]
     parts: list[Part]
     picture: bytes | None = None
     verdict: str = ""
     summary: list[Part] | None = None
-    """Of the parts; all of them if None."""
 
 
-def bench(wanted: Wanted, kind: str, output: Path | None, progress: Progress) -> tuple[Report, list[Path]]:
-    """Run a benchmark of a kind out of `KINDS`; return the report, and the files that hold it.
+def bench(
+    wanted: BenchmarkRequest, kind: str, output: Path | None, progress: Progress
+) -> tuple[Report, list[Path]]:
+    """Run a benchmark and write its files.
+
+    Args:
+        wanted: scene and arguments.
+        kind: a key of `KINDS`.
+        output: folder of the files; a folder named after the scene if None.
+        progress: called with the name of each stage.
+
+    Returns:
+        The report, and the paths of the files.
 
     Raises:
-        CrosscheckError: for an impossible error, a scene that cannot be run, and files that cannot be
-            written, are the source, or are another model's, unless the folder was asked for.
+        CrosscheckError: for an error out of range, a scene that cannot be run, and files that cannot be
+            written, that are the source, or (without `output`) that belong to another model.
     """
     if not SMALLEST_ERROR <= wanted.error < math.inf:
-        needed = f"{SMALLEST_ERROR:g} or more (m and rad), which is as exact as references are"
+        needed = f"{SMALLEST_ERROR:g} or more (m and rad), the best accuracy of references"
         raise CrosscheckError(f"--error is {wanted.error:g}; needed: {needed}")
     names, measured = KINDS[kind]
     folder = output or usual_folder(Path("output/bench"), wanted.source, "benchmark")
@@ -78,18 +98,18 @@ def bench(wanted: Wanted, kind: str, output: Path | None, progress: Progress) ->
     parts = [Lines("", [head]), *found.parts]
     summary = [*(found.parts if found.summary is None else found.summary), Lines("", [head])]
     whole = Report(f"bench {wanted.title}", found.verdict, Cell(""), parts, summary=summary)
-    beside = {paths[1]: found.picture} if found.picture else {}
+    pictures = {paths[1]: found.picture} if found.picture else {}
     data = {"source": wanted.source, "options": dict(wanted.options), "machine": where, **found.data}
-    write_files({paths[0]: as_json(data, whole, beside), **beside})
+    write_files({paths[0]: as_json(data, whole, pictures), **pictures})
     return whole, paths
 
 
-def _whole_runs(wanted: Wanted, progress: Progress) -> Found:
+def _whole_runs(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult:
     scene = poses_only(wanted.scene)
     motion = reference(scene, progress)
     measured = measure({name: engine(scene) for name, engine in ENGINES.items()}, motion.poses, progress)
     result = report.Benchmark(wanted.title, scene, motion, measured)
-    return Found(
+    return BenchmarkResult(
         report.data(result),
         list(report.parts(result)),
         report.picture(result),
@@ -98,25 +118,25 @@ def _whole_runs(wanted: Wanted, progress: Progress) -> Found:
     )
 
 
-def _right_hand_sides(wanted: Wanted, progress: Progress) -> Found:
+def _right_hand_sides(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult:
     timings = rhs.time_right_hand_sides(wanted.scene, progress)
-    return Found({"right_hand_sides": [asdict(t) for t in timings]}, rhs.parts(timings))
+    return BenchmarkResult({"right_hand_sides": [asdict(t) for t in timings]}, rhs.parts(timings))
 
 
-def _batch(wanted: Wanted, progress: Progress) -> Found:
+def _batch(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult:
     result = batch.benchmark_batch(wanted.scene, wanted.runs, wanted.error, progress)
-    return Found(asdict(result), batch.parts(result))
+    return BenchmarkResult(asdict(result), batch.parts(result))
 
 
-def _sensitivities(wanted: Wanted, progress: Progress) -> Found:
+def _sensitivities(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult:
     costs = sensitivities.time_sensitivities(wanted.scene, progress)
-    return Found({"sensitivities": [asdict(cost) for cost in costs]}, sensitivities.parts(costs))
+    return BenchmarkResult({"sensitivities": [asdict(cost) for cost in costs]}, sensitivities.parts(costs))
 
 
-KINDS: dict[str, tuple[tuple[str, ...], Callable[[Wanted, Progress], Found]]] = {
+KINDS: dict[str, tuple[tuple[str, ...], Callable[[BenchmarkRequest, Progress], BenchmarkResult]]] = {
     "runs": (("bench.json", "work_precision.png"), _whole_runs),
     "rhs": (("rhs.json",), _right_hand_sides),
     "batch": (("batch.json",), _batch),
     "sensitivities": (("sensitivities.json",), _sensitivities),
 }
-"""Files that each benchmark writes, and what measures."""
+"""Names of the files of each kind of benchmark, and the function that measures."""

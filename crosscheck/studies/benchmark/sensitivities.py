@@ -1,8 +1,8 @@
-"""Cost of the derivatives of a run by parameters, in runs at the same tolerance.
+"""Cost of parameter sensitivities, as a multiple of one run at the same tolerance.
 
-The parameters are masses of bodies, or a coordinate of a joint point: then the run is searched for singular
-configurations as well. The run alone and with its derivatives take turns, in processor time; code is compiled
-and starts are differentiated before.
+The parameters are masses of bodies, or one coordinate of a joint point. A parameter of geometry adds the
+search for singular configurations to the run. Runs with and without sensitivities alternate; their times are
+CPU times. Compilation and the derivatives of initial states are not timed.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from newton_euler.model.scene import Scene
 from newton_euler.runs.intervals import integrate_intervals
 from newton_euler.scalars import Array
 
-COUNTS = (1, 2, 4, 8)
-"""Numbers of parameters, as far as there are bodies."""
+PARAMETER_COUNTS = (1, 2, 4, 8)
+"""Numbers of parameters that are timed, up to the number of bodies."""
 
 REPEATS = 21
 
 
 @dataclass(frozen=True)
-class Cost(Timed):
-    """Times of a run with derivatives.
+class SensitivityCost(Timed):
+    """Times of a run with sensitivities.
 
     Attributes:
-        parameters: by how many; 0 for the run alone.
-        kind: "masses" or "joint points"; empty for the run alone.
-        operations: of its right-hand side.
-        times: s of processor time, of the repeats.
+        parameters: number of parameters; 0 for the run without sensitivities.
+        kind: "masses" or "joint points"; empty for the run without sensitivities.
+        operations: number of operations of the right-hand side.
+        times: s, CPU time of each repeat.
     """
 
     parameters: int
@@ -49,13 +49,17 @@ class Cost(Timed):
     times: tuple[float, ...]
 
 
-def time_sensitivities(scene: Scene, progress: Progress) -> list[Cost]:
-    """Time runs of a scene at the default tolerance alone, the first one, and with derivatives."""
+def time_sensitivities(scene: Scene, progress: Progress) -> list[SensitivityCost]:
+    """Time runs of a scene at the default tolerance.
+
+    Returns:
+        The cost of the run without sensitivities first, then with sensitivities.
+    """
     scene, options = poses_only(scene), tangent_options({})
     masses = tuple(f"{body.name}.mass" for body in scene.mechanism.bodies[1:])
     plain = compile_scene(scene)
     points = [name for name in parameter_names(scene) if name.endswith(".point")]
-    wanted = [("masses", masses[:count]) for count in COUNTS if count <= len(masses)]
+    wanted = [("masses", masses[:count]) for count in PARAMETER_COUNTS if count <= len(masses)]
     wanted += [("joint points", (f"{name}.x",)) for name in points[-1:]]
     calls = [_timed(lambda: integrate_intervals(plain, plain.start.copy(), options))]
     made = [(0, "", plain.operations["derivative"])]
@@ -66,13 +70,15 @@ def time_sensitivities(scene: Scene, progress: Progress) -> list[Cost]:
         try:
             start = Starts(code, names)(own_numbers(scene, names))
             _followed(run, *start)
-        except SensitivityError:  # near a singular configuration
+        except (
+            SensitivityError
+        ):  # the run comes near a singular configuration, where derivatives do not exist
             continue
         calls.append(_timed(partial(_followed, run, *start)))
         made.append((len(names), kind, code.function(code.rates[0]).operations))
     calls[0]()
     times = in_turns(calls, [REPEATS] * len(calls), progress)
-    return [Cost(*each, taken) for each, taken in zip(made, times, strict=True)]
+    return [SensitivityCost(*each, taken) for each, taken in zip(made, times, strict=True)]
 
 
 def _followed(run: FollowedRun, start: Array, directions: Array) -> None:
@@ -80,12 +86,12 @@ def _followed(run: FollowedRun, start: Array, directions: Array) -> None:
 
 
 def _timed(call: Callable[[], object]) -> Callable[[], float]:
-    """Return a call that says what another takes, s of processor time."""
+    """Return a function that makes a call and returns its CPU time, s."""
     return partial(Timer(call, timer=time.process_time).timeit, 1)
 
 
-def parts(costs: Sequence[Cost]) -> list[Part]:
-    """Times of runs with derivatives, and what each parameter costs."""
+def parts(costs: Sequence[SensitivityCost]) -> list[Part]:
+    """Make the report: times of runs with sensitivities, and the cost of each parameter in runs."""
     alone = costs[0]
     rows: Rows = []
     for cost in costs:
@@ -93,5 +99,5 @@ def parts(costs: Sequence[Cost]) -> list[Part]:
         by = f"{cost.kind}: {cost.parameters}" if cost.parameters else "run alone"
         rows.append([by, f"{cost.operations:,}", shown(cost.median), cost.spread, each])
     heads = [*texts("by"), *figures("operations", "time", "spread", "runs per parameter")]
-    words = "processor time of a run and its derivatives at the default tolerance, that of starts apart"
+    words = "CPU time of a run with sensitivities at the default tolerance, without initial states"
     return [Table("", heads, rows), Lines("", [words])]

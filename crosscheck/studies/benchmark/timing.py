@@ -1,4 +1,4 @@
-"""Times of calls that take turns, their medians and spread, and the machine that they were measured on."""
+"""Timing of alternating calls: medians, spread, and a description of the machine."""
 
 from __future__ import annotations
 
@@ -14,36 +14,34 @@ import numpy as np
 from crosscheck.support.versions import versions
 from newton_euler.codegen.compile import uncollected
 
-MESSAGES = 5
-"""Messages of progress about all turns."""
-
 Progress = Callable[[str], None]
 
 
 class Timed:
-    """Base of records with times.
+    """Base class of records with repeated times.
 
     Attributes:
-        times: s, of the repeats.
+        times: s, one per repeat.
     """
 
     times: tuple[float, ...]
 
     @property
     def median(self) -> float:
-        """s"""
+        """s, median of the times."""
         return float(np.median(self.times))
 
     @property
     def spread(self) -> str:
-        """The difference between the quartiles as a share of the median."""
+        """Difference between the quartiles in percent of the median, as text."""
         low, high = np.quantile(self.times, [0.25, 0.75])
         return f"{(high - low) / self.median:.0%}"
 
     def ratio(self, other: Timed) -> float:
-        """Return how many times as long as the other this takes.
+        """Return the ratio of these times to those of another record.
 
-        The median over turns: a machine whose speed changes does so for both of a turn.
+        If both were timed alternately, the ratio is the median over turns: a change of the machine's speed
+        affects both times of a turn alike.
         """
         if len(self.times) != len(other.times):
             return self.median / other.median
@@ -53,18 +51,21 @@ class Timed:
 def in_turns(
     calls: Sequence[Callable[[], float]], repeats: Sequence[int], progress: Progress
 ) -> list[tuple[float, ...]]:
-    """Make timed calls in turns, so that a machine that slows down slows all of them down.
+    """Repeat timed calls alternately, so that a change of the machine's speed affects all of them.
 
     Args:
-        calls: each returns the s that it took.
-        repeats: of each call; those of which there are fewer are evenly spread over the turns.
-        progress: told `MESSAGES` of the turns.
+        calls: functions that return the time that they took, s.
+        repeats: number of repeats of each call; smaller numbers are spread evenly over the turns.
+        progress: called at five of the turns.
+
+    Returns:
+        The times of each call.
     """
     times: list[list[float]] = [[] for _ in calls]
-    turns = max(repeats, default=0)
+    turns, messages = max(repeats, default=0), 5
     for turn in range(turns):
-        if turn * MESSAGES % turns < MESSAGES:
-            progress(f"timing {len(calls)} settings in turns: {turn + 1} of {turns}")
+        if turn * messages % turns < messages:
+            progress(f"timing {len(calls)} settings alternately: {turn + 1} of {turns}")
         for call, count, row in zip(calls, repeats, times, strict=True):
             if turn * count % turns < count:
                 with uncollected():
@@ -73,7 +74,7 @@ def in_turns(
 
 
 def machine() -> dict[str, Any]:
-    """Describe the machine: processor, cores, load by others now, system, versions."""
+    """Describe the machine: processor, cores, current load, system, versions of packages."""
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),
@@ -84,7 +85,7 @@ def machine() -> dict[str, Any]:
 
 
 def _processor() -> str:
-    """Return the name of the processor, from where Linux keeps it or as Python knows it."""
+    """Return the name of the processor, from /proc/cpuinfo or from Python."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             name, _, value = line.partition(":")
@@ -94,12 +95,12 @@ def _processor() -> str:
 
 
 def rounded(value: float) -> str:
-    """Three digits, and zeros instead of an exponent."""
+    """Format a number with three significant digits and without an exponent."""
     return f"{float(f'{value:.3g}'):,.12g}"
 
 
 def shown(seconds: float) -> str:
-    """Three digits of a time in the unit that suits it."""
+    """Format a time with three significant digits in s, ms, us or ns."""
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
         if seconds >= size:
             return f"{seconds / size:.3g} {unit}"

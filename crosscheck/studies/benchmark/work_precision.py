@@ -1,8 +1,8 @@
-"""Run time against error, for every engine and setting.
+"""Work-precision measurement: run time and error of every engine and setting.
 
-The time of a setting is what it takes to have the motion of all bodies at all output times; loading,
-compiling and the first run are told apart from it. The error is the largest over all bodies and output times
-against `crosscheck.studies.benchmark.reference`.
+The time of a setting includes everything until the motion of all bodies at all outputs is known. Loading,
+compilation and the first run are measured separately. The error is the largest over all bodies and outputs,
+relative to the motion of `crosscheck.studies.benchmark.reference`.
 """
 
 from __future__ import annotations
@@ -21,23 +21,25 @@ from crosscheck.support.errors import CrosscheckError, reason_of
 from crosscheck.support.time_limits import time_limit
 from newton_euler.codegen.compile import uncollected
 
-LONGEST = 1.5
-"""s of processor time: a ladder is climbed no further once one of its runs has taken longer."""
+LADDER_TIME_LIMIT = 1.5
+"""s, CPU time of a run after which finer settings of its method are not tried."""
 
-LIMIT = 3.0
-"""s after which a run is given up."""
+RUN_TIME_LIMIT = 3.0
+"""s, longest time of a run."""
 
-BUDGET = 20.0
-"""s of processor time after which an engine begins no further ladder. Others' load leaves no setting out."""
+ENGINE_TIME_LIMIT = 20.0
+"""s, CPU time after which an engine begins no further method. It is CPU time so that other load has no
+effect."""
 
-SHARE = 0.15
-"""s that the repeats of one setting should take together, if `LEAST_REPEATS` of them do not take longer."""
+SETTING_TIME = 0.15
+"""s, time of all repeats of one setting together, unless `MIN_REPEATS` take longer."""
 
-LEAST_REPEATS = 3
+MIN_REPEATS = 3
+"""Smallest number of repeats of a setting."""
 
-SAMPLE = 0.02
-"""s that runs follow one another for one repeat at least; its time is their mean. A single run of less
-than a millisecond would be timed with the processor's caches full of another engine."""
+REPEAT_TIME = 0.02
+"""s, shortest duration of one repeat, which is the mean of consecutive runs. A single run of less than a
+millisecond would be timed with the caches of the processor full of another engine's data."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +53,14 @@ class Failure:
 
 @dataclass(frozen=True)
 class Measurement(Timed):
-    """One setting.
+    """Time and error of one setting.
 
     Attributes:
-        engine, method, name: names; that of the setting begins with its method's.
-        error_position, error_angle: largest over bodies and output times, m and rad.
-        evaluations: of the equations of motion, in one run.
-        first: s, of the first run, which is not among the repeats.
-        times: s, of the repeats, each a mean over `SAMPLE`.
+        engine, method, name: names of the engine, of the method and of the setting.
+        error_position, error_angle: m and rad, largest errors over bodies and outputs.
+        evaluations: number of evaluations of the equations of motion in one run.
+        first: s, time of the first run, which is not a repeat.
+        times: s, time of a run in each repeat.
     """
 
     engine: str
@@ -72,21 +74,23 @@ class Measurement(Timed):
 
     @property
     def error(self) -> float:
-        """The larger of both errors, m or rad."""
+        """m or rad, the larger of both errors."""
         return max(self.error_position, self.error_angle)
 
     @property
     def repeats(self) -> int:
-        """The number of repeats that take `SHARE` together, by the first run."""
-        return max(LEAST_REPEATS, int(SHARE / max(self.first, SAMPLE)))
+        """Number of repeats that take `SETTING_TIME` together, estimated from the first run."""
+        return max(MIN_REPEATS, int(SETTING_TIME / max(self.first, REPEAT_TIME)))
 
 
 @dataclass
-class Measured:
-    """All settings of all engines.
+class WorkPrecision:
+    """Measurements of all settings of all engines.
 
     Attributes:
-        ended: why a ladder ends where it does, by engine and method.
+        measurements: settings that run.
+        failures: models and settings that do not run.
+        ended: by engine and method, the reason why no finer setting was tried.
     """
 
     measurements: list[Measurement] = field(default_factory=list)
@@ -94,15 +98,15 @@ class Measured:
     ended: dict[str, str] = field(default_factory=dict)
 
 
-def measure(engines: Mapping[str, Models], exact: Poses, progress: Progress) -> Measured:
-    """Run every setting of every engine once for its error, then in turns for its time.
+def measure(engines: Mapping[str, Models], exact: Poses, progress: Progress) -> WorkPrecision:
+    """Run every setting of every engine once for its error, then alternately for its time.
 
     Args:
-        engines: how each loads the scene.
-        exact: what errors are taken against.
-        progress: is told each stage.
+        engines: by engine, the functions that load the scene.
+        exact: reference poses.
+        progress: called with the name of each stage.
     """
-    found = Measured()
+    found = WorkPrecision()
     calls: list[Callable[[], float]] = []
     for engine, models in engines.items():
         climbing = 0.0
@@ -110,12 +114,12 @@ def measure(engines: Mapping[str, Models], exact: Poses, progress: Progress) -> 
             progress(f"{engine}: {name}")
             try:
                 model = load()
-            except Exception as error:  # whatever an engine has against a scene belongs in the table
+            except Exception as error:  # the table reports any error of an engine
                 found.failures.append(Failure(engine, name, reason_of(error)))
                 continue
             for ladder in model.ladders:
-                end = f"not begun: others of its engine have taken {BUDGET:g} s"
-                if climbing < BUDGET:
+                end = f"not tried: other methods of the engine took {ENGINE_TIME_LIMIT:g} s"
+                if climbing < ENGINE_TIME_LIMIT:
                     start = time.process_time()
                     end = _climb(engine, ladder, model.run, exact, found, calls)
                     climbing += time.process_time() - start
@@ -130,15 +134,21 @@ def _climb(
     ladder: Ladder,
     run: Callable[[Options], Run],
     exact: Poses,
-    found: Measured,
+    found: WorkPrecision,
     calls: list[Callable[[], float]],
 ) -> str:
-    """Run the settings of a ladder once each, add calls to repeat those that ran; return why it ended."""
+    """Run each setting of a ladder once.
+
+    Measurements and failures are added to `found`, and calls that repeat the successful runs to `calls`.
+
+    Returns:
+        The reason why the ladder ended.
+    """
     for number in ladder.numbers:
         name, options = ladder.setting(number)
         start = time.process_time()
         try:
-            with uncollected(), time_limit(LIMIT):
+            with uncollected(), time_limit(RUN_TIME_LIMIT):
                 done = run(options)
             errors = pose_errors(done.poses(), exact)
             if not np.all(np.isfinite(errors)):
@@ -150,14 +160,14 @@ def _climb(
             found.measurements.append(Measurement(engine, ladder.method, name, *of_run))
             calls.append(partial(_sample, run, options))
         seconds = time.process_time() - start
-        if seconds > LONGEST and number != ladder.numbers[-1]:
-            return f"{name} took {seconds:.1f} s, more than {LONGEST:g} s"
+        if seconds > LADDER_TIME_LIMIT and number != ladder.numbers[-1]:
+            return f"{name} took {seconds:.1f} s, more than {LADDER_TIME_LIMIT:g} s"
     return "its last setting"
 
 
 def _sample(run: Callable[[Options], Run], options: Options) -> float:
-    """Return the mean time of runs one after the other, s."""
+    """Return the mean time of consecutive runs, s."""
     seconds = [run(options).seconds]
-    while sum(seconds) < SAMPLE:
+    while sum(seconds) < REPEAT_TIME:
         seconds.append(run(options).seconds)
     return sum(seconds) / len(seconds)

@@ -15,7 +15,7 @@ import newton_euler
 import urdf
 from crosscheck.cli import main
 from crosscheck.compare.coverage import covered_by
-from crosscheck.studies.benchmark.run import Wanted
+from crosscheck.studies.benchmark.run import BenchmarkRequest
 from mjcf.reader import Reading
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import constraint_rate
@@ -355,7 +355,7 @@ def test_bench_excites_as_run_does(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     path.write_text(FILE)
     moves: list[bool] = []
 
-    def bench(wanted: Wanted, *_: object) -> tuple[list[str], list[Path]]:
+    def bench(wanted: BenchmarkRequest, *_: object) -> tuple[list[str], list[Path]]:
         moves.append(bool(np.any(initial_state(wanted.scene).linear_velocity)))
         return [], []
 
