@@ -11,7 +11,7 @@ the moments about its sides. Names hold a space, which no name of a scene does, 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from typing import TypeGuard
+from typing import TypeGuard, assert_never
 
 import numpy as np
 
@@ -47,6 +47,8 @@ def joint_attributes(scene: Scene) -> dict[str, dict[str, str]]:
     for armature in scene.armatures:
         found[_motion_name(scene.mechanism, armature)] = {"armature": number(armature.inertia)}
     for spring in scene.forces:
+        if isinstance(spring, PointSpring | Wrench | WindLoad):
+            continue  # on sites, see `add_sites`
         if isinstance(spring, JointSpring | BallSpring):
             name = _motion_name(scene.mechanism, spring)
             found[name] = found.get(name, {}) | {
@@ -57,6 +59,8 @@ def joint_attributes(scene: Scene) -> dict[str, dict[str, str]]:
                 found[name]["springref"] = number(spring.rest)
             elif _is_turned(spring):
                 found[name]["springyield"] = number(NEVER)
+        else:
+            assert_never(spring)
     return found
 
 
@@ -99,6 +103,8 @@ def add_sites(elements: dict[int, ET.Element], scene: Scene) -> None:
             pose = mechanism.body(force.body).pose
             site = add_site(elements, mechanism, wind_site(force), force.body, force.point)
             site.set("quat", numbers(from_rotation(pose.rotation.T @ force.axes)))
+        elif not isinstance(force, JointSpring | BallSpring):  # these two are attributes of joints
+            assert_never(force)
     if any(isinstance(force, Wrench) and force.frame == "world" for force in scene.forces):
         add_site(elements, mechanism, WORLD_SITE, mechanism.body_names[0], np.zeros(3))
 

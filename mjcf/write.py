@@ -16,6 +16,7 @@ from __future__ import annotations
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
+from typing import assert_never
 
 import numpy as np
 
@@ -37,10 +38,10 @@ from newton_euler.arguments import checked
 from newton_euler.equations.couplings import Coupling, TreeCouplings, couplings
 from newton_euler.equations.model_control import roles
 from newton_euler.equations.relative import Relative
-from newton_euler.model.control import NO_FORCES, PD, Readings
+from newton_euler.model.control import NO_FORCES, PD, ComputedTorque, Readings, StateFeedback
 from newton_euler.model.digital_control import HeldLaw, Law
 from newton_euler.model.euler_parameters import conjugate, from_rotation, product, rotation
-from newton_euler.model.geometry import Box, Shape, Sphere
+from newton_euler.model.geometry import Box, Capsule, Cylinder, Shape, Sphere
 from newton_euler.model.joint import Key, Pose
 from newton_euler.model.joint_kinds import Rod, Spherical
 from newton_euler.model.mechanism import Body
@@ -268,9 +269,11 @@ def add_geom(element: ET.Element, shape: Shape, color: str, pose: Pose, quaterni
     elif isinstance(shape, Sphere):
         geom.set("pos", numbers(pose.point_to_body(shape.center)))
         geom.set("size", number(shape.radius))
-    else:
+    elif isinstance(shape, Capsule | Cylinder):
         geom.set("fromto", numbers([*pose.point_to_body(shape.start), *pose.point_to_body(shape.end)]))
         geom.set("size", number(shape.radius))
+    else:
+        assert_never(shape)
     geom.set("rgba", color)
 
 
@@ -397,8 +400,10 @@ def control(law: Law, time: float, readings: Readings, model: Mapping[Key, float
     """
     if isinstance(law, HeldLaw):
         return law.held
-    if not isinstance(law, PD):
+    if isinstance(law, StateFeedback | ComputedTorque):
         return float(law.towards(law.references(time), readings, time, model))
+    if not isinstance(law, PD):
+        assert_never(law)
     if law.uses_model:
         return float(law.force(0.0, 0.0, time) + model[law.key])
     if law.is_driven:

@@ -7,7 +7,7 @@ All are worked out here from their numbers, so that a mistake in newton_euler's 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, assert_never
 
 import numpy as np
 import pinocchio as pin
@@ -75,9 +75,10 @@ class JointLaws:
             law = laws[k]
             if isinstance(law, DeclaredLaw):
                 force[k] = self._feedback(law, x, rate, time)
-            else:
-                assert isinstance(law, HeldLaw)
+            elif isinstance(law, HeldLaw):
                 force[k] = law.held
+            elif not isinstance(law, JointSpring):  # no other kind: springs are summed up above
+                assert_never(law)
         for key, known in model.items():
             force[self._places[key]] += known
         return force
@@ -226,6 +227,8 @@ class PointForces:
                 body = mechanism.body_index(force.body)
                 frame = added(f"wind {force.name}", body, force.point, force.axes)
                 self._winds.append((number, body, frame))
+            elif not isinstance(force, JointSpring | BallSpring):  # see `JointLaws` and `BallForces`
+                assert_never(force)
 
     def __bool__(self) -> bool:
         return bool(self._springs or self._wrenches or self._winds)

@@ -17,7 +17,7 @@ import os
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, assert_never
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
@@ -27,7 +27,7 @@ from newton_euler.arguments import checked
 from newton_euler.equations.couplings import couplings
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.geometry import Box, Shape, Sphere
+from newton_euler.model.geometry import Box, Capsule, Cylinder, Shape, Sphere
 from newton_euler.model.joint import Joint, Motion
 from newton_euler.model.joint_kinds import Fixed, Rod
 from newton_euler.model.mechanism import Body
@@ -281,15 +281,17 @@ def add_visual(link: Element, shape: Shape, origin: Array, material: str) -> Non
         center, rpy = shape.center, roll_pitch_yaw(rotation(shape.quaternion))
     elif isinstance(shape, Sphere):
         center, rpy = shape.center, (0.0, 0.0, 0.0)
-    else:
+    elif isinstance(shape, Capsule | Cylinder):
         center, rpy = 0.5 * (shape.start + shape.end), _along(shape.end - shape.start)
+    else:
+        assert_never(shape)
     SubElement(visual, "origin", xyz=_rounded(center - origin), rpy=_rounded(rpy))
     geometry = SubElement(visual, "geometry")
     if isinstance(shape, Box):
         SubElement(geometry, "box", size=_rounded(2.0 * shape.half_sizes))
     elif isinstance(shape, Sphere):
         SubElement(geometry, "sphere", radius=_rounded([shape.radius]))
-    else:
+    elif isinstance(shape, Capsule | Cylinder):
         SubElement(geometry, "cylinder", radius=_rounded([shape.radius]), length=_rounded([shape.length]))
     SubElement(visual, "material", name=material)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from typing import assert_never
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from newton_euler.model.motions import PrescribedMotion, Sum, TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.spanning_tree import SpanningTree
-from newton_euler.model.splines import Piecewise
+from newton_euler.model.splines import Spline, Steps
 from newton_euler.model.variable import functions_of
 
 LEAST_DURATION = 1e-6
@@ -94,7 +95,11 @@ def _terms(function: TimeFunction) -> int:
     """The number of sines and coefficients, those of one piece of splines and steps."""
     if isinstance(function, Sum):
         return sum(map(_terms, function.terms))
-    return len(function.coefficients) if isinstance(function, Polynomial) else max(1, function.numbers)
+    if isinstance(function, Polynomial):
+        return len(function.coefficients)
+    if isinstance(function, Sine | Spline | Steps):
+        return max(1, function.numbers)
+    assert_never(function)
 
 
 def _cycles(function: TimeFunction, duration: float, per_cycle: float) -> float:
@@ -113,5 +118,6 @@ def _cycles(function: TimeFunction, duration: float, per_cycle: float) -> float:
         return periods * (1.0 + 4.0 * abs(function.amplitude) / per_cycle) + abs(function.offset) / per_cycle
     if isinstance(function, Sum):
         return sum(_cycles(term, duration, per_cycle) for term in function.terms)
-    assert isinstance(function, Piecewise)
-    return float(np.sum(np.abs(np.diff(function.values)))) / per_cycle
+    if isinstance(function, Spline | Steps):
+        return float(np.sum(np.abs(np.diff(function.values)))) / per_cycle
+    assert_never(function)

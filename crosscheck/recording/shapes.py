@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, assert_never
 
 import numpy as np
 import rerun as rr
@@ -120,10 +120,12 @@ def paths(mechanism: Mechanism, body: int, run: Trajectory) -> Array:
     for shape in drawn:
         if isinstance(shape, Sphere):
             points.append(shape.center + signs * shape.radius)
-        elif not isinstance(shape, Box):
+        elif isinstance(shape, Capsule | Cylinder):
             points.append(np.array([shape.start, shape.end]))
-        else:
+        elif isinstance(shape, Box):
             points.append(shape.center + (signs * shape.half_sizes) @ rotation(shape.quaternion).T)
+        else:
+            assert_never(shape)
     corners = (np.concatenate(points) - pose.position) @ pose.rotation
     return run.position[:, body, None] + rotated(run.quaternion[:, body, None], corners)
 

@@ -11,7 +11,7 @@ import numpy as np
 from newton_euler.equations.system import fastest_joint
 from newton_euler.model.constraints import Frame
 from newton_euler.model.elements import Element, Surroundings
-from newton_euler.model.forces import SPRING_AND_DAMPER
+from newton_euler.model.forces import Spring
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar
@@ -78,7 +78,6 @@ def blamed(scene: Scene, state: State, reason: str, at: Surroundings) -> str:
 
 def _called(force: Element) -> str:
     """Name a force; a spring and damper by the parts that it has."""
-    if force.strengths is not SPRING_AND_DAMPER:
+    if not isinstance(force, Spring):
         return force.element
-    parts = [part for part, (value,) in force.strengths.items() if getattr(force, value)]
-    return force.element.replace("spring", " and ".join(parts) or "spring", 1)
+    return force.element.replace("spring", " and ".join(force.active_parts) or "spring", 1)

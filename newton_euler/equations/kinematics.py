@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, assert_never
 
 import numpy as np
 
@@ -108,7 +108,7 @@ def _child(
             orientation = product(orientation, np.array([cos(half), *(sin(half) * motion.axis)]))
             columns.append((axis, r))
             iq, iv = iq + 1, iv + 1
-        else:
+        elif motion.kind == "ball":
             a = a @ rotation(q[iq : iq + 4])
             orientation = product(orientation, q[iq : iq + 4])
             relative = a @ v[iv : iv + 3]
@@ -116,6 +116,8 @@ def _child(
             omega = omega + relative
             columns.extend((a[:, k], r) for k in range(3))
             iq, iv = iq + 4, iv + 3
+        else:
+            assert_never(motion.kind)
     move(a @ (mechanism.bodies[joint.child].center_of_mass - (here - (0.0 if joint.forward else apart))))
 
     arm = (r - parent.frame.position).tolist()

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number, items_of, quoted
+from newton_euler.model.joint import Key
 from newton_euler.model.variable import WHICH, Change, Variable
 from newton_euler.scalars import Array
 
@@ -33,6 +34,13 @@ class JointCoupling(Variable):
     def powers(self) -> dict[tuple[str, int], tuple[float, ...]]:
         """Return the factors of the second and higher powers of each coordinate that has them."""
         return {}
+
+    def counted_from(self, zeros: Mapping[Key, float]) -> JointCoupling:
+        """Return the coupling of the same joints with their coordinates (m or rad) counted from other zeros.
+
+        The zeros meet the coupling.
+        """
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -69,6 +77,9 @@ class Gear(JointCoupling):
     def factors(self) -> dict[tuple[str, int], float]:
         follower = self.follower, self.follower_coordinate
         return {follower: 1.0, (self.driver, self.driver_coordinate): -self.ratio}
+
+    def counted_from(self, zeros: Mapping[Key, float]) -> Gear:
+        return self
 
     def __post_init__(self) -> None:
         where = f"gear {quoted(self.name)}"
@@ -132,6 +143,9 @@ class PolynomialCoupling(JointCoupling):
         higher = tuple(-c for c in self.coefficients[1:])
         return {(self.driver, self.driver_coordinate): higher} if higher else {}
 
+    def counted_from(self, zeros: Mapping[Key, float]) -> PolynomialCoupling:
+        return self.from_zero(zeros[self.driver, self.driver_coordinate])
+
     def from_zero(self, zero: float) -> PolynomialCoupling:
         """Return the same curve with the driver's coordinate counted from `zero`, m or rad, on the curve."""
         moved = np.polynomial.Polynomial((0.0, *self.coefficients))(np.polynomial.Polynomial((zero, 1.0)))
@@ -188,6 +202,9 @@ class LinearCoupling(JointCoupling):
 
     def factors(self) -> dict[tuple[str, int], float]:
         return {(joint, coordinate): factor for joint, coordinate, factor in self.terms}
+
+    def counted_from(self, zeros: Mapping[Key, float]) -> LinearCoupling:
+        return self
 
     def __post_init__(self) -> None:
         where = f"coupling {quoted(self.name)}"

@@ -39,12 +39,31 @@ from newton_euler.model.mechanism import Mechanism, check_name
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array, Scalar, cross, sqrt
 
-SPRING_AND_DAMPER = {"spring": ("stiffness",), "damper": ("damping",)}  # strengths of springs with dampers
 ROTOR = {"rotor": ("inertia",)}
 
 
+class Spring(AppliedForce):
+    """A spring with a damper beside it.
+
+    Attributes:
+        stiffness: of the spring, N/m or N m/rad.
+        damping: of the damper, N s/m or N m s/rad.
+    """
+
+    stiffness: float
+    damping: float
+
+    noun = "spring"
+    strengths: ClassVar = {"spring": ("stiffness",), "damper": ("damping",)}
+
+    @property
+    def active_parts(self) -> list[str]:
+        """The parts of nonzero strength: "spring", "damper", or both."""
+        return [part for part, (value,) in self.strengths.items() if getattr(self, value)]
+
+
 @dataclass(frozen=True)
-class JointSpring(CoordinateForce):
+class JointSpring(CoordinateForce, Spring):
     """A spring and damper on a joint's hinge or slide: -(k (x - rest) + d dx/dt), N or N m.
 
     It is named by its joint, which need not be actuated; damping alone is viscous friction.
@@ -70,9 +89,7 @@ class JointSpring(CoordinateForce):
     rest: float = 0.0
     coordinate: int = 0
 
-    noun = "spring"
     parameters = ("stiffness", "damping", "rest")
-    strengths = SPRING_AND_DAMPER
     kind_of_parameters = ".spring"
 
     def __post_init__(self) -> None:
@@ -94,7 +111,7 @@ class JointSpring(CoordinateForce):
 
 
 @description
-class BallSpring(OnBall, AppliedForce):
+class BallSpring(OnBall, Spring):
     """A torsion spring and damper on a joint's ball, the same about all axes: -(k theta + d omega), N m.
 
     theta is the rotation vector of the second body against the first, from where the spring rests, and
@@ -121,9 +138,7 @@ class BallSpring(OnBall, AppliedForce):
     damping: float = 0.0
     rest: ArrayField = (0.0, 0.0, 0.0)  # type: ignore[assignment]
 
-    noun = "spring"
     parameters = ("stiffness", "damping", "rest")
-    strengths = SPRING_AND_DAMPER
     may_jump = True
 
     def __post_init__(self) -> None:
@@ -179,7 +194,7 @@ class Line(NamedTuple):
 
 
 @description
-class PointSpring(OnBodies, AppliedForce):
+class PointSpring(OnBodies, Spring):
     """A spring and damper between points of two bodies; tension k (l - l0) + d dl/dt along their line.
 
     Attributes:
@@ -211,7 +226,6 @@ class PointSpring(OnBodies, AppliedForce):
 
     noun = "point spring"
     parameters = ("stiffness", "rest_length", "damping")
-    strengths = SPRING_AND_DAMPER
     body_fields = ("first", "second")
     points = ("point_on_first", "point_on_second")
     may_jump = True

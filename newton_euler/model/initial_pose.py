@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, assert_never
 
 import numpy as np
 
@@ -17,9 +17,7 @@ from newton_euler.model import balls
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Frame
 from newton_euler.model.control import ComputedTorque, StateFeedback
-from newton_euler.model.couplings import JointCoupling, PolynomialCoupling
 from newton_euler.model.digital_control import Controller, Digital, Law, Sampled
-from newton_euler.model.elements import OnPoint
 from newton_euler.model.euler_parameters import from_rotation, product
 from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.hinge_angles import HingeAngle
@@ -104,7 +102,7 @@ def described_at(scene: Scene, state: State) -> Scene:
         moved = replace(body, center_of_mass=move.end, quaternion=p, shapes=shapes, meshes=meshes)
         bodies.append(moved)
     joints = [_joint(equations, moves, frames) for equations in mechanism.equations]
-    made = Mechanism(bodies, joints, [_coupling(coupling, zeros) for coupling in mechanism.couplings])
+    made = Mechanism(bodies, joints, [coupling.counted_from(zeros) for coupling in mechanism.couplings])
     motions = [replace(m, function=shifted(m.function, -zeros[m.key])) for m in scene.motions]
     return replace(
         scene,
@@ -173,13 +171,6 @@ def _joint(equations: JointEquations, moves: list[Move], frames: list[Frame]) ->
     return replace(joint, **fields)
 
 
-def _coupling(coupling: JointCoupling, zeros: dict[Key, float]) -> JointCoupling:
-    """Return a coupling whose coordinates are counted from other zeros, which meet it."""
-    if isinstance(coupling, PolynomialCoupling):
-        return coupling.from_zero(zeros[coupling.driver, coupling.driver_coordinate])
-    return coupling
-
-
 def _links(axes: Array) -> list[Array]:
     """Return a frame (3, 3) in each link between two hinges of a row."""
     return [np.column_stack([a, b, cross(a, b)]) for a, b in pairwise(axes)]
@@ -197,15 +188,17 @@ def _force(mechanism: Mechanism, force: Force, moves: list[Move], zeros: dict[Ke
         first, second = (moves[mechanism.body_index(name)] for name in (force.first, force.second))
         points = first.point(force.point_on_first), second.point(force.point_on_second)
         return replace(force, point_on_first=points[0], point_on_second=points[1])
-    assert isinstance(force, OnPoint)
-    move = moves[mechanism.body_index(force.body)]
-    vectors: tuple[str, ...] = ()
+    if isinstance(force, Wrench):
+        move = moves[mechanism.body_index(force.body)]
+        moved = replace(force, point=move.point(force.point))
+        if force.frame == "world":
+            return moved
+        return replace(moved, force=move.vector(force.force), torque=move.vector(force.torque))
     if isinstance(force, WindLoad):
-        vectors = ("first_side", "second_side")
-    elif isinstance(force, Wrench) and force.frame == "body":
-        vectors = ("force", "torque")
-    fields: dict[str, Any] = {name: move.vector(getattr(force, name)) for name in vectors}
-    return replace(force, point=move.point(force.point), **fields)
+        move = moves[mechanism.body_index(force.body)]
+        sides = move.vector(force.first_side), move.vector(force.second_side)
+        return replace(force, point=move.point(force.point), first_side=sides[0], second_side=sides[1])
+    assert_never(force)
 
 
 def _law(scene: Scene, law: Law, zeros: dict[Key, float]) -> Law:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, Self, assert_never
 
 import numpy as np
 
@@ -111,14 +111,15 @@ def scaled(function: TimeFunction, factor: float) -> TimeFunction:
 def shifted(function: TimeFunction, by: float) -> TimeFunction:
     """Return a function of time with a number added to its values."""
     if isinstance(function, Sum):
-        first, *others = function.terms
-        return Sum((shifted(first, by), *others))
+        return Sum((shifted(function.terms[0], by), *function.terms[1:]))
     if isinstance(function, Sine):
         return replace(function, offset=function.offset + by)
     if isinstance(function, Piecewise):
         return replace(function, values=function.values + by)
-    first_one, *rest = function.coefficients
-    return replace(function, coefficients=(first_one + by, *rest))
+    if isinstance(function, Polynomial):
+        constant, *others = function.coefficients
+        return replace(function, coefficients=(constant + by, *others))
+    assert_never(function)
 
 
 def piece_numbers(functions: Iterable[TimeFunction], time: float) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 
 from newton_euler.equations.dense import least_squares
 from newton_euler.model.balls import SPIN, ends
-from newton_euler.model.elements import OnPoint
+from newton_euler.model.forces import Spring
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -199,10 +199,10 @@ def _most_alike(left: Sequence[Array], weights: Sequence[Array], alone: Alone) -
 
 def _apart(scene: Scene) -> tuple[Scene, Scene, Scene]:
     """The scene with its springs, its dampers, and what else acts beside gravity alone."""
-    forces = [force for force in scene.forces if not isinstance(force, OnPoint)]
-    others = tuple(force for force in scene.forces if isinstance(force, OnPoint))
-    springs = tuple(replace(force, damping=0.0) for force in forces if force.stiffness)
-    dampers = tuple(replace(force, stiffness=0.0) for force in forces if force.damping)
+    both = [force for force in scene.forces if isinstance(force, Spring)]
+    others = tuple(force for force in scene.forces if not isinstance(force, Spring))
+    springs = tuple(replace(force, damping=0.0) for force in both if force.stiffness)
+    dampers = tuple(replace(force, stiffness=0.0) for force in both if force.damping)
     sprung = replace(scene, control=(), forces=springs)
     return sprung, replace(sprung, forces=dampers), replace(scene, forces=others)
 

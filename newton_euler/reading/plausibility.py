@@ -10,12 +10,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import assert_never
 
 import numpy as np
 
 from newton_euler.errors import listed
 from newton_euler.model.euler_parameters import rotation
-from newton_euler.model.geometry import Box, Mesh, Shape, Sphere
+from newton_euler.model.geometry import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body, Mechanism
 from newton_euler.reading.import_report import Finding
 from newton_euler.scalars import Array
@@ -129,6 +130,8 @@ def corners_of(shape: Shape | Mesh) -> list[Array]:
         return [shape.center - reach, shape.center + reach]
     if isinstance(shape, Sphere):
         return [shape.center - shape.radius, shape.center + shape.radius]
+    if not isinstance(shape, Capsule | Cylinder):
+        assert_never(shape)
     ends = [np.asarray(shape.start), np.asarray(shape.end)]
     return [end + sign * shape.radius for end in ends for sign in (-1.0, 1.0)]
 

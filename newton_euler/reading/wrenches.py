@@ -7,6 +7,7 @@ the reading's of a file nor another engine's.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import assert_never
 
 import numpy as np
 
@@ -61,6 +62,8 @@ class Wrenches:
             self._add(second, push[6:9], push[9:])
         for force in scene.forces:
             match force:
+                case JointSpring():
+                    pass  # one of `Scene.joint_forces`
                 case PointSpring():
                     self._add_point_spring(force)
                 case BallSpring():
@@ -72,6 +75,8 @@ class Wrenches:
                     self._add(body, pull, torque + np.cross(self._arm(body, force.point), pull))
                 case WindLoad():
                     self._add_wind(force)
+                case _:
+                    assert_never(force)
 
     def _law(self, law: Law | JointSpring, x: float, rate: float) -> float:
         """Compute the force of a law on a joint coordinate, N or N m, at time 0."""
@@ -79,6 +84,8 @@ class Wrenches:
             return law.stiffness * (law.rest - x) - law.damping * rate
         if isinstance(law, HeldLaw):
             return law.held
+        if not isinstance(law, DeclaredLaw):
+            assert_never(law)
         force = float(law.feedforward_at(0.0))
         for key, (k_p, k_d) in law.feedback.items():
             wanted, (*_, x, rate) = law.references(0.0)[key], self._coordinate(*key)
