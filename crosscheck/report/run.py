@@ -32,7 +32,7 @@ from crosscheck.report.table import (
 )
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.undetermined import undetermined_joints, worded
+from newton_euler.equations.undetermined import redundancy_text, undetermined_joints
 from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import distance
@@ -283,7 +283,7 @@ def undetermined_lines(scene: Scene) -> Iterator[str]:
     """Joints whose reactions the equations of motion do not determine at the start, a line if any."""
     count, joints = undetermined_joints(scene, initial_state(scene))
     if count:
-        yield f"reactions not unique: {worded(count, _named(joints))}"
+        yield f"reactions not unique: {redundancy_text(count, _named(joints))}"
 
 
 def _inactive_lines(mapping: ImportReport) -> Iterator[str]:

@@ -17,14 +17,14 @@ from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.scalars import Array
 
-LOST = 1e-6
+DEPENDENT_ROW_RATIO = 1e-6
 """Largest singular value, divided by the largest one, of constraint rows that are dependent."""
 
 MAX_CONTRADICTION = 1e-3
 """Largest w dJ/dt v, by the square of the dimensionless velocities, of a start on a branch. Velocities that a
 file gives with four digits reach 1e-4; velocities between two branches are of the order of 1."""
 
-ANGLE = 1e-4
+DIFFERENCE_ANGLE = 1e-4
 """rad, or sizes of the mechanism, that the difference quotient for dJ/dt moves coordinates to each side."""
 
 
@@ -41,8 +41,8 @@ def joint_between_branches(system: Formulation, q: Array, v: Array) -> str:
         return ""
     rows, values, _ = singular_values(dimensionless_jacobian(system, q), full=True)
     values = np.pad(values, (0, len(rows) - len(values)))
-    dependent = rows[:, values < LOST * max(values[0], 1.0)]
-    step = ANGLE / speed
+    dependent = rows[:, values < DEPENDENT_ROW_RATIO * max(values[0], 1.0)]
+    step = DIFFERENCE_ANGLE / speed
     before, after = (system.phi_jacobian(system.retract(q, at * v)) @ v for at in (-step, step))
     needed = dependent.T @ ((after - before) / (2.0 * step) / system.phi_units) / speed**2
     if not np.abs(needed).max(initial=0.0) > MAX_CONTRADICTION:

@@ -21,7 +21,7 @@ import numpy as np
 
 from newton_euler.equations import dense, sparse
 from newton_euler.equations.cartesian_terms import CartesianTerms
-from newton_euler.equations.reactions import at_joint_points, pushes
+from newton_euler.equations.reactions import at_joint_points, constraint_wrenches
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
 from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, add, spread, to_array
 from newton_euler.equations.system import fastest_joint
@@ -160,7 +160,7 @@ class Cartesian(CartesianTerms):
             start += e.count
         of_joints = multipliers[: self.rows].copy()
         of_joints[start:] = 0.0
-        for push in pushes(self, frames, self.measured(q, v), of_joints):
+        for push in constraint_wrenches(self, frames, self.measured(q, v), of_joints):
             for k, wrench in ((push.first, push.on_first), (push.second, push.on_second)):
                 if k > 0:
                     turned = np.concatenate([wrench[:3], frames[k].rotation.T @ wrench[3:]])
@@ -263,4 +263,6 @@ class Cartesian(CartesianTerms):
     ) -> tuple[Array, Array]:
         """Compute forces and torques (j, 3) of joints from eq. (17)."""
         frames = self.frames(q, v)
-        return at_joint_points(self, frames, pushes(self, frames, self.measured(q, v), multipliers))
+        return at_joint_points(
+            self, frames, constraint_wrenches(self, frames, self.measured(q, v), multipliers)
+        )

@@ -24,10 +24,17 @@ from newton_euler.equations.sparse import (
 )
 from newton_euler.scalars import Array
 
-ROUND_OFF = 1e-10  # independent part of a row below which it is round-off, whatever the tolerance
-NAMED = 1e-13  # independent part of a row above which it is not exactly redundant
-CERTAIN = 1e-4  # pivot of the Gram matrix, a square of what the row adds, above which it is independent
-LEAST_RATIO = 10.0  # of the parts that the weakest independent row and the strongest redundant one add
+ROW_ROUND_OFF = 1e-10
+"""Independent part of a row below which it is round-off, whatever the tolerance."""
+
+MIN_INEXACT = 1e-13
+"""Independent part of a row above which the row is not exactly redundant."""
+
+CERTAIN_PIVOT = 1e-4
+"""Pivot of the Gram matrix, the square of the independent part, above which a row surely is independent."""
+
+MIN_GAP_RATIO = 10.0
+"""Least ratio of the independent parts of the weakest independent row and the strongest redundant row."""
 
 
 class Independent(NamedTuple):
@@ -52,31 +59,31 @@ def independent(rows: Rows, tolerance: float) -> Independent:
     """Select independent rows of a dimensionless matrix.
 
     Rows are added in the order of their independent parts, the largest first, until these are smaller than
-    `tolerance` and than the last one over `LEAST_RATIO`; without such a step, until the rest is round-off.
+    `tolerance` and than the last one over `MIN_GAP_RATIO`; without such a step, until the rest is round-off.
     """
     lengths = [length(row) for row in rows]
-    noise = max((each for each in lengths if each <= ROUND_OFF), default=0.0)
-    rows = [row if each > ROUND_OFF else {} for row, each in zip(rows, lengths, strict=True)]
+    noise = max((each for each in lengths if each <= ROW_ROUND_OFF), default=0.0)
+    rows = [row if each > ROW_ROUND_OFF else {} for row, each in zip(rows, lengths, strict=True)]
     products = gram(rows, rows)
     order = [i for i in minimum_degree(products) if rows[i]]
-    certain = max(CERTAIN, (LEAST_RATIO * tolerance) ** 2)
+    certain = max(CERTAIN_PIVOT, (MIN_GAP_RATIO * tolerance) ** 2)
     factor = factorize(products, order, scales=[1.0] * len(rows), drop=certain)
     used = set(factor.order)
     doubtful = [i for i in order if i not in used]
     least = float(np.sqrt(min((factor.pivots[i] for i in factor.order), default=1.0)))
     weak, strong = dict[int, float](), least
-    while doubtful and (new := _together(rows, factor, doubtful)) > NAMED:
-        if new <= ROUND_OFF or LEAST_RATIO * new <= min(tolerance, least / LEAST_RATIO):
+    while doubtful and (new := _together(rows, factor, doubtful)) > MIN_INEXACT:
+        if new <= ROW_ROUND_OFF or MIN_GAP_RATIO * new <= min(tolerance, least / MIN_GAP_RATIO):
             noise = max(noise, new)
             break
         shares = {i: remainder(rows, factor, rows[i]) for i in doubtful}
         found = max(shares, key=lambda i: shares[i])
         share = shares[found]
-        if share <= ROUND_OFF or (share <= tolerance and LEAST_RATIO * share <= least):
+        if share <= ROW_ROUND_OFF or (share <= tolerance and MIN_GAP_RATIO * share <= least):
             noise = max(noise, share)
             break
         least = min(least, share)
-        if share < np.sqrt(CERTAIN):
+        if share < np.sqrt(CERTAIN_PIVOT):
             weak[found] = share
         else:
             strong = least

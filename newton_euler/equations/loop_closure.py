@@ -24,9 +24,14 @@ from newton_euler.model.scene import REDUNDANCY_TOLERANCE
 from newton_euler.model.source_file import SourceError
 from newton_euler.scalars import Array
 
-CLOSED = 1e-12  # dimensionless residual of loops that are closed as they stand, to the file's round-off
-NEWTON_STEPS = 60
-LONGEST_STEP = 0.2  # rad or spreads of the mechanism, of one step, so that it stays on its branch
+MAX_CLOSED_RESIDUAL = 1e-12
+"""Dimensionless residual of loops that need no assembly: the file's round-off."""
+
+MAX_CLOSING_STEPS = 60
+"""Number of Newton's steps."""
+
+MAX_STEP_LENGTH = 0.2
+"""Longest step, rad or spreads of the mechanism, so that the mechanism stays on its branch."""
 
 
 class Units(NamedTuple):
@@ -85,7 +90,7 @@ def close(
         tolerance: of the scene, see `newton_euler.Scene.redundancy_tolerance`.
     """
     best: Closure | None = None
-    for _ in range(NEWTON_STEPS + 1):
+    for _ in range(MAX_CLOSING_STEPS + 1):
         phi, jacobian = evaluate(q)
         scaled, matrix = phi / units.rows, units.jacobian(jacobian)
         rank = len(independent([sparse_vector(row) for row in matrix], tolerance).rows)
@@ -97,7 +102,7 @@ def close(
         elif best.independent < CLOSURE_TOLERANCE:
             break
         step = vt[:rank].T @ (shares / s[:rank])
-        step *= min(1.0, LONGEST_STEP / max(largest(step), 1e-300))
+        step *= min(1.0, MAX_STEP_LENGTH / max(largest(step), 1e-300))
         q = move(q, -units.velocities * step)
     assert best is not None
     return best
@@ -200,7 +205,7 @@ class FileStart(ABC):
         if not len(before):
             return q, [f"starts from {called}: no loops"], None
         units, owners = self.units(), self.owners
-        if largest(before / units.rows) <= CLOSED:
+        if largest(before / units.rows) <= MAX_CLOSED_RESIDUAL:
             return q, [f"starts from {called}: all loops closed, to {largest(before):.1e}"], None
         centers = self.centers()
         found = close(q, self.residuals, self.moved, units, tolerance)
@@ -226,7 +231,9 @@ class FileStart(ABC):
             self.joint_of(dof),
             float(moved[dof]),
         )
-        elements = "; ".join(f"{owner} {gap:.3g}" for owner, gap in opened.items() if gap > CLOSED)
+        elements = "; ".join(
+            f"{owner} {gap:.3g}" for owner, gap in opened.items() if gap > MAX_CLOSED_RESIDUAL
+        )
         lines = [
             f"open at {called}, in m or rad: {elements}",
             f"assembled next to {called}: closed to {found.offset:.1e}, joint {self.joint_of(dof)!r} "

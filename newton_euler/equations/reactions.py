@@ -24,7 +24,7 @@ from newton_euler.model.joint import Key
 from newton_euler.scalars import Array, Scalar, cross
 
 
-class Push(NamedTuple):
+class ConstraintWrench(NamedTuple):
     """Wrenches (6,) of one constraint on its two bodies: force and torque about the center of mass, world."""
 
     joint: int
@@ -34,15 +34,17 @@ class Push(NamedTuple):
     on_second: Array
 
 
-def _push(joint: int, first: int, second: int, jacobian: Jacobian, multipliers: Array) -> Push:
+def _push(joint: int, first: int, second: int, jacobian: Jacobian, multipliers: Array) -> ConstraintWrench:
     """Compute Phi_q^T lambda, eq. (17)."""
     r_i, theta_i, r_j, theta_j = (block.T @ multipliers for block in jacobian)
-    return Push(joint, first, second, np.concatenate([r_i, theta_i]), np.concatenate([r_j, theta_j]))
+    return ConstraintWrench(
+        joint, first, second, np.concatenate([r_i, theta_i]), np.concatenate([r_j, theta_j])
+    )
 
 
-def pushes(
+def constraint_wrenches(
     system: Formulation, frames: Sequence[Frame], measured: Mapping[Key, Measured], multipliers: Array
-) -> Iterator[Push]:
+) -> Iterator[ConstraintWrench]:
     """Compute the wrenches of all multipliers (rows,): joints, then couplings of measured coordinates."""
     row, index = 0, system.mechanism.joint_index
     for e in system.constrained:
@@ -68,7 +70,7 @@ def _arms(system: Formulation, frames: Sequence[Frame]) -> list[Array]:
 
 
 def at_joint_points(
-    system: Formulation, frames: Sequence[Frame], found: Iterable[Push]
+    system: Formulation, frames: Sequence[Frame], found: Iterable[ConstraintWrench]
 ) -> tuple[Array, Array]:
     """Reduce wrenches to forces and torques (j, 3) about the joint points on the second bodies."""
     arms = _arms(system, frames)
@@ -105,7 +107,7 @@ def tree_reactions(
         couples: of rotors of balls, their first and second bodies and (3,) N m on the second, world frame.
     """
     mechanism, tree, need = system.mechanism, system.tree, list(needed)
-    found = list(pushes(system, frames, measured, multipliers))
+    found = list(constraint_wrenches(system, frames, measured, multipliers))
     for push in found:
         need[push.first] = need[push.first] - push.on_first
         need[push.second] = need[push.second] - push.on_second

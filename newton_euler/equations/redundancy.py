@@ -28,8 +28,8 @@ from newton_euler.equations.branches import joint_between_branches
 from newton_euler.equations.dense import largest, largest_share, singular_values
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.independence import (
-    NAMED,
-    ROUND_OFF,
+    MIN_INEXACT,
+    ROW_ROUND_OFF,
     Independent,
     independent,
     least_step,
@@ -45,22 +45,34 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-CONFIGURATIONS = 4  # number of configurations that decide
-MAX_CONFIGURATIONS = 16  # if fewer than `MIN_REGULAR` of them are regular
-REACH = 0.1  # distance between them: radians, and sizes of the mechanism
+MIN_CONFIGURATIONS = 4
+"""Number of configurations that decide."""
 
-LOOSE = 10.0
-"""Residual of a nearly redundant constraint in units of the scene's tolerance: noise of that size times the
-largest angles, and sizes of the mechanism, that joints move by."""
+MAX_CONFIGURATIONS = 16
+"""Number of configurations if fewer than `MIN_REGULAR` of them are regular."""
+
+SAMPLE_DISTANCE = 0.1
+"""Distance between configurations, rad or sizes of the mechanism."""
+
+RESIDUAL_FACTOR = 10.0
+"""Largest residual of a nearly redundant constraint, divided by the scene's tolerance. Joints move by some
+rad or sizes of the mechanism, which multiply the noise of the file's numbers."""
 
 SUSPECT = 1e-2, 100.0
-"""Singular value below which, and distance to the next larger one from which, a row that is taken literally
-looks like one of a design that was meant to be redundant."""
+"""Largest singular value of a row that looks redundant by design although it is taken literally, and least
+ratio to the next larger singular value."""
 
-MOST_NAMED = 20  # redundant constraints of a scene that is too large for its singular values
-DENSE_LIMIT = 1_000_000  # elements of the largest Jacobian whose singular values are computed to name them
-NEWTON_STEPS = 30  # from a singular configuration Newton's steps converge slowly
-CLOSED = 1e-11  # residual, dimensionless, of the independent rows of a configuration that is closed
+MAX_LISTED = 20
+"""Number of redundant constraints listed for a scene that is too large for singular values."""
+
+DENSE_LIMIT = 1_000_000
+"""Number of elements of the largest Jacobian whose singular values are computed."""
+
+MAX_NEIGHBOR_STEPS = 30
+"""Number of Newton's steps to a configuration. From a singular configuration they converge slowly."""
+
+MAX_SAMPLE_RESIDUAL = 1e-11
+"""Largest dimensionless residual of the independent rows of a closed configuration."""
 
 
 class NearlyRedundant(NamedTuple):
@@ -175,7 +187,7 @@ def rows_left_out(system: System) -> list[int]:
 
 def loosely_closed(tolerance: float) -> float:
     """Compute the largest residual, sizes or rad, of closed constraints that are redundant but for noise."""
-    return max(LOOSE * tolerance, CLOSURE_TOLERANCE)
+    return max(RESIDUAL_FACTOR * tolerance, CLOSURE_TOLERANCE)
 
 
 def without(rows: Array, left_out: Sequence[int]) -> Array:
@@ -224,7 +236,7 @@ def _nearly(system: TreeKinematics, seen: Sequence[Configuration]) -> Iterator[N
     is largest: in some poses it has no effect.
     """
     own, _ = system.coordinates(State.initial(system.scene.mechanism))
-    exact = [NAMED if np.array_equal(at.q, own) else CLOSED for at in seen]
+    exact = [MIN_INEXACT if np.array_equal(at.q, own) else MAX_SAMPLE_RESIDUAL for at in seen]
     if all(at.chosen.weak for at in seen):
         spectra = [_spectrum(system, at) for at in seen]
         values, rank, owner = max(spectra, key=lambda each: each.values[each.rank - 1])
@@ -260,7 +272,7 @@ def _spectrum(system: TreeKinematics, at: Configuration) -> Spectrum:
         return Spectrum(s.tolist(), at.rank, lambda k: largest_share(owners, u[:, k]))
     others = set(range(len(rows))) - set(chosen.factor.order)
     left = {k: remainder(rows, chosen.factor, rows[k]) for k in others}
-    redundant = sorted(left, key=lambda k: -left[k])[:MOST_NAMED]
+    redundant = sorted(left, key=lambda k: -left[k])[:MAX_LISTED]
     named = [*chosen.weak, *redundant]
     values = [chosen.strong, *chosen.weak.values(), *(left[k] for k in redundant)]
     return Spectrum(values, 1 + len(chosen.weak), lambda k: owners[named[k - 1]])
@@ -280,15 +292,16 @@ def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
         found = independent(rows, tolerance)
         others = np.delete(phi, found.rows)
         if number == 0 or (
-            largest(phi[found.rows]) < CLOSED and largest(others) < max(CLOSED, LOOSE * tolerance)
+            largest(phi[found.rows]) < MAX_SAMPLE_RESIDUAL
+            and largest(others) < max(MAX_SAMPLE_RESIDUAL, RESIDUAL_FACTOR * tolerance)
         ):
-            alive.update(i for i, row in enumerate(rows) if length(row) > ROUND_OFF)
+            alive.update(i for i, row in enumerate(rows) if length(row) > ROW_ROUND_OFF)
             seen.append(Configuration(q, rows, scales, found))
         best = max(seen, key=lambda at: at.rank)
         if number > 0 and best.rank == len(alive):
             break  # all that can be
         regular = sum(at.rank == best.rank for at in seen)
-        if number + 1 >= CONFIGURATIONS and regular >= MIN_REGULAR:
+        if number + 1 >= MIN_CONFIGURATIONS and regular >= MIN_REGULAR:
             break
         moved = number == 0 and not np.array_equal(own, q)
         q = own if moved else _neighbor(system, best.q, next(directions))
@@ -323,15 +336,15 @@ def _directions(system: TreeKinematics, v: Array) -> Iterator[Array]:
 def _neighbor(system: TreeKinematics, q: Array, direction: Array) -> Array:
     """Find another configuration that meets the independent constraints, some way off in a direction."""
     tolerance, unit = system.scene.redundancy_tolerance, system.velocity_units
-    step = REACH * direction
+    step = SAMPLE_DISTANCE * direction
     _, rows, _ = _scaled(system, q)
     rate = np.array([sum(x * step[k] / unit[k] for k, x in row.items()) for row in rows])
     back = least_step(rows, independent(rows, tolerance).factor, rate, system.nv)
     q = system.retract(q, step - unit * back)
-    for _ in range(NEWTON_STEPS):
+    for _ in range(MAX_NEIGHBOR_STEPS):
         phi, rows, _ = _scaled(system, q)
         factor = independent(rows, tolerance).factor
-        if largest(phi[factor.order]) < 0.01 * CLOSED:
+        if largest(phi[factor.order]) < 0.01 * MAX_SAMPLE_RESIDUAL:
             break
         q = system.retract(q, -unit * least_step(rows, factor, phi, system.nv))
     return q

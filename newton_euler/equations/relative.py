@@ -32,7 +32,7 @@ from newton_euler.equations.applied_forces import body_wrenches
 from newton_euler.equations.formulation import Servos
 from newton_euler.equations.kinematics import Link, TreeKinematics, drift, tree_links
 from newton_euler.equations.model_control import model_control
-from newton_euler.equations.reactions import pushes, tree_reactions
+from newton_euler.equations.reactions import constraint_wrenches, tree_reactions
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
 from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, add_symmetric
 from newton_euler.errors import SingularityError
@@ -217,7 +217,7 @@ class Relative(TreeKinematics):
                 force[place] = force[place] - entry * multipliers[k]
         moving = [k.acceleration for k in links], [k.angular_acceleration for k in links]
         needed = self.needed_wrenches(q, v, *moving)
-        for push in pushes(self, self.frames(q, v), self.measured(q, v), of_joints):
+        for push in constraint_wrenches(self, self.frames(q, v), self.measured(q, v), of_joints):
             needed[push.first] = needed[push.first] - push.on_first
             needed[push.second] = needed[push.second] - push.on_second
         force = force + self._projected(links, needed)

@@ -27,7 +27,7 @@ import numpy as np
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.independence import shares
 from newton_euler.equations.redundancy import mobility
-from newton_euler.equations.row_shares import CONSTANT, are_independent
+from newton_euler.equations.row_shares import MAX_SHARE_CHANGE, are_independent
 from newton_euler.equations.sparse import Rows, RowsInUse, gram_factor
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.model.state import State
@@ -143,7 +143,7 @@ def regular_choices(
         choices = [used]
         for other, share in zip(others, shares(at.rows, used, others), strict=True):
             largest = max(share, key=lambda row: abs(share[row]), default=other)
-            if abs(share.get(largest, 0.0)) > CONSTANT:
+            if abs(share.get(largest, 0.0)) > MAX_SHARE_CHANGE:
                 choices.append([other if row == largest else row for row in used])
         for chosen in choices:
             in_use = set(system.rows_of(chosen))

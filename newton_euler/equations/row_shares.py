@@ -21,7 +21,7 @@ from newton_euler.scalars import Array
 MIN_REGULAR = 3
 """Regular configurations that decide whether shares are constant."""
 
-CONSTANT = 1e-6
+MAX_SHARE_CHANGE = 1e-6
 """Difference of a share between configurations that is round-off, and share that is none."""
 
 
@@ -53,7 +53,7 @@ def varying_rows(
     regular = [at for at in configurations if are_independent(at.rows, used)]
     found = [_shares(at, used, others) for at in regular]
     links = [
-        {other, *(i for at in found for i, x in at[n].items() if abs(x) > CONSTANT)}
+        {other, *(i for at in found for i, x in at[n].items() if abs(x) > MAX_SHARE_CHANGE)}
         for n, other in enumerate(others)
     ]
     more = {
@@ -84,4 +84,4 @@ def _shares(at: ScaledRows, used: Sequence[int], others: Sequence[int]) -> Rows:
 def _varies(found: Sequence[dict[int, float]]) -> bool:
     """True if the shares of a row differ between configurations."""
     values = np.array([[each.get(i, 0.0) for i in set().union(*found)] for each in found])
-    return bool(np.any(np.ptp(values, axis=0) > CONSTANT))
+    return bool(np.any(np.ptp(values, axis=0) > MAX_SHARE_CHANGE))

@@ -22,8 +22,8 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 
-class Place(NamedTuple):
-    """Place of a joint's reaction: the number of the joint, the body it acts on, and the point on it."""
+class ReactionPlace(NamedTuple):
+    """Number of a joint, the body that its reaction acts on, and the point on this body."""
 
     joint: int
     body: int
@@ -76,13 +76,15 @@ def undetermined_in_both(
     return _acting_on_nothing(columns, count)
 
 
-def _places(scene: Scene, state: State) -> dict[str, Place]:
+def _places(scene: Scene, state: State) -> dict[str, ReactionPlace]:
     """By joint; on the second body at its joint point."""
-    found, frames = dict[str, Place](), state.frames()
+    found, frames = dict[str, ReactionPlace](), state.frames()
     for k, joint in enumerate(scene.mechanism.joints):
         body = scene.mechanism.body_index(joint.second)
         pose = scene.mechanism.bodies[body].pose
-        found[joint.name] = Place(k, body, frames[body].rotation @ pose.point_to_body(joint.reaction_point))
+        found[joint.name] = ReactionPlace(
+            k, body, frames[body].rotation @ pose.point_to_body(joint.reaction_point)
+        )
     return found
 
 
@@ -102,7 +104,9 @@ def _acting_on_nothing(columns: Sequence[_Columns], joints: int, rank: int | Non
     return orthonormal_range(wrenches @ null)
 
 
-def _columns(scene: Scene, state: State, places: Mapping[str, Place], count: int, size: float) -> _Columns:
+def _columns(
+    scene: Scene, state: State, places: Mapping[str, ReactionPlace], count: int, size: float
+) -> _Columns:
     """Of all constraints of a scene, on so many joints; those that are not told of are the last together."""
     mechanism, frames = scene.mechanism, state.frames()
     rows = [np.zeros((0, 6 * len(frames)))]
@@ -176,6 +180,6 @@ def is_undetermined(scene: Scene) -> Array:
     return found.reshape(-1, 2, 3)
 
 
-def worded(count: int, joints: str) -> str:
+def redundancy_text(count: int, joints: str) -> str:
     """Word how many constraints are redundant, and at which joints."""
     return f"{count} redundant constraint{'s'[: count - 1]} at joints {joints}"

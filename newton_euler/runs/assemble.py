@@ -24,8 +24,12 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State, stacked, whole_revolutions
 from newton_euler.scalars import Array, unstacked
 
-VELOCITY_TOLERANCE = 1e-9  # of the largest speed, in sizes of the mechanism, at which a joint may open
-CHECKED: WeakKeyDictionary[Scene, State] = WeakKeyDictionary()  # consistent states that scenes start from
+VELOCITY_TOLERANCE = 1e-9
+"""Largest rate of a constraint violation at the start, divided by the largest speed: m/s, and rad/s times the
+size of the mechanism."""
+
+CONSISTENT_STARTS: WeakKeyDictionary[Scene, State] = WeakKeyDictionary()
+"""Consistent initial states, by scene."""
 
 
 @checked
@@ -65,7 +69,7 @@ def initial_state(scene: Scene) -> State:
         >>> initial_state(load("four_bar")).quaternion.shape
         (6, 4)
     """
-    if scene not in CHECKED:
+    if scene not in CONSISTENT_STARTS:
         state = scene.initial_state
         if state is None:
             state = State.initial(scene.mechanism)
@@ -79,8 +83,8 @@ def initial_state(scene: Scene) -> State:
         at = surroundings(scene, state)
         for force in scene.forces:
             force.check_start(at)
-        CHECKED[scene] = state
-    return CHECKED[scene]
+        CONSISTENT_STARTS[scene] = state
+    return CONSISTENT_STARTS[scene]
 
 
 def with_angles(scene: Scene, state: State) -> State:
@@ -120,7 +124,7 @@ def measured_coordinate(scene: Scene, state: State, key: Key) -> tuple[float, fl
 
 def inherit_initial_state(scene: Scene, of: Scene) -> None:
     """Give a scene the state that another one of the same geometry and the same given state starts from."""
-    CHECKED[scene] = initial_state(of)
+    CONSISTENT_STARTS[scene] = initial_state(of)
 
 
 def coordinates_of(system: Formulation, states: Sequence[State]) -> Array:

@@ -50,13 +50,14 @@ from newton_euler.runs.starts import assembly_of, initial_numbers
 from newton_euler.runs.variation import run_values
 from newton_euler.scalars import Array, Floats
 
-PIECES = 8
-"""Number of pieces of a thread's share, so that no thread waits long for the last one."""
+PIECES_PER_THREAD = 8
+"""Number of pieces that the runs of a thread are divided into, so that all threads end at nearly one time."""
 
+MAX_THREADS = 4096
+"""Largest number of threads. Each thread takes memory for its stack."""
 
-MAX_THREADS = 4096  # each takes memory for its stack, and a process has room for some thousands
-SMALLEST_PIECE = 64
-"""Runs of a piece that are made side by side, at least: at its end some lanes have none."""
+MIN_PIECE_RUNS = 64
+"""Least number of runs of a piece whose runs go side by side: at the end of a piece some lanes are idle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,9 +254,9 @@ def _make(runs: Runs, compiled: CompiledScene, options: Options, workers: int) -
     """Make all runs but those with an error, on so many threads; returns the time that it took, s."""
     side_by_side = go_in_lanes(compiled, options.integrator)
     numbers = np.setdiff1d(np.arange(len(runs.starts)), list(runs.errors))
-    most = len(numbers) // SMALLEST_PIECE if side_by_side else len(numbers)
+    most = len(numbers) // MIN_PIECE_RUNS if side_by_side else len(numbers)
     waiting: SimpleQueue[Array] = SimpleQueue()
-    for piece in np.array_split(numbers, max(min(PIECES * workers, most), workers)):
+    for piece in np.array_split(numbers, max(min(PIECES_PER_THREAD * workers, most), workers)):
         waiting.put(piece)
     stopped: list[bool] = []
 

@@ -160,13 +160,13 @@ def _carried(state: State, base: Body, motions: Mapping[str, TimeFunction], cent
 
 # Files of poses
 
-PLACE = {"x": "surge", "y": "sway", "z": "heave"}
-QUATERNION = ("qw", "qx", "qy", "qz")
-ANGLES = ("roll", "pitch", "yaw")
-LEAST_ROWS = 6  # as many as a polynomial of a spline has coefficients
-GAP = 5.0  # times the usual time between rows (their median), from which poses are missing
-UNIT = 1e-3  # by how much the norm of a quaternion may differ from 1: files round to a few digits
-STEEPEST = np.radians(80.0)  # of the pitch: yaw and roll are one and the same at a right angle
+POSITION_COLUMNS = {"x": "surge", "y": "sway", "z": "heave"}
+QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
+ANGLE_COLUMNS = ("roll", "pitch", "yaw")
+MIN_ROWS = 6  # as many as a polynomial of a spline has coefficients
+MAX_GAP = 5.0  # times the usual time between rows (their median), from which poses are missing
+MAX_NORM_ERROR = 1e-3  # by how much the norm of a quaternion may differ from 1: files round to a few digits
+MAX_PITCH = np.radians(80.0)  # of the pitch: yaw and roll are one and the same at a right angle
 
 
 @checked
@@ -195,14 +195,16 @@ def base_motion_from_csv(path: str | os.PathLike[str]) -> dict[str, Spline]:
     """
     table = _read(path_text(path), path)
     time = table.columns["time"]
-    found = {PLACE[name]: table.columns[name] for name in PLACE if name in table.columns}
-    if QUATERNION[0] in table.columns:
+    found = {
+        POSITION_COLUMNS[name]: table.columns[name] for name in POSITION_COLUMNS if name in table.columns
+    }
+    if QUATERNION_COLUMNS[0] in table.columns:
         angles = _angles(table)
     else:
-        angles = {name: table.columns[name] for name in ANGLES if name in table.columns}
+        angles = {name: table.columns[name] for name in ANGLE_COLUMNS if name in table.columns}
     if "pitch" in angles:
-        steep = np.abs(angles["pitch"]) > STEEPEST
-        table.refuse(steep, "pitch", angles["pitch"], f"at most {STEEPEST:.4g} rad, 80 degrees")
+        steep = np.abs(angles["pitch"]) > MAX_PITCH
+        table.refuse(steep, "pitch", angles["pitch"], f"at most {MAX_PITCH:.4g} rad, 80 degrees")
     found |= {name: np.unwrap(column) for name, column in angles.items()}
     return {name: Spline(time - time[0], column) for name, column in found.items()}
 
@@ -212,22 +214,24 @@ def _read(where: str, path: str | os.PathLike[str]) -> TimeTable:
     rows = csv_rows(where, read_text(path, "csv_size"))
     header = [cell.lower() for cell in rows[0][1]] if rows else []
     _check_header(where, header)
-    if len(rows) <= LEAST_ROWS:
-        raise SourceError(where, f"has {len(rows) - 1} rows of poses; needed: {LEAST_ROWS} or more")
+    if len(rows) <= MIN_ROWS:
+        raise SourceError(where, f"has {len(rows) - 1} rows of poses; needed: {MIN_ROWS} or more")
     table = TimeTable.of(where, header, rows[1:])
     time = table.columns["time"]
     steps = np.diff(time)
-    longest = GAP * float(np.median(steps))
-    needed = f"at most {longest:.6g} s after the row before, {GAP:g} times as usual"
+    longest = MAX_GAP * float(np.median(steps))
+    needed = f"at most {longest:.6g} s after the row before, {MAX_GAP:g} times as usual"
     table.refuse(np.append(False, steps > longest), "time", time, needed)
     return table
 
 
 def _angles(table: TimeTable) -> dict[str, Array]:
     """Compute roll, pitch and yaw (n,), rad, from the quaternions."""
-    quaternions = np.column_stack([table.columns[name] for name in QUATERNION])
+    quaternions = np.column_stack([table.columns[name] for name in QUATERNION_COLUMNS])
     norms = np.linalg.norm(quaternions, axis=1)
-    table.refuse(np.abs(norms - 1.0) > UNIT, "the norm of the quaternion", norms, f"1, to {UNIT:g}")
+    table.refuse(
+        np.abs(norms - 1.0) > MAX_NORM_ERROR, "the norm of the quaternion", norms, f"1, to {MAX_NORM_ERROR:g}"
+    )
     w, x, y, z = (quaternions / norms[:, None]).T
     return {
         "roll": np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
@@ -238,7 +242,7 @@ def _angles(table: TimeTable) -> dict[str, Array]:
 
 def _check_header(path: str, header: Sequence[str]) -> None:
     """Raise `SourceError` for columns that are unknown, there twice, missing, or say the same."""
-    known = ("time", *PLACE, *ANGLES, *QUATERNION)
+    known = ("time", *POSITION_COLUMNS, *ANGLE_COLUMNS, *QUATERNION_COLUMNS)
     for name in header:
         if name not in known:
             raise SourceError(path, f"line 1: unknown column {quoted(name)}; {choices(name, known)}")
@@ -246,6 +250,8 @@ def _check_header(path: str, header: Sequence[str]) -> None:
     given = set(header)
     if "time" not in given or len(given) < 2:
         raise SourceError(path, "line 1: needed: a column time, and at least one of poses")
-    if given & set(QUATERNION) and (not given >= set(QUATERNION) or given & set(ANGLES)):
-        needed = f"all of {', '.join(QUATERNION)}, or any of {', '.join(ANGLES)}"
+    if given & set(QUATERNION_COLUMNS) and (
+        not given >= set(QUATERNION_COLUMNS) or given & set(ANGLE_COLUMNS)
+    ):
+        needed = f"all of {', '.join(QUATERNION_COLUMNS)}, or any of {', '.join(ANGLE_COLUMNS)}"
         raise SourceError(path, f"line 1: has columns {listed(header)}; needed: {needed}")

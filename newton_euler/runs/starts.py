@@ -64,11 +64,20 @@ from newton_euler.model.variable import UNITS
 from newton_euler.runs.assemble import coordinates_of, initial_state, measured_coordinate, with_angles
 from newton_euler.scalars import Array, Scalar
 
-PREFIX, RATE = "start.", ".rate"  # parts of names of initial coordinates and their rates
-STEP = 0.1  # rad, or sizes of the mechanism, that joints move at a time on the way to a start
-MOST_STEPS = 1000  # on that way; longer ones are made in longer steps
-FINER = 16  # more steps for runs that few ones have lost
-NAMED = 3  # values of a run that messages show
+START_PREFIX, RATE_SUFFIX = "start.", ".rate"
+"""Beginning of names of initial coordinates and rates, and end of names of rates."""
+
+MAX_STEP = 0.1
+"""Longest step of a joint on the path to a start, rad or sizes of the mechanism."""
+
+MAX_STEPS = 1000
+"""Number of steps on the path. Longer paths have longer steps."""
+
+RETRY_FACTOR = 16
+"""Factor of the number of steps with which runs that stayed open are tried again."""
+
+SHOWN_VALUES = 3
+"""Number of a run's values that messages show."""
 
 
 class Initial(NamedTuple):
@@ -93,9 +102,9 @@ def initial_numbers(scene: Scene, names: Iterable[str]) -> dict[str, Initial]:
     """
     found: dict[str, Initial] = {}
     for name in names:
-        if not isinstance(name, str) or not name.startswith(PREFIX):
+        if not isinstance(name, str) or not name.startswith(START_PREFIX):
             continue
-        place = name.removeprefix(PREFIX).removesuffix(RATE)
+        place = name.removeprefix(START_PREFIX).removesuffix(RATE_SUFFIX)
         joint, _, index = place.rpartition(".")
         mechanism, key = scene.mechanism, (place, 0)
         if place not in mechanism.joint_names and joint and index.isdecimal():
@@ -106,7 +115,7 @@ def initial_numbers(scene: Scene, names: Iterable[str]) -> dict[str, Initial]:
         if key in {motion.key for motion in scene.motions}:
             where = f"joint {key[0]!r}"
             raise MechanismError(where, "follows a prescribed motion", "a joint that none prescribes")
-        number = Initial(key, int(name.endswith(RATE)))
+        number = Initial(key, int(name.endswith(RATE_SUFFIX)))
         if twin := next((other for other, known in found.items() if known == number), None):
             problem = f"{twin!r} and {name!r} are one number of the start"
             raise MechanismError(f"joint {key[0]!r}", problem, "one of the two")
@@ -118,7 +127,9 @@ def initial_names(scene: Scene) -> list[str]:
     """Return the names of all initial coordinates and rates that no motion prescribes."""
     prescribed = {motion.key for motion in scene.motions}
     free = [name for key, name in scene.mechanism.coordinate_labels.items() if key not in prescribed]
-    return list(initial_numbers(scene, [f"{PREFIX}{name}{end}" for name in free for end in ("", RATE)]))
+    return list(
+        initial_numbers(scene, [f"{START_PREFIX}{name}{end}" for name in free for end in ("", RATE_SUFFIX)])
+    )
 
 
 def _is_element(scene: Scene, name: str) -> bool:
@@ -134,7 +145,7 @@ def own_initial(scene: Scene, number: Initial) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Course(Record):
+class HomotopyRecord(Record):
     """The ways of n runs from the scene's own numbers to theirs.
 
     Attributes:
@@ -157,7 +168,7 @@ class Course(Record):
 
 
 @native
-def assemble_all(system: Equations, course: Course) -> None:
+def assemble_all(system: Equations, course: HomotopyRecord) -> None:
     """Move the states of all runs to where their parameters let them be."""
     n = system.n
     inputs = system.inputs
@@ -279,7 +290,9 @@ class Assembly:
         found, statuses = self._assembled(own, targets, steps)
         lost = np.flatnonzero(statuses != DONE)
         if lost.size:
-            again = self._assembled(own[lost], targets[lost], np.minimum(FINER * steps[lost], MOST_STEPS))
+            again = self._assembled(
+                own[lost], targets[lost], np.minimum(RETRY_FACTOR * steps[lost], MAX_STEPS)
+            )
             found[lost], statuses[lost] = again
         lost = np.flatnonzero(statuses != DONE)
         begun = "the scene's own start" if states is None else "the state given"
@@ -373,7 +386,7 @@ class Assembly:
             units[code.place(name)] = size if self.scene.mechanism.is_slide(*key) else 1.0
             units[code.place(name) + 1] = np.inf  # rates move nothing
         longest = np.max(np.abs(targets - own) / units, axis=1)
-        return np.clip(np.ceil(longest / STEP), 1, MOST_STEPS)
+        return np.clip(np.ceil(longest / MAX_STEP), 1, MAX_STEPS)
 
     def _assembled(self, own: Array, targets: Array, steps: Array) -> tuple[Array, Array]:
         """Return the states that are reached, and statuses (n,)."""
@@ -383,7 +396,7 @@ class Assembly:
         found, statuses, x = targets.copy(), np.zeros(len(own)), np.zeros(code.inputs)
         passing = int(self._is_overdetermined(code))
         ways = np.ascontiguousarray(steps), np.ascontiguousarray(own), found
-        course = Course(len(own), passing, *ways, x, statuses)
+        course = HomotopyRecord(len(own), passing, *ways, x, statuses)
         native_method(assemble_all).bind(assemble_all, system, course)()
         raise_fatal(python)
         return found, statuses
@@ -398,15 +411,15 @@ class Assembly:
         problem = f"joint {joint!r} stays open by {residual:.3g} (m or rad) {way}"
         given = {number.key for number in self.initial.values() if number.order == 0}
         labels = self.scene.mechanism.coordinate_labels
-        held = listed(PREFIX + labels[key] for key in self._keys if key not in given)
+        held = listed(START_PREFIX + labels[key] for key in self._keys if key not in given)
         problem += f", where {held} is the own one of the scene" if held else ""
         return MechanismError(f"run {run}", problem, "values that loops let joints move to")
 
     def _shown(self, run: int, values: Mapping[str, Array]) -> str:
         """Word the values of a run that move its start."""
         moving = [name for name in values if name in self._names or name in self.initial]
-        shown = ", ".join(f"{name} = {values[name][run].tolist()!r:.60}" for name in moving[:NAMED])
-        return shown + (", ..." if len(moving) > NAMED else "")
+        shown = ", ".join(f"{name} = {values[name][run].tolist()!r:.60}" for name in moving[:SHOWN_VALUES])
+        return shown + (", ..." if len(moving) > SHOWN_VALUES else "")
 
     def _contradictory(self, x: Array) -> list[int]:
         """Return the runs in which constraints do not let joints move at the given rates in x (n, inputs)."""

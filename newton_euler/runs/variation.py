@@ -35,7 +35,14 @@ from newton_euler.model.mechanism import LEAST, REALISABLE_TOLERANCE
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.variable import UNITS, UNITS_ALONG, functions_of
-from newton_euler.runs.starts import PREFIX, RATE, Assembly, assembly_of, initial_numbers, own_initial
+from newton_euler.runs.starts import (
+    RATE_SUFFIX,
+    START_PREFIX,
+    Assembly,
+    assembly_of,
+    initial_numbers,
+    own_initial,
+)
 from newton_euler.scalars import Array, Floats
 
 RESTRICTED = frozenset({"axis_on_first", "axis_on_second", "first_side", "second_side", "stroke"})
@@ -149,7 +156,10 @@ def start(scene: Scene, /, **joints: Annotated[Start, UNCHECKED]) -> Scene:
         for k, pair in enumerate(pairs):
             if pair is not None:
                 x, rate = finite_array(where, "start", pair, (2,)).tolist()
-                values |= {f"{PREFIX}{labels[name, k]}": x, f"{PREFIX}{labels[name, k]}{RATE}": rate}
+                values |= {
+                    f"{START_PREFIX}{labels[name, k]}": x,
+                    f"{START_PREFIX}{labels[name, k]}{RATE_SUFFIX}": rate,
+                }
     if not values:
         raise MechanismError(f"scene {scene.name!r}", "has no joint to start", "one joint or more by name")
     return with_parameters(scene, values)

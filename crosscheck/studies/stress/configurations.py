@@ -34,7 +34,7 @@ from newton_euler.model.scene import OutputName, Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.runs.assemble import CHECKED, assemble, initial_state
+from newton_euler.runs.assemble import CONSISTENT_STARTS, assemble, initial_state
 
 # (g) Start poses that are off the constraints: what assembly makes of them, and what each engine does
 
@@ -118,7 +118,7 @@ def measure_start(offset: float, setting: Setting) -> Measured:
     # past the check of initial states, to see what engines do by themselves
     state = off_state(scene, offset)
     scene = replace(scene, initial_state=state)
-    CHECKED[scene] = state
+    CONSISTENT_STARTS[scene] = state
     run = setting.simulate(scene)
     assert run.constraint_violation is not None
     openings = np.max(run.constraint_violation, axis=1)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.analysis.identification.noise import SAME, STAYS, Noise
+from newton_euler.analysis.identification.noise import FINAL_CHANGE, ROUGH_CHANGE, Noise
 from newton_euler.analysis.identification.residuals import Residuals
 from newton_euler.analysis.sensitivity.tangent_starts import own_numbers
 from newton_euler.equations.parameters import own_value, places
@@ -27,23 +27,42 @@ from newton_euler.runs.starts import initial_numbers
 from newton_euler.runs.variation import units_of
 from newton_euler.scalars import Array
 
-# of combinations of parameters
-WEAK = 1.0  # standard deviation, in units of scales, from which on one is not determined
-LOST = 1e-7  # singular value of the Jacobian, as a share of the largest, below which no digits are left of it
-SETTLED = 0.1  # standard deviations by which a further step would move them at most where a fit has converged
-REPEATED = 0.01  # those above which it is repeated
+UNDETERMINED_STD = 1.0
+"""Standard deviation of a combination of parameters, in units of their scales, from which on the combination
+is not identifiable."""
 
-# of changes, in units of scales
-NOTHING = 1e-12  # round-off; SI of coordinates of a start and their rates
-ROUND_OFF = 1e-8  # what runs to 1e-10 do not tell from none
-NEAR = 1e-6  # distance within which a number is at the edge of what the scene can have
-LARGER = 2.0  # factor by which numbers may outgrow their scales
+RANK_TOL = 1e-7
+"""Singular value of the Jacobian, divided by the largest, below which a combination has no digits left."""
 
-# of iterations
-ROUNDS = 8  # fits at most, each with the noise, or the scales, that the last one left
-MOST_EVALUATIONS = 200  # of a fit
-CONVERGED = {"xtol": 1e-9, "ftol": 1e-10, "gtol": 1e-12}  # changes, sum of squares and its slope
-FAR = 1e3  # times those at the beginning: residuals of numbers that make no sense
+CONVERGED_STD = 0.1
+"""Largest further step, in standard deviations, of a fit that counts as converged."""
+
+REPEATED_STD = 0.01
+"""Further step, in standard deviations, above which the second step of a fit is repeated."""
+
+ROUND_OFF_CHANGE = 1e-12
+"""Change of a number below which it is round-off, in units of its scale."""
+
+SLOPE_ROUND_OFF = 1e-8
+"""Further step, in units of scales, that runs with a tolerance of 1e-10 do not distinguish from none."""
+
+EDGE_DISTANCE = 1e-6
+"""Distance from an impossible value, in units of the scale, at which a number counts as at the edge."""
+
+MAX_GROWTH = 2.0
+"""Factor by which a number may exceed its scale."""
+
+MAX_FITS = 8
+"""Number of fits, each with the noise or the scales estimated by the one before."""
+
+MAX_EVALUATIONS = 200
+"""Number of evaluations of one fit."""
+
+TOLERANCES = {"xtol": 1e-9, "ftol": 1e-10, "gtol": 1e-12}
+"""Relative tolerances of the change, the sum of squares and the slope, see `scipy.optimize.least_squares`."""
+
+INVALID_FACTOR = 1e3
+"""Residuals of impossible numbers, divided by the largest residual at the beginning of the fit."""
 
 
 class Fit:
@@ -68,16 +87,16 @@ class Fit:
         """Return the change (p,) that makes residuals least."""
         change, scale = np.zeros(len(self.before)), self.scale
         self._suspected = self._runs.like_degrees(self.residuals(change))
-        for _ in range(ROUNDS):
+        for _ in range(MAX_FITS):
             change = self._pulled(change)
             growth = self._estimate_noise(change)
-            if np.abs(growth - 1.0).max() < SAME:
+            if np.abs(growth - 1.0).max() < ROUGH_CHANGE:
                 break
-            if growth.max() > 1.0 + SAME:  # where numbers may have gone too far
+            if growth.max() > 1.0 + ROUGH_CHANGE:  # where numbers may have gone too far
                 change, self.scale = np.zeros(len(change)), scale
-        for _ in range(ROUNDS):
+        for _ in range(MAX_FITS):
             change = self._free(self._determined(change))
-            if np.abs(self._estimate_noise(change) - 1.0).max() < STAYS:
+            if np.abs(self._estimate_noise(change) - 1.0).max() < FINAL_CHANGE:
                 break
         return change
 
@@ -88,10 +107,10 @@ class Fit:
 
     def _pulled(self, change: Array) -> Array:
         """Return the change (p,) with the least squares of residuals and of itself."""
-        for _ in range(ROUNDS):
+        for _ in range(MAX_FITS):
             change = self._least(change, np.eye(len(change)), pull=1.0)
             larger = np.maximum(self.scale, np.abs(self.values(change)))
-            if np.all(larger <= LARGER * self.scale):
+            if np.all(larger <= MAX_GROWTH * self.scale):
                 break
             change, self.scale = change * self.scale / larger, larger
         return change
@@ -112,7 +131,7 @@ class Fit:
     def _free(self, change: Array) -> Array:
         """Return the change (p,) with the least squares of residuals by combinations that are determined."""
         unsettled = np.inf
-        while REPEATED < (now := self.unsettled(change)) < 0.5 * unsettled:
+        while REPEATED_STD < (now := self.unsettled(change)) < 0.5 * unsettled:
             unsettled = now
             strong = split(self.jacobian(change)).strong
             change = self._least(change, strong.T / np.linalg.norm(strong, axis=1), pull=0.0)
@@ -143,11 +162,11 @@ class Fit:
             return begin
         self._refused = ""
         first = np.concatenate([self._weighted(begin), pull * begin])
-        far = FAR * max(1.0, float(np.abs(first).max()))
+        far = INVALID_FACTOR * max(1.0, float(np.abs(first).max()))
         solved = least_squares(
-            residuals, np.ones(basis.shape[1]), jacobian, max_nfev=MOST_EVALUATIONS, **CONVERGED
+            residuals, np.ones(basis.shape[1]), jacobian, max_nfev=MAX_EVALUATIONS, **TOLERANCES
         )
-        over = f"{MOST_EVALUATIONS} evaluations are over" if solved.status == 0 else "steps are too small"
+        over = f"{MAX_EVALUATIONS} evaluations are over" if solved.status == 0 else "steps are too small"
         self.stopped = f"residuals are not the least: {self._refused or over}"
         return changed(solved.x)
 
@@ -159,13 +178,13 @@ class Fit:
         jacobian = self.jacobian(change)
         strong = split(jacobian).strong
         deviations = strong @ (jacobian.T @ self._weighted(change))
-        if np.abs(strong.T @ deviations).max() < ROUND_OFF:
+        if np.abs(strong.T @ deviations).max() < SLOPE_ROUND_OFF:
             return 0.0
         return float(np.linalg.norm(deviations))
 
     def is_at_edge(self, change: Array) -> list[bool]:
         """Tell for each number whether the scene cannot have one that is a little larger or smaller."""
-        steps = NEAR * np.eye(len(change))
+        steps = EDGE_DISTANCE * np.eye(len(change))
         return [
             not all(self._runs.can_start(self.values(change + near)) for near in (step, -step))
             for step in steps
@@ -194,7 +213,7 @@ class Fit:
 
     def values(self, change: Array) -> Array:
         """Return the numbers (p,) after a change."""
-        return self.before + np.where(np.abs(change) > NOTHING, change, 0.0) * self.scale
+        return self.before + np.where(np.abs(change) > ROUND_OFF_CHANGE, change, 0.0) * self.scale
 
     def residuals(self, change: Array) -> Array:
         """Compute the residuals (n,), SI."""
@@ -217,7 +236,7 @@ def _scales(scene: Scene, names: Sequence[str]) -> tuple[Array, Array, tuple[str
     """
     before, units = own_numbers(scene, names), tuple(units_of(scene, names).values())
     initial = np.isin(names, list(initial_numbers(scene, names)))
-    before[initial & (np.abs(before) < NOTHING)] = 0.0
+    before[initial & (np.abs(before) < ROUND_OFF_CHANGE)] = 0.0
     scale = np.abs(before)
     for k, (name, unit) in enumerate(zip(names, units, strict=True)):
         if unit and not initial[k]:
@@ -249,8 +268,8 @@ def split(jacobian: Array) -> Split:
         jacobian: (n, p) of residuals in units of their noise, by parameters in units of their scales.
     """
     _, values, right = np.linalg.svd(jacobian, full_matrices=False)
-    least = LOST * values[0]
-    known = (values > least) & (values * WEAK > 1.0)
+    least = RANK_TOL * values[0]
+    known = (values > least) & (values * UNDETERMINED_STD > 1.0)
     weak = right[~known]
     every = right / np.maximum(values, least or 1.0)[:, None]
     return Split(every[known], _sparse_basis(weak) if len(weak) else weak, every.T @ every)

@@ -17,9 +17,9 @@ from typing import Unpack
 
 import numpy as np
 
-from newton_euler.analysis.identification.fit import SETTLED, Fit, split
+from newton_euler.analysis.identification.fit import CONVERGED_STD, Fit, split
 from newton_euler.analysis.identification.measurements import Measurements, measurements_from_csv
-from newton_euler.analysis.identification.noise import CHANCE
+from newton_euler.analysis.identification.noise import MIN_PROBABILITY
 from newton_euler.analysis.identification.residuals import Residuals
 from newton_euler.analysis.sensitivity.sensitivities import checked_names
 from newton_euler.analysis.sensitivity.tangent_run import tangent_options
@@ -42,12 +42,12 @@ from newton_euler.scalars import Array, Floats
 
 Given = Measurements | str | os.PathLike[str]
 
-SIMPLE = 0.02
-"""Share by which a factor of a combination may differ from 0, 1 or -1 to be taken for it."""
+FACTOR_TOLERANCE = 0.02
+"""Largest difference of a factor of a combination from 0, 1 or -1 that is not shown."""
 
-BENT = 0.2
-"""Curvature from which on a tenth of ellipsoids of 95 % miss the true parameters, at 2 a third: so in trials
-with a four-bar and the tracker."""
+MAX_CURVATURE = 0.2
+"""Curvature above which confidence ellipsoids are too small. In trials with a four-bar and the tracker
+a tenth of the 95 % ellipsoids missed the true parameters at this value, and a third at 2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +79,8 @@ class Identification:
         undetermined: a line for each combination of parameters, and for each noise, that the data do not
             determine.
         stopped: why the fit ended before the sum of squares was least; empty if it is.
-        curvature: by how much derivatives two standard deviations away are others, in units of those at the
-            values, root mean square. Above `BENT` the covariance holds for parameters one by one, not for
-            all together.
+        curvature: relative change of the derivatives two standard deviations away, root mean square. Above
+            `MAX_CURVATURE` the covariance is valid for single parameters, not for all together.
         contradiction: the coordinate or rate that was measured elsewhere at 0 s than where its run starts,
             farthest by its noise, where no parameter moves that; empty if there is none.
         evaluations: runs of all measurements, with derivatives.
@@ -169,7 +168,7 @@ class Identification:
     @property
     def is_wrong(self) -> bool:
         """True if the scene cannot move as was measured, within the noise that was given."""
-        return self.probability < CHANCE
+        return self.probability < MIN_PROBABILITY
 
     @property
     def doubts(self) -> list[str]:
@@ -189,7 +188,7 @@ class Identification:
     def notes(self) -> list[str]:
         """Lines on a start that measurements contradict, and on what the covariance does not say."""
         lines = [self.contradiction] if self.contradiction else []
-        if not self.is_wrong and self.curvature > BENT:
+        if not self.is_wrong and self.curvature > MAX_CURVATURE:
             lines.append("the region of all parameters together is bent: deviations are of single ones")
         return lines
 
@@ -241,13 +240,13 @@ def identify(
     fit = Fit(scene, names, measured)
     change, noise = fit.solve(), fit.noise
     _, weak, covariance = split(fit.jacobian(change))
-    values, stopped = fit.values(change), fit.stopped if fit.unsettled(change) > SETTLED else ""
+    values, stopped = fit.values(change), fit.stopped if fit.unsettled(change) > CONVERGED_STD else ""
     edge = fit.is_at_edge(change) if stopped else [False] * len(names)
-    is_open = np.any(np.abs(weak) > SIMPLE, axis=0) | bool(noise.undetermined)
+    is_open = np.any(np.abs(weak) > FACTOR_TOLERANCE, axis=0) | bool(noise.undetermined)
     for k in np.flatnonzero(is_open | edge):
         covariance[k, :] = covariance[:, k] = np.nan
         covariance[k, k] = np.nan if edge[k] else np.inf
-    if noise.probability < CHANCE:
+    if noise.probability < MIN_PROBABILITY:
         covariance[:] = np.nan
     open_noise = [f"the noise of {name} is not determined by its residuals" for name in noise.undetermined]
     residuals = fit.residuals(change)
@@ -325,8 +324,8 @@ def _misfits(residuals: Sequence[Mapping[str, Floats]]) -> dict[str, float]:
 def _lines(names: Sequence[str], values: Array, fit: Fit, weak: Array) -> list[str]:
     """Say what the data do not determine."""
     lines = []
-    beyond = "that was measured" if fit.noise.probability >= CHANCE else "beyond these residuals"
-    found = [([k for k, x in enumerate(row) if abs(x) > SIMPLE], row) for row in weak]
+    beyond = "that was measured" if fit.noise.probability >= MIN_PROBABILITY else "beyond these residuals"
+    found = [([k for k, x in enumerate(row) if abs(x) > FACTOR_TOLERANCE], row) for row in weak]
     for parts, row in sorted(found, key=lambda pair: (len(pair[0]), pair[0])):
         if len(parts) == 1:
             lines.append(f"{names[parts[0]]} is not determined")
@@ -334,7 +333,7 @@ def _lines(names: Sequence[str], values: Array, fit: Fit, weak: Array) -> list[s
         change = row * fit.scale
         if len(parts) == 2 and values[parts].all():
             x, y = change[parts] / values[parts]
-            if abs(abs(x) - abs(y)) < SIMPLE * abs(x):
+            if abs(abs(x) - abs(y)) < FACTOR_TOLERANCE * abs(x):
                 lines.append(
                     f"only {names[parts[0]]} {'/' if x * y > 0.0 else '*'} {names[parts[1]]} is determined"
                 )

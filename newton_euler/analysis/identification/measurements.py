@@ -40,7 +40,7 @@ from newton_euler.model.source_file import (
     row_numbers,
 )
 from newton_euler.model.trajectory import QUANTITIES, column_names
-from newton_euler.runs.starts import PREFIX, RATE
+from newton_euler.runs.starts import RATE_SUFFIX, START_PREFIX
 from newton_euler.scalars import Array, Floats
 
 NOISE, START = "noise", "start"  # in place of a time: the row of standard deviations, and that of the start
@@ -122,9 +122,9 @@ class Measurements:
                 raise MechanismError("measurements", f"have a unit of {quoted(name)}", "columns alone")
         object.__setattr__(self, "units", {name: UNITS[unit][0] for name, unit in self.units.items()})
         for name, number in self.start.items():
-            if not isinstance(name, str) or not name.startswith(PREFIX) or not is_finite_number(number):
+            if not isinstance(name, str) or not name.startswith(START_PREFIX) or not is_finite_number(number):
                 problem = f"start with {quoted(name)} = {quoted(number)}"
-                raise MechanismError("measurements", problem, f"finite numbers by {PREFIX}JOINT")
+                raise MechanismError("measurements", problem, f"finite numbers by {START_PREFIX}JOINT")
 
     def __repr__(self) -> str:
         return f"<Measurements: {len(self.time)} times to {self.time[-1]:g} s, columns: {len(self.columns)}>"
@@ -218,7 +218,9 @@ def _headings(cells: list[str]) -> tuple[list[str], dict[str, str]]:
 def initial_name(column: str) -> str:
     """Return the name of the initial coordinate or rate that a column measures; empty for other columns."""
     kind, _, joint = column.partition(".")
-    return {"coordinate": f"{PREFIX}{joint}", "rate": f"{PREFIX}{joint}{RATE}"}.get(kind, "")
+    return {"coordinate": f"{START_PREFIX}{joint}", "rate": f"{START_PREFIX}{joint}{RATE_SUFFIX}"}.get(
+        kind, ""
+    )
 
 
 def column_places(

@@ -22,19 +22,19 @@ import numpy as np
 from newton_euler.analysis.identification.measurements import Measurements
 from newton_euler.scalars import Array
 
-CHANCE = 1e-4
-"""Probability of residuals as large as those of a fit, by chance alone, below which the scene is wrong: what
-noise does not explain, of however many numbers, moves parameters by many of their standard deviations."""
+MIN_PROBABILITY = 1e-4
+"""Probability of residuals as large as those of the fit, below which the scene is taken as wrong. Residuals
+that noise does not explain move parameters by many of their standard deviations."""
 
-FINE, EXACT = 1e-3, 1e-9
-"""Noise that is not given, as a share of a column's standard deviation: to begin with, so little that first
-guesses which are far off are left, and what runs may have themselves."""
+FIRST_NOISE, MIN_NOISE = 1e-3, 1e-9
+"""Noise that is not given, divided by the column's standard deviation: the first estimate, small enough to
+correct bad initial values, and the least, the error of a run itself."""
 
-NONE_LEFT = 1e-6
-"""Share of a column that a fit leaves at least if its residuals tell anything."""
+MIN_LEFT_FRACTION = 1e-6
+"""Fraction of a column's numbers left by the fit, below which residuals do not determine its noise."""
 
-SAME, STAYS = 0.1, 0.01
-"""Share by which noise may differ from that of the fit before: roughly, and at the end."""
+ROUGH_CHANGE, FINAL_CHANGE = 0.1, 0.01
+"""Relative change of the noise from one fit to the next at which it has converged: first and second step."""
 
 
 class Noise:
@@ -62,7 +62,7 @@ class Noise:
         self._part = np.repeat(parts, sizes)
         self._unit = np.repeat([run.noise.get(name, 1.0) for run, name in columns], sizes)
         deviations = np.array([1.0, *(spread[name] or 1.0 for name in self.unknown)])
-        self.levels, self._least = FINE * deviations, EXACT * deviations
+        self.levels, self._least = FIRST_NOISE * deviations, MIN_NOISE * deviations
         self.levels[0] = 1.0
         self._left = np.bincount(self._part, minlength=len(self.levels)).astype(float)
         self._growth = np.ones(len(self.levels))
@@ -90,7 +90,7 @@ class Noise:
 
         A fit leaves less than one of their numbers, or the noise differs from fit to fit.
         """
-        is_open = (self._left < 1.0) | (np.abs(self._growth - 1.0) > SAME)
+        is_open = (self._left < 1.0) | (np.abs(self._growth - 1.0) > ROUGH_CHANGE)
         return tuple(name for name, each in zip(self.unknown, is_open[1:], strict=True) if each)
 
     def estimate(self, residuals: Array, fitted: Array) -> Array:
@@ -108,13 +108,13 @@ class Noise:
             shares = np.clip(np.linalg.eigvalsh(fitted[own].T @ fitted[own]), 0.0, 1.0)
             left = np.count_nonzero(own) - float(shares.sum())
             self._left[part] = left
-            if left <= NONE_LEFT * np.count_nonzero(own):
+            if left <= MIN_LEFT_FRACTION * np.count_nonzero(own):
                 continue
             level = before[part] * math.sqrt(float(squares[own].sum()) / left)
             if part > 0:
                 self.levels[part] = max(level, self._least[part])
             else:
                 self.misfit, self.freedom = level, left**2 / (left - float(shares @ (1.0 - shares)))
-                self.levels[part] = level if self.probability < CHANCE else 1.0
+                self.levels[part] = level if self.probability < MIN_PROBABILITY else 1.0
         self._growth = self.levels / before
         return self._growth

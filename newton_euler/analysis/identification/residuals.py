@@ -22,7 +22,7 @@ from newton_euler.analysis.sensitivity.tangent_code import ALONG, tangent_code
 from newton_euler.analysis.sensitivity.tangent_run import Followed, FollowedRun
 from newton_euler.analysis.sensitivity.tangent_starts import Starts
 from newton_euler.compiled.equations import CACHED_SCENES
-from newton_euler.equations.undetermined import is_undetermined, undetermined_joints, worded
+from newton_euler.equations.undetermined import is_undetermined, redundancy_text, undetermined_joints
 from newton_euler.errors import MechanismError, NewtonEulerError, UnknownNameError
 from newton_euler.integrators.options import FormulationName, Options
 from newton_euler.model.scene import OUTPUTS, Scene
@@ -36,30 +36,33 @@ REACTIONS = "reaction_force", "reaction_torque"
 
 AXES = "x", "y", "z"
 
-CLEARLY = 0.1
-"""Share of an angle's residuals that is left at most if it is in degrees; without other errors 1 / 57.3."""
+MAX_DEGREES_RESIDUAL = 0.1
+"""Largest residual of an angle after conversion from degrees, divided by the residual before, for which its
+numbers are taken as degrees. Without other errors the ratio is 1 / 57.3."""
 
-EXPLAINED = 0.5
-"""Share of an angle that residuals are at most if the scene moves like it; one at rest explains nothing."""
+MAX_EXPLAINED = 0.5
+"""Largest residual of an angle, divided by the angle, for which the scene explains its motion. A scene at
+rest explains nothing."""
 
-UNLIKE = 1.5
-"""Standard deviations of a column from which on its residuals are larger than those of a constant by far."""
+WORSE_THAN_CONSTANT = 1.5
+"""Residual of a column, in its standard deviations, from which on a constant fits better than the scene."""
 
-ROUND_OFF = 1e-9
-"""Standard deviation, SI and as a share of the largest number, of columns that are constant."""
+CONSTANT_STD = 1e-9
+"""Standard deviation of a constant column, SI, and divided by its largest number."""
 
-FAR = 6.0
-"""Standard deviations of noise by which a first row differs from the start by chance once in 10^9 times."""
+CONTRADICTION_STD = 6.0
+"""Distance of the first row from the start, in standard deviations of the noise, that is no coincidence: its
+probability is 1e-9."""
 
 
-class Evaluated(NamedTuple):
+class ResidualValues(NamedTuple):
     """Residuals (n,), computed less measured, and their derivatives (n, p)."""
 
     residuals: Array
     jacobian: Array
 
 
-class Angle(NamedTuple):
+class AngleFit(NamedTuple):
     """Root mean squares of a column of rad or rad/s.
 
     Attributes:
@@ -104,25 +107,25 @@ class Residuals:
         for run, columns in zip(self.runs, self._columns, strict=True):
             programs = sorted({column.program for column in columns})
             self._models.append((Starts(code, names, run.start), FollowedRun(code, options, programs)))
-        self._known: tuple[bytes, Evaluated] | None = None
+        self._known: tuple[bytes, ResidualValues] | None = None
 
-    def __call__(self, values: Array) -> Evaluated:
+    def __call__(self, values: Array) -> ResidualValues:
         """Compute residuals with other values (p,); those of the last call if they are the same."""
         if self._known is None or self._known[0] != values.tobytes():
             self.evaluations += 1
             found = [self._of_run(k, values) for k in range(len(self.runs))]
-            together = Evaluated(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+            together = ResidualValues(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
             self._known = values.tobytes(), together
         return self._known[1]
 
-    def _of_run(self, k: int, values: Array) -> Evaluated:
+    def _of_run(self, k: int, values: Array) -> ResidualValues:
         run, columns, (starts, followed) = self.runs[k], self._columns[k], self._models[k]
         x, directions = starts(values)
         computed, derivatives = _selected(followed(x, directions, run.time), columns)
         residuals, jacobian = compared(computed, derivatives, run, columns)
         if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
             raise MechanismError("measurements", "have no finite derivatives", "other columns")
-        return Evaluated(residuals.T.ravel(), jacobian.swapaxes(0, 1).reshape(residuals.size, -1))
+        return ResidualValues(residuals.T.ravel(), jacobian.swapaxes(0, 1).reshape(residuals.size, -1))
 
     def can_start(self, values: Array) -> bool:
         """Tell whether the scene can have these values (p,) at the starts of all runs."""
@@ -144,12 +147,12 @@ class Residuals:
         return {
             name
             for name, angle in self._angles(residuals)
-            if angle.as_degrees < min(CLEARLY * angle.left, EXPLAINED * angle.size)
+            if angle.as_degrees < min(MAX_DEGREES_RESIDUAL * angle.left, MAX_EXPLAINED * angle.size)
         }
 
     def unexplained(self, residuals: Array) -> set[str]:
         """Return the names of columns of rad or rad/s that the scene does not move like."""
-        return {name for name, angle in self._angles(residuals) if angle.left > EXPLAINED * angle.size}
+        return {name for name, angle in self._angles(residuals) if angle.left > MAX_EXPLAINED * angle.size}
 
     def unlike(self, residuals: Array) -> tuple[str, ...]:
         """Return the names of columns without given noise that the scene fits worse than a constant does."""
@@ -158,14 +161,15 @@ class Residuals:
             for run, left in zip(self.runs, self.by_column(residuals), strict=True)
             for name, column in run.columns.items()
             if name not in run.noise
-            and _rms(left[name]) > UNLIKE * max(np.std(column), ROUND_OFF * (1.0 + np.abs(column).max()))
+            and _rms(left[name])
+            > WORSE_THAN_CONSTANT * max(np.std(column), CONSTANT_STD * (1.0 + np.abs(column).max()))
         }
         return tuple(found)
 
     def contradiction(self, values: Array) -> str:
         """Word which coordinate or rate was measured farthest, by its noise, from a start that is held.
 
-        That is one which none of the values (p,) moves. Empty if none is farther than `FAR`.
+        That is one which none of the values (p,) moves. Empty if none is farther than `CONTRADICTION_STD`.
         """
         found, away = self(values), dict[str, float]()
         moved = self.by_column(np.abs(found.jacobian).max(axis=1))
@@ -183,9 +187,9 @@ class Residuals:
                 noise = run.noise.get(name, _scatter(measured))
                 away[f"{self._where[k]}{line}: {mend}"] = abs(left[name][0]) / noise
         worst = max(away, key=lambda line: away[line], default="")
-        return worst if worst and away[worst] > FAR else ""
+        return worst if worst and away[worst] > CONTRADICTION_STD else ""
 
-    def _angles(self, residuals: Array) -> Iterator[tuple[str, Angle]]:
+    def _angles(self, residuals: Array) -> Iterator[tuple[str, AngleFit]]:
         """Yield the columns of rad or rad/s of each run with their names."""
         for run, columns, left in zip(self.runs, self._columns, self.by_column(residuals), strict=True):
             for (name, measured), column in zip(run.columns.items(), columns, strict=True):
@@ -196,7 +200,7 @@ class Residuals:
                 if column.unit == "rad":
                     as_degrees -= 2.0 * np.pi * np.round(as_degrees / (2.0 * np.pi))
                     size = min(size, 1.0)
-                yield name, Angle(_rms(left[name]), _rms(as_degrees), size)
+                yield name, AngleFit(_rms(left[name]), _rms(as_degrees), size)
 
 
 @lru_cache(maxsize=CACHED_SCENES)
@@ -210,7 +214,7 @@ def _scatter(measured: Array) -> float:
     if len(measured) < 5:
         return np.inf
     # squares of the binomial coefficients 1, 4, 6, 4, 1 add up to 70
-    return max(_rms(np.diff(measured, 4)) / 70.0**0.5, ROUND_OFF * (1.0 + float(np.abs(measured).max())))
+    return max(_rms(np.diff(measured, 4)) / 70.0**0.5, CONSTANT_STD * (1.0 + float(np.abs(measured).max())))
 
 
 def _rms(values: Array) -> float:
@@ -260,4 +264,4 @@ def _undetermined(scene: Scene, name: str) -> str:
     if not is_undetermined(scene)[number, REACTIONS.index(kind), AXES.index(axis)]:
         return ""
     count, joints = undetermined_joints(scene, initial_state(scene))
-    return f"reactions of joint {joint!r} are not unique, {worded(count, ', '.join(joints))}"
+    return f"reactions of joint {joint!r} are not unique, {redundancy_text(count, ', '.join(joints))}"

@@ -18,10 +18,19 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-STARTS, MOST_STARTS = 500, 5_000  # random configurations at a time, and in all
-OFTEN = 5  # times that each branch is to be found: one as likely is missed with probability exp(-5)
-SAME = 1e-4  # distance of poses that are one, sizes and Euler parameters: double roots have half the digits
-SINGULAR = 1e-5  # dimensionless determinant below which a branch is at a singular configuration
+SAMPLES, MAX_SAMPLES = 500, 5_000
+"""Number of random configurations solved at a time, and in all."""
+
+MIN_HITS = 5
+"""Number of times that each branch must be found. An equally likely branch is missed with probability
+exp(-5)."""
+
+SAME_POSE = 1e-4
+"""Distance below which two poses are one, in sizes of the mechanism and Euler parameters. Double roots have
+half the digits."""
+
+MIN_DETERMINANT = 1e-5
+"""Dimensionless determinant below which a branch is at a singular configuration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,12 +114,14 @@ def assembly_branches(
     begin, goals = chain.at(chain.start[None]), goal[np.zeros(len(found), dtype=int)]
     blocks = _blocks(chain, at, goals) if len(at) else []
     determinants = _determinants(at, goals, blocks)
-    varied = np.ptp(determinants, axis=0) > SINGULAR if len(at) > 1 else np.zeros(len(blocks), dtype=bool)
+    varied = (
+        np.ptp(determinants, axis=0) > MIN_DETERMINANT if len(at) > 1 else np.zeros(len(blocks), dtype=bool)
+    )
     blocks = [block for block, kept in zip(blocks, varied, strict=True) if kept]
     reference = np.sign(_determinants(begin, chain.goal_at(begin), blocks))
     signs = np.sign(determinants[:, varied]) * np.where(reference == 0.0, 1.0, reference)
-    signs[np.abs(determinants[:, varied]) < SINGULAR] = 0.0
-    alone = (found < OFTEN) & np.any(signs == 0.0, axis=1)
+    signs[np.abs(determinants[:, varied]) < MIN_DETERMINANT] = 0.0
+    alone = (found < MIN_HITS) & np.any(signs == 0.0, axis=1)
     order = _order(at, begin)
     order = order[~alone[order]]
     labels = [f"{k} " + "".join("-0+"[int(sign) + 1] for sign in signs[row]) for k, row in enumerate(order)]
@@ -121,7 +132,7 @@ def assembly_branches(
         tuple(labels),
         tuple(_joints(chain, columns) for _, columns in blocks),
         found[order],
-        bool(np.all(found[~alone] >= OFTEN)),
+        bool(np.all(found[~alone] >= MIN_HITS)),
         int(np.sum(found[alone])),
     )
 
@@ -134,19 +145,19 @@ def _search(chain: Chain, goal: Goal) -> tuple[Configurations, Array]:
         np.zeros((0, 0)),
         np.zeros(0, dtype=int),
     )
-    for tried in range(STARTS, MOST_STARTS + 1, STARTS):
-        q = random_coordinates(chain, STARTS, rng)
-        at, met = newton(chain.at(q), goal[np.zeros(STARTS, dtype=int)], RANDOM_STEPS)
+    for tried in range(SAMPLES, MAX_SAMPLES + 1, SAMPLES):
+        q = random_coordinates(chain, SAMPLES, rng)
+        at, met = newton(chain.at(q), goal[np.zeros(SAMPLES, dtype=int)], RANDOM_STEPS)
         for values, feature in zip(at.values[met], _features(at)[met], strict=True):
             distance = np.linalg.norm(features - feature, axis=1) if len(features) else np.full(1, np.inf)
             nearest = int(np.argmin(distance))
-            if distance[nearest] < SAME:
+            if distance[nearest] < SAME_POSE:
                 found[nearest] += 1
             else:
                 branches = np.vstack([branches, values])
                 features = np.vstack([features.reshape(-1, len(feature)), feature])
                 found = np.append(found, 1)
-        if tried > STARTS and np.all(found >= OFTEN):
+        if tried > SAMPLES and np.all(found >= MIN_HITS):
             break
     return Configurations(chain, branches), found
 

@@ -32,9 +32,14 @@ from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-LONGEST_STEP = 0.2  # rad, or sizes of the mechanism, by which one step may move a joint
-SHORT = 1e-15  # sine of the angle between vectors whose plane is round-off
-FAR = 1e6  # stands for all results of a configuration that are not finite
+MAX_JOINT_STEP = 0.2
+"""Largest motion of a joint in one step, rad or sizes of the mechanism."""
+
+PARALLEL_SINE = 1e-15
+"""Sine of the angle between two vectors below which their plane is round-off."""
+
+INVALID_RESULT = 1e6
+"""Value of all results of a configuration that are not finite."""
 
 
 def products(matrices: Array, vectors: Array) -> Array:
@@ -103,7 +108,7 @@ def smallest_turns(start: Array, end: Array) -> Array:
     sine = np.cross(start, end)
     length = np.linalg.norm(sine, axis=1, keepdims=True)
     angle = np.arctan2(length, np.sum(start * end, axis=1, keepdims=True))
-    return np.asarray(angle * np.divide(sine, length, out=across(start), where=length > SHORT))
+    return np.asarray(angle * np.divide(sine, length, out=across(start), where=length > PARALLEL_SINE))
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +214,7 @@ class Chain:
         if step is not None:
             states[:, system.nq :] = step
         results = at_rows(function, np.column_stack([states, np.zeros(len(q))]))
-        results[~np.isfinite(results).all(axis=1)] = FAR
+        results[~np.isfinite(results).all(axis=1)] = INVALID_RESULT
         return Configurations(self, results)
 
     def goal_at(self, at: Configurations) -> Goal:
@@ -345,5 +350,5 @@ class Configurations:
     def moved(self, step: Array) -> Configurations:
         """Evaluate the configurations moved by dimensionless steps (n, nv), long ones shortened."""
         largest = np.max(np.abs(step), axis=1, keepdims=True, initial=0.0)
-        step = step * np.minimum(1.0, LONGEST_STEP / np.maximum(largest, LONGEST_STEP))
+        step = step * np.minimum(1.0, MAX_JOINT_STEP / np.maximum(largest, MAX_JOINT_STEP))
         return self.chain.at(self.q, step * self.chain.system.velocity_units)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from newton_euler.analysis.kinematics.configurations import (
-    LONGEST_STEP,
+    MAX_JOINT_STEP,
     Chain,
     Configurations,
     Goal,
@@ -20,28 +20,51 @@ from newton_euler.analysis.kinematics.configurations import (
 from newton_euler.equations.dense import RANK_TOLERANCE
 from newton_euler.scalars import Array
 
-NEAR = 0.25  # rad, or sizes, between a goal and the solved pose that Newton's method begins at
-MOST_STRIDES = 1000  # between the start and a goal; longer ones are too long for Newton's method in the end
-NEWTON_STEPS, RANDOM_STEPS = 12, 60  # from a solved configuration next to the goal, and from a random one
-ROUND_OFF = 16.0 * np.finfo(float).eps  # dimensionless residuals below this are what evaluating them loses
-CLOSED = 1e-11  # dimensionless residuals of a pose that is reached; others still halve
-APPROACH_STEPS = 60
-DIFFERENCE = 1e-5  # dimensionless step of central differences, off by its square and round-off over it
-FLAT = 1e-9  # curvature below which a direction counts as straight
-HALVINGS = 8
-CHORDS = 15  # steps that close loops by the inverse of another configuration's Jacobian
-NOISE = 1e-12  # share of a squared distance that is round-off
-WALKERS, WALK = 64, 20  # random paths that look for configurations near to goals, and their steps
+MAX_STRIDE = 0.25
+"""Largest distance between a goal and the solved pose from which Newton's method starts, rad or sizes."""
+
+MAX_STRIDES = 1000
+"""Number of strides from the start to a goal. Farther goals get longer strides."""
+
+GOAL_STEPS, RANDOM_STEPS = 12, 60
+"""Number of Newton's steps from a solved pose near the goal, and from a random configuration."""
+
+RESIDUAL_ROUND_OFF = 16.0 * np.finfo(float).eps
+"""Dimensionless residual below which the evaluation of residuals has no digits."""
+
+MAX_RESIDUAL = 1e-11
+"""Largest dimensionless residual of a pose that is reached. Larger residuals at least halve in each step."""
+
+MAX_APPROACH_STEPS = 60
+"""Number of steps to the pose nearest to a goal out of reach."""
+
+DIFFERENCE_STEP = 1e-5
+"""Dimensionless step of central differences: its square and round-off divided by it are equally small."""
+
+MIN_CURVATURE = 1e-9
+"""Curvature below which a direction counts as straight."""
+
+MAX_HALVINGS = 8
+"""Number of times that a step is halved until it reduces the distance to the goal."""
+
+MAX_CHORD_STEPS = 15
+"""Number of steps that close loops by the Jacobian of another configuration (chord method)."""
+
+DISTANCE_ROUND_OFF = 1e-12
+"""Relative change of a squared distance that is round-off."""
+
+PATHS, PATH_STEPS = 64, 20
+"""Number of random paths that sample a branch, and of steps along each."""
 
 
-def newton(at: Configurations, goal: Goal, steps: int = NEWTON_STEPS) -> tuple[Configurations, Array]:
+def newton(at: Configurations, goal: Goal, steps: int = GOAL_STEPS) -> tuple[Configurations, Array]:
     """Move configurations to goals by steps of least length; also returns True (n,) for those that arrive."""
     values, error = at.values.copy(), np.full(len(at), np.inf)
     active, here = np.arange(len(at)), at
     for _ in range(steps):
         misses, rows = here.misses(goal[active])
         left = largest(here.phi, misses)
-        on = (left >= ROUND_OFF) & ((left >= CLOSED) | (left < 0.5 * error[active]))
+        on = (left >= RESIDUAL_ROUND_OFF) & ((left >= MAX_RESIDUAL) | (left < 0.5 * error[active]))
         values[active], error[active] = here.values, left
         if not on.any():
             break
@@ -50,7 +73,7 @@ def newton(at: Configurations, goal: Goal, steps: int = NEWTON_STEPS) -> tuple[C
         reduced = rows @ np.swapaxes(here.tangent, 1, 2)
         along = products(np.linalg.pinv(reduced, RANK_TOLERANCE), -misses - products(rows, back))
         here = here.moved(back + products(np.swapaxes(here.tangent, 1, 2), along))
-    return Configurations(at.chain, values), error < CLOSED
+    return Configurations(at.chain, values), error < MAX_RESIDUAL
 
 
 def largest(*residuals: Array) -> Array:
@@ -58,7 +81,7 @@ def largest(*residuals: Array) -> Array:
     return np.max(np.abs(np.hstack(residuals)), axis=1, initial=0.0)
 
 
-def sides(before: Configurations, after: Configurations) -> Array:
+def crossing_signs(before: Configurations, after: Configurations) -> Array:
     """Return -1.0 (n, 2) where a singular configuration was passed between two configurations, else 1.0.
 
     There the determinant of the Jacobian of the goals (first column), or that of all chosen coordinates
@@ -96,7 +119,7 @@ def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array]:
     solved, at = start.values, chain.goal_at(start)
     found = np.repeat(start.values, count, axis=0)
     points, tried, reached = chain.embed(goal), np.full(count, -1), np.zeros(count, dtype=bool)
-    stride = np.maximum(NEAR, np.linalg.norm(points - chain.embed(at), axis=1) / MOST_STRIDES)
+    stride = np.maximum(MAX_STRIDE, np.linalg.norm(points - chain.embed(at), axis=1) / MAX_STRIDES)
     while not reached.all():
         waiting = np.flatnonzero(~reached)
         distance, nearest = cKDTree(chain.embed(at)).query(points[waiting])
@@ -111,7 +134,7 @@ def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array]:
         towards = chain.between(goal[own], at[source], share)
         before = Configurations(chain, solved[source])
         after, met = newton(before, towards)
-        met &= np.all(sides(before, after) > 0.0, axis=1)
+        met &= np.all(crossing_signs(before, after) > 0.0, axis=1)
         tried[own] = source
         found[own] = np.where(met[:, None], after.values, before.values)
         reached[own] = met & (share == 1.0)
@@ -134,25 +157,31 @@ def random_coordinates(chain: Chain, count: int, rng: np.random.Generator) -> Ar
     return q
 
 
-def wander(start: Configurations) -> Configurations:
+def sample_branch(start: Configurations) -> Configurations:
     """Find closed configurations all over the branch of one, by random paths that pass no singular one."""
     rng, chain = np.random.default_rng(0), start.chain
-    here = Configurations(chain, np.repeat(start.values, WALKERS, axis=0))
+    here = Configurations(chain, np.repeat(start.values, PATHS, axis=0))
     visited = [start.values]
-    for _ in range(WALK):
-        along = rng.standard_normal((WALKERS, chain.freedoms))
-        after = moved_closed(here, LONGEST_STEP * products(np.swapaxes(here.tangent, 1, 2), along))
-        good = (largest(after.phi) < CLOSED) & np.all(sides(here, after) > 0.0, axis=1)
+    for _ in range(PATH_STEPS):
+        along = rng.standard_normal((PATHS, chain.freedoms))
+        after = moved_closed(here, MAX_JOINT_STEP * products(np.swapaxes(here.tangent, 1, 2), along))
+        good = (largest(after.phi) < MAX_RESIDUAL) & np.all(crossing_signs(here, after) > 0.0, axis=1)
         here = Configurations(chain, np.where(good[:, None], after.values, here.values))
         visited.append(after.values[good])
     return Configurations(chain, np.concatenate(visited))
 
 
 def approach(at: Configurations, others: Configurations, goal: Goal) -> tuple[Configurations, Array]:
-    """Move closed configurations, or others that are nearer, to where their distances to goals are smallest.
+    """Minimize the distances of closed configurations to goals that are out of reach.
 
-    Also returns -1.0 (n, 2) where an odd number of singular configurations was passed, as of `sides`, else
-    1.0.
+    Args:
+        at: (n) configurations to start from.
+        others: configurations of the branch; the nearest to a goal replaces a start that is farther away.
+        goal: (n) goals.
+
+    Returns:
+        The nearest configurations, and signs (n, 2): -1.0 where an odd number of singular configurations was
+        passed, see `crossing_signs`, else 1.0.
     """
     from scipy.spatial import cKDTree
 
@@ -162,13 +191,13 @@ def approach(at: Configurations, others: Configurations, goal: Goal) -> tuple[Co
     nearer = half_square(other, goal) < half_square(at, goal)
     values, passed = np.where(nearer[:, None], other.values, at.values), np.ones((len(at), 2))
     active = np.arange(len(at))
-    for _ in range(APPROACH_STEPS):
+    for _ in range(MAX_APPROACH_STEPS):
         if not active.size or not chain.freedoms:
             break
         here, own = Configurations(chain, values[active]), goal[active]
         along = _descent(here, own)
         better = np.zeros(len(here), dtype=bool)
-        for k in range(HALVINGS):
+        for k in range(MAX_HALVINGS):
             rest = np.flatnonzero(~better)
             if not rest.size:
                 break
@@ -176,7 +205,7 @@ def approach(at: Configurations, others: Configurations, goal: Goal) -> tuple[Co
             after = moved_closed(before, 0.5**k * products(np.swapaxes(before.tangent, 1, 2), along[rest]))
             good = _is_better(after, before, own[rest])
             moved = active[rest[good]]
-            passed[moved] *= sides(before[good], after[good])
+            passed[moved] *= crossing_signs(before[good], after[good])
             values[moved] = after.values[good]
             better[rest[good]] = True
         active = active[better]
@@ -203,20 +232,20 @@ def _descent(at: Configurations, goal: Goal) -> Array:
     for k in range(tangent.shape[1]):
         ends = []
         for sign in (1.0, -1.0):
-            other = at.moved(sign * DIFFERENCE * tangent[:, k])
+            other = at.moved(sign * DIFFERENCE_STEP * tangent[:, k])
             ends.append(gradient(other, goal) + products(np.swapaxes(other.loops, 1, 2), multipliers))
-        columns.append(products(tangent, ends[0] - ends[1]) / (2.0 * DIFFERENCE))
+        columns.append(products(tangent, ends[0] - ends[1]) / (2.0 * DIFFERENCE_STEP))
     hessian = np.stack(columns, axis=2)
     curvature, modes = np.linalg.eigh(0.5 * (hessian + np.swapaxes(hessian, 1, 2)))
     steepest = products(np.swapaxes(modes, 1, 2), products(tangent, uphill))
-    return -products(modes, steepest / np.maximum(np.abs(curvature), FLAT))
+    return -products(modes, steepest / np.maximum(np.abs(curvature), MIN_CURVATURE))
 
 
 def moved_closed(at: Configurations, step: Array) -> Configurations:
     """Move configurations by dimensionless steps (n, nv) and close the loops again."""
     after = at.moved(step)
-    for _ in range(CHORDS):
-        if np.all(largest(after.phi) < ROUND_OFF):
+    for _ in range(MAX_CHORD_STEPS):
+        if np.all(largest(after.phi) < RESIDUAL_ROUND_OFF):
             break
         after = after.moved(products(at.back, -after.phi))
     return after
@@ -226,6 +255,6 @@ def _is_better(after: Configurations, before: Configurations, goal: Goal) -> Arr
     """Compare closed configurations by their distance to goals, and where that is as large by its slope."""
     new, old = half_square(after, goal), half_square(before, goal)
     slope, steeper = (largest(products(at.tangent, gradient(at, goal))) for at in (after, before))
-    same = np.abs(new - old) <= NOISE * old
-    closed = largest(after.phi) < np.maximum(CLOSED, 0.5 * largest(before.phi))
+    same = np.abs(new - old) <= DISTANCE_ROUND_OFF * old
+    closed = largest(after.phi) < np.maximum(MAX_RESIDUAL, 0.5 * largest(before.phi))
     return closed & np.where(same, slope < 0.5 * steeper, new < old)

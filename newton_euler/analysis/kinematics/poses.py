@@ -22,13 +22,13 @@ from newton_euler.analysis.kinematics.configurations import (
     within_revolution,
 )
 from newton_euler.analysis.kinematics.continuation import (
-    CLOSED,
+    MAX_RESIDUAL,
     approach,
     follow,
     gradient,
     half_square,
     largest,
-    wander,
+    sample_branch,
 )
 from newton_euler.arguments import checked
 from newton_euler.equations.dense import RANK_TOLERANCE
@@ -39,8 +39,11 @@ from newton_euler.model.state import State
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
-FARTHEST = 1e6  # rad, or sizes of the mechanism, that goals may be away from the initial pose
-STATIONARY = 1e-7  # slope of the distance to the goal, per dimensionless motion, at the pose nearest to it
+MAX_GOAL = 1e6
+"""Largest distance of a goal from the initial pose, rad or sizes of the mechanism."""
+
+STATIONARY_SLOPE = 1e-7
+"""Slope of the distance to the goal, per dimensionless motion, below which no pose nearby is nearer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +101,9 @@ class Poses:
         for k in np.flatnonzero(~self.reached):
             off = [f"{name!r} by {values[k]:.6g} {units[name]}" for name, values in self.missing.items()]
             off += [f"axis by {self.angle[k]:.6g} rad"] if self.angle.any() else []
-            found = "nearest pose" if self.slope[k] < STATIONARY else "nearest pose not found, the last one"
+            found = (
+                "nearest pose" if self.slope[k] < STATIONARY_SLOPE else "nearest pose not found, the last one"
+            )
             where = ", beyond a singular configuration" if self.beyond[k] else ""
             lines.append(f"pose {k}: out of reach, {found}{where}, misses {', '.join(off)}")
         return lines
@@ -226,8 +231,8 @@ def solve_poses(
     left = np.flatnonzero(~reached)
     beyond = np.zeros(len(reached), dtype=bool)
     if left.size:
-        near, passed = approach(at[left], wander(begin), goal[left])
-        met = largest(near.phi, near.misses(goal[left])[0]) < CLOSED
+        near, passed = approach(at[left], sample_branch(begin), goal[left])
+        met = largest(near.phi, near.misses(goal[left])[0]) < MAX_RESIDUAL
         # at the end of reach goals have no side
         reached[left], beyond[left] = met & np.all(passed > 0.0, axis=1), passed[:, 1] < 0.0
         beyond[left] |= met & (passed[:, 0] < 0.0)
@@ -247,7 +252,9 @@ def poses_of(
     measured[:, chain.turns] = within_revolution(measured[:, chain.turns])
     measured[:, : chain.goals] = goal.coordinates + x
     distance = np.sqrt(2.0 * half_square(at, goal))
-    slope = np.linalg.norm(products(at.tangent, gradient(at, goal)), axis=1) / np.maximum(distance, CLOSED)
+    slope = np.linalg.norm(products(at.tangent, gradient(at, goal)), axis=1) / np.maximum(
+        distance, MAX_RESIDUAL
+    )
     return Poses(
         at.position,
         at.quaternion,
@@ -257,8 +264,8 @@ def poses_of(
         beyond,
         dict(zip(names, x.T, strict=False)),
         np.linalg.norm(turn, axis=1),
-        np.where(distance < CLOSED, 0.0, slope),
-        largest(at.phi) < CLOSED,
+        np.where(distance < MAX_RESIDUAL, 0.0, slope),
+        largest(at.phi) < MAX_RESIDUAL,
         names,
         at,
     )
@@ -279,9 +286,9 @@ def goals_of(
     chain = chain_of(scene, names, len(wanted), axis, towards is not None, start)
     for name, values, unit in zip(wanted, goal.coordinates.T, chain.units, strict=False):
         farthest = float(np.max(np.abs(values)))
-        if farthest > FARTHEST * unit:
+        if farthest > MAX_GOAL * unit:
             what = f"joint {chain.keys[names.index(name)][0]!r}"
-            needed = f"{FARTHEST * unit:.3g} at most, {FARTHEST:g} rad or sizes of the mechanism"
+            needed = f"{MAX_GOAL * unit:.3g} at most, {MAX_GOAL:g} rad or sizes of the mechanism"
             raise MechanismError(what, f"coordinate is {farthest:g}", needed)
     return chain, names, goal
 

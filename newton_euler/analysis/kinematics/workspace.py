@@ -11,9 +11,9 @@ import numpy as np
 
 from newton_euler.analysis.kinematics.configurations import Axis, Chain, Configurations, Goal, products
 from newton_euler.analysis.kinematics.continuation import (
-    CLOSED,
-    DIFFERENCE,
-    FLAT,
+    DIFFERENCE_STEP,
+    MAX_RESIDUAL,
+    MIN_CURVATURE,
     RANDOM_STEPS,
     follow,
     largest,
@@ -29,8 +29,11 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-MAX_POSES = 1_000_000  # of a grid, or random ones that are begun at; each takes some kB of memory
-SINGULAR_STEPS = 30  # of Newton's method from a closed configuration to a singular one
+MAX_POSES = 1_000_000
+"""Number of points of a grid, or of random configurations. Each pose takes some kB of memory."""
+
+SINGULAR_STEPS = 30
+"""Number of Newton's steps from a closed configuration to a singular one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,10 +160,10 @@ def singular_poses(
     at, met = at[closed], [np.zeros((0, chain.function.outputs))]
     for _ in range(SINGULAR_STEPS):
         value, slope = _determinant(at)
-        there = (np.abs(value) < CLOSED) & (largest(at.phi) < CLOSED)
+        there = (np.abs(value) < MAX_RESIDUAL) & (largest(at.phi) < MAX_RESIDUAL)
         met.append(at.values[there])
         at, value, slope = at[~there], value[~there], slope[~there]
-        along = -value[:, None] * slope / np.maximum(np.sum(slope**2, axis=1, keepdims=True), FLAT)
+        along = -value[:, None] * slope / np.maximum(np.sum(slope**2, axis=1, keepdims=True), MIN_CURVATURE)
         at = moved_closed(at, products(np.swapaxes(at.tangent, 1, 2), along))
     found = Configurations(chain, np.concatenate(met))
     every = np.ones(len(found), dtype=bool)
@@ -187,8 +190,8 @@ def _determinant(at: Configurations) -> tuple[Array, Array]:
     for k in range(at.chain.freedoms):
         ends = []
         for sign in (1.0, -1.0):
-            other = at.moved(sign * DIFFERENCE * at.tangent[:, k])
+            other = at.moved(sign * DIFFERENCE_STEP * at.tangent[:, k])
             turned = np.sign(np.linalg.det(other.tangent @ np.swapaxes(at.tangent, 1, 2)))
             ends.append(turned * np.linalg.det(other.driving @ np.swapaxes(other.tangent, 1, 2)))
-        columns.append((ends[0] - ends[1]) / (2.0 * DIFFERENCE))
+        columns.append((ends[0] - ends[1]) / (2.0 * DIFFERENCE_STEP))
     return value, np.stack(columns, axis=1)

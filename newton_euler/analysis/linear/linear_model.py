@@ -13,8 +13,8 @@ from newton_euler.model.state import State
 from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array, Floats
 
-RIGID = 1e-7  # share of the largest eigenvalue below which one is zero: the root of round-off
-STILL = 1e-9  # share of a unit per period of the fastest mode below which rates are round-off
+RIGID_MODE = 1e-7  # share of the largest eigenvalue below which one is zero: the root of round-off
+STILL_RATE = 1e-9  # share of a unit per period of the fastest mode below which rates are round-off
 
 
 def label(name: str | Key) -> str:
@@ -112,7 +112,9 @@ class LinearModel:
         size = np.tile(self.units, 2)
         fastest = max(np.abs(np.linalg.eigvals(self.A)).max(initial=0.0), 1.0)
         rates, accelerations = np.split(np.abs(self.f / size), 2)
-        return bool(np.all(rates <= STILL * fastest) and np.all(accelerations <= STILL * fastest**2))
+        return bool(
+            np.all(rates <= STILL_RATE * fastest) and np.all(accelerations <= STILL_RATE * fastest**2)
+        )
 
     def modes(self) -> Modes:
         """Compute eigenvalues and mode shapes; those of a state in motion are of that instant."""
@@ -120,10 +122,10 @@ class LinearModel:
         matrix = self.A * size / size[:, None]
         values, vectors = np.linalg.eig(matrix)
         fastest = np.abs(values).max(initial=0.0)
-        swings = (np.abs(values) > RIGID * fastest) & (values.imag >= 0.0)
+        swings = (np.abs(values) > RIGID_MODE * fastest) & (values.imag >= 0.0)
         order = np.flatnonzero(swings)[np.argsort(np.abs(values[swings]), kind="stable")]
         _, strengths, directions = np.linalg.svd(matrix[d:, :d]) if d else (0, np.zeros(0), np.zeros((0, 0)))
-        still = directions[strengths <= RIGID**2 * fastest**2]
+        still = directions[strengths <= RIGID_MODE**2 * fastest**2]
         found = np.concatenate([np.zeros(len(still)), values[order]]).astype(complex)
         shapes = np.concatenate([still, vectors[:d, order].T]).astype(complex) * self.units
         twists = np.einsum("bid,md->mbi", self.twists, shapes)

@@ -63,11 +63,12 @@ from newton_euler.runs.controllers import Controllers
 from newton_euler.runs.intervals import with_held_values
 from newton_euler.scalars import Array, minimum, tilde
 
-SINGULAR = 1e-9  # of singular values of [J; J_z], below which coordinates do not determine the motion
+MIN_SINGULAR_VALUE = 1e-9
+"""Singular value of [J; J_z] below which the coordinates do not determine the motion."""
 
-OPEN = 1e-6
-"""Sizes of the mechanism, or rad, that loops of a state may be open by, and open in the time of its fastest
-joint: more than engines leave."""
+MAX_OPEN = 1e-6
+"""Largest loop-closure error of a state, sizes of the mechanism or rad, and its largest increase in the time
+in which the fastest joint moves by 1: more than any engine leaves."""
 
 
 @checked
@@ -263,7 +264,7 @@ class Linearization:
         closed = dimensionless_jacobian(system, q)[self.rows.numbers]
         rows = np.concatenate([closed, rates_of(system, q, self.freedoms)])
         left, values, _ = singular_values(rows, full=True)
-        if values[-1:] < SINGULAR:
+        if values[-1:] < MIN_SINGULAR_VALUE:
             share = np.abs(left[len(closed) :, -1])
             name = self.freedoms[int(np.argmax(share))].name
             raise SingularityError(
@@ -345,7 +346,7 @@ class Linearization:
         where = f"state of scene {self.original.name!r}"
         for verb, residuals in (("is open by", system.phi(q)), ("opens at", constraint_rate(system, q, v))):
             shares = np.abs(residuals / system.phi_units)[self.rows.numbers]
-            if largest(shares) > OPEN * max(1.0, largest(v / system.velocity_units)):
+            if largest(shares) > MAX_OPEN * max(1.0, largest(v / system.velocity_units)):
                 worst = self.rows.numbers[int(np.argmax(shares))]
                 problem = (
                     f"joint {system.row_owners[worst]!r} {verb} {abs(residuals[worst]):.3g} (m or rad, s)"

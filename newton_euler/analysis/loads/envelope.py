@@ -22,7 +22,7 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array, Floats
 
-NEEDED = ("linear_velocity", "angular_velocity", "reaction_force", "reaction_torque")
+REQUIRED_ARRAYS = ("linear_velocity", "angular_velocity", "reaction_force", "reaction_torque")
 """Arrays of runs that loads are worked out of."""
 
 
@@ -219,7 +219,7 @@ def _check_run(scene: Scene, case: str, run: Trajectory) -> None:
     mechanism = scene.mechanism
     if (run.body_names, run.joint_names) != (mechanism.body_names, mechanism.joint_names):
         raise MechanismError(where, "has other bodies or joints", "a run of the scene's mechanism")
-    arrays = (*NEEDED, "actuator_force") if scene.control else NEEDED
+    arrays = (*REQUIRED_ARRAYS, "actuator_force") if scene.control else REQUIRED_ARRAYS
     for name in arrays:
         if getattr(run, name) is None:
             raise MechanismError(where, f"has no {name}", "a run of a scene with all outputs")

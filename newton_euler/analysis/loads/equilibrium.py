@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from newton_euler.analysis.kinematics.freedoms import chosen_freedoms
-from newton_euler.analysis.linear.linear_model import RIGID
+from newton_euler.analysis.linear.linear_model import RIGID_MODE
 from newton_euler.analysis.linear.linearization import linearize
 from newton_euler.arguments import checked
 from newton_euler.equations.dense import largest, least_squares
@@ -18,9 +18,14 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.runs.assemble import initial_state
 
-LONGEST_STEP = 0.2  # rad, or sizes of the mechanism, of one step towards an equilibrium
-MOST_STEPS = 100
-CONVERGED = 1e-10  # rad, or sizes, of the step at which an equilibrium is found: its square is left
+MAX_EQUILIBRIUM_STEP = 0.2
+"""Longest step towards an equilibrium, rad or sizes of the mechanism."""
+
+MAX_ITERATIONS = 100
+"""Number of steps towards an equilibrium."""
+
+CONVERGED_STEP = 1e-10
+"""Step at which an equilibrium is found, rad or sizes of the mechanism. The error left is its square."""
 
 
 def at_rest(scene: Scene) -> Scene:
@@ -60,14 +65,14 @@ def equilibrium(scene: Scene, state: State | None = None) -> State:
     state = start
     names = [freedom.name for freedom in chosen_freedoms(scene, state, None)]
     system, model = Relative(scene), linearize(scene, state, names, [], [])
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_ITERATIONS):
         stiffness, accelerations = (part[len(names) :] for part in (model.A, model.f))
         values, vectors = np.linalg.eig(stiffness[:, : len(names)] * model.units / model.units[:, None])
         along = least_squares(vectors, accelerations / model.units)
-        step = (vectors @ (along / np.maximum(np.abs(values), RIGID))).real
-        if model.is_equilibrium and largest(step) < CONVERGED:
+        step = (vectors @ (along / np.maximum(np.abs(values), RIGID_MODE))).real
+        if model.is_equilibrium and largest(step) < CONVERGED_STEP:
             return state
-        step *= min(1.0, LONGEST_STEP / max(largest(step), LONGEST_STEP))
+        step *= min(1.0, MAX_EQUILIBRIUM_STEP / max(largest(step), MAX_EQUILIBRIUM_STEP))
         q, _ = system.coordinates(state)
         motion = model.twists.reshape(-1, len(names)) @ (model.units * step)
         v = least_squares(system.velocity_transformation(q), motion)

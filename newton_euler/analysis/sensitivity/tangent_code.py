@@ -24,10 +24,10 @@ from newton_euler.runs.starts import initial_numbers
 from newton_euler.scalars import Array, Scalar, minimum, objects, zeros
 
 ALONG = " along"
-UNREFINED, RATES, SETTLED = (name + ALONG for name in ("unrefined", "derivative", "settled"))
+UNREFINED, RATES, PROJECTED = (name + ALONG for name in ("unrefined", "derivative", "settled"))
 """Names of programs that have a direction behind x."""
 
-REVERSING = "reversing"
+SIGN_CHANGES = "reversing"
 """Name of the program of what reverses where forces jump."""
 
 
@@ -86,7 +86,7 @@ class TangentCode(CompiledScene):
         x, along = graph.variables(self.inputs), graph.variables(self.inputs)
         along[self.size : self.flags.stop] = 0.0  # at the same time, with the same rows
         system = self._system_of(x, tuple(self.parameters))
-        if name == SETTLED:
+        if name == PROJECTED:
             return graph.prune(self._settled(system, x, along))
         if name in self.rates:
             rates = self._rates_along(system, x, along, refined=name == RATES)
@@ -183,7 +183,7 @@ class TangentCode(CompiledScene):
                 vector = force.reversing(at).tolist()
                 places[force.element] = len(scalars), len(scalars) + len(vector), (len(vector),)
                 scalars += vector
-        self._layouts[REVERSING] = places
+        self._layouts[SIGN_CHANGES] = places
         return scalars
 
     def _trace_coordinates(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from newton_euler.analysis.sensitivity.tangent_code import ALONG, RATES, REVERSING, SETTLED, TangentCode
+from newton_euler.analysis.sensitivity.tangent_code import ALONG, PROJECTED, RATES, SIGN_CHANGES, TangentCode
 from newton_euler.compiled.callbacks import Callbacks
 from newton_euler.compiled.outputs import at_rows
 from newton_euler.compiled.run import Integrator
@@ -26,12 +26,20 @@ from newton_euler.integrators.tangents import REACHED, Tangents, evaluate_along
 from newton_euler.runs.intervals import Interval, integrate_intervals
 from newton_euler.scalars import Array
 
-TOO_NEAR = "the run comes too near to a singular configuration"
-TOO_LIGHT = "masses differ too much: beside heavy bodies, light ones amplify the errors of derivatives"
-SPACING = 0.1  # rad, or share of the size, between states whose pivot ratios are looked at
-FINER = 20  # pivot ratios between two that are beside a least one, twice
-OF_TANGENTS = 100.0  # their tolerance in units of `rtol`: hardly a step of a scene that moves is divided
-ROOM = 2048  # steps of a run that there is room for; those of a longer one are taken twice
+NEAR_SINGULAR = "the run comes too near to a singular configuration"
+MASS_RATIO = "masses differ too much: beside heavy bodies, light ones amplify the errors of derivatives"
+
+PIVOT_SPACING = 0.1
+"""Distance between states of a run whose pivot ratios are evaluated, rad or sizes of the mechanism."""
+
+PIVOT_REFINEMENT = 20
+"""Number of pivot ratios between the neighbors of the smallest, twice in a row."""
+
+TOLERANCE_FACTOR = 100.0
+"""Tolerance of derivatives divided by `rtol`. At this value steps of a moving scene are rarely divided."""
+
+RECORDED_STEPS = 2048
+"""Number of steps of a run that are recorded. A longer run is repeated with more room."""
 
 
 def tangent_options(control: Mapping[str, Any]) -> Options:
@@ -77,7 +85,7 @@ class _Path:
         self._ends[-1, :known] = end[:known]
         speeds = np.abs(self._ends[:, nq:n] / code.system.velocity_units).max(axis=1, initial=0.0)
         moved = self._sizes[:, 0] * np.maximum(speeds[:-1], speeds[1:])
-        self._counts = 1 + (moved / SPACING).astype(int)
+        self._counts = 1 + (moved / PIVOT_SPACING).astype(int)
 
     def least_pivot_ratio(self) -> float:
         """Find the least pivot ratio in units of the largest one, independent of where steps end.
@@ -94,7 +102,7 @@ class _Path:
             padded = np.pad(ratios, 1, constant_values=np.inf)
             (lowest,) = np.nonzero(small & (ratios <= padded[:-2]) & (ratios <= padded[2:]))
             first, last = places[np.maximum(lowest - 1, 0)], places[np.minimum(lowest + 1, len(places) - 1)]
-            places = np.unique(np.linspace(first, last, 2 * FINER + 1))
+            places = np.unique(np.linspace(first, last, 2 * PIVOT_REFINEMENT + 1))
             ratios = self._pivot_ratios(self._states(places))
             least = min(least, ratios.min())
         return float(least / most) if most > 0.0 else 0.0
@@ -106,7 +114,7 @@ class _Path:
         """
         turned = np.any([*self._reversals(self._ends).values()], axis=0)
         for step in np.flatnonzero(turned):
-            x = self._states(np.linspace(step, step + 1, FINER * FINER))
+            x = self._states(np.linspace(step, step + 1, PIVOT_REFINEMENT * PIVOT_REFINEMENT))
             for force, found in self._reversals(x).items():
                 if found.any():
                     return f"{force} jumps at t = {x[found.argmax(), self._n]:.6g} s"
@@ -114,15 +122,15 @@ class _Path:
 
     def _reversals(self, x: Array) -> dict[str, Array]:
         """Tell (k - 1,) between which of x (k, inputs) the vectors of forces reverse, by names of these."""
-        vectors = self._evaluated(REVERSING, x)
+        vectors = self._evaluated(SIGN_CHANGES, x)
         products = vectors[1:] * vectors[:-1]
-        layout = self._code.function(REVERSING).layout
+        layout = self._code.function(SIGN_CHANGES).layout
         return {
             force: products[:, first:last].sum(axis=1) < 0.0 for force, (first, last, _) in layout.items()
         }
 
     def _places(self) -> Array:
-        """Return numbers of steps and shares of them (k,), `SPACING` apart or less, and both ends of all."""
+        """Return step numbers and fractions of a step (k,): both ends, and at most `PIVOT_SPACING` apart."""
         counts = np.repeat(self._counts, self._counts)
         first = np.repeat(np.cumsum(self._counts) - self._counts, self._counts)
         step = np.repeat(np.arange(len(self._counts)), self._counts)
@@ -182,7 +190,9 @@ class FollowedRun:
             for name, part in self._along(integrator, begun, interval, directions).items():
                 parts[name].append(part if interval.wanted.all() else part[interval.wanted])
 
-        run = integrate_intervals(self._code, x, self._options, room=ROOM, after_interval=carry, times=times)
+        run = integrate_intervals(
+            self._code, x, self._options, room=RECORDED_STEPS, after_interval=carry, times=times
+        )
         if run.stopped:
             raise run.stopped
         derivatives = {
@@ -207,13 +217,13 @@ class FollowedRun:
             if found is not None:
                 return found
         near = code.loses_rank and path.least_pivot_ratio() < NEAR
-        raise SensitivityError(TOO_NEAR if near else TOO_LIGHT)
+        raise SensitivityError(NEAR_SINGULAR if near else MASS_RATIO)
 
     def _check(self, path: _Path) -> None:
         """Raise `SensitivityError` for the path of a run that has no derivatives, or none that are known."""
         code = self._code
         if code.projects and code.moves_loops and path.least_pivot_ratio() < NEAR:
-            raise SensitivityError(TOO_NEAR)
+            raise SensitivityError(NEAR_SINGULAR)
         if any(force.may_jump for force in code.scene.forces) and (jump := path.jump()):
             raise SensitivityError(f"{jump}, a time that depends on parameters")
 
@@ -227,7 +237,7 @@ class FollowedRun:
         """
         code, most, rates = self._code, most_steps(self._options), self._code.function(program)
         floor = UNSAFE if program == RATES else NEAR
-        settled = code.function(SETTLED) if code.projects else None
+        settled = code.function(PROJECTED) if code.projects else None
         functions = {name: code.function(name + ALONG) for name in self._programs}
         n, inputs, lanes, rows = code.size, code.inputs, rates.lanes, len(integrator.times)
         found = {
@@ -248,7 +258,7 @@ class FollowedRun:
             projecting=int(code.projects),
             places=code.system.work.start,
             speeds=code.system.nq,
-            tolerance=OF_TANGENTS * self._options.rtol,
+            tolerance=TOLERANCE_FACTOR * self._options.rtol,
             floor=floor if code.projects else -m.HUGE,
             rates=rates,
             settled=settled,

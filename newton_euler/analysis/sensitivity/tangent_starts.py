@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from newton_euler.analysis.sensitivity.tangent_run import TOO_NEAR
+from newton_euler.analysis.sensitivity.tangent_run import NEAR_SINGULAR
 from newton_euler.equations.parameters import places
 from newton_euler.errors import MechanismError, SensitivityError
 from newton_euler.model.scene import Scene
@@ -15,23 +15,27 @@ from newton_euler.runs.starts import assembly_of, initial_numbers
 from newton_euler.runs.variation import of_single_run, own_values, run_values, units_of
 from newton_euler.scalars import Array
 
-DIFFERENCE = 1e-4  # of parameters of starts, of their size, see `_sizes`, or of their own value beyond 1
+RELATIVE_STEP = 1e-4
+"""Step of difference quotients of starts, divided by the size of the number, see `_sizes`; divided by its
+value if that is larger than 1."""
 
-WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
-"""Of the central difference of order 6."""
+SIXTH_ORDER = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
+"""Weights of the central difference of order 6, by the number of steps."""
 
-COARSE = np.array([0.0, 1.0, -8.0, 8.0, -1.0, 0.0]) / 12.0
-"""Of that of order 4, by the same places."""
+FOURTH_ORDER = np.array([0.0, 1.0, -8.0, 8.0, -1.0, 0.0]) / 12.0
+"""Weights of the central difference of order 4, at the same steps."""
 
-APART = 5e-6
-"""By which the two may differ, of the largest of what they are of, for that of order 6 to be good to 1e-8.
+MAX_ORDER_DIFFERENCE = 5e-6
+"""Largest relative difference between the two orders at which the derivative of order 6 is good to 1e-8.
 
-Near a singular configuration errors go with the step by its distance, to the fourth and the sixth power.
+Near a singular configuration errors grow with the fourth and the sixth power of the step divided by the
+distance.
 """
 
-DIRECTIONS = frozenset({"axis", "axis_on_first", "axis_on_second", "quaternion"})  # attributes
+DIRECTION_ATTRIBUTES = frozenset({"axis", "axis_on_first", "axis_on_second", "quaternion"})
 
-LEAST = 1e-3  # SI, of numbers that are compared
+MIN_COMPARED = 1e-3
+"""Least size of the numbers that derivatives are compared with, SI."""
 
 
 def components(scene: Scene, names: Sequence[str]) -> dict[str, tuple[str, tuple[int, ...]]]:
@@ -64,7 +68,7 @@ def _sizes(scene: Scene, names: Sequence[str]) -> Array:
     units, initial = units_of(scene, names), initial_numbers(scene, names)
     found = places(scene, [name for name in names if name not in initial])
     turning = {name for name in names if units[name].startswith("rad")}
-    turning |= {name for name, place in found.items() if {*place.owner[2].split(".")} & DIRECTIONS}
+    turning |= {name for name, place in found.items() if {*place.owner[2].split(".")} & DIRECTION_ATTRIBUTES}
     return np.array([1.0 if name in turning else min(1.0, scene.mechanism.size) for name in names])
 
 
@@ -94,7 +98,7 @@ class Starts:
             MechanismError: for numbers that make no sense, and those with which a loop stays open.
             SensitivityError: for derivatives that do not exist, or are not known.
         """
-        code, steps = self._code, DIFFERENCE * self._sizes * np.maximum(1.0, np.abs(numbers))
+        code, steps = self._code, RELATIVE_STEP * self._sizes * np.maximum(1.0, np.abs(numbers))
         count, numbers = len(numbers), np.concatenate([numbers, self._held])
         x, directions = code.start.copy(), np.zeros((code.inputs, count))
         for k, name in enumerate(self._names[:count]):
@@ -103,7 +107,7 @@ class Starts:
                 directions[code.place(name), k] = 1.0
         rows = [numbers]
         for k in self._moving:
-            for number in WEIGHTS:
+            for number in SIXTH_ORDER:
                 rows.append(numbers.copy())
                 rows[-1][k] += number * steps[k]
         values = run_values(code.scene, dict(zip(self._names, np.array(rows).T, strict=True)))
@@ -113,17 +117,17 @@ class Starts:
             self._refuse(errors)
             states = self._assembly.starts(code, found)
             x[: code.size] = states[0]
-            weights, system = np.array(list(WEIGHTS.values())), code.system
+            weights, system = np.array(list(SIXTH_ORDER.values())), code.system
             angles = [*system.angles.values(), *system.uncounted_angles]  # within a revolution
             for k, moved in zip(self._moving, states[1:].reshape(-1, len(weights), code.size), strict=True):
                 apart = moved - states[0]
                 apart[:, angles] -= 2.0 * np.pi * np.round(apart[:, angles] / (2.0 * np.pi))
-                fine, coarse = weights @ apart / steps[k], COARSE @ apart / steps[k]
+                fine, coarse = weights @ apart / steps[k], FOURTH_ORDER @ apart / steps[k]
                 for part in (slice(system.nq), slice(system.nq, code.size)):
-                    largest = np.abs([fine[part], states[0, part]]).max(initial=LEAST)
-                    if not np.abs(fine - coarse)[part].max(initial=0.0) <= APART * largest:
+                    largest = np.abs([fine[part], states[0, part]]).max(initial=MIN_COMPARED)
+                    if not np.abs(fine - coarse)[part].max(initial=0.0) <= MAX_ORDER_DIFFERENCE * largest:
                         unknown = f"the derivative of the start by {self._names[k]} is not known"
-                        raise SensitivityError(f"{unknown}: {TOO_NEAR}")
+                        raise SensitivityError(f"{unknown}: {NEAR_SINGULAR}")
                 directions[: code.size, k] = fine
         return x, directions
 
@@ -132,5 +136,5 @@ class Starts:
         for row, error in sorted(errors.items()):
             if row == 0:
                 raise of_single_run(self._code.scene, error)
-            name = self._names[self._moving[(row - 1) // len(WEIGHTS)]]
+            name = self._names[self._moving[(row - 1) // len(SIXTH_ORDER)]]
             raise SensitivityError(f"{name} cannot vary alone: {error.problem}")

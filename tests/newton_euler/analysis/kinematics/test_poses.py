@@ -21,7 +21,7 @@ from newton_euler import (
     Sine,
     solve_poses,
 )
-from newton_euler.analysis.kinematics.poses import STATIONARY
+from newton_euler.analysis.kinematics.poses import STATIONARY_SLOPE
 from newton_euler.errors import MechanismError, NewtonEulerError, OptionError, UnknownNameError
 from newton_euler.model.euler_parameters import rotations
 
@@ -127,7 +127,7 @@ def test_joint_out_of_reach_goes_to_its_dead_center():
     expected = np.clip(goals, near, far)
     np.testing.assert_allclose(poses.coordinates["guide"], expected, rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(poses.missing["guide"], expected - goals, rtol=0.0, atol=1e-14)
-    assert np.max(poses.slope) < STATIONARY
+    assert np.max(poses.slope) < STATIONARY_SLOPE
     assert poses.closed.all()
     assert not poses.beyond.any()
     assert [line.split(",")[0] for line in poses.report()] == [f"pose {k}: out of reach" for k in (0, 4, 5)]
@@ -150,7 +150,7 @@ def test_direction_out_of_reach_has_the_smallest_angle():
     poses = solve_poses(scene, axis=NORMAL, towards=down)
     assert tuple(poses.coordinates) == SLIDERS  # those of the control laws, as no others are asked for
     assert not poses.reached.any()
-    assert np.max(poses.slope) < STATIONARY
+    assert np.max(poses.slope) < STATIONARY_SLOPE
     assert poses.closed.all()
     cosines = (down / np.linalg.norm(down, axis=1, keepdims=True)) @ reachable.direction[reachable.reached].T
     least = np.arccos(np.max(cosines, axis=1))

@@ -253,7 +253,7 @@ def test_long_runs_are_followed_twice(monkeypatch):
     """Steps beyond the room at first are taken once more."""
     scene = short(load("slider_crank"), 1.0)
     found = sensitivities(scene, ["crank.mass"])
-    monkeypatch.setattr("newton_euler.analysis.sensitivity.tangent_run.ROOM", 3)
+    monkeypatch.setattr("newton_euler.analysis.sensitivity.tangent_run.RECORDED_STEPS", 3)
     assert found.run.settings["steps"] > 3
     assert np.array_equal(found.position, sensitivities(scene, ["crank.mass"]).position)
 
