@@ -319,7 +319,7 @@ def _parameters(scene: Scene) -> Iterator[str]:
     Displacements are followed by the points that they start from.
     """
     from newton_euler.equations.parameters import origins, parameter_values
-    from newton_euler.runs.starts import initial_names
+    from newton_euler.runs.initial_coordinates import initial_names
     from newton_euler.runs.variation import own_values, units_of
 
     starts = own_values(scene, initial_names(scene))

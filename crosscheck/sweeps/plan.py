@@ -28,7 +28,7 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import QUANTITIES
 from newton_euler.runs.batch import Batch, make_batch
-from newton_euler.runs.starts import initial_numbers
+from newton_euler.runs.initial_coordinates import initial_numbers
 from newton_euler.runs.variation import with_parameters
 from newton_euler.scalars import Array
 

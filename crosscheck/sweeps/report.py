@@ -50,7 +50,7 @@ from crosscheck.sweeps.plan import Plan, run_all
 from crosscheck.sweeps.results import Results
 from newton_euler.equations.parameters import origins
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.runs.starts import initial_numbers
+from newton_euler.runs.initial_coordinates import initial_numbers
 from newton_euler.runs.variation import own_values, units_of
 from newton_euler.scalars import Array
 

@@ -44,9 +44,10 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import JointMotion, Trajectory, joint_motion
 from newton_euler.runs.assemble import check_states, coordinates_of, initial_state
+from newton_euler.runs.initial_coordinates import initial_numbers
 from newton_euler.runs.intervals import integrate_intervals
 from newton_euler.runs.simulate import CompiledScene, native_trajectory, warn_of_round_off
-from newton_euler.runs.starts import assembly_of, initial_numbers
+from newton_euler.runs.starts import assembly_of
 from newton_euler.runs.variation import run_values
 from newton_euler.scalars import Array, Floats
 
@@ -180,7 +181,7 @@ def simulate_batch(
         scene: the scene of all runs.
         states: initial states, one per run; the scene's own for all if not given.
         parameters: values, one per run, by name; see `newton_euler.equations.parameters`, and
-            `newton_euler.runs.starts` for initial coordinates.
+            `newton_euler.runs.initial_coordinates` for initial coordinates.
         threads: their number, at most `MAX_THREADS`; that of the processors if not given.
 
     The other arguments are those of `simulate`.

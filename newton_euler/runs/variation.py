@@ -35,14 +35,8 @@ from newton_euler.model.mechanism import LEAST, REALISABLE_TOLERANCE
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.variable import UNITS, UNITS_ALONG, functions_of
-from newton_euler.runs.starts import (
-    RATE_SUFFIX,
-    START_PREFIX,
-    Assembly,
-    assembly_of,
-    initial_numbers,
-    own_initial,
-)
+from newton_euler.runs.initial_coordinates import RATE_SUFFIX, START_PREFIX, initial_numbers, own_initial
+from newton_euler.runs.starts import Assembly, assembly_of
 from newton_euler.scalars import Array, Floats
 
 RESTRICTED = frozenset({"axis_on_first", "axis_on_second", "first_side", "second_side", "stroke"})
@@ -79,7 +73,7 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
     Args:
         scene: the scene to change.
         values: by name, see `newton_euler.equations.parameters`, and initial coordinates, see
-            `newton_euler.runs.starts`.
+            `newton_euler.runs.initial_coordinates`.
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.

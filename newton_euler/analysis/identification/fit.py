@@ -23,7 +23,7 @@ from newton_euler.analysis.sensitivity.tangent_starts import own_numbers
 from newton_euler.equations.parameters import own_value, places
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
-from newton_euler.runs.starts import initial_numbers
+from newton_euler.runs.initial_coordinates import initial_numbers
 from newton_euler.runs.variation import units_of
 from newton_euler.scalars import Array
 

@@ -36,7 +36,7 @@ from newton_euler.errors import (
 from newton_euler.integrators.options import FormulationName, StepControl
 from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import SourceError, path_text
-from newton_euler.runs.starts import initial_numbers
+from newton_euler.runs.initial_coordinates import initial_numbers
 from newton_euler.runs.variation import with_parameters
 from newton_euler.scalars import Array, Floats
 

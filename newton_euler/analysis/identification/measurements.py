@@ -40,7 +40,7 @@ from newton_euler.model.source_file import (
     row_numbers,
 )
 from newton_euler.model.trajectory import QUANTITIES, column_names
-from newton_euler.runs.starts import RATE_SUFFIX, START_PREFIX
+from newton_euler.runs.initial_coordinates import RATE_SUFFIX, START_PREFIX
 from newton_euler.scalars import Array, Floats
 
 NOISE, START = "noise", "start"  # in place of a time: the row of standard deviations, and that of the start
@@ -65,8 +65,8 @@ class Measurements:
         time: (n,) s from the start of the run, ascending.
         columns: (n,) each, by name, see `newton_euler.analysis.identification.measurements`.
         noise: standard deviations of columns, by name, in their units; those of others are not known.
-        start: coordinates and rates that the run starts with, by name, as of `newton_euler.runs.starts`;
-            others are as near to the scene's own as the loops let them; SI.
+        start: coordinates and rates at the start of the run, SI, by the names of
+            `newton_euler.runs.initial_coordinates`; others are as near to the scene's as the loops allow.
         units: of columns, their noise and the time, by name, out of `UNITS`; converted to SI, which is what
             all others are in.
 

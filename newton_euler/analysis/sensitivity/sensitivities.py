@@ -128,18 +128,18 @@ def sensitivities(
     """Run a scene, and differentiate its trajectory by parameters.
 
     Args:
-        scene: what is run, by DOP853 with projection.
-        parameters: names, see `newton_euler.equations.parameters`, and `newton_euler.runs.starts` for initial
-            coordinates; by each number of those that are arrays. Or values by name, of a run as
-            `simulate_batch` makes it; the code, once compiled, is that of all others. Beside the rate
-            `start.JOINT.rate` the coordinate `start.JOINT` is held, also for derivatives by geometry;
-            without either of them it follows the loops.
+        scene: the scene to run, by DOP853 with projection.
+        parameters: names, see `newton_euler.equations.parameters`, and for initial coordinates
+            `newton_euler.runs.initial_coordinates`. An array stands for all of its numbers. Or values by
+            name: the run is then the one that `simulate_batch` makes with these values, and all values share
+            the compiled code. If the rate `start.JOINT.rate` is a parameter, the coordinate `start.JOINT` is
+            held, also for derivatives with respect to geometry. If neither is, the joint follows the loops.
         formulation: as of `simulate`.
         control: of steps of DOP853, as of `simulate`, with projection; other methods have no derivatives.
 
     Raises:
-        NewtonEulerError: for an unknown name, an impossible option, a run that cannot go on, and for one
-            whose derivatives do not exist or are not known.
+        NewtonEulerError: for an unknown name, an impossible option, a run that stops, or a run without
+            (known) derivatives.
 
     Examples:
         >>> by = sensitivities(load("tracker"), ["panel_7.mass", "slide_12.stiffness"])

@@ -19,8 +19,8 @@ from newton_euler.integrators.options import FormulationName
 from newton_euler.integrators.singular import UNSAFE
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
+from newton_euler.runs.initial_coordinates import initial_numbers
 from newton_euler.runs.simulate import CompiledScene
-from newton_euler.runs.starts import initial_numbers
 from newton_euler.scalars import Array, Scalar, minimum, objects, zeros
 
 ALONG = " along"

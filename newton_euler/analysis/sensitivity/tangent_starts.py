@@ -10,8 +10,9 @@ from newton_euler.analysis.sensitivity.tangent_run import NEAR_SINGULAR
 from newton_euler.equations.parameters import places
 from newton_euler.errors import MechanismError, SensitivityError
 from newton_euler.model.scene import Scene
+from newton_euler.runs.initial_coordinates import initial_numbers
 from newton_euler.runs.simulate import CompiledScene
-from newton_euler.runs.starts import assembly_of, initial_numbers
+from newton_euler.runs.starts import assembly_of
 from newton_euler.runs.variation import of_single_run, own_values, run_values, units_of
 from newton_euler.scalars import Array
 

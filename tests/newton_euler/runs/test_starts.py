@@ -16,7 +16,7 @@ from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.model.state import State
 from newton_euler.runs.assemble import VELOCITY_TOLERANCE, initial_state, measured_coordinate
-from newton_euler.runs.starts import initial_names, initial_numbers
+from newton_euler.runs.initial_coordinates import initial_names, initial_numbers
 
 VELOCITIES = ("linear_velocity", "angular_velocity")
 

@@ -23,7 +23,7 @@ from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import LinearCoupling
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import Polynomial, Sine, Spline, Steps, Sum
-from newton_euler.runs.starts import initial_numbers, own_initial
+from newton_euler.runs.initial_coordinates import initial_numbers, own_initial
 
 TIGHT = {"rtol": 1e-13, "atol": 1e-15}
 

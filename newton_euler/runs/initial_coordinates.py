@@ -1,0 +1,82 @@
+"""Initial coordinates of joints and their rates: numbers of the start that vary from run to run.
+
+Their names are `start.JOINT`, m or rad from the initial pose, and `start.JOINT.rate`, m/s or rad/s. The
+second coordinate of a joint has the names `start.JOINT.1` and `start.JOINT.1.rate`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from newton_euler.errors import MechanismError
+from newton_euler.model.joint import Key
+from newton_euler.model.scene import Scene
+from newton_euler.runs.assemble import initial_state, measured_coordinate
+
+START_PREFIX, RATE_SUFFIX = "start.", ".rate"
+"""Beginning of names of initial coordinates and rates, and end of names of rates."""
+
+
+class Initial(NamedTuple):
+    """An initial coordinate or its rate.
+
+    Attributes:
+        key: the joint coordinate.
+        order: 0 for the coordinate, 1 for its rate.
+    """
+
+    key: Key
+    order: int
+
+
+def initial_numbers(scene: Scene, names: Iterable[str]) -> dict[str, Initial]:
+    """Find the initial coordinates and rates among names of parameters.
+
+    Raises:
+        UnknownNameError: for an unknown joint.
+        MechanismError: naming the joint: it has no such coordinate, follows a prescribed motion, or has two
+            names for one number.
+    """
+    found: dict[str, Initial] = {}
+    for name in names:
+        if not isinstance(name, str) or not name.startswith(START_PREFIX):
+            continue
+        place = name.removeprefix(START_PREFIX).removesuffix(RATE_SUFFIX)
+        joint, _, index = place.rpartition(".")
+        mechanism, key = scene.mechanism, (place, 0)
+        if place not in mechanism.joint_names and joint and index.isdecimal():
+            key = joint, int(index)
+        if key[0] not in mechanism.joint_names and _is_element(scene, name):
+            continue
+        key = mechanism.coordinate(key)
+        if key in {motion.key for motion in scene.motions}:
+            where = f"joint {key[0]!r}"
+            raise MechanismError(where, "follows a prescribed motion", "a joint that none prescribes")
+        number = Initial(key, int(name.endswith(RATE_SUFFIX)))
+        if twin := next((other for other, known in found.items() if known == number), None):
+            problem = f"{twin!r} and {name!r} are one number of the start"
+            raise MechanismError(f"joint {key[0]!r}", problem, "one of the two")
+        found[name] = number
+    return found
+
+
+def initial_names(scene: Scene) -> list[str]:
+    """Return the names of all initial coordinates and rates that no motion prescribes."""
+    prescribed = {motion.key for motion in scene.motions}
+    free = [name for key, name in scene.mechanism.coordinate_labels.items() if key not in prescribed]
+    return list(
+        initial_numbers(scene, [f"{START_PREFIX}{name}{end}" for name in free for end in ("", RATE_SUFFIX)])
+    )
+
+
+def _is_element(scene: Scene, name: str) -> bool:
+    """True if a name begins with the name of an element and does not stand for an initial coordinate."""
+    mechanism = scene.mechanism
+    named = (*mechanism.body_names, *mechanism.joint_names, *(force.where for force in scene.forces))
+    return any(name.startswith(f"{element}.") for element in named)
+
+
+def own_initial(scene: Scene, number: Initial) -> float:
+    """Return the scene's own value of an initial coordinate or rate."""
+    return measured_coordinate(scene, initial_state(scene), number.key)[number.order]
