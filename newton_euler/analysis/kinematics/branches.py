@@ -1,4 +1,4 @@
-"""All ways to assemble a mechanism for given coordinates, from many random configurations."""
+"""Assembly branches: all poses of a mechanism for given coordinates, found from random configurations."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ class Branches:
     """Assembly branches of a mechanism for the same goals, the nearest to the start first.
 
     Attributes:
-        poses: of the branches.
-        labels: number of the branch, and a sign for each of `blocks`: that of the determinant of its
-            equations, `+` as at the start, `-` beyond a singular configuration, `0` at one. For planar loops
-            it tells elbow up from elbow down.
-        blocks: sets of joints that are solved for together, by name.
-        found: (n,) number of random configurations that led to each.
-        complete: True if each was found often, so that more are unlikely.
-        scattered: number of random configurations that led to singular ones which hardly any other led to:
+        poses: poses of the branches.
+        labels: number of the branch, and a sign for each of `blocks`, the sign of the determinant of its
+            equations: `+` as at the start, `-` beyond a singular configuration, `0` at one. For planar loops
+            the signs distinguish elbow up and elbow down.
+        blocks: names of the joints that are solved together, for each block of equations.
+        found: (n,) number of random configurations that converged to each branch.
+        complete: True if each branch was found often, so that further branches are unlikely.
+        scattered: number of random configurations that converged to rarely found singular configurations:
             points of continuous families, where goals do not determine the pose.
 
     Examples:
@@ -77,7 +77,7 @@ def assembly_branches(
     measure: tuple[str | Key, ...] = (),
     start: State | None = None,
 ) -> Branches:
-    """Find every way to assemble a mechanism for given joint coordinates, or for the direction of an axis.
+    """Find all assembly branches of a mechanism for given joint coordinates, or for the direction of an axis.
 
     From random configurations, by Newton's method, until each branch was found often. There is none where the
     goals cannot be met; `solve_poses` finds the nearest pose then.
@@ -110,8 +110,10 @@ def assembly_branches(
         raise OptionError(
             "number of values", len(goal.coordinates), "one of each coordinate, and one direction"
         )
+    # poses from random configurations
     at, found = _search(chain, goal)
     begin, goals = chain.at(chain.start[None]), goal[np.zeros(len(found), dtype=int)]
+    # blocks of equations whose determinant differs between branches, and its sign relative to the start
     blocks = _blocks(chain, at, goals) if len(at) else []
     determinants = _determinants(at, goals, blocks)
     varied = (
@@ -121,6 +123,7 @@ def assembly_branches(
     reference = np.sign(_determinants(begin, chain.goal_at(begin), blocks))
     signs = np.sign(determinants[:, varied]) * np.where(reference == 0.0, 1.0, reference)
     signs[np.abs(determinants[:, varied]) < MIN_DETERMINANT] = 0.0
+    # leave out points of continuous families; sort by the distance to the start
     alone = (found < MIN_HITS) & np.any(signs == 0.0, axis=1)
     order = _order(at, begin)
     order = order[~alone[order]]
@@ -138,7 +141,7 @@ def assembly_branches(
 
 
 def _search(chain: Chain, goal: Goal) -> tuple[Configurations, Array]:
-    """Find configurations that meet a goal, and how often each was found."""
+    """Find the configurations that meet a goal, and how many random configurations converged to each."""
     rng = np.random.default_rng(0)
     branches, features, found = (
         np.zeros((0, chain.function.outputs)),
@@ -171,7 +174,7 @@ def _features(at: Configurations) -> Array:
 
 
 def _order(at: Configurations, begin: Configurations) -> Array:
-    """Sort configurations by their distance to the first; equal ones, as mirror images, by their poses."""
+    """Sort configurations by their distance to the start; mirror images at equal distance by their poses."""
     features = _features(at)
     distance = np.linalg.norm(features - _features(begin), axis=1)
     return np.lexsort((*features.T[::-1].round(3), distance.round(3)))
@@ -183,7 +186,7 @@ def _matrix(at: Configurations, goal: Goal) -> Array:
 
 
 def _blocks(chain: Chain, at: Configurations, goal: Goal) -> list[tuple[Array, Array]]:
-    """Find the rows and columns of the irreducible diagonal blocks of the Jacobian, but for those of goals.
+    """Find rows and columns of the irreducible diagonal blocks of the Jacobian, without blocks of goals.
 
     Block triangular form of A. Pothen, C.-J. Fan, ACM Transactions on Mathematical Software 16(4), 1990.
     """
@@ -200,14 +203,14 @@ def _blocks(chain: Chain, at: Configurations, goal: Goal) -> list[tuple[Array, A
 
 
 def _determinants(at: Configurations, goal: Goal, blocks: list[tuple[Array, Array]]) -> Array:
-    """Compute the determinants (n, blocks)."""
+    """Compute the determinants (n, blocks) of the blocks of the Jacobian."""
     matrix = _matrix(at, goal)
     found = [np.linalg.det(matrix[:, rows[:, None], columns]) for rows, columns in blocks]
     return np.stack(found, axis=1) if found else np.zeros((len(at), 0))
 
 
 def _joints(chain: Chain, columns: Array) -> tuple[str, ...]:
-    """Return the names of the joints that some velocities belong to."""
+    """Return the names of the joints that velocities, given by columns, belong to."""
     tree = chain.system.tree
     return tuple(
         tree.joint(kept.joint).name

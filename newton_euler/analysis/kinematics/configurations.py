@@ -1,8 +1,7 @@
 """Loops, joint coordinates and the direction of a body's axis in many configurations at once, compiled.
 
-Chosen joint coordinates are driving constraints, rows of Phi beside those of the loops (E. J. Haug, Computer
-Aided Kinematics and Dynamics of Mechanical Systems, 1989, chapter 3). Jacobians are by velocities of the
-spanning tree.
+Chosen joint coordinates are driving constraints (`newton_euler.equations.driven`). Jacobians are derivatives
+with respect to velocities of the spanning tree.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ def products(matrices: Array, vectors: Array) -> Array:
 
 
 def within_revolution(angles: Array) -> Array:
-    """Take whole revolutions off angles, rad."""
+    """Reduce angles to half a revolution at most, rad."""
     return np.asarray(angles - 2.0 * np.pi * np.round(angles / (2.0 * np.pi)))
 
 
@@ -80,7 +79,7 @@ class Axis:
 
 
 def unit_vectors(element: str, name: str, given: object) -> Array:
-    """Convert to unit vectors (..., 3); raises `MechanismError` for what has no direction."""
+    """Convert vectors (..., 3) to unit vectors; raises `MechanismError` for a vector without a direction."""
     try:
         vectors = real_array(given)
     except (TypeError, ValueError, OverflowError):
@@ -135,19 +134,18 @@ class Goal:
 class Chain:
     """The kinematic chain of a scene with chosen coordinates and an axis, compiled.
 
-    The scene's own prescribed motions hold the values that they have at time 0, but for those of chosen
-    coordinates.
+    Prescribed motions of the scene hold their values at time 0, except motions of chosen coordinates.
 
     Attributes:
         keys, axis: the chosen joint coordinates, and an axis of a body or None.
-        goals, pointing: number of coordinates that have goals, the first ones; True if the axis has one.
+        goals, pointing: number of coordinates with goals, the first of them; True if the axis has a goal.
         units: (m,) of the coordinates: the size of the mechanism for slides, m, 1 for angles.
-        turns: (m,) True for angles that mean the same after a full revolution.
+        turns: (m,) True for angles that are the same after a full revolution.
         freedoms: degrees of freedom.
-        system: in joint coordinates; chosen ones are among its residuals.
-        closing, driving: rows of its residuals that close loops, and those that are chosen coordinates, less
-            `offsets` (m,).
-        independent: rows that imply all of `closing`.
+        system: equations in joint coordinates, with driving constraints for the chosen coordinates.
+        closing, driving: rows of `phi` that close loops, and rows of the chosen coordinates minus `offsets`
+            (m,).
+        independent: rows that imply all rows of `closing`.
         start: q (nq,) of the initial state.
     """
 
@@ -156,6 +154,7 @@ class Chain:
     ) -> None:
         self.scene, self.keys, self.axis = scene, tuple(keys), axis
         self.goals, self.pointing = goals, pointing
+        # the mechanism: motions that are held, and driving constraints for the other chosen coordinates
         held = tuple(motion.held() for motion in scene.motions if motion.key not in self.keys[:goals])
         values = {motion.key: motion.function.value(0.0) for motion in held}
         chosen = {key: Polynomial((0.0,)) for key in self.keys if key not in values}
@@ -168,6 +167,7 @@ class Chain:
         self.driven = mechanism.scene
         self.system = TreeKinematics(self.driven)
         self.freedoms = found.degrees_of_freedom
+        # rows of the driving constraints, of all others, and of an independent set
         closures = self.system.rows - len(self.system.couplings)
         places = {motion.key: closures + k for k, motion in enumerate(self.driven.motions)}
         self.driving = np.array([places[key] for key in self.keys], dtype=int)
@@ -183,7 +183,7 @@ class Chain:
 
     @cached_property
     def function(self) -> NativeFunction:
-        """Of (q, step, 0): q moved by the step, and there phi, the axis, poses and nonzeros of Jacobians."""
+        """Function of (q, step, 0): q moved by the step, phi, the axis, poses and nonzeros of Jacobians."""
         axis = self.axis and (self.axis.body, self.axis.axis)
         known = fingerprint(self.driven, self.keys, axis, neutral=NEUTRAL)
         return NativeFunction(self._trace, known and f"{known} configurations")
@@ -218,7 +218,7 @@ class Chain:
         return Configurations(self, results)
 
     def goal_at(self, at: Configurations) -> Goal:
-        """Return the values that configurations have."""
+        """Return the goals that configurations meet."""
         return Goal(at.coordinates[:, : self.goals], at.direction[:, : 3 * self.pointing])
 
     def difference(self, goal: Goal, other: Goal) -> tuple[Array, Array]:
@@ -231,7 +231,7 @@ class Chain:
         return x, smallest_turns(other.towards, goal.towards)
 
     def between(self, goal: Goal, other: Goal, share: Array) -> Goal:
-        """Return the goals at shares (n,) of the way from `other` to `goal`."""
+        """Interpolate between goals: `other` at share 0, `goal` at share 1, for shares (n,)."""
         x, turn = self.difference(goal, other)
         coordinates = other.coordinates + share[:, None] * x
         if not self.pointing:
@@ -242,7 +242,7 @@ class Chain:
         return Goal(coordinates, np.cos(angle) * other.towards + np.sin(angle) * ahead)
 
     def embed(self, goal: Goal) -> Array:
-        """Compute points (n, e) whose distances are those of goals that are near to each other."""
+        """Compute points (n, e) whose distances are the distances of goals, for goals near each other."""
         x, turns = goal.coordinates / self.units[: self.goals], self.turns[: self.goals]
         turned = x[:, turns]
         return np.hstack([x[:, ~turns], np.sin(turned), np.cos(turned), goal.towards])
@@ -274,7 +274,7 @@ class Configurations:
 
     def __getitem__(self, rows: Any) -> Configurations:
         found = Configurations(self.chain, self.values[rows])
-        if "spaces" in self.__dict__:  # worked out already
+        if "spaces" in self.__dict__:  # computed before
             found.__dict__["jacobian"] = self.jacobian[rows]
             found.__dict__["spaces"] = tuple(each[rows] for each in self.spaces)
         return found

@@ -58,16 +58,25 @@ PATHS, PATH_STEPS = 64, 20
 
 
 def newton(at: Configurations, goal: Goal, steps: int = GOAL_STEPS) -> tuple[Configurations, Array]:
-    """Move configurations to goals by steps of least length; also returns True (n,) for those that arrive."""
+    """Move n configurations to goals by Newton's steps of least length.
+
+    A step closes the loops and reaches the goals in first order: the shortest step that closes the loops, and
+    the shortest further step in their tangent space that makes up for the rest of the goals.
+
+    Returns:
+        The configurations, and True (n,) for those that meet their goals with closed loops.
+    """
     values, error = at.values.copy(), np.full(len(at), np.inf)
     active, here = np.arange(len(at)), at
     for _ in range(steps):
+        # keep configurations that improve; stop those that are solved to round-off
         misses, rows = here.misses(goal[active])
         left = largest(here.phi, misses)
         on = (left >= RESIDUAL_ROUND_OFF) & ((left >= MAX_RESIDUAL) | (left < 0.5 * error[active]))
         values[active], error[active] = here.values, left
         if not on.any():
             break
+        # one step of the others
         active, here, misses, rows = active[on], here[on], misses[on], rows[on]
         back = products(here.back, -here.phi)
         reduced = rows @ np.swapaxes(here.tangent, 1, 2)
@@ -82,11 +91,14 @@ def largest(*residuals: Array) -> Array:
 
 
 def crossing_signs(before: Configurations, after: Configurations) -> Array:
-    """Return -1.0 (n, 2) where a singular configuration was passed between two configurations, else 1.0.
+    """Return -1.0 (n, 2) where a singular configuration was crossed between two configurations, else 1.0.
 
-    There the determinant of the Jacobian of the goals (first column), or that of all chosen coordinates
-    (second column), by motions in the tangent space changes its sign. There is no such sign where they are
-    not as many as degrees of freedom.
+    At a crossing the determinant of a Jacobian in the tangent space changes its sign: the Jacobian of the
+    goals (first column), or of all chosen coordinates (second column). A Jacobian has a determinant only if
+    it has as many rows as the mechanism has degrees of freedom; otherwise the sign is 1.0.
+
+    Args:
+        before, after: n configurations each.
     """
     chain = before.chain
     turned = np.linalg.det(after.tangent @ np.swapaxes(before.tangent, 1, 2))
@@ -105,13 +117,13 @@ def crossing_signs(before: Configurations, after: Configurations) -> Array:
 
 
 def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array]:
-    """Move one configuration to each of n goals, each from the nearest one that is solved by then.
+    """Move one configuration to each of n goals by continuation from the nearest solved goal.
 
-    Goals far from all of these are approached along straight lines.
+    A goal far from all solved goals is approached in strides along a straight line.
 
     Returns:
-        Configurations, those of the nearest solved goals where the own one is not reached; True (n,) where
-        it is, without a singular configuration on the way.
+        Configurations; a goal that is not reached has the nearest solved one. True (n,) for goals that are
+        reached without crossing a singular configuration.
     """
     from scipy.spatial import cKDTree
 
@@ -121,6 +133,7 @@ def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array]:
     points, tried, reached = chain.embed(goal), np.full(count, -1), np.zeros(count, dtype=bool)
     stride = np.maximum(MAX_STRIDE, np.linalg.norm(points - chain.embed(at), axis=1) / MAX_STRIDES)
     while not reached.all():
+        # goals whose nearest solved goal is new; those within one stride first
         waiting = np.flatnonzero(~reached)
         distance, nearest = cKDTree(chain.embed(at)).query(points[waiting])
         take = fresh = nearest != tried[waiting]
@@ -129,12 +142,14 @@ def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array]:
             take = near
         if not take.any():
             break
+        # a stride from the nearest solved goal towards each of these goals
         own, source, distance = waiting[take], nearest[take], distance[take]
         share = np.minimum(1.0, stride[own] / np.maximum(distance, stride[own]))
         towards = chain.between(goal[own], at[source], share)
         before = Configurations(chain, solved[source])
         after, met = newton(before, towards)
         met &= np.all(crossing_signs(before, after) > 0.0, axis=1)
+        # the ends of strides are solved goals from now on
         tried[own] = source
         found[own] = np.where(met[:, None], after.values, before.values)
         reached[own] = met & (share == 1.0)
@@ -144,7 +159,7 @@ def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array]:
 
 
 def random_coordinates(chain: Chain, count: int, rng: np.random.Generator) -> Array:
-    """Draw coordinates (n, nq), loops open: any angles and orientations, slides within two sizes."""
+    """Draw coordinates (n, nq) with open loops: any angles and orientations, slides within two sizes."""
     q = np.repeat(chain.start[None], count, axis=0)
     for motion, place, _ in chain.system.tree.motions:
         shape = count, place.stop - place.start
@@ -158,7 +173,7 @@ def random_coordinates(chain: Chain, count: int, rng: np.random.Generator) -> Ar
 
 
 def sample_branch(start: Configurations) -> Configurations:
-    """Find closed configurations all over the branch of one, by random paths that pass no singular one."""
+    """Sample the branch of a closed configuration by random paths that cross no singular configuration."""
     rng, chain = np.random.default_rng(0), start.chain
     here = Configurations(chain, np.repeat(start.values, PATHS, axis=0))
     visited = [start.values]
@@ -185,6 +200,7 @@ def approach(at: Configurations, others: Configurations, goal: Goal) -> tuple[Co
     """
     from scipy.spatial import cKDTree
 
+    # start at a nearer configuration of the branch if there is one
     chain = at.chain
     _, nearest = cKDTree(chain.embed(chain.goal_at(others))).query(chain.embed(goal))
     other = others[nearest]
@@ -192,10 +208,12 @@ def approach(at: Configurations, others: Configurations, goal: Goal) -> tuple[Co
     values, passed = np.where(nearer[:, None], other.values, at.values), np.ones((len(at), 2))
     active = np.arange(len(at))
     for _ in range(MAX_APPROACH_STEPS):
+        # a Newton step of the distance in the tangent space
         if not active.size or not chain.freedoms:
             break
         here, own = Configurations(chain, values[active]), goal[active]
         along = _descent(here, own)
+        # halve the step until the closed configuration is nearer to the goal
         better = np.zeros(len(here), dtype=bool)
         for k in range(MAX_HALVINGS):
             rest = np.flatnonzero(~better)
@@ -224,7 +242,11 @@ def gradient(at: Configurations, goal: Goal) -> Array:
 
 
 def _descent(at: Configurations, goal: Goal) -> Array:
-    """Compute Newton's step (n, f) in the tangent space, uphill in every direction of curvature."""
+    """Compute Newton's step (n, f) of half the squared distance in the tangent space.
+
+    The Hessian of the Lagrange function is a central difference of gradients. Its eigenvalues are taken
+    positive, so that the step goes downhill in every direction.
+    """
     uphill = gradient(at, goal)
     multipliers = -products(np.swapaxes(at.back, 1, 2), uphill)
     tangent = at.tangent
@@ -242,7 +264,7 @@ def _descent(at: Configurations, goal: Goal) -> Array:
 
 
 def moved_closed(at: Configurations, step: Array) -> Configurations:
-    """Move configurations by dimensionless steps (n, nv) and close the loops again."""
+    """Move configurations by dimensionless steps (n, nv) and close the loops by the chord method."""
     after = at.moved(step)
     for _ in range(MAX_CHORD_STEPS):
         if np.all(largest(after.phi) < RESIDUAL_ROUND_OFF):
@@ -252,7 +274,7 @@ def moved_closed(at: Configurations, step: Array) -> Configurations:
 
 
 def _is_better(after: Configurations, before: Configurations, goal: Goal) -> Array:
-    """Compare closed configurations by their distance to goals, and where that is as large by its slope."""
+    """True (n,) where the distance to the goal is smaller, or equal with a smaller slope, and loops close."""
     new, old = half_square(after, goal), half_square(before, goal)
     slope, steeper = (largest(products(at.tangent, gradient(at, goal))) for at in (after, before))
     same = np.abs(new - old) <= DISTANCE_ROUND_OFF * old

@@ -28,15 +28,15 @@ class Freedom(NamedTuple):
     key: Key | None
     """The joint coordinate; None for a rotation of a ball."""
     place: int
-    """In v, of a velocity of the tree that is the rate of none; -1 for a joint coordinate."""
+    """Index in v of a velocity of the tree without a joint coordinate; -1 for a joint coordinate."""
     ball: int
-    """In v, where the angular velocity begins that this is a component of; -1 for none."""
+    """Index in v of the first component of the ball's angular velocity; -1 for other freedoms."""
     unit: float
     """The size of the mechanism for slides, m, else 1."""
 
 
 def _other_freedoms(system: Relative) -> list[Freedom]:
-    """List velocities of the tree that no joint coordinate has: of balls, and of bodies on rods alone."""
+    """List velocities of the tree without a joint coordinate: of balls, and of bodies on rods only."""
     found = []
     for kept in system.tree.joints:
         name = system.tree.joint(kept.joint).name
@@ -52,7 +52,7 @@ def _other_freedoms(system: Relative) -> list[Freedom]:
 
 
 def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | None) -> tuple[Freedom, ...]:
-    """Return the coordinates of these names, or choose some that are independent at a state."""
+    """Return the coordinates with these names, or choose independent ones at a state if None."""
     mechanism, count = scene.mechanism, mobility(scene).degrees_of_freedom
     if count == 0:
         raise MechanismError(f"scene {scene.name!r}", "has no degree of freedom", "a mechanism that can move")
@@ -85,7 +85,7 @@ def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | Non
 
 
 def rates_of(system: Relative, q: Array, freedoms: Sequence[Freedom]) -> Array:
-    """Compute dimensionless rates (d, nv) of coordinates for each dimensionless velocity."""
+    """Compute the dimensionless rates (d, nv) of coordinates, one column for each velocity."""
     measured, units = system.measured(q, np.zeros(system.nv)), np.array([each.unit for each in freedoms])
     rows = [measured[each.key].jacobian if each.key else {each.place: 1.0} for each in freedoms]
     return to_array(rows, system.nv) * system.velocity_units / units[:, None]

@@ -75,8 +75,8 @@ def workspace(
 ) -> Workspace:
     """Map the poses of a mechanism over a grid of joint coordinates.
 
-    Singular configurations are told apart as by C. Gosselin, J. Angeles, IEEE Transactions on Robotics and
-    Automation 6(3), 1990: those of the second kind bound the reachable part of the grid.
+    Singular configurations are classified by C. Gosselin, J. Angeles, IEEE Transactions on Robotics and
+    Automation 6(3), 1990: singular configurations of the second kind bound the reachable part of the grid.
 
     Args:
         scene: gives the mechanism and the start.
@@ -108,7 +108,7 @@ def workspace(
     poses = poses_of(at[reached], goal[reached], names, np.ones(count, bool), np.zeros(count, bool))
 
     def spread(values: Array) -> Array:
-        """Put values of reachable points on the grid."""
+        """Put values of the reachable points on the grid; not a number elsewhere."""
         filled = np.full(len(reached), np.nan)
         filled[reached] = values
         return filled.reshape(mesh[0].shape)
@@ -131,8 +131,8 @@ def singular_poses(
 ) -> Poses:
     """Find configurations of any branch in which joint coordinates do not determine the motion.
 
-    From random closed configurations, by Newton's method along the steepest change of the determinant of
-    their Jacobian.
+    Newton's method starts at random closed configurations and moves along the steepest change of the
+    determinant of the coordinates' Jacobian.
 
     Args:
         scene: gives the mechanism.
@@ -141,8 +141,7 @@ def singular_poses(
         axis: of a body, whose directions are asked for.
 
     Returns:
-        The singular poses found, fewer than `count`, `Poses.coordinates` of which are points of singular
-        curves.
+        The singular poses found, fewer than `count`. Their `coordinates` are points of singular curves.
 
     Raises:
         OptionError: for more or fewer coordinates, and for an impossible count.
@@ -155,9 +154,11 @@ def singular_poses(
     """
     chain = chain_of(scene, coordinates, 0, axis, False, None)
     _check_count(chain)
+    # random closed configurations
     q = random_coordinates(chain, count, np.random.default_rng(0))
     at, closed = newton(chain.at(q), _no_goals(count), RANDOM_STEPS)
     at, met = at[closed], [np.zeros((0, chain.function.outputs))]
+    # Newton's steps to a determinant of zero
     for _ in range(SINGULAR_STEPS):
         value, slope = _determinant(at)
         there = (np.abs(value) < MAX_RESIDUAL) & (largest(at.phi) < MAX_RESIDUAL)
@@ -182,9 +183,9 @@ def _no_goals(count: int) -> Goal:
 
 
 def _determinant(at: Configurations) -> tuple[Array, Array]:
-    """Compute the determinant (n,) of the chosen coordinates' Jacobian, and its slope (n, f), by tangents.
+    """Compute the determinant (n,) of the chosen coordinates' Jacobian in the tangent space, and its slope.
 
-    The slope is by central differences.
+    The slope (n, f) along the tangents is a central difference.
     """
     value, columns = np.linalg.det(at.driving @ np.swapaxes(at.tangent, 1, 2)), []
     for k in range(at.chain.freedoms):
