@@ -1,13 +1,13 @@
-"""Least squares of residuals between measured and computed motion, by numbers of a scene.
+"""Least-squares fit of numbers of a scene to measured motion.
 
-A fit has two steps, each by scipy's trust-region method, repeated with the noise that residuals show until it
-stays (`newton_euler.analysis.identification.noise`):
+A fit has two steps. Each uses the trust-region method of scipy, and is repeated with the noise estimated from
+its residuals until the noise converges (`newton_euler.analysis.identification.noise`):
 
-1. All numbers are pulled to where they were, by as much as a residual that is its noise for a change by the
-   scale of the number. So combinations that the data say nothing about stay, and steps are bounded. Numbers
-   that become larger nevertheless have larger scales from then on: the first guess may be far too small.
-2. Combinations that are determined, those beyond the noise, are fitted without the pull; what noise has
-   changed of the others is taken back.
+1. A regularized fit of all numbers. A change of a number by its scale costs as much as a residual of one
+   standard deviation. Combinations without information in the data keep their values, and steps are bounded.
+   If a number grows beyond its scale, its scale grows, too: the initial value may be far too small.
+2. A fit of the identifiable combinations, whose effect exceeds the noise, without regularization. The other
+   combinations return to their initial values.
 """
 
 from __future__ import annotations
@@ -66,15 +66,15 @@ INVALID_FACTOR = 1e3
 
 
 class Fit:
-    """Numbers of a scene that make the squares of residuals least, in units of their noise.
+    """Numbers of a scene with the least sum of squared residuals, each divided by its noise.
 
     A change (p,) of the numbers is in units of their scales.
 
     Attributes:
-        before, scale: (p,) the scene's own numbers, and changes of them that are large.
-        units: (p,) of them.
-        noise: of the measurements.
-        stopped: why the last fit ended if it was too early.
+        before, scale: (p,) the scene's own numbers, and large changes of them.
+        units: (p,) units of the numbers.
+        noise: noise of the measurements.
+        stopped: reason why the last fit ended; empty before the first fit.
     """
 
     def __init__(self, scene: Scene, names: tuple[str, ...], residuals: Residuals) -> None:
@@ -84,7 +84,8 @@ class Fit:
         self._suspected: set[str] = set()
 
     def solve(self) -> Array:
-        """Return the change (p,) that makes residuals least."""
+        """Return the change (p,) with the least squares of residuals."""
+        # 1. all numbers, regularized; again from the start if the noise turns out to be larger
         change, scale = np.zeros(len(self.before)), self.scale
         self._suspected = self._runs.like_degrees(self.residuals(change))
         for _ in range(MAX_FITS):
@@ -92,8 +93,9 @@ class Fit:
             growth = self._estimate_noise(change)
             if np.abs(growth - 1.0).max() < ROUGH_CHANGE:
                 break
-            if growth.max() > 1.0 + ROUGH_CHANGE:  # where numbers may have gone too far
+            if growth.max() > 1.0 + ROUGH_CHANGE:
                 change, self.scale = np.zeros(len(change)), scale
+        # 2. identifiable combinations only
         for _ in range(MAX_FITS):
             change = self._free(self._determined(change))
             if np.abs(self._estimate_noise(change) - 1.0).max() < FINAL_CHANGE:
@@ -101,12 +103,12 @@ class Fit:
         return change
 
     def _estimate_noise(self, change: Array) -> Array:
-        """Estimate noise from the residuals; return by how much it has grown."""
+        """Estimate the noise from the residuals; return the growth factors of its levels."""
         jacobian = self.jacobian(change)
         return self.noise.estimate(self.residuals(change), jacobian @ split(jacobian).strong.T)
 
     def _pulled(self, change: Array) -> Array:
-        """Return the change (p,) with the least squares of residuals and of itself."""
+        """Return the change (p,) of the regularized fit; enlarge scales that numbers exceed."""
         for _ in range(MAX_FITS):
             change = self._least(change, np.eye(len(change)), pull=1.0)
             larger = np.maximum(self.scale, np.abs(self.values(change)))
@@ -116,7 +118,7 @@ class Fit:
         return change
 
     def _determined(self, change: Array) -> Array:
-        """Return the part of a change (p,) that is determined, or all if the scene cannot be there."""
+        """Return the identifiable part of a change (p,), or the change if the scene cannot have this part."""
         strong, weak, _ = split(self.jacobian(change))
         if not len(weak):
             return change
@@ -129,7 +131,7 @@ class Fit:
         return part
 
     def _free(self, change: Array) -> Array:
-        """Return the change (p,) with the least squares of residuals by combinations that are determined."""
+        """Return the change (p,) with the least squares of residuals, varying identifiable combinations."""
         unsettled = np.inf
         while REPEATED_STD < (now := self.unsettled(change)) < 0.5 * unsettled:
             unsettled = now
@@ -138,21 +140,24 @@ class Fit:
         return change
 
     def _least(self, begin: Array, basis: Array, pull: float) -> Array:
-        """Return the change (p,) that is `begin` and some of a basis (p, k), with the least squares.
+        """Minimize the squares of residuals, and of the whole change times `pull`, over a subspace.
 
-        Of residuals, and of the whole change times the pull.
+        Args:
+            begin: (p,) change to start from.
+            basis: (p, k) directions of further changes.
+            pull: weight of the regularization; 0 for none.
         """
         from scipy.optimize import least_squares
 
         def changed(z: Array) -> Array:
-            return np.asarray(begin + basis @ (z - 1.0))  # from 1 on, which is what tolerances are of
+            return np.asarray(begin + basis @ (z - 1.0))  # z begins at 1: tolerances are relative to z
 
         def residuals(z: Array) -> Array:
             change = changed(z)
             try:
                 return np.concatenate([self._weighted(change), pull * change])
             except NewtonEulerError as error:
-                self._refused = f"beyond is what the scene cannot be: {error}"
+                self._refused = f"further values are impossible: {error}"
                 return np.full(len(first), far)
 
         def jacobian(z: Array) -> Array:
@@ -166,14 +171,14 @@ class Fit:
         solved = least_squares(
             residuals, np.ones(basis.shape[1]), jacobian, max_nfev=MAX_EVALUATIONS, **TOLERANCES
         )
-        over = f"{MAX_EVALUATIONS} evaluations are over" if solved.status == 0 else "steps are too small"
+        over = f"{MAX_EVALUATIONS} evaluations are used up" if solved.status == 0 else "steps are too small"
         self.stopped = f"residuals are not the least: {self._refused or over}"
         return changed(solved.x)
 
     def unsettled(self, change: Array) -> float:
-        """Return by how many standard deviations a further step would move what is determined.
+        """Compute the length of a further step of identifiable combinations, in standard deviations.
 
-        0 for round-off.
+        0 for a step that is round-off.
         """
         jacobian = self.jacobian(change)
         strong = split(jacobian).strong
@@ -183,7 +188,7 @@ class Fit:
         return float(np.linalg.norm(deviations))
 
     def is_at_edge(self, change: Array) -> list[bool]:
-        """Tell for each number whether the scene cannot have one that is a little larger or smaller."""
+        """True for each number if the scene cannot have a slightly larger or smaller value."""
         steps = EDGE_DISTANCE * np.eye(len(change))
         return [
             not all(self._runs.can_start(self.values(change + near)) for near in (step, -step))
@@ -191,10 +196,10 @@ class Fit:
         ]
 
     def curvature(self, change: Array) -> float:
-        """Return by how much derivatives two standard deviations away are others, in units of those here.
+        """Compute the relative change of derivatives at a distance of two standard deviations.
 
-        Root mean square over the combinations that are determined (D. M. Bates and D. G. Watts, Journal of
-        the Royal Statistical Society B 42, 1980); infinite if the scene cannot be there.
+        Root mean square over the identifiable combinations (D. M. Bates and D. G. Watts, Journal of the Royal
+        Statistical Society B 42, 1980); infinite if the scene cannot have these values.
         """
         jacobian = self.jacobian(change)
         strong = split(jacobian).strong
@@ -229,10 +234,10 @@ class Fit:
 
 
 def _scales(scene: Scene, names: Sequence[str]) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return the own values (p,) of numbers, changes of them (p,) that are large, and their units.
+    """Return the scene's own values (p,) of numbers, large changes of them (p,), and their units.
 
-    That by the own value is, or by that of the largest number beside it in an array of one unit; of what is 0
-    that by the mechanism's size, m, or else by 1.
+    A change by the own value is large; in an array of one unit, by the largest value of the array. If the
+    value is 0, a change by the mechanism's size is large for a length, m, else a change by 1.
     """
     before, units = own_numbers(scene, names), tuple(units_of(scene, names).values())
     initial = np.isin(names, list(initial_numbers(scene, names)))
@@ -248,12 +253,12 @@ def _scales(scene: Scene, names: Sequence[str]) -> tuple[Array, Array, tuple[str
 
 
 class Split(NamedTuple):
-    """The space of parameters, in units of their scales, by what the data determine.
+    """The space of parameters, in units of their scales, divided by identifiability.
 
     Attributes:
-        strong: (s, p) orthogonal directions that they determine, of the lengths of standard deviations.
-        weak: (p - s, p) a basis of the others, with as many zeros as can be had.
-        covariance: (p, p) along all of them.
+        strong: (s, p) orthogonal identifiable directions, each as long as its standard deviation.
+        weak: (p - s, p) a basis of the directions that are not identifiable, with many zeros.
+        covariance: (p, p) of all parameters.
     """
 
     strong: Array
@@ -262,7 +267,7 @@ class Split(NamedTuple):
 
 
 def split(jacobian: Array) -> Split:
-    """Split the space of parameters in what the data determine and what they do not.
+    """Divide the space of parameters into identifiable directions and others.
 
     Args:
         jacobian: (n, p) of residuals in units of their noise, by parameters in units of their scales.
@@ -276,7 +281,7 @@ def split(jacobian: Array) -> Split:
 
 
 def _sparse_basis(rows: Array) -> Array:
-    """Return a basis of the space of rows (d, p), each of which has a place where all others are 0."""
+    """Return a basis of the space of rows (d, p); each row has a column in which all others are 0."""
     from scipy.linalg import qr
 
     _, _, order = qr(rows, mode="economic", pivoting=True)

@@ -55,35 +55,35 @@ class Identification:
     """Parameters fitted to measurements, p numbers.
 
     Attributes:
-        scene: with these parameters. Where joints' `point_on_first`, `point_on_second` or `length` are among
-            them its coordinates are counted from another initial pose than the measured ones, see
-            `newton_euler.with_parameters`; a run of `simulate_batch` with these values has the measured ones.
-        parameters: their names.
-        units: (p,) of them, SI; empty for pure numbers.
-        before, values: (p,) as they were, and as they are fitted.
-        covariance: (p, p) of the values; for those that are not determined infinite on the diagonal and not
-            numbers beside it, for those at the edge of what the scene can have not numbers at all. Of a scene
-            that is wrong not numbers: that of the noise holds no longer, and residuals are no noise.
-        noise: standard deviations of columns, for each run by name, those that were given, or else of the
-            residuals.
-        misfits: roots of the mean squares of residuals of columns by name, in units of their noise.
-        misfit: root of the squares of residuals in units of the noise that was given, by what they are
-            expected to be: about 1 if the scene can move as was measured. Not a number where no noise was
-            given, or the fit takes all numbers with given noise.
-        degrees_of_freedom: of these squares, see `newton_euler.analysis.identification.noise`: numbers less
-            combinations of parameters that they determine, where all noise was given.
-        probability: of a misfit as large or larger, by chance alone; not a number where there is no misfit.
-        residuals: measured less computed, for each run by column, (n,) each.
-        unlike: columns without given noise that the scene fits worse than a constant does.
+        scene: the scene with the fitted parameters. If joints' `point_on_first`, `point_on_second` or
+            `length` are parameters, the scene counts coordinates from another initial pose than the
+            measurements, see `newton_euler.with_parameters`; a run of `simulate_batch` with these values does
+            not.
+        parameters: names of the parameters.
+        units: (p,) SI units; empty for pure numbers.
+        before, values: (p,) initial and fitted values.
+        covariance: (p, p) of the values. A parameter that is not identifiable has an infinite variance and
+            covariances that are not a number. At the edge of possible values, and if the scene is wrong, no
+            entry is a number.
+        noise: standard deviations of columns by name, for each run; given, or estimated from the residuals.
+        misfits: root mean squares of the residuals of columns by name, in units of their noise.
+        misfit: reduced chi: root of the squared residuals in units of the given noise, divided by their
+            expectation. About 1 if the scene can move as measured. Not a number if no noise is given, or if
+            the fit uses up all numbers with given noise.
+        degrees_of_freedom: of the misfit, see `newton_euler.analysis.identification.noise`. If all noise is
+            given: the number of measured numbers minus the number of identifiable combinations.
+        probability: of this misfit or a larger one by chance alone; not a number without a misfit.
+        residuals: measured minus computed, (n,) by column, for each run.
+        unlike: columns without given noise that a constant fits better than the scene.
         in_degrees: columns of rad or rad/s that fit as degrees.
         undetermined: a line for each combination of parameters, and for each noise, that the data do not
             determine.
-        stopped: why the fit ended before the sum of squares was least; empty if it is.
+        stopped: reason why the fit ended before it converged; empty if it converged.
         curvature: relative change of the derivatives two standard deviations away, root mean square. Above
             `MAX_CURVATURE` the covariance is valid for single parameters, not for all together.
-        contradiction: the coordinate or rate that was measured elsewhere at 0 s than where its run starts,
-            farthest by its noise, where no parameter moves that; empty if there is none.
-        evaluations: runs of all measurements, with derivatives.
+        contradiction: a line on the coordinate or rate whose first measurement contradicts the start of its
+            run, if no parameter moves the start; empty if there is none.
+        evaluations: number of evaluations of all runs, with derivatives.
 
     Examples:
         >>> scene = load("tracker")
@@ -124,18 +124,18 @@ class Identification:
 
     @property
     def standard_deviations(self) -> Floats:
-        """(p,) of the values; infinite if not determined, not a number at an edge or of a wrong scene."""
+        """(p,) of the values; infinite if not identifiable, not a number at an edge or for a wrong scene."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def correlation(self) -> Floats:
-        """(p, p) of the values; not a number where `covariance` is infinite or none."""
+        """(p, p) of the values; not a number where `covariance` is infinite or not a number."""
         deviations = self.standard_deviations
         with np.errstate(invalid="ignore"):
             return self.covariance / np.outer(deviations, deviations)
 
     def report(self) -> list[str]:
-        """Write a table of parameters, a line each, the misfit, and what is to be doubted."""
+        """Return lines: a table of parameters, the misfit, doubts and notes."""
         widths = [max(map(len, column)) for column in zip(*self.table, strict=True)]
         lines = []
         for name, unit, *figures in self.table:
@@ -145,7 +145,7 @@ class Identification:
 
     @property
     def table(self) -> list[tuple[str, str, str, str, str]]:
-        """Names of parameters, their units and figures, below headings."""
+        """Rows of text: headings, then name, unit and numbers of each parameter."""
         rows = [("parameter", "unit", "before", "fitted", "deviation")]
         for k, (name, unit) in enumerate(zip(self.parameters, self.units, strict=True)):
             deviation = self.standard_deviations[k]
@@ -157,7 +157,7 @@ class Identification:
 
     @property
     def fit(self) -> str:
-        """A line on how well the scene moves as was measured."""
+        """A line on the misfit and its probability."""
         if np.isnan(self.probability):
             return "noise of columns is needed, and more numbers, to tell whether the scene is right"
         chance = f"{self.probability:.2g}" if self.probability >= 1e-6 else "below 1e-6"
@@ -167,12 +167,12 @@ class Identification:
 
     @property
     def is_wrong(self) -> bool:
-        """True if the scene cannot move as was measured, within the noise that was given."""
+        """True if the given noise does not explain the difference from the measured motion."""
         return self.probability < MIN_PROBABILITY
 
     @property
     def doubts(self) -> list[str]:
-        """Lines on a wrong scene, columns, what is not determined, and why the fit ended if too early."""
+        """Lines on a wrong scene, columns, unidentifiable parameters, and an early end of the fit."""
         lines = []
         if self.is_wrong:
             worst = max(self.misfits, key=lambda name: self.misfits[name])
@@ -186,7 +186,7 @@ class Identification:
 
     @property
     def notes(self) -> list[str]:
-        """Lines on a start that measurements contradict, and on what the covariance does not say."""
+        """Lines on a start that contradicts measurements, and on limits of the covariance."""
         lines = [self.contradiction] if self.contradiction else []
         if not self.is_wrong and self.curvature > MAX_CURVATURE:
             lines.append("the region of all parameters together is bent: deviations are of single ones")
@@ -201,22 +201,22 @@ def identify(
     formulation: FormulationName | None = None,
     **control: Unpack[StepControl],
 ) -> Identification:
-    """Fit parameters of a scene to measured motion, from the scene's own values on.
+    """Fit parameters of a scene to measured motion, beginning at the scene's own values.
 
     Args:
-        scene: what was measured.
-        parameters: names as of `sensitivities`; all numbers of those that are arrays are fitted.
-        measurements: of a run, or of several: CSV files, see `measurements_from_csv`, or `Measurements`.
-        formulation: as of `simulate`.
-        control: of steps of DOP853, as of `simulate`, with projection; other methods have no derivatives.
+        scene: model of the measured mechanism.
+        parameters: names, see `sensitivities`; of an array all numbers are fitted.
+        measurements: of one or several runs: CSV files, see `measurements_from_csv`, or `Measurements`.
+        formulation: see `simulate`.
+        control: step control of DOP853 with projection, see `simulate`; other methods have no derivatives.
 
     Raises:
-        NewtonEulerError: for an unknown parameter or column, times beyond the scene, fewer numbers measured
-            than are fitted, and runs that cannot go on.
+        NewtonEulerError: for an unknown parameter or column, times beyond the scene's duration, fewer
+            measured numbers than parameters, and runs that stop.
 
     Warns:
-        IdentificationWarning: if the scene cannot move as was measured, naming the combinations of parameters
-            that the data do not determine, and for a fit that ended before the sum of squares was least.
+        IdentificationWarning: if the scene cannot move as measured, if combinations of parameters are not
+            identifiable (the warning names them), or if the fit did not converge.
 
     Examples:
         >>> scene = load("slider_crank")
@@ -226,6 +226,7 @@ def identify(
         >>> print(f"{found.values[0]:.4f} kg")
         2.0000 kg
     """
+    # parameters and measurements
     check_formulation(formulation)
     names = tuple(components(scene, checked_names(parameters)))
     runs = _runs(scene, names, measurements)
@@ -235,12 +236,14 @@ def identify(
         more = ", and for the noise of each column that is not given" if unknown else ""
         needed = f"at least {len(names) + len(unknown)}, one for each that is fitted{more}"
         raise MechanismError("measurements", f"are {count} numbers", needed)
+    # fit
     measured = Residuals(scene, names, runs, formulation, tangent_options(control))
     measured.code.warn()
     fit = Fit(scene, names, measured)
     change, noise = fit.solve(), fit.noise
     _, weak, covariance = split(fit.jacobian(change))
     values, stopped = fit.values(change), fit.stopped if fit.unsettled(change) > CONVERGED_STD else ""
+    # covariance: infinite for combinations that are not identifiable, none at an edge or for a wrong scene
     edge = fit.is_at_edge(change) if stopped else [False] * len(names)
     is_open = np.any(np.abs(weak) > FACTOR_TOLERANCE, axis=0) | bool(noise.undetermined)
     for k in np.flatnonzero(is_open | edge):
@@ -271,7 +274,7 @@ def identify(
         undetermined=(*_lines(names, values, fit, weak), *open_noise),
         stopped=stopped,
         contradiction=measured.contradiction(values),
-        curvature=fit.curvature(change),  # last of all: it is another point
+        curvature=fit.curvature(change),  # evaluated last: it moves to other values
         evaluations=measured.evaluations,
     )
     if found.doubts:
@@ -322,7 +325,7 @@ def _misfits(residuals: Sequence[Mapping[str, Floats]]) -> dict[str, float]:
 
 
 def _lines(names: Sequence[str], values: Array, fit: Fit, weak: Array) -> list[str]:
-    """Say what the data do not determine."""
+    """Describe the combinations of parameters that are not identifiable, one line each."""
     lines = []
     beyond = "that was measured" if fit.noise.probability >= MIN_PROBABILITY else "beyond these residuals"
     found = [([k for k, x in enumerate(row) if abs(x) > FACTOR_TOLERANCE], row) for row in weak]

@@ -1,7 +1,8 @@
-"""Measured motion: columns of numbers over time, of the names that tables of trajectories have.
+"""Measured motion: columns of numbers over time, with the names of tables of trajectories.
 
-Names of columns are `coordinate.JOINT` and `rate.JOINT`, m or rad from the initial pose and their rates, with
-`.0`, `.1` behind for joints of several coordinates, and those of `Trajectory.to_dataframe`:
+Names of columns are `coordinate.JOINT` and `rate.JOINT`, m or rad from the initial pose and their rates. A
+joint of several coordinates has `coordinate.JOINT.0`, `coordinate.JOINT.1`. Other columns are those of
+`Trajectory.to_dataframe`:
 `position.BODY.x` (m, the center of mass), `quaternion.BODY.w`, `linear_velocity.BODY.x`,
 `angular_velocity.BODY.x`, `reaction_force.JOINT.x`, `reaction_torque.JOINT.x`, `actuator_force.0`,
 `kinetic_energy`, `potential_energy`, `work`; in SI or the units of `UNITS`, world frame.
@@ -43,7 +44,8 @@ from newton_euler.model.trajectory import QUANTITIES, column_names
 from newton_euler.runs.initial_coordinates import RATE_SUFFIX, START_PREFIX
 from newton_euler.scalars import Array, Floats
 
-NOISE, START = "noise", "start"  # in place of a time: the row of standard deviations, and that of the start
+NOISE, START = "noise", "start"
+"""Entries of the time column that mark the row of standard deviations and the row of the start."""
 
 UNITS = {unit: (unit, 1.0) for unit in ("s", "m", "rad", "m/s", "rad/s", "N", "N m", "J", "1")} | {
     "ms": ("s", 1e-3),
@@ -54,25 +56,26 @@ UNITS = {unit: (unit, 1.0) for unit in ("s", "m", "rad", "m/s", "rad/s", "N", "N
 }
 """Units of columns: the SI unit, and the factor to it."""
 
-HEADING = re.compile(r"(.*?)\s*(?:\[([^]]*)\])?")  # A column's name, and its unit in brackets if it has one
+HEADING = re.compile(r"(.*?)\s*(?:\[([^]]*)\])?")
+"""A column's name, and its unit in brackets if there is one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """Columns of numbers that were measured in one run of a scene.
+    """Columns of numbers measured in one run of a scene.
 
     Attributes:
         time: (n,) s from the start of the run, ascending.
         columns: (n,) each, by name, see `newton_euler.analysis.identification.measurements`.
-        noise: standard deviations of columns, by name, in their units; those of others are not known.
+        noise: standard deviations of columns, by name, in the units of the columns; unknown for others.
         start: coordinates and rates at the start of the run, SI, by the names of
             `newton_euler.runs.initial_coordinates`; others are as near to the scene's as the loops allow.
-        units: of columns, their noise and the time, by name, out of `UNITS`; converted to SI, which is what
-            all others are in.
+        units: units out of `UNITS` of columns (and their noise) and of the time, by name; SI for others. All
+            numbers are converted to SI.
 
     Raises:
-        MechanismError: for times that do not ascend from 0 on, columns that are no finite numbers, one for
-            each time, and units that are not known.
+        MechanismError: naming the time or column: times that do not ascend, numbers that are not finite or
+            not one for each time, and unknown units.
 
     Examples:
         >>> run = simulate(load("pendulum"))
@@ -154,16 +157,14 @@ def _numbers(what: str, given: object, factor: float) -> Floats:
 def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
     """Read measurements of one run.
 
-    The first line names the columns: `time` in s from the start of the run, and others as of
-    `newton_euler.analysis.identification.measurements`, each followed by its unit in brackets if
-    it is not SI, as in `coordinate.pivot [deg]`. A
-    line with `noise` in place of a time has the standard deviations
-    of columns, and one with `start` what joint coordinates and rates the run starts with, those of columns;
-    cells are empty where they are not known.
+    The first line names the columns: `time`, s from the start of the run, and columns of
+    `newton_euler.analysis.identification.measurements`. A unit that is not SI follows in brackets, as in
+    `coordinate.pivot [deg]`. A line with `noise` in place of a time has the standard deviations of columns. A
+    line with `start` has the joint coordinates and rates at the start of the run. Unknown cells are empty.
 
     Raises:
-        SourceError: naming the file and the line: for cells that are missing or no numbers, times that do not
-            ascend, too few rows, and columns that are there twice.
+        SourceError: naming the file and the line: missing cells, cells without a number, times that do not
+            ascend, too few rows, or two columns with one name.
 
     Examples:
         >>> rows = ["time,coordinate.pivot", "noise,0.001", "0.0,0.0", "0.1,0.0473"]
@@ -207,7 +208,7 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
 
 
 def _headings(cells: list[str]) -> tuple[list[str], dict[str, str]]:
-    """Return the names in the first line, and the units that are behind some of them."""
+    """Return the names in the first line, and the units in brackets by name."""
     found = [HEADING.fullmatch(cell) for cell in cells]
     pairs = [
         (match[1], match[2]) if match else (cell, None) for cell, match in zip(cells, found, strict=True)
@@ -226,10 +227,11 @@ def initial_name(column: str) -> str:
 def column_places(
     mechanism: Mechanism, layout: Mapping[str, tuple[int, int, tuple[int, ...]]]
 ) -> dict[str, tuple[str, int]]:
-    """Find all columns that can be measured: the program that computes each, and the place in its results.
+    """Find all columns that can be measured: the program that computes each, and its index in the results.
 
     Args:
-        layout: of the program "output", see `newton_euler.compiled.equations.Code`.
+        mechanism: gives names of bodies, joints and coordinates.
+        layout: layout of the program "output", see `newton_euler.compiled.equations.Code`.
     """
     joints = list(mechanism.coordinate_labels.values())
     found = {f"coordinate.{name}": ("coordinates", k) for k, name in enumerate(joints)}
@@ -243,21 +245,21 @@ def column_places(
 
 
 class Column(NamedTuple):
-    """A column that is compared: the program that computes it, its places there, and its SI unit."""
+    """A compared column: the program that computes it, its indices in the results, and its SI unit."""
 
     program: str
     of_value: int
     of_derivative: int
     unit: str
     quaternion: int
-    """The body whose Euler parameters it is of; -1 for none."""
+    """Number of the body if the column is one of its Euler parameters; else -1."""
 
 
 Places = Mapping[str, tuple[str, int]]
 
 
 def column_of(scene: Scene, name: str, values: Places, derivatives: Places) -> Column:
-    """Find a column by the places of values and derivatives.
+    """Find a column by the indices of values and derivatives.
 
     Raises:
         UnknownNameError: for an unknown column.
@@ -280,9 +282,9 @@ def column_of(scene: Scene, name: str, values: Places, derivatives: Places) -> C
 def compared(
     values: Array, derivatives: Array, run: Measurements, columns: list[Column]
 ) -> tuple[Array, Array]:
-    """Return residuals (n, m), computed less measured, and their derivatives (n, m, p).
+    """Return residuals (n, m), computed minus measured, and their derivatives (n, m, p).
 
-    Angles differ by at most half a revolution, and quaternions have the sign of those measured.
+    Residuals of angles are at most half a revolution. Quaternions get the sign of the measured ones.
     """
     measured = np.stack(list(run.columns.values()), axis=1)
     bodies = np.array([column.quaternion for column in columns])

@@ -1,15 +1,15 @@
 """Noise of measured columns: given, or estimated from the residuals of a fit.
 
-A fit takes a share of the noise: with the derivatives J of residuals by parameters, in units of the noise,
-residuals are the noise less its projection H = J (J^T J)^-1 J^T on what parameters can do. The squares of the
-residuals of a part g of the columns, n_g numbers, are expected to be n_g - tr H_gg, each part less its own
-share:
+A fit absorbs a part of the noise. Let J be the derivatives of residuals with respect to parameters, in units
+of the noise. The residuals are the noise minus its projection H = J (J^T J)^-1 J^T on the range of J. For a
+part g of the columns with n_g numbers, the expected sum of squared residuals is n_g - tr H_gg:
 
-- Noise that is not given is such that they are. Repeated with the weights that follow from it, it is that of
-  restricted maximum likelihood (D. A. Harville, Journal of the American Statistical Association 72, 1977).
-- Squares of residuals in units of given noise are a sum of chi squared of one degree of freedom, weighted
-  with 1 - h by the eigenvalues h of H_gg. By its first two moments it is distributed as chi squared of other
-  degrees of freedom (F. E. Satterthwaite, Biometrics Bulletin 2, 1946), exactly if all noise is given.
+- Noise that is not given is chosen so that the sum equals its expectation. Repeated with the new weights,
+  this is restricted maximum likelihood (D. A. Harville, Journal of the American Statistical Association 72,
+  1977).
+- The squared residuals in units of given noise are a sum of chi-squared variables of one degree of freedom
+  with weights 1 - h, where h are the eigenvalues of H_gg. A chi-squared distribution with the same first two
+  moments replaces it (F. E. Satterthwaite, Biometrics Bulletin 2, 1946); exact if all noise is given.
 """
 
 from __future__ import annotations
@@ -41,12 +41,11 @@ class Noise:
     """Standard deviations of measured columns.
 
     Attributes:
-        unknown: (u,) names of the columns whose noise is not given, the same in all runs that do not give it.
-        levels: (1 + u,) given noise in units of what was given, 1 unless the scene is wrong, and unknown
-            noise, SI.
-        misfit: root of the squares of residuals in units of the given noise, by what they are expected to be;
-            not a number if residuals of columns with given noise do not tell.
-        freedom: degrees of freedom of these squares.
+        unknown: (u,) names of the columns whose noise is not given in some run.
+        levels: (1 + u,) factor of the given noise, 1 unless the scene is wrong; then unknown noise, SI.
+        misfit: reduced chi: root of the squared residuals in units of the given noise, divided by their
+            expectation. Not a number if the columns with given noise are too few to determine it.
+        freedom: degrees of freedom of the misfit.
     """
 
     def __init__(self, runs: Sequence[Measurements]) -> None:
@@ -69,37 +68,37 @@ class Noise:
 
     @property
     def deviations(self) -> Array:
-        """(n,) of all numbers, given or estimated."""
+        """(n,) standard deviations of all numbers, given or estimated."""
         return self._unit * np.where(self._part > 0, self.levels[self._part], 1.0)
 
     @property
     def effective(self) -> Array:
-        """(n,) that residuals are weighted by; given noise is as large as these if the scene is wrong."""
+        """(n,) standard deviations that divide residuals; given noise is enlarged if the scene is wrong."""
         return self._unit * self.levels[self._part]
 
     @property
     def probability(self) -> float:
-        """That of a misfit as large or larger by chance alone; not a number if there is none."""
+        """Probability that noise alone gives this misfit or a larger one; not a number without a misfit."""
         from scipy.special import chdtrc
 
         return float(chdtrc(self.freedom, self.freedom * self.misfit**2))
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """Names of columns whose noise residuals do not tell.
+        """Names of columns whose noise the residuals do not determine.
 
-        A fit leaves less than one of their numbers, or the noise differs from fit to fit.
+        The fit leaves less than one of their numbers, or the noise does not converge.
         """
         is_open = (self._left < 1.0) | (np.abs(self._growth - 1.0) > ROUGH_CHANGE)
         return tuple(name for name, each in zip(self.unknown, is_open[1:], strict=True) if each)
 
     def estimate(self, residuals: Array, fitted: Array) -> Array:
-        """Estimate levels from the residuals of a fit; returns by how much they have grown.
+        """Estimate the levels from the residuals of a fit; return their growth factors.
 
         Args:
             residuals: (n,) SI.
-            fitted: (n, s) derivatives by what was fitted, orthogonal combinations by their standard
-                deviations, in units of the noise.
+            fitted: (n, s) derivatives with respect to the fitted orthogonal combinations, each divided by its
+                standard deviation, in units of the noise.
         """
         squares, before = (residuals / self.effective) ** 2, self.levels.copy()
         self.misfit, self.freedom = math.nan, 0.0

@@ -1,4 +1,4 @@
-"""Residuals of measured motion, and their derivatives by numbers of a scene."""
+"""Residuals of measured motion, and their derivatives with respect to numbers of a scene."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array, Floats
 
 REACTIONS = "reaction_force", "reaction_torque"
-"""Outputs that redundant constraints leave open."""
+"""Outputs that are not unique if constraints are redundant."""
 
 AXES = "x", "y", "z"
 
@@ -56,7 +56,7 @@ probability is 1e-9."""
 
 
 class ResidualValues(NamedTuple):
-    """Residuals (n,), computed less measured, and their derivatives (n, p)."""
+    """Residuals (n,), computed minus measured, and their derivatives (n, p)."""
 
     residuals: Array
     jacobian: Array
@@ -66,9 +66,10 @@ class AngleFit(NamedTuple):
     """Root mean squares of a column of rad or rad/s.
 
     Attributes:
-        left: of its residuals.
-        as_degrees: of what these are if its numbers are degrees.
-        size: of such numbers in rad; of angles at most 1, for residuals are within half a revolution.
+        left: of the residuals.
+        as_degrees: of the residuals if the measured numbers are degrees.
+        size: of the measured numbers converted from degrees; for angles at most 1, because residuals are
+            within half a revolution.
     """
 
     left: float
@@ -77,12 +78,12 @@ class AngleFit(NamedTuple):
 
 
 class Residuals:
-    """Residuals of n numbers that were measured by p numbers of a scene, column by column of run by run.
+    """Residuals of n measured numbers as a function of p numbers of a scene; run by run, column by column.
 
     Attributes:
-        runs: measurements.
-        code: what is run, with derivatives.
-        evaluations: runs of all of them until now, with derivatives.
+        runs: measurements of each run.
+        code: compiled scene with derivatives.
+        evaluations: number of evaluations of all runs so far.
     """
 
     def __init__(
@@ -93,7 +94,16 @@ class Residuals:
         formulation: FormulationName | None,
         options: Options,
     ) -> None:
-        """Of runs by the names that errors say; raises `SourceError` for unknown columns and other units."""
+        """Compile a scene for its measured runs.
+
+        Args:
+            scene, names: the scene and the names of its p numbers.
+            runs: measurements by the name of their file or run, for errors.
+            formulation, options: of the runs.
+
+        Raises:
+            SourceError: for an unknown column, a column that is not unique, or a wrong unit.
+        """
         self.runs, self.evaluations = list(runs.values()), 0
         self._where = [f"{where}: " * (len(runs) > 1) for where in runs]
         kinds = {name.split(".")[0] for run in self.runs for name in run.columns}
@@ -110,7 +120,7 @@ class Residuals:
         self._known: tuple[bytes, ResidualValues] | None = None
 
     def __call__(self, values: Array) -> ResidualValues:
-        """Compute residuals with other values (p,); those of the last call if they are the same."""
+        """Compute residuals for values (p,); the last result is kept."""
         if self._known is None or self._known[0] != values.tobytes():
             self.evaluations += 1
             found = [self._of_run(k, values) for k in range(len(self.runs))]
@@ -128,7 +138,7 @@ class Residuals:
         return ResidualValues(residuals.T.ravel(), jacobian.swapaxes(0, 1).reshape(residuals.size, -1))
 
     def can_start(self, values: Array) -> bool:
-        """Tell whether the scene can have these values (p,) at the starts of all runs."""
+        """True if the scene can have these values (p,) at the starts of all runs."""
         try:
             for starts, _ in self._models:
                 starts(values)
@@ -151,11 +161,11 @@ class Residuals:
         }
 
     def unexplained(self, residuals: Array) -> set[str]:
-        """Return the names of columns of rad or rad/s that the scene does not move like."""
+        """Return the names of columns of rad or rad/s whose motion the scene does not explain."""
         return {name for name, angle in self._angles(residuals) if angle.left > MAX_EXPLAINED * angle.size}
 
     def unlike(self, residuals: Array) -> tuple[str, ...]:
-        """Return the names of columns without given noise that the scene fits worse than a constant does."""
+        """Return the names of columns without given noise that a constant fits better than the scene."""
         found = {
             name: None
             for run, left in zip(self.runs, self.by_column(residuals), strict=True)
@@ -167,10 +177,15 @@ class Residuals:
         return tuple(found)
 
     def contradiction(self, values: Array) -> str:
-        """Word which coordinate or rate was measured farthest, by its noise, from a start that is held.
+        """Describe the measured coordinate or rate that contradicts the start most, relative to its noise.
 
-        That is one which none of the values (p,) moves. Empty if none is farther than `CONTRADICTION_STD`.
+        Only initial coordinates that no parameter moves are compared. Empty if all are nearer than
+        `CONTRADICTION_STD`.
+
+        Args:
+            values: (p,) of the parameters.
         """
+        # initial coordinates in the first row that no parameter moves
         found, away = self(values), dict[str, float]()
         moved = self.by_column(np.abs(found.jacobian).max(axis=1))
         for k, left in enumerate(self.by_column(found.residuals)):
@@ -205,12 +220,12 @@ class Residuals:
 
 @lru_cache(maxsize=CACHED_SCENES)
 def _asking(scene: Scene, wanted: frozenset[str | None]) -> Scene:
-    """Return a scene with other outputs, the same one each time, by which its code is found again."""
+    """Return the scene with other outputs; the same object each time, so that its code is found again."""
     return replace(scene, outputs=frozenset(output for output in OUTPUTS if output in wanted))
 
 
 def _scatter(measured: Array) -> float:
-    """Estimate the noise of a column (n,) by its fourth differences, to which motion adds what it bends."""
+    """Estimate the noise of a column (n,) from its fourth differences, which smooth motion barely changes."""
     if len(measured) < 5:
         return np.inf
     # squares of the binomial coefficients 1, 4, 6, 4, 1 add up to 70
@@ -238,7 +253,7 @@ def _selected(followed: Followed, columns: list[Column]) -> tuple[Array, Array]:
 
 
 def _columns(scene: Scene, where: str, run: Measurements, places: Sequence[Places]) -> list[Column]:
-    """Find the columns of a run; raises `SourceError` for those that cannot be compared."""
+    """Find the columns of a run; raises `SourceError` for a column that cannot be compared."""
     columns = []
     for name in run.columns:
         if reason := _undetermined(scene, name):
@@ -255,7 +270,7 @@ def _columns(scene: Scene, where: str, run: Measurements, places: Sequence[Place
 
 
 def _undetermined(scene: Scene, name: str) -> str:
-    """Word why the equations of motion leave a reaction open that a column measures; empty if they do not."""
+    """Return the reason why a measured reaction is not unique; empty if it is unique."""
     kind, _, rest = name.partition(".")
     joint, _, axis = rest.rpartition(".")
     if kind not in REACTIONS or joint not in scene.mechanism.joint_names or axis not in AXES:
