@@ -1,1 +1,5 @@
-"""Parameters of a scene fitted to measured motion."""
+"""Identification: parameters of a scene fitted to measured motion; `identify` is the entry.
+
+`measurements` reads and checks columns, `residuals` compares them with runs, `fit` minimizes the squares and
+`noise` estimates standard deviations.
+"""

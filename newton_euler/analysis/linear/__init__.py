@@ -1,1 +1,1 @@
-"""Linearization, modes and optimal feedback."""
+"""Linear models: `linearize` about a state, their modes, and `lqr` for optimal feedback."""

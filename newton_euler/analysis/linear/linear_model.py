@@ -13,8 +13,11 @@ from newton_euler.model.state import State
 from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array, Floats
 
-RIGID_MODE = 1e-7  # share of the largest eigenvalue below which one is zero: the root of round-off
-STILL_RATE = 1e-9  # share of a unit per period of the fastest mode below which rates are round-off
+RIGID_MODE = 1e-7
+"""Eigenvalue, divided by the largest, below which it is zero: the root of round-off."""
+
+STILL_RATE = 1e-9
+"""Rate, in units per period of the fastest mode, below which it is round-off."""
 
 
 def label(name: str | Key) -> str:
@@ -26,12 +29,12 @@ def label(name: str | Key) -> str:
 class Modes:
     """Modes of a linear model, the slowest first: m modes, d coordinates, b bodies; SI.
 
-    A pair of conjugate eigenvalues is one mode, the one with the positive imaginary part. Eigenvalues that
-    are zero belong to motions that nothing drives back.
+    A pair of conjugate eigenvalues is one mode, with the positive imaginary part. Zero eigenvalues belong to
+    motions without a restoring force.
 
     Attributes:
         eigenvalues: (m,) 1/s.
-        shapes: (m, d) of the coordinates, complex, by the same numbers as `twists`.
+        shapes: (m, d) of the coordinates, complex, in the scale of `twists`.
         twists: (m, b, 6) displacement of the centers of mass, m, and small rotation, rad, of all bodies,
             world frame; the largest component is 1 rad, or one size of the mechanism, and real.
 
@@ -50,33 +53,33 @@ class Modes:
 
     @property
     def frequencies(self) -> Floats:
-        """(m,) Hz, of the oscillation; 0 for a mode that does not swing."""
+        """(m,) Hz, damped frequencies; 0 for a mode that does not oscillate."""
         return np.abs(self.eigenvalues.imag) / (2.0 * np.pi)
 
     @property
     def angular_frequencies(self) -> Floats:
-        """(m,) rad/s, without damping: the magnitudes of the eigenvalues."""
+        """(m,) rad/s, undamped frequencies: the magnitudes of the eigenvalues."""
         return np.abs(self.eigenvalues)
 
     @property
     def damping_ratios(self) -> Floats:
-        """(m,) 1 for a mode that does not swing, negative for one that grows, 0 for an eigenvalue of zero."""
+        """(m,) 1 for a mode that does not oscillate, negative for a growing mode, 0 for a zero eigenvalue."""
         size = np.abs(self.eigenvalues)
         return np.where(size > 0.0, -self.eigenvalues.real / np.where(size > 0.0, size, 1.0), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """xdot = f + A x + B u, y = C x + D u next to a state of a scene; d coordinates, b bodies.
+    """Linear model xdot = f + A x + B u, y = C x + D u near a state of a scene; d coordinates, b bodies.
 
-    x (2 d,) are deviations of independent coordinates and of their rates, u those of the inputs and y those
-    of the outputs.
+    x (2 d,) are deviations of independent coordinates and of their rates, u deviations of the inputs, and y
+    deviations of the outputs.
 
     Attributes:
         scene: name of the scene.
-        state: where it was linearized.
-        coordinates, inputs, outputs: names.
-        units: (d,) of the coordinates: the size of the mechanism for slides, m, else 1.
+        state: state of the linearization.
+        coordinates, inputs, outputs: names of x, u and y.
+        units: (d,) units of the coordinates: the size of the mechanism for slides, m, else 1.
         size: of the mechanism, m.
         A, B, C, D: (2 d, 2 d), (2 d, m), (p, 2 d) and (p, m).
         f: (2 d,) rates of coordinates and their accelerations at the state itself; zero at an equilibrium.
@@ -108,7 +111,7 @@ class LinearModel:
 
     @property
     def is_equilibrium(self) -> bool:
-        """True if the mechanism stays where it is; else the model is of motions next to one that moves on."""
+        """True if the mechanism stays at the state; else the model describes motions near a moving one."""
         size = np.tile(self.units, 2)
         fastest = max(np.abs(np.linalg.eigvals(self.A)).max(initial=0.0), 1.0)
         rates, accelerations = np.split(np.abs(self.f / size), 2)
@@ -117,7 +120,7 @@ class LinearModel:
         )
 
     def modes(self) -> Modes:
-        """Compute eigenvalues and mode shapes; those of a state in motion are of that instant."""
+        """Compute eigenvalues and mode shapes; for a moving state they hold at that instant."""
         d, size = len(self.units), np.tile(self.units, 2)
         matrix = self.A * size / size[:, None]
         values, vectors = np.linalg.eig(matrix)
@@ -144,7 +147,7 @@ class LinearModel:
         return StateSpace(self.A, self.B, self.C, self.D)
 
     def to_control(self) -> Any:
-        """Return a `control.StateSpace` of the package control; in its names all but letters is `_`.
+        """Return a `control.StateSpace` of the package control, whose names have `_` for other than letters.
 
         Raises:
             MissingPackageError: if the package control is not installed.

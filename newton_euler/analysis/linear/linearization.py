@@ -1,16 +1,15 @@
 """Linear models of a scene in independent coordinates, by exact derivatives of its equations.
 
-Of d independent joint coordinates z with J T = 0, J_z T = I, motions of the mechanism are qdot = T zdot, and
-zddot = J_z vdot - gamma_z follows from the equations of motion. Along z_i at the same zdot the velocities
-change by dv_i,
+Let z be d independent joint coordinates with J T = 0 and J_z T = I. Motions of the mechanism are qdot = T
+zdot, and zddot = J_z vdot - gamma_z follows from the equations of motion. A change of z_i at constant zdot
+changes the velocities by dv_i,
 
     dv_i = -[J; J_z]^-1 (d[J; J_z]/dz_i) v
     d zddot / dz_i = (d zddot / dq) qdot(T_i) + (d zddot / dv) dv_i,    d zddot / dzdot_i = (d zddot / dv) T_i
 
-with the partial derivatives from the traced equations, in one sweep for each direction. So they are exact
-wherever loops are closed, in motion, too. The rotation of a ball has no coordinates; small rotations dtheta
-about axes of the body that it moves stand for them, with omega for their rates: d/dt dtheta = domega -
-omega x dtheta.
+The partial derivatives come from the traced equations, in one sweep for each direction. The model is exact
+wherever loops are closed, in motion, too. The rotation of a ball has no coordinates. Small rotations dtheta
+about axes of the body that it moves stand for them, with rates omega: d/dt dtheta = domega - omega x dtheta.
 """
 
 from __future__ import annotations
@@ -86,25 +85,24 @@ def linearize(
 
     Args:
         scene: the mechanism with its forces and control laws.
-        state: where; the scene's initial state if None. Loops are closed. It need not be at rest, nor in
-            equilibrium: `LinearModel.f` and `LinearModel.is_equilibrium` say what it is.
-        coordinates: joint coordinates, by the name of the joint, or by (name, number) where it has several,
-            or rotations of a ball about an axis of the body that it moves, `JOINT.ball.x`; as many as there
-            are degrees of freedom. If None they are chosen: first those with control laws, then those that
-            move the most.
-        inputs: joint coordinates for forces on them, N or N m, beside those that act, or of parameters
-            (`newton_euler.equations.parameters`), as `slide_12.target` or `panel_7.mass`. The coordinates
+        state: state with closed loops; the scene's initial state if None. The state may move and need not be
+            an equilibrium, see `LinearModel.f` and `LinearModel.is_equilibrium`.
+        coordinates: as many as degrees of freedom: joint coordinates, by the name of the joint, or by (name,
+            number) for joints of several coordinates; or rotations of a ball about an axis of the body that
+            it moves, `JOINT.ball.x`. If None, coordinates with control laws are chosen first, then those that
+            move most.
+        inputs: joint coordinates, for additional forces on them, N or N m, or parameters
+            (`newton_euler.equations.parameters`) such as `slide_12.target` or `panel_7.mass`. The coordinates
             with control laws if None.
-        outputs: joint coordinates, or bodies for six outputs each: position of the center of
-            mass, m, and small rotation, rad, world frame. The `coordinates` if None.
-        closed_loop: True for control laws that act as they do in a run, False for their forces held as they
-            are at the state.
-        time: s, of prescribed motions and of laws that depend on time.
+        outputs: joint coordinates, or bodies with six outputs each: position of the center of mass, m, and
+            small rotation, rad, world frame. The `coordinates` if None.
+        closed_loop: True if control laws act as in a run, False if their forces at the state are held.
+        time: s, of prescribed motions and of control laws that depend on time.
 
     Raises:
         UnknownNameError: for an unknown name.
-        MechanismError: for a state that is none of the scene, coordinates that are too many or too few, and
-            sampled controllers, which have no derivatives, in a closed loop.
+        MechanismError: for a state that does not belong to the scene, too many or too few coordinates, and a
+            sampled controller in a closed loop, which has no derivatives.
         SingularityError: naming a coordinate that does not determine the motion at the state.
 
     Examples:
@@ -120,6 +118,7 @@ def linearize(
     if closed_loop and scene.sampled:
         problem = "has no derivative, being sampled"
         raise MechanismError(scene.sampled[0].element, problem, "closed_loop=False, or a law as PD")
+    # names of coordinates, inputs and outputs
     freedoms = chosen_freedoms(scene, state, coordinates)
     mechanism, laws = scene.mechanism, tuple(law.key for law in scene.control)
     names = list(map(mechanism.coordinate_name, laws)) if inputs is None else list(inputs)
@@ -134,7 +133,7 @@ def linearize(
 
 
 def _is_coordinate(scene: Scene, name: str | Key) -> bool:
-    """True for the name of a joint coordinate, False for that of anything else."""
+    """True if a name stands for a joint coordinate."""
     return isinstance(name, tuple) or name in scene.mechanism.joint_names
 
 
@@ -151,7 +150,7 @@ def _chosen(scene: Scene, state: State) -> tuple[int, ...] | None:
 
 
 def _inputs(scene: Scene, names: Sequence[str | Key]) -> list[Key | str]:
-    """Find the coordinates and the parameters that inputs are."""
+    """Find the joint coordinates and parameters with the names of inputs."""
     found: list[Key | str] = []
     for name in names:
         if _is_coordinate(scene, name):
@@ -170,9 +169,9 @@ class Linearization:
     """Derivatives of the accelerations of independent coordinates, in native code; see `linearize`.
 
     Attributes:
-        scene: with control laws that act in the closed loop, then laws of no force on measured coordinates,
-            whose feedforwards are inputs.
-        values: of the inputs: of these feedforwards, then of parameters.
+        scene: the scene with the control laws of the closed loop, then laws without force on the measured
+            coordinates, whose feedforwards are inputs.
+        values: values of the inputs: these feedforwards, parameters, then pieces of functions.
     """
 
     def __init__(
@@ -184,7 +183,16 @@ class Linearization:
         closed_loop: bool,
         used: tuple[int, ...] | None,
     ) -> None:
-        """`used` are constraint rows that are well conditioned at the state, see `_chosen`."""
+        """Prepare the equations.
+
+        Args:
+            scene: the scene.
+            freedoms: independent coordinates.
+            measured: joint coordinates of freedoms, inputs, outputs and control laws.
+            parameters: names of the parameters that are inputs.
+            closed_loop: True if control laws act.
+            used: constraint rows that are well conditioned at the state, see `_chosen`.
+        """
         self.original, self.freedoms, self.measured = scene, freedoms, measured
         self.closed_loop, kept = closed_loop, scene.control if closed_loop else ()
         self.scene = with_laws(scene, [*kept, *measuring(scene, measured).control])
@@ -199,7 +207,7 @@ class Linearization:
 
     @cached_property
     def function(self) -> NativeFunction:
-        """Of (q, v, inputs, directions of all three, time), see `_trace`."""
+        """Function of (q, v, inputs, a direction of all three, time), see `_trace`."""
         begun = [float(motion.function.value(0.0)) for motion in self.scene.motions]
         inputs = parameter_layout(self.scene, self.values)
         chosen = tuple(label(freedom.name) for freedom in self.freedoms), self.measured, inputs, self.used
@@ -212,6 +220,7 @@ class Linearization:
         count = nq + nv + sum(value.size for value in self.values.values())
         x, directions = graph.variables(count), graph.variables(count)
         (time,) = graph.variables(1)
+        # accelerations of the independent coordinates
         q, v, given = np.split(x, [nq, nq + nv])
         system = at_time(Relative(with_values(self.scene, self._values(given))), time)
         share_model_control(system, self.system)
@@ -223,6 +232,7 @@ class Linearization:
             next(of_joints) if freedom.key else solution.acceleration.get(freedom.place, 0.0)
             for freedom in self.freedoms
         ]
+        # [J; J_z] v, whose change along z at constant v gives dv
         jacobian = system.phi_and_jacobian(q)[1]
         rates = [sum((x * v[k] for k, x in jacobian[i].items()), start=0.0) for i in self.rows.numbers]
         measured = system.measured(q, v)
@@ -238,19 +248,19 @@ class Linearization:
 
     @cached_property
     def _places(self) -> dict[str, slice]:
-        """Places of the inputs among all their numbers."""
+        """Slices of the inputs among all their numbers."""
         ends = list(accumulate((value.size for value in self.values.values()), initial=0))
         return dict(zip(self.values, map(slice, ends, ends[1:]), strict=True))
 
     def _values(self, given: Array) -> dict[str, Any]:
-        """Return the inputs by name in numbers (m,)."""
+        """Return the inputs by name from their numbers (m,)."""
         return {
             name: given[self._places[name]].reshape(own.shape) if own.shape else given[self._places[name]][0]
             for name, own in self.values.items()
         }
 
     def _whole(self, given: Array) -> Scene:
-        """Return the scene with inputs (m,), functions of time whole."""
+        """Return the scene with inputs (m,), with functions of time instead of their pieces."""
         whole = {name: value for name, value in self._values(given).items() if name not in self._pieces}
         return with_values(self.scene, whole)
 
@@ -283,6 +293,7 @@ class Linearization:
         time: float,
     ) -> LinearModel:
         """Evaluate the matrices at a state and a time, s, for inputs and outputs of these names."""
+        # the state in joint coordinates, and the numbers of the inputs
         system, freedoms, d = at_time(self.system, time), self.freedoms, len(self.freedoms)
         q, v = system.coordinates(state)
         values = self.values | pieces(self.scene, time)
@@ -291,15 +302,17 @@ class Linearization:
             values |= {self._probes[key]: np.array(force) for key, force in held.items()}
         given = np.concatenate([np.zeros(0), *(np.ravel(value) for value in values.values())])
         self._check_closed(system, q, v)
+        # T, and its columns as rates of q
         inverse, tangent = self.tangent(q)
         on_q = np.array([system.rate(q, column) for column in tangent.T]).reshape(d, system.nq)
 
         def along(by_q: Array, by_v: Array, by_input: Array) -> Array:
-            """Evaluate along directions (n, nq), (n, nv) and (n, m): (n, outputs) of the function."""
+            """Evaluate the function (n, outputs) along directions (n, nq), (n, nv) and (n, m)."""
             directions = np.column_stack([by_q, by_v, by_input])
             same = np.tile(np.concatenate([q, v, given]), (len(directions), 1))
             return at_rows(self.function, np.column_stack([same, directions, np.full(len(directions), time)]))
 
+        # derivatives along z at constant v give dv; then along z with dv, along zdot, and along the inputs
         n, m = d, len(given)
         by_input = np.eye(m)
         if self._pieces:
@@ -315,6 +328,7 @@ class Linearization:
         if not np.isfinite(found).all() or not np.all(found[:, -1] > 0.0):
             joint = fastest_joint(system.mechanism, state)
             raise SingularityError(joint, "accelerations are not determined at the state")
+        # matrices; rotations of balls are about axes that turn
         a, twists = np.zeros((2 * d, 2 * d)), system.velocity_transformation(q) @ tangent
         a[:d, d:] = np.eye(d)
         a[d:] = found[: 2 * d, d : 2 * d].T
@@ -342,7 +356,7 @@ class Linearization:
         )
 
     def _check_closed(self, system: Relative, q: Array, v: Array) -> None:
-        """Raise `MechanismError` for a state whose loops are open, or open."""
+        """Raise `MechanismError` for a state whose loops are open or opening."""
         where = f"state of scene {self.original.name!r}"
         for verb, residuals in (("is open by", system.phi(q)), ("opens at", constraint_rate(system, q, v))):
             shares = np.abs(residuals / system.phi_units)[self.rows.numbers]
@@ -356,7 +370,7 @@ class Linearization:
     def _columns(
         self, table: Array, inputs: Sequence[Key | str], names: Sequence[str | Key]
     ) -> tuple[Array, tuple[str | Key, ...]]:
-        """Select the columns (d, m) of the inputs from rows for all numbers, and name them."""
+        """Select the columns (d, m) of the inputs from rows for all numbers; return their names, too."""
         columns, labels = [np.zeros((0, table.shape[1]))], list[str | Key]()
         for each, name in zip(inputs, names, strict=True):
             known = each if isinstance(each, str) else self._probes[each]
@@ -368,7 +382,7 @@ class Linearization:
     def _outputs(
         self, q: Array, tangent: Array, twists: Array, names: Sequence[str | Key]
     ) -> tuple[Array, tuple[str | Key, ...]]:
-        """Compute rows (p, d) of the outputs for coordinates, and name them."""
+        """Compute rows (p, d) of the outputs for the coordinates; return their names, too."""
         mechanism = self.scene.mechanism
         measured = self.system.measured(q, np.zeros(self.system.nv))
         rows, labels = [np.zeros((0, tangent.shape[1]))], list[str | Key]()

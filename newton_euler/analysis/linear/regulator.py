@@ -31,27 +31,27 @@ def lqr(
     actuators: Sequence[str | Key] | None = None,
     targets: Mapping[str | Key, float | TimeFunction] | None = None,
 ) -> tuple[StateFeedback, ...]:
-    """Design the laws u = u_0 - K (x - r) that minimize the integral of x^T Q x + u^T R u about a state.
+    """Design control laws u = u_0 - K (x - r) that minimize the integral of x^T Q x + u^T R u about a state.
 
-    K = R^-1 B^T P with the solution P of A^T P + P A - P B R^-1 B^T P + Q = 0. A and B are those of the
-    linear model about the state (`linearize`), x deviations of independent coordinates and of their rates,
-    and u_0 the forces that hold the mechanism there (`statics`).
+    K = R^-1 B^T P with the solution P of A^T P + P A - P B R^-1 B^T P + Q = 0. A and B belong to the linear
+    model about the state (`linearize`). x are deviations of independent coordinates and of their rates, and
+    u_0 are the forces that hold the mechanism at the state (`statics`).
 
     Args:
         scene: the mechanism with its forces; its control laws are left out.
         Q: (2 d, 2 d), weights of the coordinates and then of their rates, or (2 d,) for a diagonal, in the
             order of `linearize(scene).coordinates`.
         R: (m, m), weights of the forces, or (m,) for a diagonal, or one number for all.
-        state: where, at rest; the scene's initial pose if None.
-        coordinates: d independent joint coordinates, as of `linearize`.
-        actuators: joint coordinates that forces act on; those of the scene's control laws if None, and if it
-            has none those of all actuated joints.
-        targets: r of coordinates, m or rad from the initial pose, or functions of time for that; where they
-            are at the state if not given.
+        state: state, taken at rest; the scene's initial pose if None.
+        coordinates: d independent joint coordinates, see `linearize`.
+        actuators: joint coordinates that forces act on. If None, the coordinates of the scene's control laws,
+            or of all actuated joints if the scene has none.
+        targets: r of coordinates, m or rad from the initial pose, numbers or functions of time; the values at
+            the state for others.
 
     Raises:
-        MechanismError: naming the body that the actuators do not hold at rest, and as of `linearize`.
-        OptionError: for weights of another shape, and for those without a regulator.
+        MechanismError: naming the body that the actuators do not hold at rest; see also `linearize`.
+        OptionError: for weights of another shape, and for weights without a stabilizing regulator.
 
     Examples:
         >>> scene = load("tracker_gravity")
@@ -61,6 +61,7 @@ def lqr(
     """
     from scipy.linalg import solve_continuous_are
 
+    # the linear model about the state, with the actuators' holding forces
     mechanism, acting = scene.mechanism, _acting(scene, actuators)
     if not acting:
         raise OptionError("actuators", (), "one joint coordinate or more")
@@ -71,6 +72,7 @@ def lqr(
     laws = [PD(joint, 0.0, 0.0, 0.0, k, float(u)) for (joint, k), u in zip(acting, held, strict=True)]
     model = linearize(replace(scene, control=tuple(laws)), state, coordinates, acting, [])
     keys = [_coordinate(scene, name) for name in model.coordinates]
+    # gains from the Riccati equation
     q, r = _weights("Q", Q, 2 * len(keys)), _weights("R", R, len(acting))
     try:
         with np.errstate(all="ignore"):  # numbers are checked
@@ -82,6 +84,7 @@ def lqr(
         needed = "positive weights of forces, and weights of all that does not come to rest by itself"
         where = f"the pair Q and R for scene {scene.name!r}"
         raise OptionError(where, (q.tolist(), r.tolist()), needed) from error
+    # control laws: one for each actuator, with gains of all coordinates
     given = {mechanism.coordinate(name): value for name, value in (targets or {}).items()}
     wanted = {key: given.get(key, measured_coordinate(scene, state, key)[0]) for key in keys}
     found = []
@@ -105,7 +108,7 @@ def _acting(scene: Scene, actuators: Sequence[str | Key] | None) -> tuple[Key, .
 
 
 def _coordinate(scene: Scene, name: str | Key) -> Key:
-    """Return the joint coordinate of a freedom, which a law can read."""
+    """Return the joint coordinate of a freedom; raises `MechanismError` for a rotation of a ball."""
     if isinstance(name, str) and name not in scene.mechanism.joint_names:
         needed = "joint coordinates alone, which laws can read"
         raise MechanismError(f"scene {scene.name!r}", f"moves along {name}, a rotation of a ball", needed)

@@ -1,1 +1,1 @@
-"""Equilibrium, inverse dynamics and load envelopes."""
+"""Loads: `inverse_dynamics`, `statics`, `equilibrium`, and `load_envelope` over runs and load cases."""

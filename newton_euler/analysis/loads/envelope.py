@@ -1,4 +1,4 @@
-"""Loads for design: ranges of what joints and actuators carry over runs and load cases."""
+"""Load envelopes for design: ranges of joint and actuator loads over runs and load cases."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array, Floats
 
 REQUIRED_ARRAYS = ("linear_velocity", "angular_velocity", "reaction_force", "reaction_torque")
-"""Arrays of runs that loads are worked out of."""
+"""Arrays of runs that loads are computed from."""
 
 
 class Load(NamedTuple):
-    """A load: of a joint or a joint coordinate, the quantity and its unit."""
+    """A load: the joint or joint coordinate, the quantity and its unit."""
 
     element: str
     quantity: str
@@ -41,12 +41,12 @@ class LoadRange:
     Attributes:
         element: name of the joint, or of the joint coordinate that an actuator acts on.
         quantity: see `load_envelope`.
-        unit: of the values.
-        least, most: values.
-        least_time, most_time: s, when they are reached first.
-        least_case, most_case: the cases that they are of.
-        rms: root of the mean square over the time of the case in which that is largest.
-        rms_case: that case.
+        unit: unit of the values.
+        least, most: smallest and largest value.
+        least_time, most_time: s, at which they are first reached.
+        least_case, most_case: names of their cases.
+        rms: root of the mean square over time, in the case in which it is largest.
+        rms_case: name of this case.
 
     Examples:
         >>> scene = load("pendulum")
@@ -69,7 +69,7 @@ class LoadRange:
 
     @property
     def peak(self) -> float:
-        """The value that is largest in magnitude, without its sign."""
+        """The largest magnitude."""
         return max(abs(self.least), abs(self.most))
 
     @property
@@ -85,9 +85,9 @@ class LoadEnvelope:
     """Ranges of loads over cases; see `load_envelope`.
 
     Attributes:
-        cases: their names.
-        joints: ranges of what joints carry.
-        actuators: ranges of what actuators do.
+        cases: names of the cases.
+        joints: ranges of joint loads.
+        actuators: ranges of forces, speeds, powers, work and energy of actuators.
 
     Examples:
         >>> scene = load("pendulum")
@@ -118,7 +118,7 @@ class LoadEnvelope:
         return ranges[element, quantity]
 
     def to_csv(self) -> str:
-        """Return all ranges as CSV, a row each under the names of the attributes of `LoadRange`."""
+        """Return all ranges as CSV: one row each, with the attributes of `LoadRange` as columns."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         names = [field.name for field in fields(LoadRange)]
@@ -136,20 +136,19 @@ def load_envelope(scene: Scene, runs: Trajectory | Mapping[str, Trajectory]) -> 
 
     - `force x`, `force y`, `force z` and `torque x`, ... along the world's axes, `force` and `torque` their
       magnitudes;
-    - of a joint with one axis `axial force` and `axial torque` along it, `shear force` and `bending torque`
-      across it, and these along two further axes as `force u`, `force w`, `torque u`, `torque w`. The axes u,
-      w and the joint's own are right-handed and turn with the first body.
+    - for a joint with one axis: `axial force` and `axial torque` along the axis, `shear force` and `bending
+      torque` across it, and their components `force u`, `force w`, `torque u`, `torque w` along two further
+      axes. The axes u, w and the joint's own are right-handed and turn with the first body.
 
-    Peaks are those of outputs. What a prescribed motion takes is part of the axial load of its joint. What a
-    control law does is not, but that of an actuator, named as the coordinate that it acts on: `actuator
-    force` (N or N m), `speed` (m/s or rad/s), `power` (W), and until then `work` and `energy` (J), see
-    `work_and_energy`.
+    Peaks are peaks of the output times. The force of a prescribed motion is part of the axial load of its
+    joint. The force of a control law is not: it is the load of an actuator, named as the coordinate that it
+    acts on: `actuator force` (N or N m), `speed` (m/s or rad/s), `power` (W), and `work` and `energy` (J) up
+    to each time, see `work_and_energy`.
 
     Args:
         scene: the mechanism and its control laws.
-        runs: a run of newton_euler, MuJoCo or Pinocchio, or several, by names of the cases; those of
-            `rest_case`, too. The scenes of the cases may differ in anything but bodies, joints and the joint
-            coordinates that are controlled.
+        runs: one run of newton_euler, MuJoCo or Pinocchio or of `rest_case`, or several by names of cases.
+            The scenes of the cases have the same bodies, joints and controlled joint coordinates.
 
     Raises:
         MechanismError: for a run of another mechanism, or one without reactions or velocities.
@@ -162,6 +161,7 @@ def load_envelope(scene: Scene, runs: Trajectory | Mapping[str, Trajectory]) -> 
         >>> envelope.of("slide_12", "power").unit
         'W'
     """
+    # loads of all cases over time
     cases = {"run": runs} if isinstance(runs, Trajectory) else dict(runs)
     if not cases:
         raise MechanismError("load envelope", "has no cases", "one run or more")
@@ -169,6 +169,7 @@ def load_envelope(scene: Scene, runs: Trajectory | Mapping[str, Trajectory]) -> 
     for name, run in cases.items():
         _check_run(scene, name, run)
         found.append(joint_loads(scene, run))
+    # their ranges
     joints = tuple(_range(load, cases, found) for load in found[0])
     found = [actuator_loads(scene, run) for run in cases.values()]
     actuators = tuple(_range(load, cases, found) for load in found[0])
@@ -177,12 +178,12 @@ def load_envelope(scene: Scene, runs: Trajectory | Mapping[str, Trajectory]) -> 
 
 @checked
 def rest_case(scene: Scene) -> Trajectory:
-    """Hold a scene at rest in its initial pose by its actuators, as a run of a single output.
+    """Hold a scene at rest in its initial pose by its actuators: a trajectory with one output.
 
-    Wind and prescribed motions are those of time 0; see `newton_euler.statics`, which also takes other poses.
+    Wind and prescribed motions have their values at time 0. `newton_euler.statics` takes other poses, too.
 
     Raises:
-        NewtonEulerError: as of `statics`.
+        NewtonEulerError: see `statics`.
 
     Examples:
         >>> scene = load("tracker_gravity")
@@ -246,7 +247,7 @@ def joint_loads(scene: Scene, run: Trajectory) -> dict[Load, Array]:
 
 
 def _axes(scene: Scene, joint: Joint, run: Trajectory) -> Floats | None:
-    """Return axes u, w and the joint's own at all outputs, (n, 3, 3) columns; None of one without an axis."""
+    """Return axes u, w and the joint's own at all outputs, (n, 3, 3) columns; None without a single axis."""
     axes = [motion.axis for motion in joint.motions if motion.kind != "ball"]
     if joint.axis_names == ("axis",):
         axes = [getattr(joint, "axis")]  # noqa: B009 (kinds with one axis)
@@ -259,7 +260,7 @@ def _axes(scene: Scene, joint: Joint, run: Trajectory) -> Floats | None:
 
 
 def actuator_loads(scene: Scene, run: Trajectory) -> dict[Load, Array]:
-    """Compute what the actuators do (n,) over a run, see `load_envelope`."""
+    """Compute the loads (n,) of all actuators over a run, see `load_envelope`."""
     found: dict[Load, Array] = {}
     for k, law in enumerate(scene.control):
         assert run.actuator_force is not None
@@ -282,10 +283,9 @@ def actuator_loads(scene: Scene, run: Trajectory) -> dict[Load, Array]:
 
 
 def work_and_energy(force: Array, coordinate: Array) -> tuple[Array, Array]:
-    """Compute what an actuator does until each of n outputs (n,), J, by the trapezoidal rule.
+    """Compute the work and the energy of an actuator up to each output (n,), J, by the trapezoidal rule.
 
-    Its energy is its work where that is positive: what drives it against its force is neither taken back nor
-    costs it anything.
+    The energy is the positive mechanical work. Negative work (braking) is neither recovered nor consumed.
 
     Args:
         force: (n,) N or N m; coordinate: (n,) m or rad.
@@ -301,8 +301,8 @@ def _steps(values: Array, over: Array) -> Array:
 
 
 def _range(load: Load, cases: Mapping[str, Trajectory], found: list[dict[Load, Array]]) -> LoadRange:
-    """Compute the range of a load in all cases."""
-    moments = [
+    """Compute the range of a load over all cases."""
+    extremes = [
         (float(values[k]), float(run.time[k]), case)
         for (case, run), loads in zip(cases.items(), found, strict=True)
         for values in [loads[load]]
@@ -313,12 +313,12 @@ def _range(load: Load, cases: Mapping[str, Trajectory], found: list[dict[Load, A
         for (case, run), loads in zip(cases.items(), found, strict=True)
     ]
     mean, case = max(squares, key=itemgetter(0))
-    least, most = min(moments, key=itemgetter(0)), max(moments, key=itemgetter(0))
+    least, most = min(extremes, key=itemgetter(0)), max(extremes, key=itemgetter(0))
     return LoadRange(*load, *least, *most, float(np.sqrt(mean)), case)
 
 
 def _mean(values: Array, time: Array) -> float:
-    """Average over time; of a single output its value."""
+    """Average values (n,) over time; a single output is its own average."""
     if len(time) == 1:
         return float(values[0])
     return float(np.cumsum(_steps(values, time))[-1] / (time[-1] - time[0]))

@@ -1,4 +1,4 @@
-"""Poses in which a mechanism stays at rest, by Newton's method in linear models."""
+"""Equilibrium: poses in which a mechanism stays at rest, by Newton's method with linear models."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CONVERGED_STEP = 1e-10
 
 
 def at_rest(scene: Scene) -> Scene:
-    """Return the scene with a start at rest, and prescribed motions that stay where they are at time 0."""
+    """Return the scene with a start at rest and prescribed motions held at their values at time 0."""
     start = initial_state(scene)
     still = np.zeros_like(start.position)
     motions = tuple(motion.held() for motion in scene.motions)
@@ -39,18 +39,18 @@ def at_rest(scene: Scene) -> Scene:
 
 @checked
 def equilibrium(scene: Scene, state: State | None = None) -> State:
-    """Find a pose near a state in which the mechanism stays at rest, by Newton's method in linear models.
+    """Find a pose near a state in which the mechanism stays at rest.
 
-    Control laws, springs, wrenches and gravity balance there, stable or not; prescribed motions hold the
-    values that they have at time 0, as in the scene that `at_rest` returns.
+    Control laws, springs, wrenches and gravity balance in this pose, stable or not. Prescribed motions hold
+    their values at time 0, as in the scene that `at_rest` returns.
 
     Args:
         scene: the mechanism with its forces and control laws.
-        state: where to begin, its velocities left out; the scene's initial state if None.
+        state: state to begin at, its velocities ignored; the scene's initial state if None.
 
     Raises:
-        MechanismError: for a scene without an equilibrium nearby, naming a coordinate that accelerates.
-        NewtonEulerError: as of `linearize`.
+        MechanismError: if no equilibrium is nearby, naming a coordinate that still accelerates.
+        NewtonEulerError: see `linearize`.
 
     Examples:
         >>> scene = load("stewart")
@@ -66,12 +66,14 @@ def equilibrium(scene: Scene, state: State | None = None) -> State:
     names = [freedom.name for freedom in chosen_freedoms(scene, state, None)]
     system, model = Relative(scene), linearize(scene, state, names, [], [])
     for _ in range(MAX_ITERATIONS):
+        # in each mode, the acceleration divided by the magnitude of the eigenvalue: Newton's step if it is stable
         stiffness, accelerations = (part[len(names) :] for part in (model.A, model.f))
         values, vectors = np.linalg.eig(stiffness[:, : len(names)] * model.units / model.units[:, None])
         along = least_squares(vectors, accelerations / model.units)
         step = (vectors @ (along / np.maximum(np.abs(values), RIGID_MODE))).real
         if model.is_equilibrium and largest(step) < CONVERGED_STEP:
             return state
+        # move along it and close the loops
         step *= min(1.0, MAX_EQUILIBRIUM_STEP / max(largest(step), MAX_EQUILIBRIUM_STEP))
         q, _ = system.coordinates(state)
         motion = model.twists.reshape(-1, len(names)) @ (model.units * step)

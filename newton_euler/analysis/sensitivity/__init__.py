@@ -1,1 +1,4 @@
-"""Derivatives of a run with respect to parameters."""
+"""Derivatives of runs with respect to parameters: `sensitivities` is the entry.
+
+`tangent_starts` differentiates the start, `tangent_run` the run, with the compiled code of `tangent_code`.
+"""

@@ -1,16 +1,17 @@
-"""Sensitivities: derivatives of trajectories by parameters of a scene.
+"""Sensitivities: derivatives of trajectories with respect to parameters of a scene.
 
-By traced derivatives of the equations of motion, carried along the steps of a run beside its states
-(`newton_euler.integrators.tangent_steps`), on the linearized constraints. The run itself is a plain one, to
-the last bit. Steps that are too long for the derivatives, as those of a mechanism at rest are, are taken in
-parts: in each the error of all coordinates by one parameter is at most 100 `rtol` of the largest, and so is
-that of velocities, unless it is round-off, or a singular configuration is passed.
+Traced derivatives of the equations of motion are integrated along the steps of a run
+(`newton_euler.integrators.tangent_steps`), on the linearized constraints. The run itself is bitwise equal to
+a run without derivatives. A step that is too long for the derivatives, for example of a mechanism at rest, is
+divided. In each part the error of the derivatives of all coordinates is at most 100 `rtol` of the largest
+derivative, for each parameter; so is the error of velocities. Round-off and singular configurations are
+excepted.
 
-The times of events must not depend on parameters: set-points that jump and knots of splines are such. Runs
-in which a spring jumps where motion takes it are refused: one on a ball that passes half a revolution, and
-one with a rest length whose ends pass through each other. Sampled controllers have no derivatives. Near
-singular configurations derivatives lose digits as accelerations do; runs that come too near to one are
-refused, and by parameters that move the closed configurations all that come near.
+Times of events must not depend on parameters. Set-points that jump and knots of splines have fixed times. A
+run is refused if a spring force jumps in the motion: a spring on a ball that passes half a revolution, or a
+spring with a rest length whose ends meet. Sampled controllers have no derivatives. Near singular
+configurations derivatives lose digits like accelerations. A run that comes too near is refused; parameters
+that move closed configurations allow less.
 """
 
 from __future__ import annotations
@@ -40,16 +41,17 @@ from newton_euler.scalars import Floats
 
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
-    """Derivatives of a run by p parameters at its n output times: b bodies, j joints, a actuators; SI.
+    """Derivatives of a run with respect to p parameters at its n output times; SI.
 
-    Arrays are those of a trajectory, with a last dimension for the parameters: `position[..., k]` is the
-    derivative of `run.position` by `parameters[k]`. Arrays that the scene did not ask for are None, and so
-    are reactions where constraints are redundant. Bodies and joints are named as a trajectory names them:
-    `by.position[:, by.body_names.index("panel_7")]` are derivatives of the positions of one body.
+    b bodies, j joints, a actuators. The arrays are those of a trajectory, with a last dimension for the
+    parameters: `position[..., k]` is the derivative of `run.position` with respect to `parameters[k]`. Arrays
+    that are not outputs of the scene are None; so are reactions if constraints are redundant. Bodies and
+    joints have the names of the trajectory: `by.position[:, by.body_names.index("panel_7")]` are derivatives
+    of the positions of one body.
 
     Attributes:
-        run: the run itself, to the last bit that of code with these parameters as inputs.
-        parameters: names of the numbers by which derivatives are taken.
+        run: the run itself, bitwise equal to a run of code with these parameters as inputs.
+        parameters: names of the p numbers.
 
     Examples:
         >>> by = sensitivities(load("pendulum"), ["dumbbell.mass", "gravity"])
@@ -125,7 +127,7 @@ def sensitivities(
     formulation: FormulationName | None = None,
     **control: Unpack[StepControl],
 ) -> Sensitivities:
-    """Run a scene, and differentiate its trajectory by parameters.
+    """Run a scene and differentiate its trajectory with respect to parameters.
 
     Args:
         scene: the scene to run, by DOP853 with projection.
@@ -134,8 +136,8 @@ def sensitivities(
             name: the run is then the one that `simulate_batch` makes with these values, and all values share
             the compiled code. If the rate `start.JOINT.rate` is a parameter, the coordinate `start.JOINT` is
             held, also for derivatives with respect to geometry. If neither is, the joint follows the loops.
-        formulation: as of `simulate`.
-        control: of steps of DOP853, as of `simulate`, with projection; other methods have no derivatives.
+        formulation: see `simulate`.
+        control: step control of DOP853 with projection, see `simulate`; other methods have no derivatives.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, a run that stops, or a run without
@@ -149,6 +151,7 @@ def sensitivities(
         >>> lighter.parameters
         ('dumbbell.mass',)
     """
+    # numbers of the parameters
     check_formulation(formulation)
     names = checked_names(list(parameters) if isinstance(parameters, Mapping) else parameters)
     options, places = tangent_options(control), components(scene, names)
@@ -157,11 +160,13 @@ def sensitivities(
     else:
         values = own_values(scene, names)
     labels = tuple(places)
+    # the run with its derivatives
     code = tangent_code(scene, labels, formulation)
     code.warn()
     numbers = np.array([values[name][index] for name, index in places.values()])
     start, directions = Starts(code, labels)(numbers)
     found = FollowedRun(code, options, ("output", "coordinates"))(start, directions)
+    # the trajectory, and derivatives in its shapes
     settings = code.settings | options.chosen() | found.counts
     outputs = named(code, found.results)
     signs = outputs["quaternion"].copy()
@@ -174,7 +179,7 @@ def sensitivities(
     if redundant_constraints(scene):
         arrays.pop("reaction_force", None)
         arrays.pop("reaction_torque", None)
-    signs = np.sign(np.sum(signs * run.quaternion, axis=2))  # of rotations that were made continuous
+    signs = np.sign(np.sum(signs * run.quaternion, axis=2))  # quaternions of the run are continuous
     arrays["quaternion"] = arrays["quaternion"] * signs[:, :, None, None]
     for name, array in arrays.items():
         if not np.isfinite(array).all():
@@ -184,7 +189,7 @@ def sensitivities(
 
 
 def checked_names(parameters: Sequence[str]) -> tuple[str, ...]:
-    """Return names of parameters, one or more, each once; raises `OptionError` for anything else."""
+    """Check that names of parameters are given, at least one, each once; raises `OptionError`."""
     valid = isinstance(parameters, list | tuple) and all(isinstance(name, str) for name in parameters)
     if not valid or not 0 < len(set(parameters)) == len(parameters):
         needed = "names of parameters, one or more, each once, or values by name"

@@ -25,17 +25,21 @@ from newton_euler.scalars import Array, Scalar, minimum, objects, zeros
 
 ALONG = " along"
 UNREFINED, RATES, PROJECTED = (name + ALONG for name in ("unrefined", "derivative", "settled"))
-"""Names of programs that have a direction behind x."""
+"""Names of programs whose inputs are x and a direction."""
 
 SIGN_CHANGES = "reversing"
-"""Name of the program of what reverses where forces jump."""
+"""Name of the program of vectors that reverse where forces jump."""
 
 
 @lru_cache(maxsize=CACHED_SCENES)
 def tangent_code(scene: Scene, names: tuple[str, ...], formulation: FormulationName | None) -> TangentCode:
-    """Return the code of a scene with derivatives by numbers that are parameters, see `components`.
+    """Return the code of a scene with derivatives with respect to numbers; the same object each time.
 
-    It is the same for one run after another, at any values of these.
+    Args:
+        scene: the scene to run.
+        names: names of numbers, see `newton_euler.analysis.sensitivity.tangent_starts.components`. Their
+            values are inputs of the code.
+        formulation: see `newton_euler.simulate`.
     """
     initial = initial_numbers(scene, names)
     code = TangentCode(scene, formulation, parameters=[name for name in names if name not in initial])
@@ -46,8 +50,8 @@ def tangent_code(scene: Scene, names: tuple[str, ...], formulation: FormulationN
 class TangentCode(CompiledScene):
     """A compiled scene with derivatives along a direction of (q, v, parameters).
 
-    Programs whose names end with `ALONG` take x with a direction behind it, another x; several directions
-    are taken side by side.
+    Inputs of programs whose names end with `ALONG` are x and a direction of the same length. Several
+    directions are evaluated side by side.
     """
 
     alone = False
@@ -55,12 +59,12 @@ class TangentCode(CompiledScene):
 
     @property
     def rates(self) -> tuple[str, ...]:
-        """Names of programs of rates, the quicker one before that for where its pivot ratio is small."""
+        """Names of programs of rates: the quick one first, then the one for small pivot ratios."""
         return (RATES,) if self.formulation == "relative" else (UNREFINED, RATES)
 
     @cached_property
     def moves_loops(self) -> bool:
-        """True if parameters move the closed configurations: near singular ones without bound."""
+        """True if parameters move closed configurations: near a singular one without bound."""
         if not (SpanningTree(self.scene.mechanism).cuts or self.system.couplings):
             return False
         found = places(self.scene, self._named).values()
@@ -71,7 +75,7 @@ class TangentCode(CompiledScene):
             return super()._traced(name, in_lanes)
         program = self.program(name)
         straight = name in self.rates and program.operations < VERY_LARGE
-        # a single direction is beside itself at other output times
+        # for a single direction, lanes hold output times
         many = name not in self.rates or not self.alone
         return Traced(program, many, self._layouts.get(name), straight=straight)
 
@@ -84,10 +88,10 @@ class TangentCode(CompiledScene):
             return super()._trace(name)
         graph, base = Graph(), name.removesuffix(ALONG)
         x, along = graph.variables(self.inputs), graph.variables(self.inputs)
-        along[self.size : self.flags.stop] = 0.0  # at the same time, with the same rows
+        along[self.size : self.flags.stop] = 0.0  # time and constraint rows stay
         system = self._system_of(x, tuple(self.parameters))
         if name == PROJECTED:
-            return graph.prune(self._settled(system, x, along))
+            return graph.prune(self._projected(system, x, along))
         if name in self.rates:
             rates = self._rates_along(system, x, along, refined=name == RATES)
             return graph.prune(rates)._replace(inputs=2 * self.inputs)
@@ -99,11 +103,11 @@ class TangentCode(CompiledScene):
     def _rates_along(self, system: Formulation, x: Array, along: Array, refined: bool) -> list[Scalar]:
         """Return (qdot, vdot), their derivatives, and the pivot ratio.
 
-        Accelerations are differentiated implicitly: the residuals of the equations that they solve, for
-        accelerations and multipliers held, are what the equations are solved for once more, with the same
-        factors. If they are not refined, in either, their relative error is round-off over the ratio of a
-        pivot to what it was before the elimination: that is their pivot ratio.
+        Accelerations are differentiated implicitly. The residuals of their equations are differentiated with
+        accelerations and multipliers held; the equations with this right side and the same factors give the
+        derivatives. Without refinement their relative error is round-off divided by the pivot ratio.
         """
+        # accelerations and multipliers at x
         q, v, graph = x[: system.nq], x[system.nq : self.size], x[-1].graph
         rows = used_by(system)
         if not refined:
@@ -111,6 +115,7 @@ class TangentCode(CompiledScene):
         equations = system.sparse_equations(q, v, rows)
         equations = equations._replace(refine=equations.refine and refined)
         solution = solve_constrained(equations)
+        # residuals at held accelerations and multipliers, differentiated
         count, used = len(equations.factor.columns), equations.rows.numbers
         accelerations, of_rows = graph.variables(count), graph.variables(len(used))
         multipliers = zeros(len(equations.jacobian), x)
@@ -120,21 +125,23 @@ class TangentCode(CompiledScene):
         values += [solution.multipliers.get(i, 0.0) for i in used]
         residuals = system.sparse_residuals(q, v, rows, accelerations, multipliers)
         right = substitute(graph, differentiated(np.concatenate(residuals).tolist(), x, along), held, values)
+        # derivatives of the accelerations
         force, gamma = sparse_vector([-change for change in right[:count]]), -objects(right[count:])
         found = solve_constrained(equations._replace(force=force, gamma=gamma)).acceleration
         moved = [found.get(k, 0.0) for k in range(count)]
         of_held = replace(solution, acceleration=dict(enumerate(accelerations)))
+        # derivatives of qdot and vdot
         vdot = system.sparse_vdot(q, v, of_held).tolist()
         changes = differentiate_along(graph, vdot, [*x, *accelerations], [*along, *moved])
         rates = [*system.rate(q, v), *system.sparse_vdot(q, v, solution)]
         changes = differentiated(rates[: system.nq], x, along) + substitute(graph, changes, held, values)
         return [*rates, *changes, minimum(solution.pivot_ratio, 1.0)]
 
-    def _settled(self, system: Formulation, x: Array, along: Array) -> list[Scalar]:
-        """Put a direction at a state on the constraints on the linearized ones, (q, v) of it.
+    def _projected(self, system: Formulation, x: Array, along: Array) -> list[Scalar]:
+        """Project a direction at a closed state onto the linearized constraints; return its (q, v).
 
-        By steps of least length, as states are: of coordinates, then of velocities. Where constraints become
-        dependent the steps have no digits, and fade: there a direction is as good as its integration.
+        Coordinates are projected first, then velocities, by steps of least length. Near dependent constraints
+        the steps have no digits and are faded out: the direction then keeps the error of its integration.
         """
         on_q, on_v = slice(system.nq), slice(system.nq, self.size)
         q, v, moved = x[on_q], x[on_v], along.copy()
@@ -144,7 +151,7 @@ class TangentCode(CompiledScene):
         rows, units = dimensionless_rows(system, jacobian, self.rows.numbers), system.velocity_units
 
         def step(residuals: Sequence[Scalar]) -> Array:
-            """The least step (nv,) for residuals (k,) along the direction."""
+            """Compute the shortest step (nv,) for the derivatives of residuals (k,) along the direction."""
             right = np.array(differentiated(residuals, x, moved)) / system.phi_units[self.rows.numbers]
             least, pivot_ratio = least_squares(rows, right, used_by(system))
             known = minimum(pivot_ratio * (1.0 / UNSAFE), 1.0)
@@ -161,9 +168,9 @@ class TangentCode(CompiledScene):
         return moved[: self.size].tolist()
 
     def _smooth(self, scalars: list[Scalar]) -> list[Scalar]:
-        """Select the outputs that have derivatives, with a layout of their own."""
+        """Select the outputs that have derivatives, and record their layout."""
         without = {"phi", "pivot_ratio", "joint_angle"}  # `coordinates` has the angles of all joints
-        if self.redundant:  # and not unique
+        if self.redundant:  # reactions are not unique
             without |= {"reaction_force", "reaction_torque"}
         kept: list[Scalar] = []
         places: dict[str, tuple[int, int, tuple[int, ...]]] = {}
@@ -175,7 +182,7 @@ class TangentCode(CompiledScene):
         return kept
 
     def _trace_reversing(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Trace the vectors of forces that may jump; their layout has the names of these in messages."""
+        """Trace the vectors of forces that may jump; the layout has the names of the forces."""
         at, scalars = system.seen(q, v), list[Scalar]()
         places: dict[str, tuple[int, int, tuple[int, ...]]] = {}
         for force in system.scene.forces:

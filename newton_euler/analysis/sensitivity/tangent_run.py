@@ -60,23 +60,29 @@ class Followed(NamedTuple):
     """A run with its derivatives along p directions."""
 
     results: Array
-    """(n, outputs) what the scene asks for."""
+    """(n, outputs) outputs of the scene."""
     derivatives: dict[str, Array]
-    """(n, outputs, p) of programs, by name; of "coordinates" these themselves before."""
+    """(n, outputs, p) by program; the program "coordinates" has the coordinates before their derivatives."""
     counts: dict[str, float]
     wall_time: float
     """s, of the run and its derivatives."""
 
 
 class _Path:
-    """Motion through the steps of a run, by cubics through the states and rates at their ends.
+    """Motion between the steps of a run: cubics through the states and rates at the ends of each step.
 
-    Its pivot ratios are those of the constraints alone, Phi_q Phi_q^T without dimension: where a light body
-    is at a dead center those with masses vanish, too.
+    Pivot ratios are those of the dimensionless Phi_q Phi_q^T, without masses. With masses they would vanish,
+    too, where a light body is at a dead center.
     """
 
     def __init__(self, code: TangentCode, steps: Array, begun: Array, end: Array) -> None:
-        """Of steps (m, n + 2 + flags), see `Dop853`, from x (inputs,) to another."""
+        """Take the recorded steps of a run.
+
+        Args:
+            code: compiled equations.
+            steps: (m, n + 2 + flags), see `newton_euler.integrators.dop853.Dop853`.
+            begun, end: x (inputs,) at the beginning and at the end.
+        """
         n, nq, known = code.size, code.system.nq, code.flags.stop
         self._code, self._n, self._nq = code, n, nq
         self._sizes = np.minimum(steps[:, -1:], end[n] - steps[:, n : n + 1])  # the last may go beyond
@@ -88,9 +94,9 @@ class _Path:
         self._counts = 1 + (moved / PIVOT_SPACING).astype(int)
 
     def least_pivot_ratio(self) -> float:
-        """Find the least pivot ratio in units of the largest one, independent of where steps end.
+        """Find the smallest pivot ratio divided by the largest, whatever the steps of the run.
 
-        Least ones that are not small are taken as they are seen. Not a number counts as 0.
+        Small minima are refined twice. A ratio that is not a number counts as 0.
         """
         places = self._places()
         ratios = self._pivot_ratios(self._ends if len(places) == len(self._ends) else self._states(places))
@@ -108,9 +114,9 @@ class _Path:
         return float(least / most) if most > 0.0 else 0.0
 
     def jump(self) -> str:
-        """Word which force jumps on the way, and when; empty if none does.
+        """Describe the force that jumps in the run, and the time; empty if no force jumps.
 
-        Vectors that only turn far in a step are looked at within it, where they turn by and by.
+        A vector that turns far within a step is examined at points between: a jump reverses it at once.
         """
         turned = np.any([*self._reversals(self._ends).values()], axis=0)
         for step in np.flatnonzero(turned):
@@ -121,7 +127,7 @@ class _Path:
         return ""
 
     def _reversals(self, x: Array) -> dict[str, Array]:
-        """Tell (k - 1,) between which of x (k, inputs) the vectors of forces reverse, by names of these."""
+        """True (k - 1,) where the vector of a force reverses between two of x (k, inputs), by its name."""
         vectors = self._evaluated(SIGN_CHANGES, x)
         products = vectors[1:] * vectors[:-1]
         layout = self._code.function(SIGN_CHANGES).layout
@@ -142,7 +148,7 @@ class _Path:
         return self._evaluated("rate", self._ends)
 
     def _states(self, places: Array) -> Array:
-        """Return x (k, inputs) at places (k,), the velocities those at the begin of the step."""
+        """Return x (k, inputs) at places (k,), with the velocities at the beginning of the step."""
         step = np.minimum(places.astype(int), len(self._counts) - 1)
         share, size = (places - step)[:, None], self._sizes[step]
         x, nq = self._ends[step], self._nq
@@ -166,23 +172,29 @@ class _Path:
 
 
 class FollowedRun:
-    """Runs of a compiled scene with their derivatives along directions."""
+    """Runs of a compiled scene with derivatives along directions."""
 
     def __init__(self, code: TangentCode, options: Options, programs: Sequence[str]) -> None:
-        """Make everything ready for derivatives of the results of these programs."""
+        """Prepare derivatives of the results of programs.
+
+        Raises:
+            SensitivityError: for a sampled controller, naming its joint.
+        """
         scene = code.scene
         if scene.sampled:
             raise SensitivityError(f"sampled controller of joint {scene.sampled[0].joint!r} has none")
         self._code, self._options, self._programs = code, options, programs
 
     def __call__(self, x: Array, directions: Array, times: Array | None = None) -> Followed:
-        """Run from x (inputs,) over the scene's output times, or others, s, along directions (inputs, p).
+        """Run from x (inputs,) with derivatives along directions (inputs, p).
 
-        Both are changed to what they are at the end.
+        Args:
+            x, directions: at the start; changed to their values at the end.
+            times: output times, s; those of the scene if None.
 
         Raises:
-            IntegrationError: for a run that cannot go on.
-            SensitivityError: for one near a singular configuration.
+            IntegrationError: for a run that stops.
+            SensitivityError: for a run near a singular configuration, or without derivatives.
         """
         parts: dict[str, list[Array]] = {name: [] for name in self._programs}
 
@@ -203,7 +215,7 @@ class FollowedRun:
     def _along(
         self, integrator: Integrator, begun: Array, interval: Interval, directions: Array
     ) -> dict[str, Array]:
-        """Carry directions (inputs, p) through an interval from x (inputs,); derivatives there by program."""
+        """Integrate directions (inputs, p) through an interval from x (inputs,); results by program."""
         code = self._code
         steps = int(integrator.counts[m.STEPS])
         if steps > len(integrator.steps):
@@ -220,7 +232,7 @@ class FollowedRun:
         raise SensitivityError(NEAR_SINGULAR if near else MASS_RATIO)
 
     def _check(self, path: _Path) -> None:
-        """Raise `SensitivityError` for the path of a run that has no derivatives, or none that are known."""
+        """Raise `SensitivityError` for a run without derivatives, or without known derivatives."""
         code = self._code
         if code.projects and code.moves_loops and path.least_pivot_ratio() < NEAR:
             raise SensitivityError(NEAR_SINGULAR)
@@ -230,11 +242,19 @@ class FollowedRun:
     def _carried(
         self, program: str, integrator: Integrator, begun: Array, directions: Array
     ) -> dict[str, Array] | None:
-        """Carry directions (inputs, p) by a program of rates along an integrator's steps from x (inputs,).
+        """Integrate directions (inputs, p) along the recorded steps of a run.
 
-        They are changed to what they are at the end. Returns the derivatives at the output times by program;
-        None, and changes nothing, if pivot ratios are too small for these rates.
+        Args:
+            program: name of the program of rates.
+            integrator: has made the run.
+            begun: x (inputs,) at the beginning.
+            directions: changed to their values at the end.
+
+        Returns:
+            Derivatives at the output times by program; None, without changes, if pivot ratios are too small
+            for this program of rates.
         """
+        # results, and the record of the native code
         code, most, rates = self._code, most_steps(self._options), self._code.function(program)
         floor = UNSAFE if program == RATES else NEAR
         settled = code.function(PROJECTED) if code.projects else None
@@ -279,6 +299,7 @@ class FollowedRun:
             counts=np.zeros(3),
             found=np.empty((max(n, *(function.outputs for function in functions.values())), wide)),
         )
+        # integrate groups of directions side by side
         for first in range(0, directions.shape[1], lanes):
             beside = directions[:, first : first + lanes]
             together = beside.shape[1]
@@ -295,7 +316,8 @@ class FollowedRun:
                 reached = f"more than {most} parts of steps at t = {tangents.counts[REACHED]:.6g} s"
                 raise SensitivityError(f"{reached}; derivatives vibrate much faster than the run moves")
             ends[:, first : first + together] = x[inputs : inputs + n, :together]
-            if settled:  # the first are
+            # project the directions at the outputs, and differentiate the results of all programs
+            if settled:
                 methods()(evaluate_along, tangents, 1, together, settled, n, 0, lanes, tangents.table)
             for name, function in functions.items():
                 into = function.outputs, first, directions.shape[1], found[name]
@@ -304,7 +326,7 @@ class FollowedRun:
         return found
 
     def _turn_pieces(self, x: Array, interval: Interval, directions: Array) -> None:
-        """Set directions (inputs, p) of the numbers of functions between knots, linear in parameters."""
+        """Set directions (inputs, p) of the pieces of functions, which are linear in parameters."""
         code = self._code
         if not code.piecewise:
             return

@@ -1,4 +1,4 @@
-"""Starts of runs with their derivatives by numbers of the scene."""
+"""Starts of runs, and their derivatives with respect to numbers of the scene."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ MIN_COMPARED = 1e-3
 
 
 def components(scene: Scene, names: Sequence[str]) -> dict[str, tuple[str, tuple[int, ...]]]:
-    """Find the p numbers of parameters, those of symmetric matrices once.
+    """Find the p numbers of parameters; a symmetric matrix has each number once.
 
     Returns:
-        The parameter and the index there by the name of each number.
+        The parameter and the index in it, by the name of each number.
     """
     found: dict[str, tuple[str, tuple[int, ...]]] = {}
     for name, value in own_values(scene, names).items():
@@ -57,14 +57,15 @@ def components(scene: Scene, names: Sequence[str]) -> dict[str, tuple[str, tuple
 
 
 def own_numbers(scene: Scene, names: Sequence[str]) -> Array:
-    """Return the scene's own values (p,) of numbers that are parameters, initial coordinates among them."""
+    """Return the scene's own values (p,) of numbers, including initial coordinates."""
     return np.array([float(value) for value in own_values(scene, names).values()])
 
 
 def _sizes(scene: Scene, names: Sequence[str]) -> Array:
-    """Return the sizes (p,) of numbers that move starts: 1 for angles, their rates and directions of axes.
+    """Return the sizes (p,) of numbers that move starts.
 
-    That of the mechanism, m, up to 1, for lengths and numbers of mixed units, as those of functions of time.
+    1 for angles, their rates and directions of axes. The size of the mechanism, m, at most 1, for lengths and
+    for numbers of mixed units, for example of functions of time.
     """
     units, initial = units_of(scene, names), initial_numbers(scene, names)
     found = places(scene, [name for name in names if name not in initial])
@@ -74,17 +75,23 @@ def _sizes(scene: Scene, names: Sequence[str]) -> Array:
 
 
 class Starts:
-    """Starts of a scene's runs with p of its numbers, and their derivatives by these.
+    """Starts of a scene for values of p numbers, and their derivatives.
 
-    Derivatives of the assembly are differences of order 6 of what Newton's steps assemble to round-off, good
-    to 1e-11, or refused where those of order 4 differ from them; they are put on the linearized constraints
-    with all others.
+    Starts are assembled to round-off. Their derivatives are difference quotients of order 6, good to 1e-11;
+    they are refused if quotients of order 4 differ. Later they are projected onto the linearized constraints
+    like all directions.
     """
 
     def __init__(
         self, code: CompiledScene, names: Sequence[str], held: Mapping[str, float] | None = None
     ) -> None:
-        """`held` are initial coordinates and rates that are not among the p numbers."""
+        """Prepare the assembly.
+
+        Args:
+            code: compiled scene.
+            names: names of the p numbers.
+            held: initial coordinates and rates that are not among the p numbers.
+        """
         self._code, self._held = code, np.array(list((held or {}).values()))
         self._names = (*names, *(held or {}))
         self._assembly = assembly_of(code.scene, self._names)
@@ -96,9 +103,10 @@ class Starts:
         """Compute x (inputs,) of the start with these numbers (p,), and its derivatives (inputs, p).
 
         Raises:
-            MechanismError: for numbers that make no sense, and those with which a loop stays open.
-            SensitivityError: for derivatives that do not exist, or are not known.
+            MechanismError: for impossible numbers, and if a loop stays open.
+            SensitivityError: for derivatives that do not exist or are not known.
         """
+        # numbers that are inputs of the equations
         code, steps = self._code, RELATIVE_STEP * self._sizes * np.maximum(1.0, np.abs(numbers))
         count, numbers = len(numbers), np.concatenate([numbers, self._held])
         x, directions = code.start.copy(), np.zeros((code.inputs, count))
@@ -106,6 +114,7 @@ class Starts:
             if name in code.parameters:
                 x[code.place(name)] = numbers[k]
                 directions[code.place(name), k] = 1.0
+        # starts with each moving number changed by some steps
         rows = [numbers]
         for k in self._moving:
             for number in SIXTH_ORDER:
@@ -120,6 +129,7 @@ class Starts:
             x[: code.size] = states[0]
             weights, system = np.array(list(SIXTH_ORDER.values())), code.system
             angles = [*system.angles.values(), *system.uncounted_angles]  # within a revolution
+            # difference quotients of both orders, compared
             for k, moved in zip(self._moving, states[1:].reshape(-1, len(weights), code.size), strict=True):
                 apart = moved - states[0]
                 apart[:, angles] -= 2.0 * np.pi * np.round(apart[:, angles] / (2.0 * np.pi))
@@ -133,7 +143,7 @@ class Starts:
         return x, directions
 
     def _refuse(self, errors: Mapping[int, MechanismError]) -> None:
-        """Raise the first error of the numbers themselves, or of those that differ by one of them."""
+        """Raise the first error of the start itself, or of a start with one changed number."""
         for row, error in sorted(errors.items()):
             if row == 0:
                 raise of_single_run(self._code.scene, error)
