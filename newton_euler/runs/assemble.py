@@ -1,4 +1,4 @@
-"""Consistent states: bodies moved the least until every joint closes, and the one that a run starts from."""
+"""Consistent states: poses that close all joints and velocities that keep them closed; initial states."""
 
 from __future__ import annotations
 
@@ -34,11 +34,15 @@ CONSISTENT_STARTS: WeakKeyDictionary[Scene, State] = WeakKeyDictionary()
 
 @checked
 def assemble(scene: Scene, guess: State) -> State:
-    """The consistent state near a guess: positions first, then velocities, by steps of least length.
+    """Find the consistent state near a guess: positions first, then velocities, by steps of least length.
+
+    Args:
+        scene: the mechanism, with its prescribed motions at time 0.
+        guess: a state of the scene's bodies; its loops may be open.
 
     Raises:
-        AssemblyError: with the joint that stays open.
-        MechanismError: for a guess that is no state of the scene's bodies.
+        AssemblyError: if a joint stays open, naming the joint.
+        MechanismError: for a guess with other bodies, or numbers that are not finite.
 
     Examples:
         >>> scene = load("four_bar")
@@ -55,15 +59,16 @@ def assemble(scene: Scene, guess: State) -> State:
 
 
 @checked
-@np.errstate(all="ignore")  # what overflows is refused, here or by a run
+@np.errstate(all="ignore")  # states that overflow are refused, here or by a run
 def initial_state(scene: Scene) -> State:
-    """The consistent state that runs of a scene start from: the given one, or what it stands for if none is.
+    """Return the consistent state from which runs of a scene start.
 
-    Its `State.angles` are complete: those that are not given are the ones that a run begins with.
+    This is the scene's initial state if it has one, else the initial pose of its mechanism, at rest or with
+    its prescribed motions. `State.angles` of the result are complete.
 
     Raises:
-        MechanismError: naming the joint, gear, motion or force that the given state does not meet.
-        AssemblyError: for prescribed motions that no state near the initial pose follows.
+        MechanismError: naming the joint, gear, motion or force that the scene's initial state violates.
+        AssemblyError: if no state near the initial pose follows the prescribed motions.
 
     Examples:
         >>> initial_state(load("four_bar")).quaternion.shape
@@ -88,7 +93,7 @@ def initial_state(scene: Scene) -> State:
 
 
 def with_angles(scene: Scene, state: State) -> State:
-    """Return a state with all the angles that a scene depends on, see `State.angles`."""
+    """Complete the angles of a state that a scene depends on, see `State.angles`."""
     keys = counted_angles(scene)
     if state.angles.keys() >= set(keys):
         return state
@@ -100,7 +105,7 @@ def with_angles(scene: Scene, state: State) -> State:
 
 
 def check_revolutions(scene: Scene, state: State) -> None:
-    """Raise `MechanismError` for an angle of a state that its poses do not have, whatever its revolutions."""
+    """Raise `MechanismError` for an angle that differs from the poses by other than whole revolutions."""
     frames = state.frames() if state.angles else []
     for key, angle in state.angles.items():
         x = float(scene.mechanism.measure(key, frames)[0])
@@ -111,7 +116,7 @@ def check_revolutions(scene: Scene, state: State) -> None:
 
 
 def _is_of_pose(angle: Any, x: Any) -> Any:
-    """True where the angle of a state, rad, is that of its poses, x, but for whole revolutions."""
+    """True where the angle of a state and the angle x of its poses, rad, differ by whole revolutions."""
     gap = np.abs(x + whole_revolutions(angle - x) - angle)
     return gap <= CLOSURE_TOLERANCE + 4.0 * np.finfo(float).eps * np.abs(angle)
 
@@ -123,14 +128,14 @@ def measured_coordinate(scene: Scene, state: State, key: Key) -> tuple[float, fl
 
 
 def inherit_initial_state(scene: Scene, of: Scene) -> None:
-    """Give a scene the state that another one of the same geometry and the same given state starts from."""
+    """Take over the start of another scene with the same geometry and the same initial state."""
     CONSISTENT_STARTS[scene] = initial_state(of)
 
 
 def coordinates_of(system: Formulation, states: Sequence[State]) -> Array:
-    """Return (q, v), (n, nq + nv), that runs from n states start at; for each what it is of that one alone.
+    """Compute (q, v), (n, nq + nv), at n states; the result of a state does not depend on the others.
 
-    They are rounded in another order than those of `system.coordinates`.
+    Its round-off differs from that of `system.coordinates`.
     """
     if system.couplings:
         return np.array([np.concatenate(system.coordinates(state)) for state in states])
@@ -142,7 +147,7 @@ def coordinates_of(system: Formulation, states: Sequence[State]) -> Array:
 
 
 def _check_joints(scene: Scene, state: State) -> None:
-    """Raise `MechanismError` for a joint that is open, or opens, by more than noise."""
+    """Raise `MechanismError` for a joint that is open or opens by more than noise."""
     try:
         scene.mechanism.check_closed(state.frames(), "in the initial state")
         _check_velocities(scene, state)
@@ -152,7 +157,7 @@ def _check_joints(scene: Scene, state: State) -> None:
 
 
 def _check_velocities(scene: Scene, state: State) -> None:
-    """Raise `MechanismError` for the first joint that opens, |Phi_q qdot| > `VELOCITY_TOLERANCE`."""
+    """Raise `MechanismError` for the first joint that opens faster than `VELOCITY_TOLERANCE`."""
     mechanism, frames = scene.mechanism, state.frames()
     size, speed = mechanism.size, _speed(scene, state)
     for equations in mechanism.equations:
@@ -170,14 +175,14 @@ def _check_velocities(scene: Scene, state: State) -> None:
 
 
 def _rates_allowed(equations: JointEquations, speed: Any, size: float) -> Array:
-    """Compute how fast the rows of a joint may open (m/s, rad/s) at the largest speed of a state, m/s."""
+    """Compute the allowed rates, m/s or rad/s, of the rows of a joint at the largest speed, m/s."""
     return VELOCITY_TOLERANCE * speed * np.where(equations.is_length, 1.0, 1.0 / size)
 
 
 def check_states(scene: Scene, states: Sequence[State]) -> dict[int, MechanismError]:
-    """Check states that runs of a scene are to start from; returns errors by number.
+    """Check initial states of runs of a scene; return errors by number of the run.
 
-    Most are found to be closed all at once; the others are checked one by one, as by `initial_state`.
+    All states are checked together first. Those not found consistent are checked one by one.
     """
     errors = {}
     for k in np.flatnonzero(~_surely_consistent(scene, states)).tolist():
@@ -192,9 +197,9 @@ def check_states(scene: Scene, states: Sequence[State]) -> dict[int, MechanismEr
 
 
 def _surely_consistent(scene: Scene, states: Sequence[State]) -> Array:
-    """Tell of which states (n,) a look at all of them at once shows that they meet what `initial_state` asks.
+    """True (n,) for states that are certainly consistent; all are examined together.
 
-    Of those of scenes with couplings or prescribed motions it shows nothing.
+    False for every state if the scene has couplings or prescribed motions.
     """
     shape, sure = (len(scene.mechanism.bodies), 3), np.zeros(len(states), dtype=bool)
     whole = [k for k, state in enumerate(states) if isinstance(state, State) and _is_whole(state, shape)]
@@ -205,13 +210,13 @@ def _surely_consistent(scene: Scene, states: Sequence[State]) -> Array:
 
 
 def _is_whole(state: State, shape: tuple[int, int]) -> bool:
-    """True if a state has vectors of this shape for all bodies."""
+    """True if the arrays of a state are floats with vectors of this shape."""
     vectors = state.position, state.linear_velocity, state.angular_velocity, state.quaternion[:, 1:]
     return all(vector.dtype == np.float64 and vector.shape == shape for vector in vectors)
 
 
 def _has_angles(scene: Scene, state: State) -> bool:
-    """True if the angles of a state are numbers of coordinates of the scene."""
+    """True if the angles of a state belong to coordinates of the scene."""
     try:
         scene.check_angles(state.angles, "state")
     except MechanismError:
@@ -219,16 +224,18 @@ def _has_angles(scene: Scene, state: State) -> bool:
     return True
 
 
-@np.errstate(all="ignore")  # what is not finite is not consistent
+@np.errstate(all="ignore")  # states that are not finite are not consistent
 def _are_consistent(scene: Scene, states: Sequence[State]) -> Array:
-    """Tell which states (n,) of a scene without couplings are closed, with the ground at its place."""
+    """True (n,) for closed states with the ground at its place, for a scene without couplings."""
     count, mechanism, state = len(states), scene.mechanism, stacked(states)
+    # ground at its place, unit quaternions
     ground, frames = mechanism.bodies[0], state.frames()
     place = np.concatenate([ground.center_of_mass, ground.quaternion, np.zeros(6)])
     own = np.concatenate([array[0] for array in state.arrays])
     found = np.all(np.abs(unstacked(own, count) - place) <= np.finfo(float).eps, axis=1)
     norms = [unstacked([p @ p], count)[:, 0] for p in state.quaternion]
     found &= np.all(np.abs(np.sqrt(norms) - 1.0) <= UNIT_TOLERANCE, axis=0)
+    # joints closed, and not opening
     speed = np.array([_speed(scene, each) for each in states])[:, None]
     for equations in mechanism.equations:
         first, second = frames[equations.first], frames[equations.second]
@@ -236,6 +243,7 @@ def _are_consistent(scene: Scene, states: Sequence[State]) -> Array:
         rates = unstacked(equations.jacobian(first, second).rate(first, second), count)
         allowed = _rates_allowed(equations, speed, mechanism.size)
         found &= np.all((np.abs(phi) <= CLOSURE_TOLERANCE) & (np.abs(rates) <= allowed), axis=1)
+    # given angles are those of the poses; ends of springs are apart
     for key in {key for each in states for key in each.angles}:
         angles = np.array([each.angles.get(key, np.nan) for each in states])
         x = unstacked([mechanism.measure(key, frames)[0]], count)[:, 0]
@@ -247,7 +255,7 @@ def _are_consistent(scene: Scene, states: Sequence[State]) -> Array:
 
 
 def _is_closed_but_for_noise(scene: Scene, state: State) -> bool:
-    """True if a state opens nearly redundant joints alone, and no more than it has to."""
+    """True if only nearly redundant joints of a state are open, and no more than they must be."""
     if mobility(scene).residual == 0.0:
         return False
     try:
@@ -263,7 +271,7 @@ def _is_closed_but_for_noise(scene: Scene, state: State) -> bool:
 
 
 def _check_couplings(scene: Scene, state: State) -> None:
-    """Raise `MechanismError` for the first coupling or motion that the state does not follow."""
+    """Raise `MechanismError` for the first coupling or prescribed motion that the state violates."""
     found = couplings(scene)
     seen = residuals(scene.mechanism, found, state.frames(), 0.0, state.angles)
     speed, size = _speed(scene, state), scene.mechanism.size
@@ -286,6 +294,6 @@ def _check_couplings(scene: Scene, state: State) -> None:
 
 
 def _speed(scene: Scene, state: State) -> float:
-    """The largest speed of a state, m/s."""
+    """Compute the largest speed of a state, m/s: of centers of mass plus rotation at the mechanism's size."""
     spin = float(np.max(np.linalg.norm(state.angular_velocity, axis=1)))
     return float(np.max(np.linalg.norm(state.linear_velocity, axis=1))) + scene.mechanism.size * spin

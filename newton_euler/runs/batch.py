@@ -1,4 +1,4 @@
-"""Batches: many runs of one scene, over threads, for native code lets go of Python's lock."""
+"""Batches: many runs of one scene, on several threads: native code releases the interpreter lock."""
 
 from __future__ import annotations
 
@@ -66,9 +66,10 @@ class Batch(Sequence[Trajectory]):
     """Runs of one scene; `batch[k]` is the trajectory of run k, or raises the error that ended it.
 
     Attributes:
+        scene: the scene of all runs.
+        settings: of all runs, see `Trajectory.settings`.
         wall_time: s, of all runs together.
-        errors: of runs that could not begin, with the value that makes no sense, or not go on, by number of
-            the run.
+        errors: errors by number of the run: impossible values, or runs that stopped.
     """
 
     scene: Scene
@@ -103,11 +104,11 @@ class Batch(Sequence[Trajectory]):
     def stacked(self, name: str) -> Floats:
         """Return an array of all runs at all times, without a copy: `position` is (runs, n, b, 3).
 
-        Not a number in runs that could not go on. Quaternions are as they were computed, whose sign may
-        change from one time to the next; a trajectory's does not.
+        Runs that stopped have values that are not a number. The sign of quaternions may change between times,
+        unlike that of a trajectory.
 
         Raises:
-            UnknownNameError: for an array that the scene does not ask for.
+            UnknownNameError: for an array that is no output of the scene.
         """
         places = self._compiled.arrays
         if name not in places:
@@ -120,8 +121,8 @@ class Batch(Sequence[Trajectory]):
     def joint(self, name: str) -> JointMotion:
         """Compute the coordinates (runs, n, k) of a joint and their rates, as `Trajectory.joint` does.
 
-        Not a number in runs that could not go on. Where geometry differs from run to run that takes some
-        milliseconds for each.
+        Runs that stopped have values that are not a number. If the geometry varies, each run takes some
+        milliseconds.
 
         Raises:
             UnknownNameError: for an unknown joint.
@@ -148,7 +149,7 @@ class Batch(Sequence[Trajectory]):
 
     @cached_property
     def _mechanisms(self) -> list[Mechanism]:
-        """The mechanisms of all runs, where their geometry differs."""
+        """The mechanisms of all runs, for varying geometry."""
         return [self._mechanism(run) for run in range(len(self))]
 
     def _mechanism(self, run: int) -> Mechanism:
@@ -171,24 +172,23 @@ def simulate_batch(
     alpha: float | None = None,
     **control: Unpack[StepControl],
 ) -> Batch:
-    """Run a scene many times, from other states or with other parameters; compiled once.
+    """Run a scene many times, from different states or with different parameters; compiled once.
 
-    Results do not depend on the number of threads; from a state they are those of `simulate` from there. All
-    outputs of all runs are kept in memory, 8 bytes per number: 0.7 MB per run of the tracker.
+    Results do not depend on the number of threads. A run from a state is the run of `simulate` from there.
+    All outputs of all runs are kept in memory, 8 bytes per number: 0.7 MB per run of the tracker.
     `crosscheck.sweep` keeps a few numbers of each run instead.
 
     Args:
         scene: the scene of all runs.
-        states: initial states, one per run; the scene's own for all if not given.
+        states: initial states, one per run; the initial state of the scene for all runs if None.
         parameters: values, one per run, by name; see `newton_euler.equations.parameters`, and
             `newton_euler.runs.initial_coordinates` for initial coordinates.
-        threads: their number, at most `MAX_THREADS`; that of the processors if not given.
-
-    The other arguments are those of `simulate`.
+        threads: number of threads, at most `MAX_THREADS`; the number of processors if None.
+        formulation, integrator, stabilization, alpha, control: see `simulate`.
 
     Raises:
-        NewtonEulerError: for an unknown name, an impossible option, and what is no state or value in any
-            run; a run that cannot begin or go on is in `Batch.errors`.
+        NewtonEulerError: for an unknown name, an impossible option, and values that no run could have. Errors
+            of single runs are in `Batch.errors`.
 
     Examples:
         >>> batch = simulate_batch(load("pendulum"), parameters={"dumbbell.mass": [1.0, 2.0]})
@@ -214,7 +214,8 @@ def make_batch(
     alpha: float | None = None,
     **control: Unpack[StepControl],
 ) -> Batch:
-    """Run a scene many times as `simulate_batch` does, without its warnings."""
+    """Run a scene many times like `simulate_batch`, without its warnings."""
+    # check options, states and control laws
     options = Options.of(integrator, control)
     options.check_steps(scene.duration)
     parameters = dict(parameters or {})
@@ -228,6 +229,7 @@ def make_batch(
             problem = "has a controller that calls Python, or knows the mechanism, at its instants"
             needed = "its law without sampling, or `simulate` run by run"
             raise MechanismError(f"joint {law.joint!r}", problem, needed)
+    # compile, and find room for the results
     workers = thread_count(threads)
     initial = initial_numbers(scene, parameters)
     names = tuple(name for name in parameters if name not in initial)
@@ -243,6 +245,7 @@ def make_batch(
         megabytes = 8e-6 * math.prod(shape)
         needed = f"memory for {count * megabytes:.3g} MB, {megabytes:.3g} MB per run, or crosscheck.sweep"
         raise OptionError("states and parameters", f"{count} runs", needed) from error
+    # set states and parameters, and run
     errors = _set(starts, compiled, states, parameters)
     results[list(errors)] = np.nan
     runs = Runs(starts, results, np.zeros((count, COUNTS)), errors)
@@ -252,7 +255,7 @@ def make_batch(
 
 
 def _make(runs: Runs, compiled: CompiledScene, options: Options, workers: int) -> float:
-    """Make all runs but those with an error, on so many threads; returns the time that it took, s."""
+    """Run all runs without an error on a number of threads; return the time taken, s."""
     side_by_side = go_in_lanes(compiled, options.integrator)
     numbers = np.setdiff1d(np.arange(len(runs.starts)), list(runs.errors))
     most = len(numbers) // MIN_PIECE_RUNS if side_by_side else len(numbers)
@@ -283,7 +286,7 @@ def _make(runs: Runs, compiled: CompiledScene, options: Options, workers: int) -
 def _make_one_by_one(
     compiled: CompiledScene, options: Options, stopped: Sequence[bool], runs: Runs, numbers: Array
 ) -> None:
-    """Make some of the runs, given by their numbers."""
+    """Run the runs with some numbers, one after the other."""
     for k in numbers.tolist():
         if stopped:
             return
@@ -300,15 +303,15 @@ def _make_one_by_one(
 def _compiled(
     scene: Scene, formulation: str | None, stabilization: str, alpha: float | None, names: tuple[str, ...]
 ) -> CompiledScene:
-    """Return the code of a scene, the same for one batch after another: LLVM keeps memory of all it makes."""
+    """Return the compiled scene, the same object for each batch: LLVM frees no code."""
     return CompiledScene(scene, formulation, stabilization, alpha, names)
 
 
 def thread_count(threads: int | None = None) -> int:
-    """Return a number of threads: as many as there are processors for this process if none is given.
+    """Check a number of threads; if None, return the number of processors of this process.
 
     Raises:
-        OptionError: for an impossible number.
+        OptionError: for a number that is not whole, below 1 or above `MAX_THREADS`.
     """
     if threads is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -318,7 +321,7 @@ def thread_count(threads: int | None = None) -> int:
 
 
 def _count(states: Sequence[State] | None, parameters: Mapping[str, Any]) -> int:
-    """Return the number of runs."""
+    """Return the number of runs; raises `OptionError` for series of several lengths."""
     series = dict(parameters) if states is None else {**parameters, "states": states}
     for name, each in series.items():
         if not len(each):
@@ -335,7 +338,7 @@ def _set(
     states: Sequence[State] | None,
     parameters: Mapping[str, Any],
 ) -> dict[int, NewtonEulerError]:
-    """Set the states and parameters of all runs in their x (runs, inputs); returns errors by runs."""
+    """Set the states and parameters of all runs in x (runs, inputs); return errors by number of the run."""
     scene = compiled.scene
     unclosed = check_states(scene, states or ())
     closed = [initial_state(scene) if k in unclosed else state for k, state in enumerate(states or ())]

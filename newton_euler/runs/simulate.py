@@ -1,4 +1,4 @@
-"""Runs of scenes: simulate, compile for many runs, and trajectories from what the runs evaluated."""
+"""Runs of scenes: simulate once, compile for many runs, and build trajectories from outputs."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ from newton_euler.runs.intervals import integrate_intervals, intervals, with_hel
 from newton_euler.scalars import Array, unstacked
 
 MAX_ROUND_OFF = 20.0
-"""Largest error estimate that round-off may explain without a warning, in units of the tolerance. Below it,
-errors of runs of chains of 20 and 40 links are as small as the tolerance makes them elsewhere."""
+"""Error estimate caused by round-off, in units of the tolerance, above which a run warns. Below it, errors of
+chains of 20 and 40 links are as small as the tolerance makes them in other scenes."""
 
 
 @checked
@@ -67,17 +67,18 @@ def simulate(
 
     Args:
         scene: a mechanism with its surroundings, start and duration.
-        formulation: "relative" (joint coordinates) or "cartesian" (the paper's equation 21); if None, the one
-            whose code is made sooner, see `newton_euler.compiled.formulations.cheaper_formulation`. The
-            trajectory's settings say which it is.
+        formulation: "relative" (joint coordinates) or "cartesian" (the paper's equation 21). If None, the
+            formulation that compiles faster, see `newton_euler.compiled.formulations.cheaper_formulation`;
+            the trajectory's settings name it.
         integrator: one of `newton_euler.integrators.options.INTEGRATORS`.
         stabilization: "projection", "baumgarte" or "none".
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2; the paper's 10 if None.
-        control: of steps: rtol and atol of adaptive integrators, step (s) of those with fixed steps,
+        control: step control: rtol and atol of adaptive integrators, step (s) of fixed-step integrators,
             most_steps; see `newton_euler.integrators.options.Options`.
 
     Raises:
-        NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
+        NewtonEulerError: for an unknown name, an impossible option, or a run that stops early; an
+            `IntegrationError` has the trajectory so far as `partial`.
 
     Examples:
         >>> run = simulate(load("pendulum"), "cartesian", stabilization="baumgarte")
@@ -95,7 +96,7 @@ def simulate(
 
 @lru_cache(maxsize=CACHED_SCENES)
 def _compiled(scene: Scene, formulation: str | None, stabilization: str, alpha: float) -> CompiledScene:
-    """Return the code of a scene; scenes cannot change, so that of the same object is the same."""
+    """Return the compiled scene, the same object each time: scenes are immutable."""
     return CompiledScene(scene, formulation, stabilization, alpha)
 
 
@@ -107,10 +108,11 @@ def compile_scene(
     alpha: float | None = None,
     parameters: Sequence[str] = (),
 ) -> CompiledScene:
-    """Trace and compile a scene, for many runs; arguments as of `simulate`.
+    """Trace and compile a scene for many runs.
 
     Args:
-        parameters: names of what may differ from run to run, see `newton_euler.equations.parameters`.
+        scene, formulation, stabilization, alpha: see `simulate`.
+        parameters: names of numbers that vary from run to run, see `newton_euler.equations.parameters`.
 
     Raises:
         NewtonEulerError: for an unknown name or an impossible option.
@@ -127,7 +129,7 @@ def compile_scene(
 
 
 class CompiledScene(Code):
-    """A scene in native code, to be run many times; see `compile_scene`."""
+    """A scene in native code for many runs; see `compile_scene`."""
 
     @cached_property
     def start(self) -> Array:
@@ -140,8 +142,8 @@ class CompiledScene(Code):
         return self.packed(state[: self.system.nq], state[self.system.nq :])
 
     def with_scene(self, scene: Scene) -> CompiledScene:
-        """Return the same code for a scene that differs in parameters, controllers and duration alone."""
-        _ = self._decided  # once for all
+        """Return the same code for a scene that differs only in parameters, controllers and duration."""
+        _ = self._decided  # evaluated before the copy, which shares it
         other = copy.copy(self)
         other.scene = scene
         if scene.initial_state is self.scene.initial_state:
@@ -154,7 +156,7 @@ class CompiledScene(Code):
         return other
 
     def simulate(self, integrator: IntegratorName = "DOP853", **control: Unpack[StepControl]) -> Trajectory:
-        """Run the scene; arguments and errors as of `newton_euler.simulate`."""
+        """Run the scene; see `newton_euler.simulate` for arguments and errors."""
         options = Options.of(integrator, control)
         self.warn()
         found = self._run(options)
@@ -162,7 +164,7 @@ class CompiledScene(Code):
         return found
 
     def warn(self) -> None:
-        """Warn of constraints that are almost redundant."""
+        """Warn if constraints are almost redundant."""
         warn_of(self.scene, self.nearly_redundant)
 
     def _run(self, options: Options) -> Trajectory:
@@ -188,13 +190,13 @@ class CompiledScene(Code):
 
 
 def warn_of(scene: Scene, nearly: Iterable[NearlyRedundant]) -> None:
-    """Warn of almost redundant constraints, at the line that called into these packages."""
+    """Warn of almost redundant constraints, at the line that called this package."""
     for weak in nearly:
         warnings.warn(f"scene {scene.name!r}: {weak}", NearlyRedundantWarning, stacklevel=caller_level())
 
 
 def warn_of_round_off(scene: Scene, options: Options, runs: Iterable[dict[str, Any]]) -> None:
-    """Warn if round-off exceeds the tolerance in runs, at the line that called into these packages."""
+    """Warn if round-off exceeds the tolerance in runs, at the line that called this package."""
     found = max(runs, key=lambda settings: settings.get("round_off", 0.0), default={})
     if (excess := found.get("round_off", 0.0)) > MAX_ROUND_OFF:
         warning = RoundOffWarning(scene.name, found["formulation"], options.rtol, options.atol, excess)
@@ -208,12 +210,12 @@ def native_trajectory(
     arrays.pop("pivot_ratio", None)
     if "violation" in scene.outputs:
         arrays["constraint_violation"] = _by_joint(scene, arrays["phi"])
-    arrays.pop("phi", None)  # runs without projection have it to be checked
+    arrays.pop("phi", None)  # an output of runs without projection, which check it
     return _trajectory(scene, "newton_euler", settings, wall_time, arrays)
 
 
 def _by_joint(scene: Scene, phi: Array) -> Array:
-    """Find the largest residual (n, j) of each joint among all (n, k); a gear's are its follower's."""
+    """Find the largest residual (n, j) of each joint among all (n, k); a coupling belongs to its follower."""
     mechanism = scene.mechanism
     owners = [k for k, equations in enumerate(mechanism.equations) for _ in range(equations.count)]
     owners += [mechanism.joint_index(coupling.joint) for coupling in couplings(scene)]
@@ -225,7 +227,7 @@ def _by_joint(scene: Scene, phi: Array) -> Array:
 
 
 def _residuals(mechanism: Mechanism, states: Sequence[State], coupled: Sequence[Array]) -> Array:
-    """Evaluate the residuals (n, k) of all joints in n states, then those given of couplings, m or rad."""
+    """Evaluate the residuals (n, k) of all joints in n states, then append those of couplings; m or rad."""
     frames = stacked(states).frames()
     phis = [e.phi(frames[e.first], frames[e.second]) for e in mechanism.equations]
     return np.hstack([unstacked(np.concatenate([np.zeros(0), *phis]), len(states)), np.array(coupled)])
@@ -234,8 +236,16 @@ def _residuals(mechanism: Mechanism, states: Sequence[State], coupled: Sequence[
 def run(system: System, engine: str, options: Options, settings: dict[str, Any]) -> Trajectory:
     """Integrate any system of equations over its scene, in floats.
 
-    `settings` describes the system; the integrator's options and counts are added to it.
+    Args:
+        system: equations of an engine.
+        engine: name of the engine.
+        options: integrator and step control.
+        settings: describes the system; the integrator's options and counts are added.
+
+    Raises:
+        IntegrationError: for a run that stops early, with the trajectory so far.
     """
+    # the start
     scene = system.scene
     options.check_steps(scene.duration)
     q, v = system.coordinates(initial_state(scene))
@@ -245,6 +255,7 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
     stopped: IntegrationError | None = None
     held: dict[str, Any] = {}
     given, controllers = system, Controllers(scene) if scene.sampled else None
+    # integrate interval by interval: pieces of functions and forces of controllers are constant in each
     for interval in intervals(scene, scene.knots):
         held |= pieces(scene, interval.middle)
         if controllers and interval.due:
@@ -264,6 +275,7 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
         if stopped:
             break
     wall_time = time.perf_counter() - start
+    # evaluate the outputs
     evaluations: list[Observation] = []
     coupled: list[Array] = []
     for now, t, q, v in rows:
@@ -291,12 +303,17 @@ def trajectory_from(
     """Build the trajectory of a scene from an engine's evaluations at the output times.
 
     Args:
-        coupled: residuals (c,) of the couplings at each of them, m or rad.
+        scene, engine, settings: of the run.
+        wall_time: s.
+        evaluations: states, and accelerations if the scene needs them, at the output times reached.
+        coupled: residuals (c,) of the couplings at each output time, m or rad.
+        stopped: the error that ended the run early.
 
     Raises:
         IntegrationError: for numbers that are not finite, with the trajectory before them.
-        `stopped`: the error that ended the run after these evaluations, if one did, with their trajectory.
+        StoppedError: `stopped`, with the trajectory of the evaluations.
     """
+    # arrays of the outputs that the scene has
     states = [evaluation.state for evaluation in evaluations]
     arrays = {
         name: np.array([getattr(each, name) for each in rows])
@@ -317,6 +334,7 @@ def trajectory_from(
     arrays["quaternion"] = np.array([s.quaternion for s in states])
     if states and states[0].angles:
         arrays["joint_angle"] = np.array([list(state.angles.values()) for state in states])
+    # end the trajectory before the first number that is not finite
     try:
         check_finite(scene.times, arrays)
     except IntegrationError as error:

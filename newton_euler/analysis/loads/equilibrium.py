@@ -66,7 +66,7 @@ def equilibrium(scene: Scene, state: State | None = None) -> State:
     names = [freedom.name for freedom in chosen_freedoms(scene, state, None)]
     system, model = Relative(scene), linearize(scene, state, names, [], [])
     for _ in range(MAX_ITERATIONS):
-        # in each mode, the acceleration divided by the magnitude of the eigenvalue: Newton's step if it is stable
+        # in each mode the acceleration divided by the eigenvalue's magnitude: Newton's step of a stable mode
         stiffness, accelerations = (part[len(names) :] for part in (model.A, model.f))
         values, vectors = np.linalg.eig(stiffness[:, : len(names)] * model.units / model.units[:, None])
         along = least_squares(vectors, accelerations / model.units)
