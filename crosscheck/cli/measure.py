@@ -26,7 +26,7 @@ from crosscheck.cli.shared import (
     without_excitation,
 )
 from crosscheck.report.render import as_json, terminal
-from crosscheck.studies.faults import PLANTED_IN
+from crosscheck.studies.faults import INJECTED_ENGINES
 from crosscheck.support.errors import CrosscheckError
 
 
@@ -279,12 +279,12 @@ def stress_command(full: bool, output: Path, letters: str) -> int:
 @click.option(
     "--engine",
     "names",
-    type=click.Choice(PLANTED_IN),
+    type=click.Choice(INJECTED_ENGINES),
     multiple=True,
-    default=PLANTED_IN,
-    help="Whose model the faults are planted in; repeatable.  [default: all, in turns]",
+    default=INJECTED_ENGINES,
+    help="Engine into whose model faults are injected; repeatable.  [default: all, alternately]",
 )
-@click.option("--reading", is_flag=True, help="Plant them in what was read from the model file SCENE.")
+@click.option("--reading", is_flag=True, help="Injection them in what was read from the model file SCENE.")
 @folder_option("output/faults/SCENE")
 @verbose_option
 def faults_command(
@@ -294,7 +294,7 @@ def faults_command(
     reading: bool,
     output: Path | None,
 ) -> int:
-    """Plant faults one by one; say which are found, and blamed right.
+    """Inject single faults into a model and report which ones crosscheck detects and locates correctly.
 
     Each is in one engine's model of SCENE, or with --reading in what was read from its file.
     """

@@ -1,4 +1,4 @@
-"""The smallest number that suffices."""
+"""Search for the smallest number that fulfills a monotonic condition."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 
 def smallest(holds: Callable[[int], bool], most: int) -> int | None:
-    """Return the smallest n from 1 to `most` that holds, within a 32nd, by doubling and bisection.
+    """Find the smallest n from 1 to `most` for which `holds(n)` is True, by doubling and bisection.
 
-    All larger ones are taken to hold too, as they do for numbers of steps. None if none does.
+    If `holds` is True for a number, it is assumed to be True for all larger numbers. The result is up to 1/32
+    larger than the smallest number. None if `holds(most)` is False.
     """
     low, high = 0, 1
     while not holds(high):

@@ -40,7 +40,7 @@ from crosscheck.recording.log import log_run, recorded
 from crosscheck.recording.screenshot import MECHANISM, screenshots
 from crosscheck.report import page
 from crosscheck.report.page import PAGE, telling
-from crosscheck.studies.faults import plant
+from crosscheck.studies.faults import injection
 from newton_euler.model.scene import Scene
 
 ROOT = Path(__file__).parents[2]
@@ -178,7 +178,7 @@ def _rounded(value: object) -> object:
 
 def wrong_engine() -> Engine:
     """MuJoCo, told that a body is heavier than it is."""
-    own, heavier = ENGINES["mujoco"], plant.mass(*WRONG[1:])
+    own, heavier = ENGINES["mujoco"], injection.mass(*WRONG[1:])
 
     def told(ask: Callable[[Scene], Any]) -> Callable[[Scene], Any]:
         return lambda scene: ask(heavier(scene))

@@ -1,7 +1,7 @@
 """Elements that a run is said to test, confirmed: they show when they are changed by 10 %, and no others do.
 
 By a path that shares nothing with `crosscheck.compare.coverage`: another engine gets a scene with the
-change, planted as `crosscheck faults` plants its faults, and its run is compared with newton_euler's of the
+change, injected as in `crosscheck faults`, and its run is compared with newton_euler's of the
 scene as any two engines' are. A joint shows if any tilt of its axes or any shift of its point does. Model
 files are excited.
 """
@@ -20,8 +20,8 @@ from crosscheck.compare.runs import compare_runs
 from crosscheck.engines.engine import ENGINES, Engine
 from crosscheck.library import load
 from crosscheck.loading.model_files import is_model
-from crosscheck.studies.faults import plant
-from crosscheck.studies.faults.plant import Plant
+from crosscheck.studies.faults import injection
+from crosscheck.studies.faults.injection import Injection
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.compound_joint import Compound
@@ -93,7 +93,7 @@ def _trajectories(scene: Scene, own: Engine, other: Engine, planted: Scene) -> I
         yield row
 
 
-def _shows(scene: Scene, own: Engine, other: Engine, change: Plant) -> bool:
+def _shows(scene: Scene, own: Engine, other: Engine, change: Injection) -> bool:
     try:
         planted = change(scene)
         planted = replace(planted, initial_state=assemble(planted, initial_state(scene)))
@@ -102,30 +102,30 @@ def _shows(scene: Scene, own: Engine, other: Engine, change: Plant) -> bool:
         return True  # an engine that says it cannot run is no engine that agrees
 
 
-def _changes(scene: Scene) -> Iterator[tuple[str, list[Plant]]]:
+def _changes(scene: Scene) -> Iterator[tuple[str, list[Injection]]]:
     """Names of all elements, and changes of each."""
     more = 1.0 + SIZE
     for body in scene.mechanism.body_names[1:]:
-        yield f"mass of body {body!r}", [plant.mass(body, SIZE)]
+        yield f"mass of body {body!r}", [injection.mass(body, SIZE)]
         heavier: dict[str, Callable[[Any], dict[str, Any]]] = {body: lambda b: {"inertia": more * b.inertia}}
-        yield f"inertia of body {body!r}", [plant.change_bodies(heavier)]
+        yield f"inertia of body {body!r}", [injection.change_bodies(heavier)]
     for k, law in enumerate(scene.control):
         assert isinstance(law, PD)
         push = law.feedforward
         changed = {name: more * getattr(law, name) for name in ("stiffness", "damping")}
         changed["feedforward"] = _more(push) if isinstance(push, TimeFunction) else more * push
-        yield f"actuator {law.where}", [plant.entry("control", k, **changed)]
+        yield f"actuator {law.where}", [injection.entry("control", k, **changed)]
     for field in ("forces", "armatures"):
         for k, acting in enumerate(getattr(scene, field)):
             for what, attributes in acting.strengths.items():
                 values = {attribute: getattr(acting, attribute) for attribute in attributes}
                 if any(np.any(value) for value in values.values()):
                     larger = {attribute: more * value for attribute, value in values.items()}
-                    yield f"{what} {acting.where}", [plant.entry(field, k, **larger)]
+                    yield f"{what} {acting.where}", [injection.entry(field, k, **larger)]
     yield from _constraints(scene)
 
 
-def _constraints(scene: Scene) -> Iterator[tuple[str, list[Plant]]]:
+def _constraints(scene: Scene) -> Iterator[tuple[str, list[Injection]]]:
     mechanism = scene.mechanism
     cuts = SpanningTree(mechanism).cuts
     loaded = {each.joint for each in (*scene.joint_forces, *scene.armatures, *scene.motions)}
@@ -133,30 +133,30 @@ def _constraints(scene: Scene) -> Iterator[tuple[str, list[Plant]]]:
     for number, joint in enumerate(mechanism.joints):
         if joint.kind != "fixed" and (mechanism.equations[number].count or joint.name in loaded):
             shifts = SIZE * mechanism.longest * np.eye(3)
-            plants = [plant.joint_point(joint.name, shift) for shift in shifts]
-            plants += plant.tilted(joint, SIZE).values()
+            plants = [injection.joint_point(joint.name, shift) for shift in shifts]
+            plants += injection.tilted(joint, SIZE).values()
             if isinstance(joint, Compound):
                 plants += [_tilted_row(joint, axis) for axis in np.eye(3)]
             yield f"{'loop' if number in cuts else 'joint'} {joint.name!r}", plants
     for number, coupling in enumerate(mechanism.couplings):
-        yield f"{coupling.kind} {coupling.name!r}", [plant.coupling(number, _regeared(coupling))]
+        yield f"{coupling.kind} {coupling.name!r}", [injection.coupling(number, _regeared(coupling))]
     for number, motion in enumerate(scene.motions):
         start = Polynomial((-SIZE * float(motion.function.value(0.0)),))
         farther = Sum((_more(motion.function), start))
         where = motion.where
-        yield f"motion {where}", [plant.entry("motions", number, function=farther)]
+        yield f"motion {where}", [injection.entry("motions", number, function=farther)]
 
 
-def _tilted_row(joint: Compound, about: Array) -> Plant:
+def _tilted_row(joint: Compound, about: Array) -> Injection:
     """All axes of a compound joint turned."""
-    turn = plant.turned_about(about, SIZE)
+    turn = injection.turned_about(about, SIZE)
 
     def tilt(own: Any) -> Joint:
         second = own.point + turn @ (own.reaction_point - own.point)
         rows = {name: getattr(own, name) @ turn.T for name in ("slides", "hinges", "offsets")}
         return replace(own, point_on_second=second, **rows)
 
-    return plant.change_joint(joint.name, tilt)
+    return injection.change_joint(joint.name, tilt)
 
 
 def _regeared(own: JointCoupling) -> JointCoupling:

@@ -37,7 +37,7 @@ def test_faults_in_the_reading_of_a_urdf_are_found_and_named(geared: Path) -> No
     found = find_in_reading(report, lambda _: None).found
     assert not [outcome.fault.name for outcome in found if outcome.counts and not outcome.seen]
     assert not [
-        (outcome.fault.name, outcome.seen.where) for outcome in found if outcome.seen and not outcome.blamed
+        (outcome.fault.name, outcome.seen.where) for outcome in found if outcome.seen and not outcome.located
     ]
     kinds = {outcome.fault.kind for outcome in found}
     assert kinds >= {"mass", "axis direction", "gear", "damping of JointSpring"}

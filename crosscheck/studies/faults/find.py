@@ -1,9 +1,9 @@
-"""Search for planted faults: which are found, and who is blamed.
+"""Search for injected faults: which faults are detected, and whether the diagnosis locates them correctly.
 
-Faults of an engine's model are searched for by the comparison of engines. Faults of a reading are planted
-between the reading of a model file and its verification, in the scene with all controls at random, in which
-every actuator acts, and searched for by the verification. A fault that is not found has to change nothing:
-then newton_euler's own equations are the same with it.
+Faults of an engine's model are searched by the comparison of engines. Faults of a reading are injected after
+a model file was read, into the scene with random controls, in which every actuator acts. The verification of
+readings searches them. A fault that is not detected must change nothing: newton_euler's equations are then
+the same with and without it.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from crosscheck.compare.figure import Figure
 from crosscheck.compare.levels import EQUATION_LEVELS, Level, compare_pair
 from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import ENGINES, Engine
-from crosscheck.studies.faults import PLANTED_IN
-from crosscheck.studies.faults.catalog import SIZES, Fault, catalog
+from crosscheck.studies.faults import INJECTED_ENGINES
+from crosscheck.studies.faults.catalog import FAULT_SIZES, Fault, catalog
 from crosscheck.studies.faults.misreadings import EVERYTHING, misreadings
-from crosscheck.studies.faults.turning import without_turning
+from crosscheck.studies.faults.velocity_terms import without_turning
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System
@@ -35,124 +35,123 @@ from newton_euler.reading.reference import ReferenceModel
 from newton_euler.reading.verify import verify
 from newton_euler.runs.assemble import initial_state
 
-STATES = 4
-"""Random consistent states beside the initial one; gravity has three components to be told from the rest."""
+RANDOM_STATES = 4
+"""Number of random consistent states besides the initial one; fewer do not separate the components of
+gravity."""
 
-PROGRESS = 10
-"""Faults between two messages."""
+SMALLEST_REQUIRED = 1e-4
+"""Relative size down to which all faults of engines must be detected."""
 
-SMALLEST = 1e-4
-"""Relative size down to which all faults of engines have to be found."""
-
-MOTION = EQUATION_LEVELS[1:]
-"""Levels that look at what a model does and not at its numbers."""
+MOTION_LEVELS = EQUATION_LEVELS[1:]
+"""Levels of the comparison that see the motion of a model, not its numbers."""
 
 REFUSED = "refused"
-"""The level of a fault that an engine or the mechanism itself refuses to run with."""
+"""Level of a fault with which an engine, or the mechanism, raises an error."""
 
 READING = "the reading"
-"""In place of an engine, where faults are planted in what was read."""
+"""Name that stands for the engine if faults are injected into a reading."""
 
 
 @dataclass(frozen=True)
-class Sighting(Figure):
-    """The first figure that shows a fault; of one at the level `REFUSED` the quantity is the error's text.
+class Detection(Figure):
+    """First failing check that shows a fault. At the level `REFUSED` its quantity is the text of the error.
 
     Attributes:
-        odd: the engine that the diagnosis blames; "" if nothing settles which.
+        odd: the outlier that the diagnosis names; empty if the checks do not determine it.
     """
 
     odd: str = ""
 
     @classmethod
-    def of(cls, figure: Figure | Diagnosis, odd: str = "") -> Sighting:
-        """A figure that fails, or the one that a diagnosis is about."""
+    def of(cls, figure: Figure | Diagnosis, odd: str = "") -> Detection:
+        """Make the detection of a failing check, or of the check that a diagnosis explains."""
         between = figure.between if isinstance(figure, Figure) else figure.parting
         place = figure.value, figure.tolerance, figure.where
         return cls(figure.level, figure.quantity, between, *place, odd=odd)
 
 
 @dataclass(frozen=True)
-class Found:
-    """The outcome of a search for a fault.
+class FaultResult:
+    """Result of the search for one fault.
 
     Attributes:
-        fault, engine: what was planted where.
-        seen: its first sighting at the levels of equations; None if all agree.
-        moves: the same at those after the model, by motion alone.
-        alone: whether too few engines express the scene for any to be the odd one out.
-        lost: for one that is not seen, where newton_euler with the same fault parts from the engine's model:
-            the engine does not hold it.
-        observable: whether it, or a larger one like it, changes a pose, velocity, energy, acceleration or
-            reaction. If no motion shows it, newton_euler's equations with it and without it are compared at
-            the states; it is unobservable if they agree to round-off.
+        fault: the fault.
+        engine: name of the engine with the fault.
+        seen: first detection at the levels of equations; None if all checks pass.
+        moves: first detection at the levels after the model, from motion alone.
+        observable: True if the fault, or a larger one of its kind, changes a pose, velocity, energy,
+            acceleration or reaction. If no motion shows the fault, newton_euler's equations with and without
+            it are compared at the states.
+        lost: for a fault that is not detected, where newton_euler with the fault differs from the engine's
+            model: the engine's model does not contain the fault.
+        alone: True if fewer than three engines can express the scene, so that no engine can be an outlier.
     """
 
     fault: Fault
     engine: str
-    seen: Sighting | None
-    moves: Sighting | None
+    seen: Detection | None
+    moves: Detection | None
     observable: bool
-    lost: Sighting | None = None
+    lost: Detection | None = None
     alone: bool = False
 
     @property
     def counts(self) -> bool:
-        """True if it can be found: it shows in the model's numbers, or does something."""
+        """True if the fault can be detected: from the model's numbers, or from the motion."""
         return self.seen is not None or self.observable
 
     @property
-    def blamed(self) -> bool:
-        """True if the engine that has it is blamed, and the very body, joint or term is named."""
+    def located(self) -> bool:
+        """True if the diagnosis names the engine with the fault, and the body, joint or term at fault."""
         return self._names(self.seen, self.fault.right)
 
     @property
-    def blamed_by_motion(self) -> bool:
-        """The same by motion alone, where a joint's fault may be seen at the bodies it connects."""
+    def located_by_motion(self) -> bool:
+        """True if the diagnosis from motion alone names the engine and the element, or a body next to it."""
         return self._names(self.moves, self.fault.right | self.fault.near)
 
-    def _names(self, sighting: Sighting | None, right: frozenset[str]) -> bool:
-        if sighting is None or sighting.where not in right:
+    def _names(self, detection: Detection | None, right: frozenset[str]) -> bool:
+        if detection is None or detection.where not in right:
             return False
-        return sighting.odd == self.engine or (self.alone and not sighting.odd)
+        return detection.odd == self.engine or (self.alone and not detection.odd)
 
 
 @dataclass(frozen=True)
-class Search:
-    """All faults of a scene.
+class FaultSearch:
+    """Results of the search for all faults of a scene.
 
     Attributes:
-        found: what became of each.
-        engines: in which they were planted, in turns, or `READING`.
-        left_out: engines that cannot express the scene, and why.
-        smallest: size down to which all have to be found.
+        found: result for each fault.
+        engines: names of the engines with faults, which alternate, or `READING`.
+        left_out: reason by engine that cannot express the scene.
+        smallest: relative size down to which all faults must be detected.
     """
 
-    found: tuple[Found, ...]
+    found: tuple[FaultResult, ...]
     engines: tuple[str, ...]
     left_out: dict[str, str]
-    smallest: float = SMALLEST
+    smallest: float = SMALLEST_REQUIRED
 
 
 def find_faults(
     scene: Scene,
     progress: Callable[[str], None],
-    sizes: Sequence[float] = SIZES,
-    names: Sequence[str] = PLANTED_IN,
-) -> Search:
-    """Plant all faults of a scene, one at a time, in one engine after the other, and look for each.
+    sizes: Sequence[float] = FAULT_SIZES,
+    names: Sequence[str] = INJECTED_ENGINES,
+) -> FaultSearch:
+    """Inject all faults of a scene, one at a time, and search for each by comparing the engines.
 
     Args:
-        scene: as it should be.
-        progress: is told how far it is.
-        sizes: of the faults, see `SIZES`.
-        names: of engines out of `PLANTED_IN`.
+        scene: the scene without a fault.
+        progress: called with the number of faults so far.
+        sizes: relative sizes of the faults.
+        names: engines out of `INJECTED_ENGINES`; they take the faults alternately.
 
     Raises:
-        CrosscheckError: for a scene that the engines disagree on as it is.
-        NewtonEulerError: for a scene that none of the engines can express.
+        CrosscheckError: if the engines disagree on the scene without a fault.
+        NewtonEulerError: if no engine can express the scene.
     """
-    sound = Sound(scene)
+    sound = FaultFree(scene)
     engines = [sound.engines[name] for name in names if name in sound.engines]
     if not engines:
         raise sound.refusals[names[0]]
@@ -160,40 +159,41 @@ def find_faults(
     counted = _counted(faults, progress)
     found = [find(fault, engines[number % len(engines)], sound) for number, fault in counted]
     left_out = {name: str(error) for name, error in sound.refusals.items()}
-    return Search(tuple(_observable(found)), tuple(engine.name for engine in engines), left_out)
+    return FaultSearch(tuple(_observable(found)), tuple(engine.name for engine in engines), left_out)
 
 
 def _counted(faults: Sequence[Fault], progress: Callable[[str], None]) -> Iterator[tuple[int, Fault]]:
-    """The faults with their numbers, of which `progress` is told every `PROGRESS`th."""
+    """Yield the faults with their numbers, and report every tenth to `progress`."""
     for number, fault in enumerate(faults):
-        if number % PROGRESS == 0:
+        if number % 10 == 0:
             progress(f"{number} of {len(faults)} faults: {fault.name}")
         yield number, fault
 
 
-def _observable(found: Sequence[Found]) -> Iterator[Found]:
-    """With those called observable of which a larger one is: they are too small, and no less at fault."""
+def _observable(found: Sequence[FaultResult]) -> Iterator[FaultResult]:
+    """Mark a fault as observable if a larger one of its kind is: it is only too small to be detected."""
     sights = {each.fault.alike for each in found if each.observable}
     for each in found:
         yield replace(each, observable=each.fault.alike in sights)
 
 
 def samples_of(scene: Scene) -> Samples:
-    """newton_euler at the initial state and at random ones."""
-    return Samples(Relative(scene), States(scene, (initial_state(scene), *random_states(scene, STATES))))
+    """Evaluate newton_euler's equations at the initial state and at random states."""
+    states = initial_state(scene), *random_states(scene, RANDOM_STATES)
+    return Samples(Relative(scene), States(scene, states))
 
 
-class Sound:
-    """The engines' equations of a scene without a fault, at its initial state and at random ones.
+class FaultFree:
+    """Equations of all engines for a scene without a fault, at its initial state and at random states.
 
     Attributes:
-        scene: as it should be.
-        engines: by name, those that can express it, newton_euler first.
-        refusals: of the others, by name.
-        own: newton_euler.
+        scene: the scene without a fault.
+        engines: engines that can express the scene, by name, newton_euler first.
+        refusals: errors of the other engines, by name.
+        own: newton_euler's equations at the states.
 
     Raises:
-        CrosscheckError: for a scene that the engines disagree on.
+        CrosscheckError: if the engines disagree on the scene.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -215,8 +215,8 @@ class Sound:
             for row in rows:
                 if not row.agrees:
                     raise CrosscheckError(
-                        f"{one} and {other} part on scene {scene.name!r} without a fault, at level "
-                        f"{row.level!r}: {row.quantity}; `crosscheck run` says more"
+                        f"{one} and {other} differ on scene {scene.name!r} without a fault, at level "
+                        f"{row.level!r}: {row.quantity}; for details run `crosscheck run`"
                     )
 
     def _compared(
@@ -224,8 +224,8 @@ class Sound:
     ) -> Iterator[Figure]:
         return compare_pair(pair, [samples[pair[0]]], [samples[pair[1]]], levels)
 
-    def diagnosed(self, name: str, faulty: Samples, levels: Sequence[Level]) -> Sighting | None:
-        """Diagnose all engines, one of them with other samples; None if they agree."""
+    def diagnosed(self, name: str, faulty: Samples, levels: Sequence[Level]) -> Detection | None:
+        """Diagnose all engines, with `faulty` as the samples of engine `name`; None if all checks pass."""
         samples = self._samples | {name: faulty}
         rows: list[Figure] = []
         try:
@@ -234,97 +234,107 @@ class Sound:
         except NewtonEulerError as error:
             return _refusal(error, name)
         for found in diagnose(tuple(samples), rows)[:1]:
-            return Sighting.of(found, found.odd)
+            return Detection.of(found, found.odd)
         return None
 
 
-def find(fault: Fault, engine: Engine, sound: Sound) -> Found:
-    """Plant one fault in one engine and compare it with the others."""
+def find(fault: Fault, engine: Engine, sound: FaultFree) -> FaultResult:
+    """Inject one fault into one engine's model, and compare the engine with the others."""
     name, own, alone = engine.name, sound.own, len(sound.engines) < 3
     try:
-        samples = Samples(_planted(fault, engine, sound.scene), own.states)
+        samples = Samples(_with_fault(fault, engine, sound.scene), own.states)
     except NewtonEulerError as error:
         refusal = _refusal(error, name)
-        return Found(fault, name, refusal, refusal, True, alone=alone)
+        return FaultResult(fault, name, refusal, refusal, True, alone=alone)
     seen = sound.diagnosed(name, samples, EQUATION_LEVELS)
-    # where the model's own numbers agree, the levels after it have been looked at already
+    # if the numbers of the model agree, the diagnosis already comes from the levels of motion
     numbers = seen is not None and seen.level == "model"
-    moves = sound.diagnosed(name, samples, MOTION) if numbers else seen
+    moves = sound.diagnosed(name, samples, MOTION_LEVELS) if numbers else seen
     if moves is not None:
-        return Found(fault, name, seen, moves, True, alone=alone)
-    # the same equations of motion with the fault and without it
-    faulty = Samples(_with_dropped_term(fault, Relative(fault.plant(sound.scene))), own.states)
-    observable = _first_failing(own, faulty, MOTION) is not None
+        return FaultResult(fault, name, seen, moves, True, alone=alone)
+    # compare newton_euler's equations with and without the fault: does it change anything?
+    faulty = Samples(_with_dropped_term(fault, Relative(fault.inject(sound.scene))), own.states)
+    observable = _first_failing(own, faulty, MOTION_LEVELS) is not None
     lost = None if seen else _first_failing(faulty, samples, EQUATION_LEVELS[:1])
-    return Found(fault, name, seen, moves, observable, lost, alone)
+    return FaultResult(fault, name, seen, moves, observable, lost, alone)
 
 
-def _first_failing(one: Samples, other: Samples, levels: Sequence[Level]) -> Sighting | None:
+def _first_failing(one: Samples, other: Samples, levels: Sequence[Level]) -> Detection | None:
     try:
         for row in compare_pair(("one", "other"), [one], [other], levels):
             if not row.agrees:
-                return Sighting.of(row)
+                return Detection.of(row)
     except NewtonEulerError as error:
         return _refusal(error, "")
     return None
 
 
-def _refusal(error: NewtonEulerError, engine: str) -> Sighting:
-    """The error of an engine as a sighting; where is the joint or body that it is about."""
+def _refusal(error: NewtonEulerError, engine: str) -> Detection:
+    """Return the error of an engine as a detection at the joint or body that the error names."""
     element = getattr(error, "joint", getattr(error, "element", ""))
     named = re.search(r"'(.*)'", element)
     where = named[1] if named else element
-    return Sighting(REFUSED, str(error), (engine,), np.nan, np.nan, where, odd=engine)
+    return Detection(REFUSED, str(error), (engine,), np.nan, np.nan, where, odd=engine)
 
 
 def find_in_reading(
     report: ImportReport, progress: Callable[[str], None], faults: Sequence[Fault] | None = None
-) -> Search:
-    """Plant faults, all that there are if None are given, one at a time, and verify the scene with each."""
+) -> FaultSearch:
+    """Inject faults into a reading, one at a time, and verify the scene with each against the model file.
+
+    Args:
+        report: import report of the reading.
+        progress: called with the number of faults so far.
+        faults: the faults; all `misreadings` if None.
+    """
     reference, scene = report.references[-1]
     own = samples_of(scene)
     faults = list(misreadings(scene)) if faults is None else faults
     found = [_found_in_reading(fault, reference, own, report) for _, fault in _counted(faults, progress)]
-    return Search(tuple(found), (READING,), {}, smallest=0.0)
+    return FaultSearch(tuple(found), (READING,), {}, smallest=0.0)
 
 
-def _found_in_reading(fault: Fault, reference: ReferenceModel, own: Samples, report: ImportReport) -> Found:
-    """Verify a scene with one fault; one that is not seen is looked for in the motion."""
+def _found_in_reading(
+    fault: Fault, reference: ReferenceModel, own: Samples, report: ImportReport
+) -> FaultResult:
+    """Verify a scene with one fault; if the verification passes, find out whether the fault changes the
+    motion."""
     try:
-        planted = fault.plant(own.states.scene)
-        figures = verify(reference, Relative(planted))
+        injected = fault.inject(own.states.scene)
+        figures = verify(reference, Relative(injected))
         failing = next((figure for figure in figures if not figure.agrees), None)
     except NewtonEulerError as error:
         where = fault.element if fault.element in str(error) else ""
-        refusal = Sighting(REFUSED, str(error), (READING,), np.nan, np.nan, where, odd=READING)
-        return Found(fault, READING, refusal, None, True)
+        refusal = Detection(REFUSED, str(error), (READING,), np.nan, np.nan, where, odd=READING)
+        return FaultResult(fault, READING, refusal, None, True)
     if failing is None:
-        rows = compare_pair(("right", "wrong"), [own], [Samples(Relative(planted), own.states)], MOTION)
+        faulty = Samples(Relative(injected), own.states)
+        rows = compare_pair(("right", "wrong"), [own], [faulty], MOTION_LEVELS)
         moves = any(not (row.agrees or row.quantity.startswith("reaction")) for row in rows)
-        return Found(fault, READING, None, None, moves)
+        return FaultResult(fault, READING, None, None, moves)
     named = any(_is_named(element, failing.where, report) for element in fault.right | fault.near)
     where = fault.element if named else failing.where
     place = failing.value, failing.tolerance, where
-    seen = Sighting("verification", failing.quantity, (READING,), *place, odd=READING)
-    return Found(fault, READING, seen, None, True)
+    seen = Detection("verification", failing.quantity, (READING,), *place, odd=READING)
+    return FaultResult(fault, READING, seen, None, True)
 
 
 def _is_named(element: str, where: str, report: ImportReport) -> bool:
-    """True if the blamed element is this one, or one of the file's that became it."""
+    """Return True if the failing check is at the element, or at an element of the file that became it."""
     if element in (where, EVERYTHING) or repr(element) in where:
         return True
-    blamed = where.split(":")[0]
-    return any(entry.element == blamed and repr(element) in entry.how for entry in report.entries)
+    named = where.split(":")[0]
+    return any(entry.element == named and repr(element) in entry.how for entry in report.entries)
 
 
-def _planted(fault: Fault, engine: Engine, scene: Scene) -> System:
+def _with_fault(fault: Fault, engine: Engine, scene: Scene) -> System:
     """Return the engine's rigid system with the fault.
 
-    A loop that does not close is refused by the mechanism, before an engine sees it. In MuJoCo it is planted
-    in the compiled model, where nothing refuses it.
+    A mechanism with a loop that does not close is refused before an engine sees it. For MuJoCo such a fault
+    is therefore injected into the compiled model.
     """
     if fault.shift is None or engine.name != "mujoco":
-        return _with_dropped_term(fault, engine.systems(fault.plant(scene))[0])
+        return _with_dropped_term(fault, engine.systems(fault.inject(scene))[0])
     from mjcf.rigid import RigidMuJoCo
 
     system = RigidMuJoCo(scene)
@@ -333,5 +343,5 @@ def _planted(fault: Fault, engine: Engine, scene: Scene) -> System:
 
 
 def _with_dropped_term(fault: Fault, system: System) -> System:
-    """Return equations without the velocity term that a fault drops, if it drops one."""
+    """Return the equations without the velocity term that the fault drops, if the fault drops one."""
     return system if fault.hinge is None else without_turning(system, fault.hinge)

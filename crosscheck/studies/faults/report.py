@@ -1,4 +1,4 @@
-"""The report of planted faults: shares, the faults that were missed and why."""
+"""Report of fault injection: detection and location rates, and the missed faults with their reasons."""
 
 from __future__ import annotations
 
@@ -7,49 +7,62 @@ from dataclasses import asdict
 from typing import Any, NamedTuple
 
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, figures, texts
-from crosscheck.studies.faults.find import READING, REFUSED, STATES, Found, Search, Sighting
+from crosscheck.studies.faults.find import (
+    RANDOM_STATES,
+    READING,
+    REFUSED,
+    Detection,
+    FaultResult,
+    FaultSearch,
+)
 
-BLAMED = 0.95
-"""Share of the faults that have to be found that has to be blamed on the right body, joint or term."""
+REQUIRED_LOCATION_RATE = 0.95
+"""Fraction of the faults that must be detected that must also be located at the right body, joint or term."""
 
-PROOF = (
+NO_CHANGE = (
     "with and without the fault newton_euler has the same poses, velocities, energies, accelerations and "
-    f"reactions at {STATES + 1} states, to round-off"
+    f"reactions at {RANDOM_STATES + 1} states, to round-off"
 )
 
 
 class Count(NamedTuple):
-    """Numbers of faults: all, those found, and those blamed right."""
+    """Numbers of faults.
+
+    Attributes:
+        of: all faults.
+        found: detected faults.
+        located: faults that were located correctly.
+    """
 
     of: int
     found: int
-    blamed: int
+    located: int
 
     def __str__(self) -> str:
         if not self.of:
             return "none"
-        shares = f"{100 * self.found / self.of:.3g}%, {100 * self.blamed / self.of:.3g}%"
-        return f"{self.found}, {self.blamed} of {self.of} ({shares})"
+        shares = f"{100 * self.found / self.of:.3g}%, {100 * self.located / self.of:.3g}%"
+        return f"{self.found}, {self.located} of {self.of} ({shares})"
 
 
-def in_all(faults: Iterable[Found]) -> Count:
-    """By the levels of equations, or by the verification."""
+def in_all(faults: Iterable[FaultResult]) -> Count:
+    """Count faults that can be detected, by all levels of equations or by the verification of a reading."""
     counted = [found for found in faults if found.counts]
     seen = sum(found.seen is not None for found in counted)
-    return Count(len(counted), seen, sum(found.blamed for found in counted))
+    return Count(len(counted), seen, sum(found.located for found in counted))
 
 
-def by_motion(faults: Iterable[Found]) -> Count:
-    """By those after the model, of faults that do something."""
+def by_motion(faults: Iterable[FaultResult]) -> Count:
+    """Count faults that change the motion, by the levels after the model."""
     counted = [found for found in faults if found.observable]
     seen = sum(found.moves is not None for found in counted)
-    return Count(len(counted), seen, sum(found.blamed_by_motion for found in counted))
+    return Count(len(counted), seen, sum(found.located_by_motion for found in counted))
 
 
-def report(title: str, search: Search, wall_time: float) -> Report:
-    """Shares, the faults that were missed and why, and on demand all faults."""
+def report(title: str, search: FaultSearch, wall_time: float) -> Report:
+    """Make the report: rates, missed faults with reasons, and (with `-v`) all faults."""
     unable = [
-        f"no fault planted in {engine}, which cannot express the scene: {why}"
+        f"no fault injected into {engine}, which cannot express the scene: {why}"
         for engine, why in search.left_out.items()
     ]
     rows: Rows = [
@@ -57,8 +70,8 @@ def report(title: str, search: Search, wall_time: float) -> Report:
             found.fault.name,
             found.engine,
             "yes" if found.observable else "no",
-            _judged(found.seen, found.blamed),
-            _judged(found.moves, found.blamed_by_motion),
+            _judged(found.seen, found.located),
+            _judged(found.moves, found.located_by_motion),
         ]
         for found in search.found
     ]
@@ -69,16 +82,17 @@ def report(title: str, search: Search, wall_time: float) -> Report:
         Table(f"all {len(rows)} faults", heads, rows, folded=True),
     ]
     word = Cell("FOUND", "holds") if holds(search) else Cell("MISSED", "fails")
-    planted = f"{len(search.found)} faults planted in {', '.join(search.engines)}, in {wall_time:.0f} s"
+    title_line = f"{len(search.found)} faults injected into {', '.join(search.engines)}, in {wall_time:.0f} s"
     few: list[Part] = [table(search, every=False), Lines("", [*unable, *lines(search, every=False)])]
-    return Report(planted, verdict(title, search), word, parts, wall_time, few)
+    return Report(title_line, verdict(title, search), word, parts, wall_time, few)
 
 
-def table(search: Search, every: bool = True) -> Table:
-    """Faults found and blamed right: a row per kind and per size.
+def table(search: FaultSearch, every: bool = True) -> Table:
+    """Tabulate detected and located faults, with a row for each kind and each size.
 
     Args:
-        every: whether kinds have rows of which all are found and blamed right.
+        search: results of the search.
+        every: False to omit kinds whose faults were all detected and located correctly.
     """
     sizes = dict.fromkeys(found.fault.size for found in search.found)
     kinds = dict.fromkeys(found.fault.kind for found in search.found)
@@ -94,88 +108,94 @@ def table(search: Search, every: bool = True) -> Table:
     rows: Rows = []
     for group in (groups, by_size):
         rows += [_row(name, faults, search) for name, faults in group.items()]
-    names = ["faults", "found", "blamed right"]
+    names = ["faults", "detected", "located"]
     if search.engines != (READING,):
-        names += ["moving", "by motion", "blamed"]
+        names += ["moving", "by motion", "located"]
     head = "kind, and size" if groups else "size"
     return Table("", [*texts(head), *figures(*names)], rows)
 
 
-def _row(name: str, faults: Sequence[Found], search: Search) -> list[str | Cell]:
+def _row(name: str, faults: Sequence[FaultResult], search: FaultSearch) -> list[str | Cell]:
     counts = [in_all(faults)] if search.engines == (READING,) else [in_all(faults), by_motion(faults)]
     return [name, *(str(number) for count in counts for number in count)]
 
 
-def _judged(sighting: Sighting | None, right: bool) -> str | Cell:
-    """The sighting of a fault; one that is blamed wrongly is doubtful."""
-    if sighting is None:
+def _judged(detection: Detection | None, right: bool) -> str | Cell:
+    """Format the detection of a fault; a wrong location is shown as doubtful."""
+    if detection is None:
         return ""
-    text = f"level {sighting.level!r}, {sighting.quantity}, at {sighting.where}"
+    text = f"level {detection.level!r}, {detection.quantity}, at {detection.where}"
     return Cell(text, "holds" if right else "doubtful")
 
 
-def lines(search: Search, every: bool = True) -> Iterator[str]:
-    """Lines on faults not found or blamed wrongly, and on those that cannot be observed, all or how many."""
+def lines(search: FaultSearch, every: bool = True) -> Iterator[str]:
+    """Yield lines on missed and wrongly located faults, and on unobservable faults.
+
+    Args:
+        search: results of the search.
+        every: True to name all unobservable faults, False to count them.
+    """
     yield from _misses(search.found, search)
     hidden = [found for found in search.found if not found.observable and found.lost is None]
     names = dict.fromkeys(" ".join(filter(None, found.fault.alike)) for found in hidden)
     if names and every:
-        yield f"unobservable, {PROOF}: {'; '.join(names)}"
+        yield f"unobservable, {NO_CHANGE}: {'; '.join(names)}"
     elif names:
-        yield f"unobservable as they change nothing: {len(hidden)} faults"
+        yield f"unobservable, since they change nothing: {len(hidden)} faults"
 
 
-def _misses(faults: Sequence[Found], search: Search) -> Iterator[str]:
-    """Lines on faults not found or blamed wrongly."""
+def _misses(faults: Sequence[FaultResult], search: FaultSearch) -> Iterator[str]:
+    """Yield lines on missed and wrongly located faults."""
     for found in faults:
-        if (found.counts and not found.blamed) or found.lost:
+        if (found.counts and not found.located) or found.lost:
             yield _outcome(found, found.seen)
     if search.engines != (READING,):
         blurred = {
-            x.fault.alike: x for x in faults[::-1] if x.observable and not x.blamed_by_motion and not x.lost
+            x.fault.alike: x for x in faults[::-1] if x.observable and not x.located_by_motion and not x.lost
         }
-        for found in blurred.values():  # the largest of each, which is the first
+        for found in blurred.values():  # one line for the largest fault of a kind, which comes first
             yield f"by motion alone, {_outcome(found, found.moves)}"
 
 
-def _outcome(found: Found, sighting: Sighting | None) -> str:
-    """The outcome of a fault that was not blamed right."""
-    planted = f"{found.fault.name}, in {found.engine}"
+def _outcome(found: FaultResult, detection: Detection | None) -> str:
+    """Report the result for a fault that was missed or located wrongly."""
+    fault = f"{found.fault.name}, in {found.engine}"
     if found.lost is not None:
-        lost = f"its {found.lost.quantity} is off by {found.lost.value:.1e} at {found.lost.where}"
-        return f"missed: {planted}: {found.engine}'s own model does not hold it: made with the fault, {lost}"
-    if sighting is None:
-        return f"missed: {planted}: smaller than the tolerances"
-    if sighting.level == REFUSED:
-        return f"blamed wrongly: {planted}: refused: {sighting.quantity}"
-    place = f"{sighting.odd or 'nobody'}, level {sighting.level!r}, {sighting.quantity}, at {sighting.where}"
-    return f"blamed wrongly: {planted}: {place}"
+        lost = f"error of {found.lost.quantity} {found.lost.value:.1e} at {found.lost.where}"
+        return f"missed: {fault}: {found.engine}'s own model does not contain the fault: {lost}"
+    if detection is None:
+        return f"missed: {fault}: smaller than the tolerances"
+    if detection.level == REFUSED:
+        return f"located wrongly: {fault}: refused: {detection.quantity}"
+    outlier = detection.odd or "no outlier"
+    place = f"{outlier}, level {detection.level!r}, {detection.quantity}, at {detection.where}"
+    return f"located wrongly: {fault}: {place}"
 
 
-def holds(search: Search) -> bool:
-    """True if all faults down to the smallest size are found, and `BLAMED` of them blamed right."""
+def holds(search: FaultSearch) -> bool:
+    """Return True if all faults of required size are detected, and enough of them located correctly."""
     count = in_all(_large(search))
-    return count.found == count.of and count.blamed >= BLAMED * count.of
+    return count.found == count.of and count.located >= REQUIRED_LOCATION_RATE * count.of
 
 
-def _large(search: Search) -> list[Found]:
+def _large(search: FaultSearch) -> list[FaultResult]:
     sizes = [(found, found.fault.size) for found in search.found]
     return [found for found, size in sizes if size is None or size >= search.smallest]
 
 
-def verdict(title: str, search: Search) -> str:
-    """One line."""
+def verdict(title: str, search: FaultSearch) -> str:
+    """Report the numbers of detected and located faults in one line."""
     large = _large(search)
     if search.engines == (READING,):
-        return f"{title}: faults in the reading that change a motion: found, blamed right: {in_all(large)}"
+        return f"{title}: faults in the reading that change a motion: detected, located: {in_all(large)}"
     return (
-        f"{title}: faults down to {search.smallest:g}: found, blamed right: {in_all(large)}; "
+        f"{title}: faults down to {search.smallest:g}: detected, located: {in_all(large)}; "
         f"by motion alone: {by_motion(large)}"
     )
 
 
-def data(title: str, options: Mapping[str, str], search: Search) -> dict[str, Any]:
-    """All faults with their outcomes, for JSON."""
+def data(title: str, options: Mapping[str, str], search: FaultSearch) -> dict[str, Any]:
+    """Return all faults with their results, for JSON."""
     return {
         "scene": title,
         "options": dict(options),
@@ -186,9 +206,9 @@ def data(title: str, options: Mapping[str, str], search: Search) -> dict[str, An
     }
 
 
-def _entry(found: Found) -> dict[str, Any]:
+def _entry(found: FaultResult) -> dict[str, Any]:
     fault = found.fault
-    sightings = {"seen": found.seen, "by_motion": found.moves, "lost": found.lost}
+    detections = {"seen": found.seen, "by_motion": found.moves, "lost": found.lost}
     return {
         "kind": fault.kind,
         "element": fault.element,
@@ -196,7 +216,7 @@ def _entry(found: Found) -> dict[str, Any]:
         "size": fault.size,
         "engine": found.engine,
         "observable": found.observable,
-        "blamed": found.blamed,
-        "blamed_by_motion": found.blamed_by_motion,
-        **{name: sighting and asdict(sighting) for name, sighting in sightings.items()},
+        "located": found.located,
+        "located_by_motion": found.located_by_motion,
+        **{name: detection and asdict(detection) for name, detection in detections.items()},
     }

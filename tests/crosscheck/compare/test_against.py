@@ -23,8 +23,8 @@ from crosscheck.compare.two_models.compare import Against, against
 from crosscheck.compare.two_models.levels import functions_apart
 from crosscheck.compare.two_models.unsimulated import Model
 from crosscheck.library.scene_file import write_scene
-from crosscheck.studies.faults import plant
-from crosscheck.studies.faults.plant import Plant
+from crosscheck.studies.faults import injection
+from crosscheck.studies.faults.injection import Injection
 from newton_euler import Body, Mechanism, Scene
 from newton_euler.equations.couplings import Coupling
 from newton_euler.equations.undetermined import undetermined, undetermined_in_both
@@ -149,16 +149,31 @@ def rotor(scene: Scene) -> Scene:
 @pytest.mark.parametrize(
     ("fault", "quantity", "where", "detail"),
     [
-        (plant.entry("control", 0, damping=0.0501), "actuator force", "motor", "damping a 0.05, b 0.0501"),
-        (plant.entry("control", 0, target=1.0001), "actuator force", "motor", "target a 1, b 1.0001"),
-        (plant.entry("forces", 1, damping=0.00201), "spring force", "elbow", "damping a 0.002, b 0.00201"),
-        (plant.gravity(np.array([0.0, 0.0, -9.82])), "gravity", "gravity", "a 0 0 -9.81, b 0 0 -9.82 m/s^2"),
+        (
+            injection.entry("control", 0, damping=0.0501),
+            "actuator force",
+            "motor",
+            "damping a 0.05, b 0.0501",
+        ),
+        (injection.entry("control", 0, target=1.0001), "actuator force", "motor", "target a 1, b 1.0001"),
+        (
+            injection.entry("forces", 1, damping=0.00201),
+            "spring force",
+            "elbow",
+            "damping a 0.002, b 0.00201",
+        ),
+        (
+            injection.gravity(np.array([0.0, 0.0, -9.82])),
+            "gravity",
+            "gravity",
+            "a 0 0 -9.81, b 0 0 -9.82 m/s^2",
+        ),
         (rotor, "rotor momentum", "motor", "inertia a 0.0001, b 0.0002"),
         (lambda s: replace(s, forces=s.forces[:2]), "spring force", "pivot", "spring only in a"),
     ],
 )
 def test_terms_are_told_by_their_joint_with_their_values(
-    linkage: Scene, fault: Plant, quantity: str, where: str, detail: str
+    linkage: Scene, fault: Injection, quantity: str, where: str, detail: str
 ) -> None:
     assert [force.joint for force in linkage.forces] == ["motor", "elbow", "pivot"]  # type: ignore[union-attr]
     result = compared(linkage, fault(linkage))
@@ -203,13 +218,13 @@ def test_angles_of_the_second_run_are_counted_as_in_the_first(linkage: Scene, tm
 
 def test_a_ball_at_another_point_is_another_joint_though_all_moves_alike(linkage: Scene) -> None:
     """Beside the plane of the linkage, where the ball turns as before and loads its bodies otherwise."""
-    beside = plant.joint_point("loop", np.array([0.0, FAULT, 0.0]))(linkage)
+    beside = injection.joint_point("loop", np.array([0.0, FAULT, 0.0]))(linkage)
     assert first_failing(compared(linkage, beside)) == ("model", "joint Jacobians", "loop")
 
 
 def test_the_point_of_a_hinge_may_be_anywhere_on_its_axis() -> None:
     """Its reaction is told at another point then, where the same force has another torque."""
-    result = compared(pendulum(), plant.joint_point("pivot", np.array([0.0, 0.3, 0.0]))(pendulum()))
+    result = compared(pendulum(), injection.joint_point("pivot", np.array([0.0, 0.3, 0.0]))(pendulum()))
     assert result.verdict.startswith("SAME")
     (torque,) = (row for row in result.figures if row.quantity == "reaction torque, rel")
     assert torque.value < ROUND_OFF
@@ -238,7 +253,7 @@ def test_forces_between_points_are_told_by_their_body(change) -> None:
 def test_joints_of_another_kind_are_judged_by_the_motions_they_allow() -> None:
     scene = pendulum()
     hinge = scene.mechanism.joints[0]
-    ball = plant.joint_kind(hinge, "spherical")(scene)
+    ball = injection.joint_kind(hinge, "spherical")(scene)
     assert first_failing(compared(scene, ball))[::2] == ("kinematics", "pivot")
     assert first_failing(compared(ball, scene)) == ("model", "open joints, rad", "pivot")
 
@@ -310,7 +325,7 @@ def test_reactions_that_either_model_leaves_open_are_not_compared() -> None:
     """Of a plane loop of four hinges three rows are redundant; against one with a ball the same three."""
     scene = whole()[0]
     state = initial_state(scene)
-    weaker = plant.joint_kind(scene.mechanism.joints[2], "spherical")(scene)
+    weaker = injection.joint_kind(scene.mechanism.joints[2], "spherical")(scene)
     joints = {name: name for name in scene.mechanism.joint_names}
     alone = undetermined(scene, state)
     assert alone.shape == (24, 3)
@@ -414,7 +429,7 @@ def stopping_above(monkeypatch: pytest.MonkeyPatch, mass: float) -> None:
 
 def test_a_run_that_stops_does_not_hide_where_the_models_part(monkeypatch) -> None:
     stopping_above(monkeypatch, 1.0)
-    result = compared(pendulum(), plant.mass("rod", FAULT)(pendulum()))
+    result = compared(pendulum(), injection.mass("rod", FAULT)(pendulum()))
     assert first_failing(result) == ("model", "mass", "rod")
     assert result.verdict.startswith("DIFFERENT: a and b part at level 'model': mass, rel: ")
     assert result.verdict.endswith("; not run to the end")
@@ -428,7 +443,7 @@ def test_models_without_random_states_are_compared_at_their_start(monkeypatch) -
         raise AssemblyError("pivot", 1.0, 1e-9)
 
     monkeypatch.setattr(compare, "random_states", fails)
-    result = compared(pendulum(), plant.mass("rod", FAULT)(pendulum()))
+    result = compared(pendulum(), injection.mass("rod", FAULT)(pendulum()))
     assert first_failing(result) == ("model", "mass", "rod")
     assert compared(pendulum(), pendulum()).verdict.startswith("UNFINISHED: random states: joint 'pivot'")
 
@@ -447,7 +462,7 @@ def test_models_that_part_are_different_on_the_command_line_whatever_stops(
     capsys, monkeypatch, tmp_path
 ) -> None:
     write_scene(pendulum(), tmp_path / "one.yaml")
-    write_scene(plant.mass("rod", FAULT)(pendulum()), tmp_path / "other.yaml")
+    write_scene(injection.mass("rod", FAULT)(pendulum()), tmp_path / "other.yaml")
     out = tmp_path / "out"
     arguments = ("run", tmp_path / "one.yaml", "--against", tmp_path / "other.yaml", "--output", out)
     recording = "one_against_other.rrd"

@@ -13,23 +13,23 @@ from test_two_ways import states_of, whole
 
 import mjcf
 from crosscheck.compare.figure import START
-from crosscheck.studies.faults import plant
-from crosscheck.studies.faults.plant import Plant
+from crosscheck.studies.faults import injection
+from crosscheck.studies.faults.injection import Injection
 from newton_euler.runs.assemble import assemble
 
 
 @pytest.mark.parametrize(
     ("fault", "quantity", "where"),
     [
-        (plant.mass("coupler", FAULT), "mass", "coupler"),
-        (plant.inertia_entry("rocker", 0, 1, FAULT), "inertia", "rocker"),
-        (plant.center_of_mass("crank", np.array([0.0, 0.0, FAULT])), "center of mass, m", "crank"),
-        (plant.joint_point("b", np.array([FAULT, 0.0, 0.0])), "open joints, m", "b"),
+        (injection.mass("coupler", FAULT), "mass", "coupler"),
+        (injection.inertia_entry("rocker", 0, 1, FAULT), "inertia", "rocker"),
+        (injection.center_of_mass("crank", np.array([0.0, 0.0, FAULT])), "center of mass, m", "crank"),
+        (injection.joint_point("b", np.array([FAULT, 0.0, 0.0])), "open joints, m", "b"),
         (lambda scene: scene, "positions, m", "coupler"),
     ],
 )
 def test_models_that_start_elsewhere_are_compared_by_equal_body_frames(
-    fault: Plant, quantity: str, where: str
+    fault: Injection, quantity: str, where: str
 ) -> None:
     scene, found, *_ = whole()
     other = replace(fault(scene), initial_state=None)

@@ -20,10 +20,10 @@ from crosscheck.engines.engine import ENGINES
 from crosscheck.library import load
 from crosscheck.library.scene_file import write_scene
 from crosscheck.loading.model_files import read_model
-from crosscheck.studies.faults import plant
+from crosscheck.studies.faults import injection
 from crosscheck.studies.faults.catalog import catalog
-from crosscheck.studies.faults.find import Sound, find
-from crosscheck.studies.faults.plant import Plant
+from crosscheck.studies.faults.find import FaultFree, find
+from crosscheck.studies.faults.injection import Injection
 from crosscheck.support.errors import CrosscheckError
 from mjcf.loops import body_acceleration
 from newton_euler import BallArmature, BallSpring, JointSpring, Mechanism
@@ -221,14 +221,14 @@ def test_numbers_of_a_spring_vary_in_a_batch() -> None:
 @pytest.mark.parametrize(
     ("change", "quantity"),
     [
-        (plant.entry("forces", 0, stiffness=3.001), "spring force"),
-        (plant.entry("forces", 0, damping=0.2001), "spring force"),
+        (injection.entry("forces", 0, stiffness=3.001), "spring force"),
+        (injection.entry("forces", 0, damping=0.2001), "spring force"),
         (lambda s: replace(s, forces=()), "spring force"),
-        (plant.entry("armatures", 0, inertia=0.3001), "rotor momentum"),
+        (injection.entry("armatures", 0, inertia=0.3001), "rotor momentum"),
         (lambda s: replace(s, armatures=()), "rotor momentum"),
     ],
 )
-def test_two_models_are_told_apart_by_the_joint_of_the_ball(change: Plant, quantity: str) -> None:
+def test_two_models_are_told_apart_by_the_joint_of_the_ball(change: Injection, quantity: str) -> None:
     spring, rotor = BallSpring("at_c", 3.0, 0.2, 0.5 * AXIS), BallArmature("at_c", 0.3)
     scene = replace(ball_loop(), forces=(spring,), armatures=(rotor,))
     result = compared(scene, change(scene))
@@ -246,14 +246,14 @@ def test_two_models_are_told_apart_by_the_joint_of_the_ball(change: Plant, quant
 @pytest.mark.parametrize("size", [1e-1, 1e-4])
 def test_faults_of_balls_are_found_and_blamed(size: float) -> None:
     scene = twisted_loop()
-    own = Sound(scene)
+    own = FaultFree(scene)
     of_balls = [fault for fault in catalog(scene, (size,)) if "its ball" in fault.detail]
     assert [fault.kind for fault in of_balls] == ["gain", "damping", "armature"]
     for fault in of_balls:
         for name in ("mujoco", "pinocchio"):
             found = find(fault, ENGINES[name], own)
-            assert found.blamed, (fault.name, name)
-            assert found.blamed_by_motion, (fault.name, name)
+            assert found.located, (fault.name, name)
+            assert found.located_by_motion, (fault.name, name)
 
 
 def test_a_rotor_of_a_scene_file_is_on_a_ball_or_a_coordinate(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from mechanisms import pendulum, seven_hinges, slider_tree
 
 from crosscheck.compare.blame import dynamic_cause, kinematic_cause
 from crosscheck.compare.samples import Samples, States
-from crosscheck.studies.faults.plant import inertia_entry, joint_axes
+from crosscheck.studies.faults.injection import inertia_entry, joint_axes
 from newton_euler.equations.relative import Relative
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint_kinds import Revolute, Translational

@@ -23,7 +23,7 @@ from crosscheck.engines.engine import ENGINES
 from crosscheck.engines.engine_runs import as_far_as_it_goes
 from crosscheck.library import load
 from crosscheck.studies.faults import find as finding
-from crosscheck.studies.faults import plant
+from crosscheck.studies.faults import injection
 from crosscheck.studies.faults.catalog import catalog
 from crosscheck.studies.faults.misreadings import misreadings
 from newton_euler.codegen.cache import CACHE_VARIABLE
@@ -212,7 +212,7 @@ def test_figures_that_hold_or_only_inform_blame_nobody():
 def right(scene_name):
     """A scene and the engines' systems at some of its states, as they should be."""
     scene = load(scene_name)
-    states = States(scene, (initial_state(scene), *random_states(scene, finding.STATES)))
+    states = States(scene, (initial_state(scene), *random_states(scene, finding.RANDOM_STATES)))
     return {engine.name: [Samples(s, states) for s in engine.systems(scene)] for engine in RIGID}
 
 
@@ -221,9 +221,9 @@ def with_fault(scene_name, fault, name):
     samples = dict(right(scene_name))
     states = samples[NE][0].states
     if name == NE:
-        systems = ENGINES[NE].systems(fault.plant(states.scene))
+        systems = ENGINES[NE].systems(fault.inject(states.scene))
     else:
-        systems = (finding._planted(fault, ENGINES[name], states.scene),)
+        systems = (finding._with_fault(fault, ENGINES[name], states.scene),)
     samples[name] = [Samples(system, states) for system in systems]
     rows = []
     with as_far_as_it_goes("comparing equations", []):  # without a joint there are no balances
@@ -291,7 +291,7 @@ def test_of_two_engines_the_one_with_wrong_forces_is_blamed(
     scene = load(scene_name)
     right = getattr(kind, method)
     monkeypatch.setattr(kind, method, lambda self, *of: 1.01 * right(self, *of))
-    states = States(scene, (initial_state(scene), *random_states(scene, finding.STATES)))
+    states = States(scene, (initial_state(scene), *random_states(scene, finding.RANDOM_STATES)))
     engines = [engine for engine in RIGID if engine.name in (NE, other)]
     samples = {engine.name: [Samples(s, states) for s in engine.systems(scene)] for engine in engines}
     rows = [*compare_equations(engines, samples), *(momentum_row(name, samples[name][0]) for name in samples)]
@@ -303,8 +303,8 @@ def misread(fault, found):
     """A whole crosscheck of what was read with a fault, which all engines share, against the file."""
     report = ImportReport()
     report.entries, report.start = found.report.entries, found.report.start
-    report.references = [(reference, fault.plant(scene)) for reference, scene in found.report.references]
-    return crosscheck(fault.plant(found.scene), list(ENGINES.values()), lambda _: None, "x", {}, report)
+    report.references = [(reference, fault.inject(scene)) for reference, scene in found.report.references]
+    return crosscheck(fault.inject(found.scene), list(ENGINES.values()), lambda _: None, "x", {}, report)
 
 
 @pytest.mark.slow
@@ -334,7 +334,7 @@ def test_a_fault_of_one_formulation_is_blamed_on_it(wrong, name):
     """Whichever agrees with the other engines is right; with none, whichever balances momenta."""
     samples = dict(right(str(EXAMPLE)))
     states = samples[NE][0].states
-    faulty = wrong(plant.mass("coupler", 1e-4)(states.scene))
+    faulty = wrong(injection.mass("coupler", 1e-4)(states.scene))
     samples[NE] = [Samples(faulty, states) if isinstance(s.system, wrong) else s for s in samples[NE]]
     for engines in (RIGID, RIGID[:2], RIGID[:1]):
         found = diagnose([engine.name for engine in engines], list(compare_equations(engines, samples)))

@@ -20,7 +20,7 @@ from crosscheck.cli.shared import UNFINISHED
 from crosscheck.engines.engine import ENGINES as ENGINES_BY_NAME
 from crosscheck.library import load
 from crosscheck.library.scene_file import write_scene
-from crosscheck.studies.faults import plant
+from crosscheck.studies.faults import injection
 from crosscheck.support import time_limits as limit
 from newton_euler import PD, Body, Mechanism, Sampled, Scene
 from newton_euler.equations.relative import Relative
@@ -205,7 +205,7 @@ def test_an_engine_that_stops_is_compared_until_then(capsys, monkeypatch, tmp_pa
 
 def test_what_stops_on_other_equations_is_the_odd_one(capsys, monkeypatch, tmp_path):
     def systems(scene):
-        return real(plant.mass(scene.mechanism.bodies[1].name, 1e-3)(scene))
+        return real(injection.mass(scene.mechanism.bodies[1].name, 1e-3)(scene))
 
     real = ENGINES_BY_NAME["newton_euler"].systems
     status, verdict, summary = pendulum_run(capsys, monkeypatch, tmp_path, simulate=stopping, systems=systems)

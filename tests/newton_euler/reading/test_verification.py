@@ -79,7 +79,7 @@ def test_every_fault_that_moves_something_is_found_and_named(tmp_path: Path) -> 
     assert not [
         (outcome.fault.name, outcome.seen.where)
         for outcome in simple
-        if outcome.seen and not outcome.blamed and not outcome.fault.kind.startswith("point")
+        if outcome.seen and not outcome.located and not outcome.fault.kind.startswith("point")
     ]
     # points of free joints and slides, points along hinges, and signs of axes that nothing acts on, are no
     # faults of motion, nor is the kind of a joint in a flat loop

@@ -1,4 +1,4 @@
-"""One fault, planted in a scene: each function gives the scene with it."""
+"""Injection of single faults: each function returns an `Injection`, which makes a scene with the fault."""
 
 from __future__ import annotations
 
@@ -17,27 +17,29 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
-Plant = Callable[[Scene], Scene]
+Injection = Callable[[Scene], Scene]
 
-REMAINS = 1e-6
-"""Share of a body's mass and inertia that is left of it where it is missing; no engine takes none."""
+"""A function that returns a scene with a fault."""
+
+MISSING_BODY_FRACTION = 1e-6
+"""Fraction of mass and inertia that remains of a missing body; no engine accepts a body without mass."""
 
 
 def nothing(scene: Scene) -> Scene:
-    """The scene itself, where the fault is one of the equations."""
+    """Return the scene itself: the fault is in an engine's equations."""
     return scene
 
 
 def with_mechanism(scene: Scene, bodies: Iterable[Body], joints: Iterable[Joint]) -> Scene:
-    """Other bodies and joints; the start, which is for the right ones, is forgotten."""
+    """Replace bodies and joints; the initial state is computed again."""
     mechanism = Mechanism(bodies, joints, scene.mechanism.couplings)
     return replace(scene, mechanism=mechanism, initial_state=None)
 
 
-def change_bodies(change: dict[str, Callable[[Body], dict[str, Any]]]) -> Plant:
-    """Other values of the named bodies; any inertia goes, as it does in a file somebody mistyped."""
+def change_bodies(change: dict[str, Callable[[Body], dict[str, Any]]]) -> Injection:
+    """Replace values of the named bodies. Unrealizable inertias are allowed, as typing errors cause them."""
 
-    def plant(scene: Scene) -> Scene:
+    def inject(scene: Scene) -> Scene:
         bodies = [
             replace(body, allow_unrealisable_inertia=True, **change[body.name](body))
             if body.name in change
@@ -46,31 +48,31 @@ def change_bodies(change: dict[str, Callable[[Body], dict[str, Any]]]) -> Plant:
         ]
         return with_mechanism(scene, bodies, scene.mechanism.joints)
 
-    return plant
+    return inject
 
 
-def change_joint(name: str, change: Callable[[Joint], Joint]) -> Plant:
-    """Another joint in the place of the named one."""
+def change_joint(name: str, change: Callable[[Joint], Joint]) -> Injection:
+    """Replace the named joint."""
 
-    def plant(scene: Scene) -> Scene:
+    def inject(scene: Scene) -> Scene:
         joints = [change(joint) if joint.name == name else joint for joint in scene.mechanism.joints]
         return with_mechanism(scene, scene.mechanism.bodies, joints)
 
-    return plant
+    return inject
 
 
-def mass(body: str, size: float) -> Plant:
-    """Heavier by a share."""
+def mass(body: str, size: float) -> Injection:
+    """Multiply the mass by 1 + size."""
     return change_bodies({body: lambda b: {"mass": (1.0 + size) * b.mass}})
 
 
-def center_of_mass(body: str, shift: Array) -> Plant:
-    """Moved by `shift` (3,), m."""
+def center_of_mass(body: str, shift: Array) -> Injection:
+    """Shift the center of mass by `shift` (3,), m, body frame."""
     return change_bodies({body: lambda b: {"center_of_mass": b.center_of_mass + shift}})
 
 
-def inertia_entry(body: str, i: int, j: int, size: float) -> Plant:
-    """J'_ij and J'_ji larger by a share of sqrt(J'_ii J'_jj)."""
+def inertia_entry(body: str, i: int, j: int, size: float) -> Injection:
+    """Add size * sqrt(J_ii J_jj) to the inertia entries J_ij and J_ji."""
 
     def changed(b: Body) -> dict[str, Any]:
         inertia = np.array(b.inertia)
@@ -81,8 +83,8 @@ def inertia_entry(body: str, i: int, j: int, size: float) -> Plant:
     return change_bodies({body: changed})
 
 
-def inertia_frame(body: str, axis: Array, angle: float) -> Plant:
-    """The inertia turned about an axis of the body frame, rad."""
+def inertia_frame(body: str, axis: Array, angle: float) -> Injection:
+    """Rotate the inertia about an axis of the body frame by an angle, rad."""
     turn = turned_about(axis, angle)
 
     def changed(b: Body) -> dict[str, Any]:
@@ -92,18 +94,25 @@ def inertia_frame(body: str, axis: Array, angle: float) -> Plant:
     return change_bodies({body: changed})
 
 
-def quaternion_order(body: str) -> Plant:
-    """w-x-y-z read as x-y-z-w."""
+def quaternion_order(body: str) -> Injection:
+    """Misread the quaternion (w, x, y, z) as (x, y, z, w)."""
     return change_bodies({body: lambda b: {"quaternion": np.roll(b.quaternion, 1)}})
 
 
-def missing_body(body: str) -> Plant:
-    """Next to nothing in its place."""
-    return change_bodies({body: lambda b: {"mass": REMAINS * b.mass, "inertia": REMAINS * b.inertia}})
+def missing_body(body: str) -> Injection:
+    """Remove almost all mass and inertia of a body."""
+    return change_bodies(
+        {
+            body: lambda b: {
+                "mass": MISSING_BODY_FRACTION * b.mass,
+                "inertia": MISSING_BODY_FRACTION * b.inertia,
+            }
+        }
+    )
 
 
-def swapped_bodies(first: Body, second: Body) -> Plant:
-    """Two bodies with each other's mass and inertia."""
+def swapped_bodies(first: Body, second: Body) -> Injection:
+    """Exchange mass and inertia of two bodies."""
 
     def like(other: Body) -> Callable[[Body], dict[str, Any]]:
         return lambda _: {"mass": other.mass, "inertia": other.inertia}
@@ -111,25 +120,25 @@ def swapped_bodies(first: Body, second: Body) -> Plant:
     return change_bodies({first.name: like(second), second.name: like(first)})
 
 
-def joint_point(joint: str, shift: Array) -> Plant:
-    """Moved on both bodies by `shift` (3,), m, so that the joint still closes at the initial pose."""
+def joint_point(joint: str, shift: Array) -> Injection:
+    """Shift a joint on both bodies by `shift` (3,), m, so that it still closes at the initial pose."""
     return change_joint(
         joint, lambda j: replace(j, point=j.point + shift, point_on_second=j.reaction_point + shift)
     )
 
 
-def closure_point(joint: str, shift: Array) -> Plant:
-    """Moved on the second body alone, so that the loop does not close at the initial pose."""
+def closure_point(joint: str, shift: Array) -> Injection:
+    """Shift a joint on its second body only, so that its loop does not close at the initial pose."""
     return change_joint(joint, lambda j: replace(j, point_on_second=j.reaction_point + shift))
 
 
-def joint_axes(joint: str, axes: dict[str, Array]) -> Plant:
-    """Other axes or points, by the name of the joint's field."""
+def joint_axes(joint: str, axes: dict[str, Array]) -> Injection:
+    """Replace axes or points of a joint, by the name of its attribute."""
     return change_joint(joint, lambda j: replace(j, **axes))  # type: ignore[arg-type]
 
 
-def row_of(joint: Joint, name: str, number: int, change: Callable[[Array], Array]) -> Plant:
-    """Another row in an array of a joint's: an axis, or an offset, with what is beyond it."""
+def row_of(joint: Joint, name: str, number: int, change: Callable[[Array], Array]) -> Injection:
+    """Replace a row of an array of a joint: an axis, or an offset together with all that follows it."""
 
     def changed(j: Joint) -> Joint:
         rows = np.array(getattr(j, name))
@@ -141,8 +150,8 @@ def row_of(joint: Joint, name: str, number: int, change: Callable[[Array], Array
     return change_joint(joint.name, changed)
 
 
-def joint_kind(joint: Joint, kind: str, **axes: Array) -> Plant:
-    """A joint of another kind in its place."""
+def joint_kind(joint: Joint, kind: str, **axes: Array) -> Injection:
+    """Replace a joint by one of another kind."""
     other = JOINT_KINDS[kind](
         joint.name,
         joint.first,
@@ -155,54 +164,54 @@ def joint_kind(joint: Joint, kind: str, **axes: Array) -> Plant:
     return change_joint(joint.name, lambda _: other)
 
 
-def missing_joint(joint: str) -> Plant:
-    """A loop left open."""
+def missing_joint(joint: str) -> Injection:
+    """Remove a joint, which opens its loop."""
 
-    def plant(scene: Scene) -> Scene:
+    def inject(scene: Scene) -> Scene:
         joints = [kept for kept in scene.mechanism.joints if kept.name != joint]
         return with_mechanism(scene, scene.mechanism.bodies, joints)
 
-    return plant
+    return inject
 
 
-def gravity(vector: Array) -> Plant:
-    """Another gravity (3,), m/s^2."""
+def gravity(vector: Array) -> Injection:
+    """Replace gravity by a vector (3,), m/s^2, world frame."""
     return lambda scene: replace(scene, gravity=vector)
 
 
-def entry(field: str, index: int, **values: Any) -> Plant:
-    """Other values in one entry of a list of the scene's: control, forces, armatures or motions."""
+def entry(field: str, index: int, **values: Any) -> Injection:
+    """Replace values of one entry of the scene's control, forces, armatures or motions."""
 
-    def plant(scene: Scene) -> Scene:
+    def inject(scene: Scene) -> Scene:
         entries = list(getattr(scene, field))
         entries[index] = replace(entries[index], **values)
         changed: Any = {field: tuple(entries)} | ({"initial_state": None} if field == "motions" else {})
         return replace(scene, **changed)
 
-    return plant
+    return inject
 
 
-def without(field: str, index: int) -> Plant:
-    """One entry of such a list, or of the motions, not there."""
+def without(field: str, index: int) -> Injection:
+    """Remove one entry of the scene's control, forces, armatures or motions."""
 
-    def plant(scene: Scene) -> Scene:
+    def inject(scene: Scene) -> Scene:
         entries = getattr(scene, field)
         rest: Any = {field: (*entries[:index], *entries[index + 1 :]), "initial_state": None}
         return replace(scene, **rest)
 
-    return plant
+    return inject
 
 
-def coupling(index: int, other: JointCoupling | None) -> Plant:
-    """Another gear or sum of joint coordinates in the place of one, or none."""
+def coupling(index: int, other: JointCoupling | None) -> Injection:
+    """Replace a coupling of joint coordinates, or remove it if `other` is None."""
 
-    def plant(scene: Scene) -> Scene:
+    def inject(scene: Scene) -> Scene:
         mechanism, found = scene.mechanism, list(scene.mechanism.couplings)
         found[index : index + 1] = [] if other is None else [other]
         changed = Mechanism(mechanism.bodies, mechanism.joints, found)
         return replace(scene, mechanism=changed, initial_state=None)
 
-    return plant
+    return inject
 
 
 def turned_about(axis: Array, angle: float) -> Array:
@@ -210,7 +219,7 @@ def turned_about(axis: Array, angle: float) -> Array:
     return rotation(from_rotation_vector(angle * axis))
 
 
-def tilted(joint: Joint, angle: float) -> dict[str, Plant]:
+def tilted(joint: Joint, angle: float) -> dict[str, Injection]:
     """Ways to tilt the axes of a joint by an angle, rad, each by name.
 
     A single axis about two directions across it, and with it the line that the second body's point is on.
@@ -219,7 +228,7 @@ def tilted(joint: Joint, angle: float) -> dict[str, Plant]:
     """
     names = joint.axis_names
     if isinstance(joint, Compound):
-        found: dict[str, Plant] = {}
+        found: dict[str, Injection] = {}
         for name in ("slides", "hinges"):
             for k, axis in enumerate(getattr(joint, name)):
                 for label, about in zip("uw", perpendicular_pair(axis), strict=True):
@@ -241,7 +250,7 @@ def tilted(joint: Joint, angle: float) -> dict[str, Plant]:
     }
 
 
-def _turned(joint: Joint, turn: Array, names: Iterable[str]) -> Plant:
+def _turned(joint: Joint, turn: Array, names: Iterable[str]) -> Injection:
     """Some axes of a joint turned, and its second point about its first."""
     axes = {name: turn @ getattr(joint, name) for name in names}
     second = joint.point + turn @ (joint.reaction_point - joint.point)

@@ -1,6 +1,6 @@
 """Dropped velocity terms: equations without omega x axis v in the angular acceleration of one hinge.
 
-No scene has this fault, so it is planted in the equations of an engine.
+No scene can express this fault, therefore it is injected into the equations of an engine.
 """
 
 from __future__ import annotations
@@ -20,9 +20,12 @@ from newton_euler.scalars import Array, cross
 def without_turning(system: System, joint: str) -> System:
     """Return an engine's equations without the velocity term of the last hinge of a joint.
 
-    The spanning tree has the joint. The angular accelerations before and behind a hinge differ by
-    axis dv/dt + omega x axis v, with the angular velocity omega before the hinge. Without the second term
-    everything beyond the hinge accelerates otherwise.
+    The angular accelerations of the two bodies of a hinge differ by axis dv/dt + omega x axis v, where omega
+    is the angular velocity of the first body. The second term is dropped, for all bodies beyond the hinge.
+
+    Args:
+        system: equations of an engine.
+        joint: name of a joint of the spanning tree whose last motion is a hinge.
     """
     return cast(System, _WithoutTurning(system, joint))
 
@@ -58,7 +61,7 @@ class _Dropped(Relative):
 
 
 class _WithoutTurning:
-    """An engine's equations, with what the fault changes in newton_euler's added to them."""
+    """An engine's equations plus the change that the fault makes in newton_euler's equations."""
 
     def __init__(self, system: System, hinge: str) -> None:
         self._system = system
@@ -68,7 +71,7 @@ class _WithoutTurning:
         return getattr(self._system, name)
 
     def _own(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return newton_euler's coordinates of an engine's."""
+        """Convert an engine's coordinates to newton_euler's."""
         return self._right.coordinates(self._system.state(q, v))
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
