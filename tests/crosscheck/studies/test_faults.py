@@ -225,14 +225,17 @@ def test_misses_are_listed():
     unseen = a_fault(seen=None, moves=None)
     nothing = a_fault(seen=None, moves=None, observable=False)
     first, second, hidden = lines(search_of(a_fault(), unseen, nothing))
-    assert first == "missed: mass of bar by 0.0001, in mujoco: smaller than the tolerances"
-    assert second == f"by motion alone, {first}"
-    assert hidden.startswith("unobservable, with and without the fault newton_euler has the same poses")
+    assert first.startswith("missed: mass of bar by 0.0001, in mujoco: ")
+    assert second.endswith(first)
+    assert hidden.startswith("unobservable")
     assert hidden.endswith(": mass bar")
-    assert list(lines(search_of(nothing), every=False)) == ["unobservable, since they change nothing: 1 faults"]
+    (line,) = lines(search_of(nothing), every=False)
+    assert line.startswith("unobservable")
+    assert "1 fault" in line
     lost = a_fault(seen=None, moves=None, lost=Detection("model", "inertia, rel", (), 1e-6, 1e-12, "bar"))
     (line,) = lines(search_of(lost))
-    assert line.startswith("missed: mass of bar by 0.0001, in mujoco: mujoco's own model does not hold it")
+    assert line.startswith("missed: mass of bar by 0.0001, in mujoco: mujoco's own model")
+    assert "inertia, rel 1.0e-06 at bar" in line
 
 
 def test_engines_have_to_agree_without_a_fault(example, monkeypatch):
