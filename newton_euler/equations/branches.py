@@ -18,14 +18,14 @@ from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.scalars import Array
 
 DEPENDENT_ROW_RATIO = 1e-6
-"""Largest singular value, divided by the largest one, of constraint rows that are dependent."""
+"""Singular value, divided by the largest one, below which constraint rows are dependent."""
 
 MAX_CONTRADICTION = 1e-3
 """Largest w dJ/dt v, by the square of the dimensionless velocities, of a start on a branch. Velocities that a
 file gives with four digits reach 1e-4; velocities between two branches are of the order of 1."""
 
 DIFFERENCE_ANGLE = 1e-4
-"""rad, or sizes of the mechanism, that the difference quotient for dJ/dt moves coordinates to each side."""
+"""Step of the difference quotient for dJ/dt to each side, rad or sizes of the mechanism."""
 
 
 def joint_between_branches(system: Formulation, q: Array, v: Array) -> str:
@@ -36,12 +36,14 @@ def joint_between_branches(system: Formulation, q: Array, v: Array) -> str:
     Args:
         q, v: coordinates and velocities (nv,) of the start, which meet the constraints.
     """
+    # left null space of J
     speed = float(np.linalg.norm(v / system.velocity_units))
     if system.scene.motions or speed == 0.0 or not len(system.phi_units):
         return ""
     rows, values, _ = singular_values(dimensionless_jacobian(system, q), full=True)
     values = np.pad(values, (0, len(rows) - len(values)))
     dependent = rows[:, values < DEPENDENT_ROW_RATIO * max(values[0], 1.0)]
+    # w dJ/dt v, by a central difference along the velocity
     step = DIFFERENCE_ANGLE / speed
     before, after = (system.phi_jacobian(system.retract(q, at * v)) @ v for at in (-step, step))
     needed = dependent.T @ ((after - before) / (2.0 * step) / system.phi_units) / speed**2

@@ -1,8 +1,8 @@
 """Independent rows of a dimensionless matrix: one decision for all formulations, engines and readers.
 
-A row adds its component orthogonal to the others. It counts as dependent where the length of that is smaller
-than a tolerance and several times smaller than that of the weakest independent row. Everything is sparse:
-there may be thousands of rows.
+The independent part of a row is its component orthogonal to the other rows. A row counts as dependent if the
+length of this part is below a tolerance and several times below that of the weakest independent row. All
+matrices are sparse: there may be thousands of rows.
 """
 
 from __future__ import annotations
@@ -38,32 +38,39 @@ MIN_GAP_RATIO = 10.0
 
 
 class Independent(NamedTuple):
-    """A selection of rows that imply all others, but for noise."""
+    """A selection of rows that imply all others except for noise."""
 
     factor: Factor
-    """Of the Gram matrix of these rows."""
+    """Factor of the Gram matrix of these rows."""
     weak: dict[int, float]
-    """Those that add little to the ones before them, and how much, the strongest first."""
+    """Small independent parts, by number of the row, the largest first."""
     strong: float
-    """The least that one of the others adds."""
+    """The smallest independent part of the other selected rows."""
     noise: float
-    """The most that another row adds to them."""
+    """The largest independent part of a row that is not selected."""
 
     @property
     def rows(self) -> list[int]:
-        """Their numbers, in order."""
+        """Numbers of the selected rows, ascending."""
         return sorted(self.factor.order)
 
 
 def independent(rows: Rows, tolerance: float) -> Independent:
     """Select independent rows of a dimensionless matrix.
 
-    Rows are added in the order of their independent parts, the largest first, until these are smaller than
-    `tolerance` and than the last one over `MIN_GAP_RATIO`; without such a step, until the rest is round-off.
+    Rows are added in the order of their independent parts, the largest first. The selection ends where these
+    drop below `tolerance` and below the last one divided by `MIN_GAP_RATIO`; without such a gap, where the
+    rest is round-off.
+
+    Args:
+        rows: of the matrix, about 1 long.
+        tolerance: independent part below which a row counts as dependent.
     """
+    # rows without round-off
     lengths = [length(row) for row in rows]
     noise = max((each for each in lengths if each <= ROW_ROUND_OFF), default=0.0)
     rows = [row if each > ROW_ROUND_OFF else {} for row, each in zip(rows, lengths, strict=True)]
+    # rows that are certainly independent, in one sparse factorization
     products = gram(rows, rows)
     order = [i for i in minimum_degree(products) if rows[i]]
     certain = max(CERTAIN_PIVOT, (MIN_GAP_RATIO * tolerance) ** 2)
@@ -71,6 +78,7 @@ def independent(rows: Rows, tolerance: float) -> Independent:
     used = set(factor.order)
     doubtful = [i for i in order if i not in used]
     least = float(np.sqrt(min((factor.pivots[i] for i in factor.order), default=1.0)))
+    # the other rows one by one, the largest independent part first
     weak, strong = dict[int, float](), least
     while doubtful and (new := _together(rows, factor, doubtful)) > MIN_INEXACT:
         if new <= ROW_ROUND_OFF or MIN_GAP_RATIO * new <= min(tolerance, least / MIN_GAP_RATIO):
@@ -100,7 +108,7 @@ def length(row: dict[int, float]) -> float:
 def remainder(rows: Rows, factor: Factor, row: dict[int, float]) -> float:
     """Compute the length of the part of a row that is independent of the rows of a factor.
 
-    It is solved twice, for digits that squaring loses.
+    A second solution recovers the digits that the Gram matrix loses.
     """
     left = dict(row)
     for _ in range(2):
@@ -114,15 +122,15 @@ def remainder(rows: Rows, factor: Factor, row: dict[int, float]) -> float:
 def shares(rows: Rows, used: Sequence[int], others: Sequence[int]) -> Rows:
     """Compute the shares X of independent rows in others that follow from them: others = X @ used.
 
-    They are solved twice, for digits that squaring loses.
+    A second solution recovers the digits that the Gram matrix loses.
 
     Args:
-        rows: of a matrix.
+        rows: of a dimensionless matrix.
         used: numbers of independent rows.
         others: numbers of the other rows.
 
     Returns:
-        For each of the others, its shares by numbers of the rows used.
+        For each of the others, its shares by number of the row in use.
     """
     products = gram([rows[i] for i in used], [rows[i] for i in used])
     factor = factorize(products, minimum_degree(products))
@@ -151,7 +159,7 @@ def least_step(rows: Rows, factor: Factor, right: Array, columns: int) -> Array:
 
 
 def _together(rows: Rows, factor: Factor, doubtful: list[int]) -> float:
-    """Compute the independent part of a random combination of rows: round-off only if that of each row is."""
+    """Compute the independent part of a random combination of rows: round-off if each row is dependent."""
     weights = np.random.default_rng(1).uniform(1.0, 2.0, len(doubtful))
     together: dict[int, float] = {}
     for i, weight in zip(doubtful, weights, strict=True):

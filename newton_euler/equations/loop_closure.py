@@ -1,9 +1,10 @@
 """Assembly of a model file's loops: closed as well as the file's digits allow.
 
 A file rounds its numbers, so that constraints that are redundant by design contradict each other slightly.
-The independent ones are closed to round-off; the residual of the others is an offset that the loops keep.
-Everything is dimensionless, as where a scene's redundant constraints are decided: velocities in the spread of
-the mechanism and rad, each loop in the motion that one of these velocities gives to its bodies.
+The independent constraints are closed to round-off. The residual of the others is an offset that the loops
+keep. All quantities are dimensionless, as in the decision on redundant constraints
+(`newton_euler.equations.redundancy`): velocities in spreads of the mechanism and rad, the residual of a loop
+in units of the largest motion that one of these velocities gives to its bodies.
 """
 
 from __future__ import annotations
@@ -38,9 +39,9 @@ class Units(NamedTuple):
     """Units of the equations of a file's loops."""
 
     velocities: Array
-    """(nv,) the spread of the mechanism, m, for slides and free translations, 1 for rotations."""
+    """(nv,) spread of the mechanism, m, for slides and free translations, 1 for rotations."""
     rows: Array
-    """(k,) m or rad: `reach` of a loop, the length of its own row for a coupling."""
+    """(k,) m or rad: `reach` of a loop, length of the dimensionless row for a coupling."""
 
     def jacobian(self, jacobian: Array) -> Array:
         """Divide a Jacobian (k, nv) by the units."""
@@ -54,16 +55,16 @@ class Closure(NamedTuple):
     residuals: Array
     """(k,) m or rad."""
     noise: float
-    """The largest residual, dimensionless."""
+    """Largest residual, dimensionless."""
     independent: float
-    """The same of the independent constraints."""
+    """Largest residual of the independent constraints, dimensionless."""
     tolerance: float
     """Dimensionless size below which constraints were taken as redundant."""
 
     @property
     def is_closed(self) -> bool:
         """True if rounding of the file explains the residuals."""
-        # a residual that no motion removes is rounding, whichever constraints count as redundant
+        # rounding may exceed a tight tolerance: no motion removes these residuals
         loose = loosely_closed(max(self.tolerance, REDUNDANCY_TOLERANCE))
         return self.independent <= CLOSURE_TOLERANCE and self.noise <= loose
 
@@ -83,14 +84,15 @@ def close(
     """Close loops near a configuration by Newton's steps of least length.
 
     Args:
-        q: where to start.
-        evaluate: residuals (k,), m or rad, and their Jacobian (k, nv) at a configuration.
-        move: a configuration moved by a step (nv,).
+        q: configuration to start from.
+        evaluate: computes residuals (k,), m or rad, and their Jacobian (k, nv) at a configuration.
+        move: moves a configuration by a step (nv,).
         units: of residuals and steps.
         tolerance: of the scene, see `newton_euler.Scene.redundancy_tolerance`.
     """
     best: Closure | None = None
     for _ in range(MAX_CLOSING_STEPS + 1):
+        # residuals of all constraints, and of the independent ones alone
         phi, jacobian = evaluate(q)
         scaled, matrix = phi / units.rows, units.jacobian(jacobian)
         rank = len(independent([sparse_vector(row) for row in matrix], tolerance).rows)
@@ -101,6 +103,7 @@ def close(
             best = found
         elif best.independent < CLOSURE_TOLERANCE:
             break
+        # shortest step that closes the independent constraints in first order
         step = vt[:rank].T @ (shares / s[:rank])
         step *= min(1.0, MAX_STEP_LENGTH / max(largest(step), 1e-300))
         q = move(q, -units.velocities * step)
@@ -109,15 +112,15 @@ def close(
 
 
 def reach(motions: Sequence[Array], levers: Sequence[float], velocities: Array) -> tuple[float, float]:
-    """Compute by how much one velocity moves and rotates a closure of two bodies, at most: m and rad.
+    """Compute the largest motion, m and rad, that one velocity gives to a closure between two bodies.
 
-    The bodies count separately, so that a loop in which their motions cancel is stiff but for noise; see
+    The bodies count separately. If their motions cancel, the row of the loop is therefore small: noise. See
     `newton_euler.equations.kinematics.TreeKinematics.row_scales`.
 
     Args:
-        motions: (6, nv) of each body, velocity of its mass center and angular velocity.
-        levers: m, from these centers to the point of the closure.
-        velocities: (nv,) units.
+        motions: (6, nv) for each body: velocity of its center of mass, and angular velocity.
+        levers: m, distances of the two centers of mass from the point of the closure.
+        velocities: (nv,) units of velocities.
     """
     rotations, moves = np.zeros(len(velocities)), np.zeros(len(velocities))
     first, second = (np.any(motion != 0.0, axis=0) for motion in motions)
@@ -136,8 +139,8 @@ class MovedStart:
     Attributes:
         open: largest loop-closure error of the file's own start, m or rad.
         loop: element of the file with that error.
-        body, displacement: body whose center of mass moves farthest, and how far, m.
-        joint, way: joint that moves most, and by how much, m or rad.
+        body, displacement: body whose center of mass moves farthest, and its distance, m.
+        joint, way: joint that moves most, and its motion, m or rad.
     """
 
     open: float
@@ -149,11 +152,11 @@ class MovedStart:
 
 
 class FileStart(ABC):
-    """The start of a model file, as the file's own reader has it.
+    """The start of a model file in the coordinates of the file's own reader.
 
     Attributes:
-        path: of the file, for errors.
-        error: class of these.
+        path: path of the file, for errors.
+        error: class of the errors.
         owners: (k,) element of the file that each residual belongs to.
     """
 
@@ -190,23 +193,28 @@ class FileStart(ABC):
         """Return the name of the joint that a velocity belongs to."""
 
     def closed(self, q: Array, called: str, tolerance: float) -> tuple[Array, list[str], MovedStart | None]:
-        """Close the loops next to a configuration that messages call by a name.
+        """Close the loops near a configuration.
 
         Args:
+            q: the configuration.
+            called: its name in messages.
             tolerance: of the scene, see `newton_euler.Scene.redundancy_tolerance`.
 
         Returns:
-            The configuration, lines of a report, and the change of the start; None if the loops are closed.
+            The closed configuration, lines of a report, and the change of the start; None if the loops are
+            closed already.
 
         Raises:
             SourceError: of the class `error`, naming the element that stays open the most.
         """
+        # files without loops, or with closed loops
         before, _ = self.residuals(q)
         if not len(before):
             return q, [f"starts from {called}: no loops"], None
         units, owners = self.units(), self.owners
         if largest(before / units.rows) <= MAX_CLOSED_RESIDUAL:
             return q, [f"starts from {called}: all loops closed, to {largest(before):.1e}"], None
+        # close the loops
         centers = self.centers()
         found = close(q, self.residuals, self.moved, units, tolerance)
         after, _ = self.residuals(found.q)
@@ -217,6 +225,7 @@ class FileStart(ABC):
                 f"{owners[worst]} cannot be closed from {called}: open by {abs(before[worst]):.3g} there, "
                 f"and by {found.offset:.3g} (m or rad) at best",
             )
+        # report the loops that were open, and the joint and the body that moved most
         opened: dict[str, float] = {}
         for owner, gap in zip(owners, np.abs(before).tolist(), strict=True):
             opened[owner] = max(opened.get(owner, 0.0), gap)

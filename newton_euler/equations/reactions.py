@@ -1,12 +1,12 @@
-"""Reactions of joints: the wrenches (force, torque) that they put on their second bodies.
+"""Reactions of joints: the wrenches (force, torque) on their second bodies.
 
 The reaction of a joint includes the forces of couplings and prescribed motions on its coordinates, but not
-those of control laws and springs.
+the forces of control laws and springs.
 
-Where constraints are redundant only the sum of what joints do to each body, J^T lambda, is unique. Of the
-reactions that add up to it a formulation gives those of its smallest dimensionless multipliers: Cartesian
-coordinates have multipliers of all joints, joint coordinates of couplings and of joints that close loops
-alone, and the reactions of the tree's joints follow from those. Both are right, and differ.
+If constraints are redundant, only the sum of the wrenches on each body, J^T lambda, is unique. A formulation
+returns the reactions of its smallest dimensionless multipliers. Cartesian coordinates have multipliers of all
+joints. Joint coordinates have multipliers only of couplings and of joints that close loops, from which the
+reactions of the tree's joints follow. The two results differ, and both are right.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from newton_euler.scalars import Array, Scalar, cross
 
 
 class ConstraintWrench(NamedTuple):
-    """Wrenches (6,) of one constraint on its two bodies: force and torque about the center of mass, world."""
+    """Wrenches (6,) of a constraint on two bodies: force, and torque about the center of mass, world."""
 
     joint: int
     first: int
@@ -94,18 +94,19 @@ def tree_reactions(
 ) -> tuple[Array, Array]:
     """Compute forces and torques (j, 3) about the joint points on the second bodies.
 
-    Joints that the tree cuts have multipliers. Kept joints follow from the bodies' Newton-Euler equations,
-    from the leaves to the ground: each carries what its child needs and nothing else supplies.
+    Joints that the tree cuts have multipliers. The reactions of the other joints follow from the bodies'
+    Newton-Euler equations, from the leaves to the ground.
 
     Args:
         system: the equations of motion.
         frames: of all bodies.
-        measured: the coordinates that couplings act on.
-        needed: (6,) for each body, force and torque about its center of mass that joints supply.
+        measured: joint coordinates that couplings act on.
+        needed: (6,) for each body: force, and torque about its center of mass, that joints must supply.
         multipliers: (k,) of the loop closures and couplings.
-        joint_forces: N or N m on joint coordinates, of control laws, springs and rotors.
-        couples: of rotors of balls, their first and second bodies and (3,) N m on the second, world frame.
+        joint_forces: N or N m of control laws, springs and armatures, by joint coordinate.
+        couples: of armatures on balls: numbers of both bodies, and (3,) N m on the second, world frame.
     """
+    # wrenches of multipliers, joint forces and armatures reduce what the tree's joints must supply
     mechanism, tree, need = system.mechanism, system.tree, list(needed)
     found = list(constraint_wrenches(system, frames, measured, multipliers))
     for push in found:
@@ -122,6 +123,7 @@ def tree_reactions(
     for (first, second), torque in couples:
         couple = np.concatenate([np.zeros(3), torque])
         need[first], need[second] = need[first] + couple, need[second] - couple
+    # from the leaves to the ground: each joint carries what its child needs
     arms = _arms(system, frames)
     for kept in reversed(tree.joints):
         force, torque = need[kept.child][:3], need[kept.child][3:]

@@ -1,18 +1,17 @@
 """Redundant constraints and the degrees of freedom they leave, decided once for each scene.
 
-A constraint row is redundant if it follows from the others in every configuration; a row that depends on
-the others in one configuration only, as in a dead center, is none. So several configurations are examined.
+A constraint row is redundant if it follows from the others in every configuration. A row that depends on the
+others in one configuration only, as in a dead center, is not redundant. Several configurations are examined.
 
-Files are rarely exact: axes tilted by 1e-12 to 1e-7 rad and points rounded to 1e-6 m leave rows that add
-very little to the others, although the design is plainly redundant. Taken literally they would lock the
-mechanism. Rows whose independent part is smaller than `Scene.redundancy_tolerance` count as redundant
-where they are set apart from the others (`newton_euler.equations.independence`), and are named with their
-singular value (on such models see J. Garcia de Jalon and M. D. Gutierrez-Lopez, Multibody System Dynamics 30,
-2013). The decision is made in joint coordinates, with each row in units of the motions that it is a
-difference of; all other forms of the equations, dense and sparse, of every engine, take the degrees of
-freedom from it.
+Files are rarely exact. Axes tilted by 1e-12 to 1e-7 rad and points rounded to 1e-6 m leave rows with a very
+small independent part, although the design is redundant. Taken literally these rows would lock the mechanism.
+A row counts as redundant if its independent part is smaller than `Scene.redundancy_tolerance` and separated
+from the others by a gap (`newton_euler.equations.independence`). The report names it with its singular value
+(on such models see J. Garcia de Jalon and M. D. Gutierrez-Lopez, Multibody System Dynamics 30, 2013).
 
-Everything is sparse: scenes may have thousands of rows.
+The decision is made in joint coordinates. Each row is in units of the body motions whose difference it is.
+All other forms of the equations, dense and sparse, of every engine, use its degrees of freedom. All matrices
+are sparse: scenes may have thousands of rows.
 """
 
 from __future__ import annotations
@@ -79,7 +78,7 @@ class NearlyRedundant(NamedTuple):
     """A constraint that is almost implied by the others."""
 
     joint: str
-    """Name of the joint or gear with the largest share in it."""
+    """Name of the joint or coupling with the largest share in the constraint."""
     singular_value: float
     """Dimensionless, of the constraint Jacobian in joint coordinates."""
     taken: Literal["redundant", "literally"]
@@ -89,7 +88,7 @@ class NearlyRedundant(NamedTuple):
 
 
 def residual(nearly: Iterable[NearlyRedundant]) -> float:
-    """Find the largest singular value that is taken as redundant, 0 for none."""
+    """Find the largest singular value that is taken as redundant; 0 without any."""
     return max((weak.singular_value for weak in nearly if weak.taken == "redundant"), default=0.0)
 
 
@@ -113,15 +112,15 @@ class Mobility:
     """Degrees of freedom of a scene.
 
     Attributes:
-        degrees_of_freedom: number of independent velocities where no configuration is singular.
+        degrees_of_freedom: number of independent velocities in configurations that are not singular.
         independent: rows of the joint-coordinate form that imply all others.
         redundant: other rows that are not zero everywhere: with them multipliers are not unique.
-        exchangeable: rows among which a run chooses, and their natural magnitudes, see
-            `newton_euler.equations.row_choice`; none of rows that are redundant but for noise.
-        nearly: constraints that are almost redundant, and how they are taken.
-        residual: largest singular value that is taken as redundant; 0 if all are exactly so.
-        configurations: those that were examined and are closed.
-        states: the same, at rest.
+        exchangeable: natural magnitudes of the rows among which a run chooses, see
+            `newton_euler.equations.row_choice`; empty if rows are redundant except for noise.
+        nearly: constraints that are almost redundant, and whether they are taken as redundant.
+        residual: largest singular value that is taken as redundant; 0 if redundancy is exact.
+        configurations: closed configurations that were examined.
+        states: states of these configurations, at rest.
         between_branches: joint that loses rank at a singular start whose velocities no motion has; empty if a
             motion has them. See `newton_euler.equations.branches`.
     """
@@ -158,10 +157,10 @@ def constraint_rank(system: System) -> int:
 
 
 def rows_left_out(system: System) -> list[int]:
-    """Select the rows of `phi` that are redundant but for noise, to be left out everywhere.
+    """Select the rows of `phi` that are redundant except for noise, which all solvers leave out.
 
-    A `Formulation` leaves out all rows but those of the joint-coordinate form; another engine those that a
-    factorization with pivoting leaves at a configuration where no others are redundant.
+    A `Formulation` keeps the rows of the joint-coordinate form. Another engine keeps the rows that a QR
+    factorization with pivoting selects at the configuration of the largest rank.
     """
     decided, count = mobility(system.scene), len(system.phi_units)
     if decided.residual == 0.0:
@@ -186,7 +185,7 @@ def rows_left_out(system: System) -> list[int]:
 
 
 def loosely_closed(tolerance: float) -> float:
-    """Compute the largest residual, sizes or rad, of closed constraints that are redundant but for noise."""
+    """Compute the largest residual, sizes or rad, of closed constraints that are nearly redundant."""
     return max(RESIDUAL_FACTOR * tolerance, CLOSURE_TOLERANCE)
 
 
@@ -198,7 +197,7 @@ def without(rows: Array, left_out: Sequence[int]) -> Array:
 
 
 def inherit_mobility(scene: Scene, of: Scene) -> None:
-    """Use the decision on another scene of the same geometry for this one, if it has been made."""
+    """Use the decision on another scene with the same geometry, if it has been made."""
     if of in _KNOWN:
         _KNOWN[scene] = replace(_KNOWN[of], between_branches="")  # its start may be another one
 
@@ -232,8 +231,8 @@ def _between_branches(system: TreeKinematics) -> str:
 def _nearly(system: TreeKinematics, seen: Sequence[Configuration]) -> Iterator[NearlyRedundant]:
     """Find small singular values on both sides of the rank.
 
-    Those taken literally in the configuration where they are largest, and those of redundant rows where noise
-    is largest: in some poses it has no effect.
+    Singular values taken literally come from the configuration where the smallest of them is largest, those
+    of redundant rows from the configuration with the largest noise: in some poses noise has no effect.
     """
     own, _ = system.coordinates(State.initial(system.scene.mechanism))
     exact = [MIN_INEXACT if np.array_equal(at.q, own) else MAX_SAMPLE_RESIDUAL for at in seen]
@@ -255,14 +254,14 @@ def _nearly(system: TreeKinematics, seen: Sequence[Configuration]) -> Iterator[N
 class Spectrum(NamedTuple):
     """Singular values of the Jacobian of a configuration, the largest first.
 
-    Of a Jacobian too large for these, the independent parts of its rows.
+    A Jacobian too large for singular values has the independent parts of its rows instead.
     """
 
     values: list[float]
     rank: int
-    """Number of values that are not taken as redundant."""
+    """Number of singular values that are not taken as redundant."""
     owner: Callable[[int], str]
-    """Name of the joint or gear with the largest share in one."""
+    """Function from the number of a singular value to the joint or coupling with the largest share."""
 
 
 def _spectrum(system: TreeKinematics, at: Configuration) -> Spectrum:
@@ -279,7 +278,7 @@ def _spectrum(system: TreeKinematics, at: Configuration) -> Spectrum:
 
 
 def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
-    """Examine closed configurations; also find the rows that are not zero in all of them."""
+    """Examine closed configurations; also return the rows that are not zero in all of them."""
     tolerance = system.scene.redundancy_tolerance
     pose = State.initial(system.scene.mechanism)
     q, v = system.coordinates(pose if system.scene.initial_state is None else system.scene.initial_state)
@@ -288,6 +287,7 @@ def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
     alive: set[int] = set()
     seen: list[Configuration] = []
     for number in range(MAX_CONFIGURATIONS):
+        # keep the start, and configurations whose loops are closed
         phi, rows, scales = _scaled(system, q)
         found = independent(rows, tolerance)
         others = np.delete(phi, found.rows)
@@ -297,12 +297,14 @@ def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
         ):
             alive.update(i for i, row in enumerate(rows) if length(row) > ROW_ROUND_OFF)
             seen.append(Configuration(q, rows, scales, found))
+        # stop if the rank is the largest possible, or enough configurations are regular
         best = max(seen, key=lambda at: at.rank)
         if number > 0 and best.rank == len(alive):
-            break  # all that can be
+            break
         regular = sum(at.rank == best.rank for at in seen)
         if number + 1 >= MIN_CONFIGURATIONS and regular >= MIN_REGULAR:
             break
+        # next: the initial pose if the start is another one, then neighbors of the best configuration
         moved = number == 0 and not np.array_equal(own, q)
         q = own if moved else _neighbor(system, best.q, next(directions))
     return seen, alive
@@ -320,10 +322,10 @@ def _scaled(system: TreeKinematics, q: Array) -> tuple[Array, Rows, Array]:
 
 
 def _directions(system: TreeKinematics, v: Array) -> Iterator[Array]:
-    """Yield directions to other configurations: the velocity's, then random ones.
+    """Yield directions to other configurations: the start's velocity, then random directions.
 
-    From a singular configuration random steps leave all of its branches, and projection returns to a point
-    too near to it to decide; a velocity is that of a branch.
+    From a singular configuration a random step leaves all branches, and projection returns to a point too
+    near to decide. A velocity belongs to a branch.
     """
     speed = np.max(np.abs(v / system.velocity_units), initial=0.0)
     if speed > 0.0:
@@ -334,13 +336,15 @@ def _directions(system: TreeKinematics, v: Array) -> Iterator[Array]:
 
 
 def _neighbor(system: TreeKinematics, q: Array, direction: Array) -> Array:
-    """Find another configuration that meets the independent constraints, some way off in a direction."""
+    """Find another closed configuration of the independent constraints, `SAMPLE_DISTANCE` away."""
     tolerance, unit = system.scene.redundancy_tolerance, system.velocity_units
+    # a step along the direction, projected onto the tangent space
     step = SAMPLE_DISTANCE * direction
     _, rows, _ = _scaled(system, q)
     rate = np.array([sum(x * step[k] / unit[k] for k, x in row.items()) for row in rows])
     back = least_step(rows, independent(rows, tolerance).factor, rate, system.nv)
     q = system.retract(q, step - unit * back)
+    # Newton's steps of least length
     for _ in range(MAX_NEIGHBOR_STEPS):
         phi, rows, _ = _scaled(system, q)
         factor = independent(rows, tolerance).factor

@@ -1,13 +1,13 @@
-"""Constraint rows in use: those that a scene is given, and those that a run exchanges for others.
+"""Constraint rows in use: the choice for a scene, and exchangeable rows among which a run chooses.
 
-Where constraints are redundant, some rows imply all others. In most mechanisms they do so in the same way in
-every configuration: each row left out is a combination of rows in use with constant shares. In Bennett's
-linkage or Bricard's mechanism the shares depend on the configuration. The loop has the same rank everywhere,
-but any choice of rows becomes dependent in some configuration, and shares grow without bound near it.
+If constraints are redundant, some rows imply all others. In most mechanisms a row left out is a combination
+of rows in use with constant coefficients (shares). In Bennett's linkage or Bricard's mechanism the shares
+depend on the configuration. The loop has the same rank everywhere, but any choice of rows becomes dependent
+in some configuration, and shares grow without bound near this configuration.
 
-Such rows are *exchangeable*. All of them are in the compiled equations, each with a flag that leaves it out
-(`newton_euler.equations.sparse.RowsInUse`). Between two steps of a run, a row in use is exchanged for one
-that is left out while its share in that one is larger than 1. Each exchange multiplies the volume of the rows
+Such rows are *exchangeable*. The compiled equations contain all of them, each with a flag that leaves it out
+(`newton_euler.equations.sparse.RowsInUse`). Between two steps of a run, a row in use is exchanged for a row
+left out while its share in that row is larger than 1. Each exchange multiplies the volume of the rows
 in use by the share, so the exchanges end at a local maximum of the volume (S. A. Goreinov, I. V. Oseledets,
 D. V. Savostyanov, E. E. Tyrtyshnikov, N. L. Zamarashkin, How to find a good submatrix, in: Matrix Methods:
 Theory, Algorithms and Applications, World Scientific 2010). The accelerations of a state that meets the
@@ -34,19 +34,19 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 MIN_EXCHANGED_SHARE = 1.1
-"""Share above which rows are exchanged; the volume grows at least by this factor, so exchanges end."""
+"""Share above which rows are exchanged. Each exchange multiplies the volume by at least this factor."""
 
 MAX_EXCHANGES = 100
-"""Exchanges at once, beyond which numbers are not finite, or round-off."""
+"""Number of exchanges at one state. More are caused by round-off or numbers that are not finite."""
 
 
 class ExchangeableRows(NamedTuple):
     """Constraint rows among which a run chooses.
 
     Attributes:
-        numbers: of the rows in `phi`, ascending.
-        left_out: 1 for the rows that are left out at first, 0 for those in use.
-        units: natural sizes of the dimensionless rows.
+        numbers: numbers of the rows in `phi`, ascending.
+        left_out: 1 for rows that are left out at first, 0 for rows in use.
+        units: natural magnitudes of the dimensionless rows.
     """
 
     numbers: list[int]
@@ -73,7 +73,7 @@ def candidate_rows(
 ) -> tuple[list[int], list[int]]:
     """Return the rows of the joint-coordinate form in use, and the others that are exchangeable.
 
-    Arguments are as of `rows_in_use`.
+    See `rows_in_use` for the arguments.
     """
     used = mobility(system.scene).independent if used is None else list(used)
     flagged = set(exchangeable.numbers)
@@ -87,10 +87,9 @@ def rows_in_use(
     """Select rows of a form of the equations that are independent and imply all others.
 
     Args:
-        system: the form.
-        used: rows of the joint-coordinate form that are among them; None for the independent ones of its
-            mobility.
-        exchangeable: rows that may be left out, which are among them, too, with their flags.
+        system: the form of the equations.
+        used: rows of the joint-coordinate form to select; None for the independent rows of its mobility.
+        exchangeable: rows to select in addition, with flags that leave them out.
     """
     choices = list(regular_choices(system, used, exchangeable))
     pivots = []
@@ -108,9 +107,9 @@ def rows_in_use(
 def constraint_scales(
     system: Formulation, used: Sequence[int] | None = None, exchangeable: ExchangeableRows = NO_ROWS
 ) -> list[float]:
-    """Find the usual sizes of the pivots of the constraints alone: those of the Gram matrix of their rows.
+    """Find the usual sizes of the pivots of the constraints alone, of the Gram matrix of their rows.
 
-    Arguments are as of `rows_in_use`.
+    See `rows_in_use` for the arguments.
     """
     pivots = []
     for state, rows in regular_choices(system, used, exchangeable):
@@ -129,15 +128,15 @@ def dimensionless_rows(system: Formulation, jacobian: Rows, numbers: Sequence[in
 def regular_choices(
     system: Formulation, used: Sequence[int] | None = None, exchangeable: ExchangeableRows = NO_ROWS
 ) -> Iterator[tuple[State, RowsInUse]]:
-    """Yield choices of rows that are independent at states of the mobility, each row in one of them.
+    """Yield choices of independent rows at states of the mobility; each row is in one of the choices.
 
-    Arguments are as of `rows_in_use`.
+    See `rows_in_use` for the arguments.
     """
     decided, flagged = mobility(system.scene), exchangeable.numbers
     used, others = candidate_rows(system, used, exchangeable)
     numbers = system.rows_of([*used, *others])
     for at, state in zip(decided.configurations, decided.states, strict=True):
-        # elsewhere, as where the four-bar is flat, pivots are zero or round-off
+        # in a singular configuration, such as a flat four-bar, pivots are zero or round-off
         if not are_independent(at.rows, used):
             continue
         choices = [used]
@@ -152,16 +151,20 @@ def regular_choices(
 
 
 def in_use_alone(pivots: Sequence[float], rows: RowsInUse) -> list[float]:
-    """Return the pivots of an elimination, 0 for those of rows that are left out."""
+    """Return the pivots of an elimination, 0 for rows that are left out."""
     flags = rows.flags or {}
     left_out = {n for n, number in enumerate(rows.numbers) if flags.get(number)}
     return [0.0 if n in left_out else pivot for n, pivot in enumerate(pivots)]
 
 
 def flags_at(system: Formulation, q: Array, numbers: Sequence[int], exchangeable: ExchangeableRows) -> Array:
-    """Choose rows that are well conditioned at q (nq,) alone: flags (m,), see `exchanged`.
+    """Choose rows that are well conditioned at q (nq,): flags (m,), see `exchanged`.
 
-    The numbers are those of all rows that are independent or exchangeable.
+    Args:
+        system: the form of the equations.
+        q: (nq,).
+        numbers: of all rows that are independent or exchangeable.
+        exchangeable: rows to choose from.
     """
     jacobian = dimensionless_jacobian(system, q)[list(numbers)]
     places = [numbers.index(number) for number in exchangeable.numbers]
@@ -172,13 +175,13 @@ def exchanged(jacobian: Array, rows: Sequence[int], units: Array, left_out: Arra
     """Exchange rows in use for those left out while a share is larger than `MIN_EXCHANGED_SHARE`.
 
     Args:
-        jacobian: (k, nv), dimensionless, of independent rows and of those that are left out.
-        rows: (m,) places of exchangeable rows among them.
-        units: (m,) their natural sizes.
-        left_out: (m,) 1 for those that are left out, 0 for those in use.
+        jacobian: (k, nv), dimensionless, of independent rows and of rows left out.
+        rows: (m,) indices of exchangeable rows in `jacobian`.
+        units: (m,) natural magnitudes of exchangeable rows.
+        left_out: (m,) 1 for rows left out, 0 for rows in use.
 
     Returns:
-        The same of other rows, (m,).
+        `left_out` (m,) after the exchanges.
     """
     flags, places = left_out.copy(), np.array(rows)
     if not np.isfinite(jacobian).all():

@@ -1,10 +1,11 @@
-"""Constraint rows that imply each other in another way in each configuration.
+"""Constraint rows whose linear dependence varies from configuration to configuration.
 
-A row that is left out is a combination of rows in use. Its shares in these are analytic functions of the
-configuration. If a share is not constant, two configurations in general position differ in it. Three regular
-configurations are compared, `MIN_REGULAR`: the first one may be in a special position, a symmetric one, and
-the others are a random step from a regular one. If fewer regular configurations are known, all rows that have
-shares in each other count as varying: to exchange rows costs little, and not to exchange them may cost a run.
+A row that is left out is a combination of rows in use. Its coefficients, called shares, are analytic
+functions of the configuration. If a share is not constant, two configurations in general position differ in
+it. Three regular configurations are compared (`MIN_REGULAR`): the first may be in a special position, for
+example symmetric, and the others are random steps away. If fewer regular configurations are known, all rows
+with shares in each other count as varying: an unneeded exchange of rows costs little, a missing one may cost
+the run.
 """
 
 from __future__ import annotations
@@ -19,17 +20,17 @@ from newton_euler.equations.sparse import Rows
 from newton_euler.scalars import Array
 
 MIN_REGULAR = 3
-"""Regular configurations that decide whether shares are constant."""
+"""Number of regular configurations that decide whether shares are constant."""
 
 MAX_SHARE_CHANGE = 1e-6
-"""Difference of a share between configurations that is round-off, and share that is none."""
+"""Largest difference of a share between configurations that is round-off, and largest share that is zero."""
 
 
 class ScaledRows(NamedTuple):
     """Rows of the constraint Jacobian at a configuration.
 
     Attributes:
-        rows: in units of `scales`.
+        rows: sparse rows in units of `scales`.
         scales: (k,) natural magnitudes of the dimensionless rows.
     """
 
@@ -40,16 +41,18 @@ class ScaledRows(NamedTuple):
 def varying_rows(
     configurations: Sequence[ScaledRows], used: Sequence[int], others: Sequence[int]
 ) -> dict[int, float]:
-    """Find the rows that are to be exchanged, and their largest natural magnitudes.
+    """Find the exchangeable rows, and their largest natural magnitudes.
 
     Args:
-        configurations: closed ones; those where the rows in use are dependent do not count.
-        used: rows in use, which imply all others.
-        others: rows that are left out.
+        configurations: closed configurations; ignored if the rows in use are dependent.
+        used: numbers of rows in use, which imply all others.
+        others: numbers of rows that are left out.
 
     Returns:
-        Rows left out with varying shares, rows in use that have shares in them, and so on.
+        Natural magnitudes by row: rows left out with varying shares, and all rows connected with them by
+        shares.
     """
+    # rows connected by shares, and rows left out whose shares vary
     regular = [at for at in configurations if are_independent(at.rows, used)]
     found = [_shares(at, used, others) for at in regular]
     links = [
@@ -62,7 +65,8 @@ def varying_rows(
         if len(links[n]) > 1 and (len(regular) < MIN_REGULAR or _varies([at[n] for at in found]))
     }
     rows: set[int] = set()
-    while more - rows:  # rows in use that have shares in one of them, and others in which these have shares
+    # all rows connected with these
+    while more - rows:
         rows |= more
         more = {row for link in links if link & rows for row in link}
     return {row: float(max(at.scales[row] for at in regular)) for row in sorted(rows)}
@@ -74,7 +78,7 @@ def are_independent(rows: Rows, used: Sequence[int]) -> bool:
 
 
 def _shares(at: ScaledRows, used: Sequence[int], others: Sequence[int]) -> Rows:
-    """Compute shares of dimensionless rows, which do not depend on the scales of a configuration."""
+    """Compute shares of the rows without the scales of the configuration."""
     return [
         {i: x * (at.scales[other] / at.scales[i]) for i, x in each.items()}
         for other, each in zip(others, shares(at.rows, used, others), strict=True)

@@ -1,8 +1,8 @@
-"""Joint reactions as far as the equations of motion determine them.
+"""Joint reactions that the equations of motion determine, and those that they leave open.
 
-Where constraints are redundant, some reactions balance each other on every body and any amount of them
-can be added: engines differ there, and none is wrong (J. Garcia de Jalon, M. D. Gutierrez-Lopez, Multibody
-dynamics with redundant constraints and singular mass matrix, Multibody System Dynamics 30, 2013).
+If constraints are redundant, some reactions balance each other on every body. Any multiple of them can be
+added: engines give different reactions, and all are right (J. Garcia de Jalon, M. D. Gutierrez-Lopez,
+Multibody dynamics with redundant constraints and singular mass matrix, Multibody System Dynamics 30, 2013).
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ class ReactionPlace(NamedTuple):
     joint: int
     body: int
     arm: Array
-    """(3,) from the body's center of mass, world frame, m."""
+    """(3,) from the body's center of mass to the point, world frame, m."""
 
 
 def undetermined(scene: Scene, state: State) -> Array:
-    """(6 j, r) orthonormal reactions that together act on no body: r redundant constraints.
+    """Compute orthonormal reactions (6 j, r) that together act on no body, for r redundant constraints.
 
-    For each joint force and torque over the mechanism's size, N both, on the second body at the joint
-    point; world frame. What couplings and prescribed motions put on a joint's coordinates is among them.
+    For each joint: force, and torque divided by the mechanism's size, both N, on the second body at the joint
+    point, world frame. Forces of couplings and prescribed motions on a joint's coordinates are included.
     """
     mechanism, redundant = scene.mechanism, redundant_constraints(scene)
     if not redundant:
@@ -47,7 +47,7 @@ def undetermined(scene: Scene, state: State) -> Array:
 
 
 def redundant_constraints(scene: Scene) -> int:
-    """Count the constraints that follow from others, those of joints and of couplings."""
+    """Count the redundant constraints of joints and couplings."""
     rank = 6 * (len(scene.mechanism.bodies) - 1) - mobility(scene).degrees_of_freedom
     return max(0, _constraints(scene) - rank)
 
@@ -59,13 +59,14 @@ def _constraints(scene: Scene) -> int:
 def undetermined_in_both(
     first: Scene, second: Scene, joints: Mapping[str, str], states: tuple[State, State]
 ) -> Array:
-    """The same of joints that two scenes have, as the first has them, where both scenes' constraints hold.
+    """Compute the undetermined reactions (6 j, r) of two scenes with the same bodies and motion.
 
-    Reactions of the one and of the other, with the same bodies and the same motion, differ by them alone.
+    The reactions of the scenes in their common joints differ only by these; see `undetermined` for units.
 
     Args:
-        joints: the second's name of each joint of the first that both have.
-        states: one state, with the angles of the first's and of the second's coordinates.
+        first, second: the scenes; j joints of the first.
+        joints: name in the second scene, by name in the first, of each common joint.
+        states: one state, with the angles of the first and of the second scene.
     """
     state, other = states
     own, count, size = _places(first, state), len(first.mechanism.joints), first.mechanism.size
@@ -77,7 +78,7 @@ def undetermined_in_both(
 
 
 def _places(scene: Scene, state: State) -> dict[str, ReactionPlace]:
-    """By joint; on the second body at its joint point."""
+    """Find the place of the reaction of each joint: on the second body at its joint point."""
     found, frames = dict[str, ReactionPlace](), state.frames()
     for k, joint in enumerate(scene.mechanism.joints):
         body = scene.mechanism.body_index(joint.second)
@@ -89,16 +90,22 @@ def _places(scene: Scene, state: State) -> dict[str, ReactionPlace]:
 
 
 class _Columns(NamedTuple):
-    """Columns of constraint forces on bodies and joints."""
+    """Constraint forces on bodies and joints, one for each of k constraints."""
 
     rows: Array
-    """(k, 6 b) of the bodies; 0 of the ground, which takes anything."""
+    """(k, 6 b) on the bodies; 0 on the ground, which carries any force."""
     wrenches: Array
-    """(joints, 6, k)."""
+    """(joints, 6, k) on the joints."""
 
 
 def _acting_on_nothing(columns: Sequence[_Columns], joints: int, rank: int | None = None) -> Array:
-    """(6 j, r) of the first j joints; `rank` is that of the rows at most."""
+    """Compute orthonormal reactions (6 j, r) of the first j joints that act on no body.
+
+    Args:
+        columns: constraint forces, of one or two scenes.
+        joints: j.
+        rank: rank of the rows, at most.
+    """
     null = orthonormal_null(np.concatenate([part.rows for part in columns]).T, rank)
     wrenches = np.concatenate([part.wrenches[:joints].reshape(6 * joints, -1) for part in columns], axis=1)
     return orthonormal_range(wrenches @ null)
@@ -107,13 +114,20 @@ def _acting_on_nothing(columns: Sequence[_Columns], joints: int, rank: int | Non
 def _columns(
     scene: Scene, state: State, places: Mapping[str, ReactionPlace], count: int, size: float
 ) -> _Columns:
-    """Of all constraints of a scene, on so many joints; those that are not told of are the last together."""
+    """Collect the forces of all constraints of a scene.
+
+    Args:
+        scene, state: give the constraints.
+        places: place of the reaction, by joint.
+        count: number of joints; the last one may stand for several.
+        size: of the mechanism, m.
+    """
     mechanism, frames = scene.mechanism, state.frames()
     rows = [np.zeros((0, 6 * len(frames)))]
     wrenches = [np.zeros((count, 6, 0))]
 
     def add(parts: list[tuple[str, int, int, Jacobian]], unit: Array) -> None:
-        """Equations of these joints, first and second bodies, of those units."""
+        """Append equations with units (k,): for each joint, its bodies and Jacobian blocks."""
         row = np.zeros((len(unit), len(frames), 6))
         wrench = np.zeros((count, 6, len(unit)))
         for name, i, j, blocks in parts:
@@ -130,10 +144,12 @@ def _columns(
         rows.append(row.reshape(len(unit), 6 * len(frames)) * size / unit[:, None])
         wrenches.append(wrench * size / unit)
 
+    # joints
     for equations in mechanism.equations:
         i, j = equations.first, equations.second
         blocks = equations.jacobian(frames[i], frames[j])
         add([(equations.joint.name, i, j, blocks)], equations.units(size))
+    # couplings and prescribed motions
     measured = Cartesian(scene).between
     coupled = couplings(scene)
     all_slopes = residuals(mechanism, coupled, frames, 0.0, state.angles).slopes
@@ -148,11 +164,11 @@ def _columns(
 
 
 def determined(force: Array, torque: Array, free: Sequence[Array], size: float) -> tuple[Array, Array]:
-    """Differences of reactions without what nothing determines.
+    """Remove the undetermined part from differences of reactions.
 
     Args:
         force, torque: (n, j, 3) N and N m.
-        free: for each of the n states what `undetermined` gives.
+        free: result of `undetermined` for each of the n states.
         size: of the mechanism, m.
     """
     found = np.concatenate([force, torque / size], axis=2)
@@ -163,7 +179,7 @@ def determined(force: Array, torque: Array, free: Sequence[Array], size: float) 
 
 
 def undetermined_joints(scene: Scene, state: State) -> tuple[int, list[str]]:
-    """Count redundant constraints at a state, and name the joints whose reactions are not unique for it."""
+    """Count redundant constraints at a state, and name the joints whose reactions are not unique."""
     basis = undetermined(scene, state)
     parts = np.split(np.linalg.norm(basis, axis=1), len(scene.mechanism.joints))
     names = scene.mechanism.joint_names
@@ -173,7 +189,7 @@ def undetermined_joints(scene: Scene, state: State) -> tuple[int, list[str]]:
 
 
 def is_undetermined(scene: Scene) -> Array:
-    """(j, 2, 3) whether components of force and torque, world frame, are not unique in some configuration."""
+    """True (j, 2, 3) for components of force and torque, world frame, not unique in some configuration."""
     found = np.zeros(6 * len(scene.mechanism.joints), dtype=bool)
     for state in mobility(scene).states:
         found |= np.linalg.norm(undetermined(scene, state), axis=1) > RANK_TOLERANCE
@@ -181,5 +197,5 @@ def is_undetermined(scene: Scene) -> Array:
 
 
 def redundancy_text(count: int, joints: str) -> str:
-    """Word how many constraints are redundant, and at which joints."""
+    """Format the number of redundant constraints and the names of their joints, for messages."""
     return f"{count} redundant constraint{'s'[: count - 1]} at joints {joints}"

@@ -1,13 +1,13 @@
 """Mechanisms on a base that moves: a boat, a vehicle, a shaking table.
 
-The ground of a scene becomes a body with everything that was on it, on a joint between it and the world. The
-pose of that body, with the point c of the base that its motion is of,
+The ground of a scene becomes a body, the base, with everything that was on it. A joint connects it with a new
+ground, the world. The pose of the base, with its reference point c, is
 
     r = c + surge x + sway y + heave z,    A = R_z(yaw) R_y(pitch) R_x(roll)
 
-in the world's axes x, y, z of the scene's initial pose: yaw first, about the world's z, then pitch about the
-base's own y, then roll about its own x. Where z is up and x is ahead, y is to the left, and positive pitch
-lowers the bow.
+in the world's axes x, y, z of the scene's initial pose: yaw about the world's z, then pitch about the base's
+y, then roll about the base's x. If z is up and x is ahead, y is to the left, and positive pitch lowers the
+bow.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from newton_euler.scalars import Array, Floats
 
 X, Y, Z = np.eye(3)
 SLIDES = {"surge": X, "sway": Y, "heave": Z}
-HINGES = {"yaw": Z, "pitch": Y, "roll": X}  # in their order from the world to the base
+HINGES = {"yaw": Z, "pitch": Y, "roll": X}  # in order from the world to the base
 
 
 @checked
@@ -48,26 +48,25 @@ def on_moving_base(
     world: str = "world",
     joint: str = "base_motion",
 ) -> Scene:
-    """Return a scene whose ground is a body on a moving base, or one that floats.
+    """Return a scene whose ground is a body on a moving or a floating base.
 
-    Joints, forces, control and shapes stay on the body that has the ground's name. The mechanism starts as it
-    did against the base, which starts with the pose and the velocity of its motion at time 0.
+    Joints, forces, control and shapes stay on the body with the ground's name. The base starts with the pose
+    and the velocity of its motion at time 0, and the mechanism with its initial state relative to the base.
 
     Args:
-        scene: what is put on the base.
-        motions: functions of time out of surge, sway, heave (m along x, y, z of the world) and roll, pitch,
-            yaw (rad), see `newton_euler.runs.moving_base`; what is not given stays 0. A base that floats
-            freely if None.
-        hull: mass, center of mass, inertia and shapes of the base, at the scene's initial pose. If None those
-            of the ground; if that has no mass, numbers of the mechanism's size, on which nothing depends but
-            the forces that move the base.
-        point: (3,) c, m, in the world at the initial pose.
+        scene: the scene on the base.
+        motions: functions of time by name: surge, sway, heave (m along x, y, z of the world) and roll, pitch,
+            yaw (rad), see `newton_euler.runs.moving_base`; others stay 0. If None, the base floats freely.
+        hull: mass, center of mass, inertia and shapes of the base at the scene's initial pose. If None, those
+            of the ground. If the ground has no mass, the mass of the mechanism: it changes only the forces
+            that move the base.
+        point: (3,) reference point c, m, in the world at the initial pose.
         world: name of the new ground.
-        joint: name of the joint between the two: slides in the order surge, sway, heave, then hinges in the
-            order yaw, pitch, roll, those that are given.
+        joint: name of the joint between world and base, with a coordinate for each given motion: slides in
+            the order surge, sway, heave, then hinges in the order yaw, pitch, roll.
 
     Raises:
-        MechanismError: for an unknown motion, a name that the scene has, or a floating base without a mass.
+        MechanismError: for an unknown motion, a name in use, or a floating base without a mass.
 
     Examples:
         >>> waves = {"heave": Sine(0.3, 1.1), "roll": Sine(0.1, 1.1, phase=0.5)}
@@ -115,7 +114,7 @@ def _checked(where: str, motions: Mapping[str, TimeFunction]) -> dict[str, TimeF
 
 
 def _base(where: str, mechanism: Mechanism, hull: Body | None, center: Floats, floats: bool) -> Body:
-    """Return the body that takes the ground's place."""
+    """Return the body that replaces the ground."""
     ground = mechanism.bodies[0]
     if hull is not None:
         shapes, meshes = (*ground.shapes, *hull.shapes), (*ground.meshes, *hull.meshes)
@@ -131,7 +130,7 @@ def _base(where: str, mechanism: Mechanism, hull: Body | None, center: Floats, f
 
 
 def _carried(state: State, base: Body, motions: Mapping[str, TimeFunction], center: Floats) -> State:
-    """Return a state that bodies have against the base, with the base as it is at time 0, and the world."""
+    """Return a state relative to the base as a state in the world, with the base at time 0."""
     shift, velocity, omega, turn = np.zeros(3), np.zeros(3), np.zeros(3), np.eye(3)
     for name, function in motions.items():
         x, rate = float(function.value(0.0)), float(function.rate(0.0))
@@ -163,28 +162,35 @@ def _carried(state: State, base: Body, motions: Mapping[str, TimeFunction], cent
 POSITION_COLUMNS = {"x": "surge", "y": "sway", "z": "heave"}
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
 ANGLE_COLUMNS = ("roll", "pitch", "yaw")
-MIN_ROWS = 6  # as many as a polynomial of a spline has coefficients
-MAX_GAP = 5.0  # times the usual time between rows (their median), from which poses are missing
-MAX_NORM_ERROR = 1e-3  # by how much the norm of a quaternion may differ from 1: files round to a few digits
-MAX_PITCH = np.radians(80.0)  # of the pitch: yaw and roll are one and the same at a right angle
+MIN_ROWS = 6
+"""Number of rows: a polynomial of the spline has as many coefficients."""
+
+MAX_GAP = 5.0
+"""Time between two rows, divided by the median, above which poses are missing."""
+
+MAX_NORM_ERROR = 1e-3
+"""Largest deviation of the norm of a quaternion from 1: files round to a few digits."""
+
+MAX_PITCH = np.radians(80.0)
+"""Largest pitch, rad: at a right angle yaw and roll turn about one axis."""
 
 
 @checked
 def base_motion_from_csv(path: str | os.PathLike[str]) -> dict[str, Spline]:
-    """Read poses of a base over time, as `on_moving_base` takes them.
+    """Read poses of a base over time, for `on_moving_base`.
 
-    The first line names the columns, in any order: `time` in s; any of `x`, `y`, `z` in m for surge, sway and
-    heave; `roll`, `pitch`, `yaw` in rad, any of them, or a quaternion `qw`, `qx`, `qy`, `qz`, which is turned
-    into the three. Time 0 of the motion is the first row. Angles are continued through full revolutions.
+    The first line names the columns in any order: `time`, s; any of `x`, `y`, `z`, m, for surge, sway and
+    heave; any of `roll`, `pitch`, `yaw`, rad, or a quaternion `qw`, `qx`, `qy`, `qz`, which is converted to
+    these angles. Time 0 of the motion is the first row. Angles continue through full revolutions.
 
-    Between rows go splines of degree 5 through each column, see `newton_euler.Spline`. Of a wave of period T,
-    poses every T / 20 give one that is off by 1e-7 of its amplitude and has accelerations off by 1.4e-5 of
-    theirs; next to the first and the last rows by 1e-5 and 5e-3. Accelerations have the noise of the poses.
+    Splines of degree 5 interpolate each column, see `newton_euler.Spline`. For a wave of period T with rows
+    every T / 20, the relative error is 1e-7 of the motion and 1.4e-5 of the acceleration; near the first and
+    the last row 1e-5 and 5e-3. The second derivative amplifies the noise of the poses.
 
     Raises:
-        SourceError: naming the file, and the row by its line, the first line being 1: for cells that are
-            missing or no numbers, times that do not ascend or leave gaps, quaternions without norm 1, a pitch
-            beyond 80 degrees, too few rows, and unknown columns.
+        SourceError: naming the file and the line (the first line is 1): missing cells, cells without a
+            number, times that do not ascend or leave gaps, quaternions without norm 1, a pitch beyond 80
+            degrees, too few rows, and unknown columns.
 
     Examples:
         >>> rows = [f"{t / 10}, {np.sin(t / 10)}" for t in range(100)]
@@ -210,7 +216,7 @@ def base_motion_from_csv(path: str | os.PathLike[str]) -> dict[str, Spline]:
 
 
 def _read(where: str, path: str | os.PathLike[str]) -> TimeTable:
-    """Read a file of poses; raises `SourceError`."""
+    """Read a file of poses and check its times; raises `SourceError`."""
     rows = csv_rows(where, read_text(path, "csv_size"))
     header = [cell.lower() for cell in rows[0][1]] if rows else []
     _check_header(where, header)
@@ -241,7 +247,7 @@ def _angles(table: TimeTable) -> dict[str, Array]:
 
 
 def _check_header(path: str, header: Sequence[str]) -> None:
-    """Raise `SourceError` for columns that are unknown, there twice, missing, or say the same."""
+    """Raise `SourceError` for unknown, repeated, missing or redundant columns."""
     known = ("time", *POSITION_COLUMNS, *ANGLE_COLUMNS, *QUATERNION_COLUMNS)
     for name in header:
         if name not in known:
