@@ -2,7 +2,7 @@
 
 Coordinates are q = (r, p) of each moving body: center of mass and Euler parameters. See
 `newton_euler.equations.cartesian` for the equations and their solution. Couplings and prescribed motions are
-further rows of Phi and B; armatures are a section of their own.
+further rows of Phi and B; armatures are in the last section.
 """
 
 from __future__ import annotations

@@ -311,7 +311,7 @@ def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
 
 
 def _scaled(system: TreeKinematics, q: Array) -> tuple[Array, Rows, Array]:
-    """Compute dimensionless residuals and Jacobian rows in units of their own motions, and these units."""
+    """Compute residuals and Jacobian rows, dimensionless and in units of their motions, and these units."""
     phi, jacobian = system.phi_and_jacobian(q)
     natural = system.row_scales(q)
     units, scales = system.velocity_units, system.phi_units * natural

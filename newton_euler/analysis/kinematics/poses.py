@@ -1,6 +1,6 @@
 """Forward and inverse kinematics: poses for chosen joint coordinates and directions of a body's axis.
 
-Thousands at once, by compiled equations (`newton_euler.analysis.kinematics.continuation`).
+Compiled equations solve thousands of poses at once (`newton_euler.analysis.kinematics.continuation`).
 """
 
 from __future__ import annotations
@@ -52,17 +52,17 @@ class Poses:
 
     Attributes:
         position, quaternion: (n, b, 3) centers of mass, m, and (n, b, 4) w-x-y-z of all bodies.
-        coordinates: (n,) of each joint coordinate that was chosen or asked for, m or rad from the initial
-            pose, by name of the joint, or by (name, number) where it was given as such.
-        direction: (n, 3) of the axis; None if there is none.
-        reached: (n,) True where the goals are met on the assembly branch of the start.
-        beyond: (n,) True for poses on the other side of a singular configuration: the goals do not
-            determine the motion there, or the coordinates that were chosen and asked for do not.
-        missing: (n,) of each chosen joint coordinate, value less its goal, m or rad.
-        angle: (n,) between the axis and its goal, rad; zeros if it has none.
-        slope: (n,) by which the dimensionless distance to the goals falls per dimensionless motion: 0 where
-            no pose near by is nearer to them, which is so for those that are not reached.
-        closed: (n,) True where all loops are closed.
+        coordinates: (n,) m or rad from the initial pose, for each chosen or measured joint coordinate, by
+            name of the joint, or by (name, number) if given in this form.
+        direction: (n, 3) direction of the axis; None without an axis.
+        reached: (n,) True if the goals are met on the assembly branch of the start.
+        beyond: (n,) True for poses beyond a singular configuration, in which the goals, or all chosen and
+            measured coordinates, do not determine the motion.
+        missing: (n,) value minus goal of each chosen joint coordinate, m or rad.
+        angle: (n,) angle between the axis and its goal, rad; zeros without a goal.
+        slope: (n,) decrease of the dimensionless distance to the goals per dimensionless motion. 0 where no
+            pose nearby is nearer, as for goals that are out of reach.
+        closed: (n,) True if all loops are closed.
 
     Examples:
         >>> poses = solve_poses(load("slider_crank"), {"guide": [0.0, 1.0]}, measure=["pivot"])
@@ -94,7 +94,7 @@ class Poses:
         return f"<Poses: {len(self)}, reached: {np.sum(self.reached)}>"
 
     def report(self) -> list[str]:
-        """Describe each pose that does not meet its goals on the branch of the start in one line."""
+        """Return a line for each pose that does not meet its goals on the branch of the start."""
         lines, mechanism = [], self._at.chain.driven.mechanism
         keys = {name: mechanism.coordinate(name) for name in self.missing}
         units = {name: "m" if mechanism.is_slide(*key) else "rad" for name, key in keys.items()}
@@ -110,10 +110,10 @@ class Poses:
 
     @checked
     def state(self, number: int) -> State:
-        """Return one of the poses at rest, which a scene may start from.
+        """Return the state of a pose at rest, from which a scene may start.
 
         Raises:
-            OptionError: for a number that no pose has.
+            OptionError: for a number that is no index of a pose.
         """
         if not -len(self) <= number < len(self):
             raise OptionError("number", number, f"an index of {len(self)} poses")
@@ -123,10 +123,10 @@ class Poses:
 
     @cached_property
     def angles(self) -> Mapping[Key, Array]:
-        """Angles (n,) with their revolutions, rad, by joint coordinate, as `State.angles` has them.
+        """Angles (n,) with their revolutions, rad, by joint coordinate; see `State.angles`.
 
-        Those that were chosen have the revolutions of their goals, and those that couplings or prescribed
-        motions determine the revolutions that these ask for.
+        Chosen angles have the revolutions of their goals. Couplings and prescribed motions determine the
+        revolutions of others.
         """
         system, chosen = self._at.chain.system, dict(zip(self._at.chain.keys, self._names, strict=True))
         return {
@@ -141,13 +141,13 @@ class Poses:
 
     @checked
     def jacobian(self, of: Sequence[str | Key | Axis], by: Sequence[str | Key | Axis]) -> Array:
-        """Compute derivatives (n, rows, columns) of some quantities by others, on the closed loops.
+        """Compute the Jacobian (n, rows, columns) of quantities with respect to others, with closed loops.
 
-        Joint coordinates have one row or column, in m or rad. An axis has three, the components of its unit
-        vector. Where `by` do not determine the motion, that of least length is taken.
+        A joint coordinate has one row or column, m or rad. An axis has three: the components of its unit
+        vector. If `by` do not determine the motion, the motion of least length is taken.
 
         Raises:
-            OptionError: for a quantity that was not asked for.
+            OptionError: for a quantity that was neither chosen nor measured.
         """
         rows, units = self._reduced(of)
         columns, over = self._reduced(by)
@@ -155,19 +155,21 @@ class Poses:
 
     @checked
     def independence(self, of: Sequence[str | Key | Axis]) -> Array:
-        """Compute the least rates (n,) of some quantities per unit motion of the mechanism, dimensionless.
+        """Compute the smallest singular value (n,) of the Jacobian of quantities, dimensionless.
 
-        0 is a singular configuration: the mechanism may move although they stand still. It is the smallest
-        singular value of their Jacobian in the tangent space of the closed loops, or that of as many rows as
-        are independent.
+        The Jacobian is taken in the tangent space of the closed loops. The value is the smallest rate of the
+        quantities per unit motion of the mechanism. At 0, a singular configuration, the mechanism may move
+        while the quantities stand still.
         """
         rows, _ = self._reduced(of)
-        independent = rows.shape[1] - sum(isinstance(each, Axis) for each in of)  # of an axis two of three
+        independent = rows.shape[1] - sum(
+            isinstance(each, Axis) for each in of
+        )  # an axis has two independent rows
         values = np.linalg.svd(rows, compute_uv=False)
         return np.asarray(values[:, min(independent, rows.shape[2]) - 1])
 
     def _reduced(self, quantities: Sequence[str | Key | Axis]) -> tuple[Array, Array]:
-        """Return the dimensionless Jacobian (n, r, f) in the tangent space, and units (r,) of its rows."""
+        """Compute the dimensionless Jacobian (n, r, f) in the tangent space, and units (r,) of its rows."""
         if not len(quantities):
             raise OptionError("quantities", quantities, "one or more")
         chain, rows, units = self._at.chain, [], []
@@ -196,26 +198,25 @@ def solve_poses(
 ) -> Poses:
     """Solve forward or inverse kinematics for many goals at once, by compiled equations.
 
-    Goals are joint coordinates, the direction of an axis of a body, or both. Where they leave freedom, the
-    mechanism moves the least from the nearest solved pose; where they cannot be met, the pose of the least
-    distance to them is found: root of the sum of squares of angles, rad, and lengths, sizes of the mechanism.
-    Poses are on the assembly branch of the start. Prescribed motions of other joints hold their values at
-    time 0.
+    Goals are joint coordinates, the direction of an axis of a body, or both. If goals leave freedom, the
+    mechanism moves the least from the nearest solved pose. If goals cannot be met, the nearest pose is found:
+    its distance is the root of the sum of squares of angles, rad, and lengths, sizes of the mechanism. Poses
+    are on the assembly branch of the start. Prescribed motions of other joints hold their values at time 0.
 
     Args:
         scene: gives the mechanism and the start.
-        coordinates: values (n,), or one for all, from the initial pose, m or rad, by name of the joint, or by
+        coordinates: values (n,), or one for all, m or rad from the initial pose, by name of the joint, or by
             (name, number) for joints of several coordinates.
-        axis: of a body.
-        towards: (n, 3) or (3,), world frame, where the axis is to point; None to have its direction only.
-        measure: other joint coordinates that are asked for; None for those of control laws if `coordinates`
-            has none.
-        start: pose to begin at, on the assembly branch that is wanted; the scene's own if None.
+        axis: axis of a body.
+        towards: (n, 3) or (3,), world frame, direction that the axis points in; None to measure it only.
+        measure: other joint coordinates to return. If None and without `coordinates`, the coordinates of
+            control laws.
+        start: pose to begin at, on the wanted assembly branch; the scene's initial state if None.
 
     Raises:
         UnknownNameError: for an unknown joint or body.
-        MechanismError: for values that are no finite numbers, and for a joint without such a coordinate.
-        OptionError: for numbers of values that differ, and where there is no goal.
+        MechanismError: for values that are not finite, and for a joint without such a coordinate.
+        OptionError: for different numbers of values, and without any goal.
 
     Examples:
         >>> up = solve_poses(load("tracker"), axis=Axis("panel_7", [0, 0, 1]), towards=[0, 0, 1])
@@ -226,14 +227,16 @@ def solve_poses(
         keys = () if coordinates else dict.fromkeys(law.key for law in scene.control)
         measure = [scene.mechanism.coordinate_name(key) for key in keys]
     chain, names, goal = goals_of(scene, coordinates, axis, towards, measure, start)
+    # continuation from the start
     begin = chain.at(chain.start[None])
     at, reached = follow(begin, goal)
+    # goals that are not reached: the nearest pose, from there or from random poses of the branch
     left = np.flatnonzero(~reached)
     beyond = np.zeros(len(reached), dtype=bool)
     if left.size:
         near, passed = approach(at[left], sample_branch(begin), goal[left])
         met = largest(near.phi, near.misses(goal[left])[0]) < MAX_RESIDUAL
-        # at the end of reach goals have no side
+        # a goal at the limit of reach is met without a change of sign
         reached[left], beyond[left] = met & np.all(passed > 0.0, axis=1), passed[:, 1] < 0.0
         beyond[left] |= met & (passed[:, 0] < 0.0)
         values = at.values.copy()
@@ -279,7 +282,7 @@ def goals_of(
     measure: Sequence[str | Key],
     start: State | None,
 ) -> tuple[Chain, tuple[str | Key, ...], Goal]:
-    """Check goals as of `solve_poses`; returns their chain, the names of its coordinates, and themselves."""
+    """Check the goals of `solve_poses`; return the chain, the names of its coordinates, and the goals."""
     wanted = {name: coordinate_values(scene, name, given) for name, given in (coordinates or {}).items()}
     names = (*wanted, *(name for name in measure if name not in wanted))
     goal = _goal(wanted, axis, towards)
@@ -301,7 +304,7 @@ def chain_of(
     pointing: bool,
     start: State | None,
 ) -> Chain:
-    """Return the chain with these joint coordinates, the first of which have goals."""
+    """Return the chain with joint coordinates of these names; the first `goals` of them have goals."""
     keys = [scene.mechanism.coordinate(name) for name in names]
     if len(set(keys)) < len(keys):
         raise OptionError("coordinates", names, "each joint coordinate once")
@@ -309,7 +312,7 @@ def chain_of(
 
 
 def coordinate_values(scene: Scene, name: str | Key, given: object) -> Array:
-    """Return values (n,) or () of a joint coordinate."""
+    """Return values (n,) or () of a joint coordinate as finite floats; raises `MechanismError`."""
     where = f"joint {scene.mechanism.coordinate(name)[0]!r}"
     count = given.shape[:1] if isinstance(given, np.ndarray) else ()
     if isinstance(given, list | tuple):
@@ -318,7 +321,7 @@ def coordinate_values(scene: Scene, name: str | Key, given: object) -> Array:
 
 
 def _goal(wanted: Mapping[str | Key, Array], axis: Axis | None, towards: object) -> Goal:
-    """Return goals of one length."""
+    """Return goals broadcast to one number of configurations; raises `OptionError`."""
     if towards is not None and axis is None:
         raise OptionError("towards", towards, "an axis of a body that is to point there")
     if not wanted and towards is None:

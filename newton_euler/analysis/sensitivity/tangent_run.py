@@ -1,6 +1,6 @@
-"""Runs with their derivatives along directions of the start and of the parameters.
+"""Runs with derivatives along directions of the start and of the parameters.
 
-Traced derivatives of the equations of motion are carried along the steps of a run beside its states
+Traced derivatives of the equations of motion are integrated along the recorded steps of a run
 (`newton_euler.integrators.tangent_steps`), on the linearized constraints.
 """
 
