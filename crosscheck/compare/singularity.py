@@ -13,7 +13,8 @@ from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.redundancy import constraint_rank
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import at_time, dimensionless_jacobian
-from newton_euler.errors import listed
+from newton_euler.errors import AssemblyError, listed
+from newton_euler.integrators.projection import project_position
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory
 from newton_euler.runs.simulate import simulate
@@ -44,12 +45,6 @@ NARROWER = 4
 
 MOST_CLOSER = 100_000
 """Number of outputs of the repeated run, at most."""
-
-NEWTON_STEPS, CLOSED = 20, 1e-10
-"""Number of steps, at most, and dimensionless residual of constraints that are closed beside an output."""
-
-DAMPING = 1e-8
-"""Smallest singular value that closes constraints. Round-off of the residuals divided by it is 1e-8."""
 
 GAINED = 10.0
 """Other singular values that vanish with the smallest one are at most so many times as large beside it."""
@@ -131,7 +126,7 @@ def passage(scene: Scene, run: Trajectory) -> Passage | None:
             middle = int(np.clip(np.searchsorted(closer.time, time), apart, len(closer.time) - 1 - apart))
             near = [middle - apart, middle, middle + apart]
             time = _vertex(closer.time[near], margins_at(closer, near))
-        candidates.append((time, _configuration(system, closer, time, count)))
+        candidates.append((time, _configuration(system, closer, time)))
     found = [(time, q) for time, q in candidates if margin(q) < SINGULAR * largest]
     if not found:
         return None
@@ -151,11 +146,11 @@ def _spectrum(system: Relative, q: Array, count: int) -> tuple[Array, Array]:
     return values[:count], directions[:count]
 
 
-def _configuration(system: Relative, run: Trajectory, time: float, count: int) -> Array:
+def _configuration(system: Relative, run: Trajectory, time: float) -> Array:
     """Compute the configuration of a run between two outputs, (nq,).
 
-    The nearest output is moved by its velocity and by the acceleration between its neighbors. Newton's steps
-    then close the independent constraints, `count` of them. If they do not, it is the nearest output.
+    The nearest output is moved by its velocity and by the acceleration between its neighbors, and its loops
+    are closed. If they do not close, the result is the nearest output.
     """
     nearest = int(np.argmin(np.abs(run.time - time)))
     before, after = max(nearest - 1, 0), min(nearest + 1, len(run.time) - 1)
@@ -163,15 +158,10 @@ def _configuration(system: Relative, run: Trajectory, time: float, count: int) -
     acceleration = (later - earlier) / (run.time[after] - run.time[before])
     step = time - run.time[nearest]
     system = at_time(system, time)
-    closed = system.retract(q, step * v + 0.5 * step**2 * acceleration)
-    for _ in range(NEWTON_STEPS):
-        u, values, directions = np.linalg.svd(dimensionless_jacobian(system, closed), full_matrices=False)
-        residual = u[:, :count].T @ (system.phi(closed) / system.phi_units)
-        if np.max(np.abs(residual)) < CLOSED:
-            return closed
-        change = directions[:count].T @ (residual * values[:count] / (values[:count] ** 2 + DAMPING**2))
-        closed = system.retract(closed, -system.velocity_units * change)
-    return q
+    try:
+        return project_position(system, system.retract(q, step * v + 0.5 * step**2 * acceleration))
+    except AssemblyError:
+        return q
 
 
 def _closer(scene: Scene, outputs: int) -> Trajectory:
