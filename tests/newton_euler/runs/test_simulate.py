@@ -148,3 +148,8 @@ def test_mujoco_steps_too_small_to_end_are_refused():
     scene = replace(load("pendulum"), duration=1e-3, output_period=1e-3)
     with pytest.raises(OptionError, match=r"timestep is 1e-12; needed: at least 5e-11 s, 20000000 steps"):
         mjcf.simulate(scene, timestep=1e-12)
+
+
+def test_a_run_without_sampled_controllers_makes_none(monkeypatch):
+    monkeypatch.setattr("newton_euler.runs.intervals.Controllers", None)
+    assert newton_euler.simulate(replace(load("pendulum"), duration=0.1)).time[-1] == 0.1
