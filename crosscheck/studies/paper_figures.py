@@ -1,7 +1,7 @@
-"""Figures 5 to 9 of the paper, redrawn from the three engines.
+"""Figures 5 to 9 of the paper, with curves of the three engines.
 
-matplotlib draws them, without a display. newton_euler runs the paper's own method here: Cartesian
-coordinates and Euler parameters under Baumgarte's stabilization with alpha = 10.
+newton_euler uses the paper's method here: Cartesian coordinates, Euler parameters, and Baumgarte
+stabilization with alpha = 10.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 def draw(folder: Path, progress: Callable[[str], None]) -> list[Path]:
-    """Run the paper's simulation and write `figure_5.png` to `figure_9.png` into a folder.
+    """Simulate the paper's scene and write `figure_5.png` to `figure_9.png` into a folder.
 
     Raises:
         CrosscheckError: naming the path that cannot be written.
@@ -67,7 +67,7 @@ def _axes(title: str, rows: int, labels: Sequence[str]) -> tuple[Figure, list[Ax
 
 
 def _plot(axes: list[Axes], runs: dict[str, Trajectory], columns: Callable[[Trajectory], Array]) -> None:
-    """One column a panel, one curve an engine."""
+    """Plot each column (n, panels) of `columns(run)` in its own panel, with one curve per engine."""
     colors = palette(list(runs))
     for name, run in runs.items():
         for ax, values in zip(axes, columns(run).T, strict=True):
@@ -76,7 +76,7 @@ def _plot(axes: list[Axes], runs: dict[str, Trajectory], columns: Callable[[Traj
 
 
 def sliders(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
-    """Figure 5: heights of both sliders, with their target."""
+    """Plot figure 5: heights of both sliders and their target."""
     figure, axes = _axes("Figure 5: response of the actuators' displacement", 2, ["z2, m", "z3, m"])
     _plot(axes, runs, lambda run: run.position[:, 1:3, 2])
     for ax in axes:
@@ -85,7 +85,7 @@ def sliders(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
 
 
 def violation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
-    """Figure 6: how far the joints are open, by engine; below, by stabilization, at coarse steps."""
+    """Plot figure 6: constraint violation by engine, and by stabilization at coarse steps."""
     labels = ["engines\nlargest |Phi|, m or rad", "newton_euler, RK4 at 10 ms\nlargest |Phi|, m or rad"]
     figure, axes = _axes("Figure 6: kinematic constraints", 2, labels)
 
@@ -104,7 +104,7 @@ def violation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
 
 
 def orientation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
-    """Figure 7: rotation of the panel about the fixed axes x, then y, then z, in degrees."""
+    """Plot figure 7: rotation of the panel about the fixed axes x, then y, then z, degrees."""
     labels = ["about x, deg", "about y, deg", "about z, deg"]
     figure, axes = _axes("Figure 7: orientation of the solar panel", 3, labels)
 
@@ -120,14 +120,14 @@ def orientation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
 
 
 def euler_parameters(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
-    """Figure 8: Euler parameters of the panel."""
+    """Plot figure 8: Euler parameters of the panel."""
     figure, axes = _axes("Figure 8: Euler parameters of the solar panel", 4, ["e0", "e1", "e2", "e3"])
     _plot(axes, runs, lambda run: run.quaternion[:, -1])
     return figure
 
 
 def norm(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
-    """Figure 9: p7^T p7, drawn as its distance from 1."""
+    """Plot figure 9: p7^T p7 - 1 of the panel's Euler parameters."""
     figure, axes = _axes("Figure 9: norm of the panel's Euler parameters", 1, ["p7^T p7 - 1"])
     _plot(axes, runs, lambda run: np.sum(run.quaternion[:, -1:] ** 2, axis=2) - 1.0)
     return figure
@@ -140,4 +140,4 @@ FIGURES: dict[int, Callable[[Scene, dict[str, Trajectory]], Figure]] = {
     8: euler_parameters,
     9: norm,
 }
-"""The paper's figures by number."""
+"""Functions that plot the paper's figures, by number."""

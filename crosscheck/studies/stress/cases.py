@@ -1,6 +1,6 @@
-"""Cases of a stress run: one figure of one engine at one setting, judged by a bound that says why.
+"""Cases of a stress test: one value of one engine at one setting, judged by a bound with a reason.
 
-Cases run in processes of their own, each with a time limit.
+Each case runs in a separate process with a time limit.
 """
 
 from __future__ import annotations
@@ -19,22 +19,26 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 
 PROCESSES = 2
+"""Number of processes that run cases."""
 
 Verdict = Literal["survives", "degrades", "fails", "refuses"]
+"""Result of a case: value within its bound, within the wider bound, beyond both, or an error with a
+reason."""
 
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Bound:
-    """A figure and the values that it is to have.
+    """Bound on a measured value.
 
     Attributes:
-        quantity, unit: of the figure.
-        survives: the most it may be, or the least if `at_least`; NaN where there is no answer.
-        degrades: beyond that the answer is no use any more, and the engine fails.
-        reason: why just that.
-        at_least: whether large figures are good ones.
+        quantity, unit: quantity and unit of the value.
+        survives: largest value of a passing case (smallest if `at_least`); NaN for cases without an answer,
+            in which the engine should raise an error.
+        degrades: wider bound; an engine beyond it fails, since its answer is useless.
+        reason: reason for these numbers.
+        at_least: True if large values are good.
     """
 
     quantity: str
@@ -46,16 +50,17 @@ class Bound:
 
     @property
     def has_answer(self) -> bool:
+        """False if the engine should raise an error."""
         return not math.isnan(self.survives)
 
-    def verdict(self, figure: float) -> Verdict:
-        """Judge a figure; one that is not finite is a failure."""
-        if not math.isfinite(figure):
+    def verdict(self, value: float) -> Verdict:
+        """Judge a value; a value that is not finite fails."""
+        if not math.isfinite(value):
             return "fails"
         sign = -1.0 if self.at_least else 1.0
-        if sign * figure <= sign * self.survives:
+        if sign * value <= sign * self.survives:
             return "survives"
-        return "degrades" if sign * figure <= sign * self.degrades else "fails"
+        return "degrades" if sign * value <= sign * self.degrades else "fails"
 
     def __str__(self) -> str:
         return f"{'>=' if self.at_least else '<='} {self.survives:.0e}" if self.has_answer else "refusal"
@@ -63,43 +68,48 @@ class Bound:
 
 # Bounds of several topics
 
-ENERGY = Bound(
-    "energy error", "rel", 1e-6, 1e-2, "no plot would show less; more than a hundredth is another motion"
+ENERGY_BOUND = Bound(
+    "energy error", "rel", 1e-6, 1e-2, "1e-6 is invisible in a plot; beyond 1 % the motion is a different one"
 )
-ANGLE = Bound("angle error", "rad", 1e-6, 1e-2, "no plot would show less; half a degree can be seen")
+ANGLE_BOUND = Bound("angle error", "rad", 1e-6, 1e-2, "1e-6 is invisible in a plot; half a degree is visible")
 
 
 def refusal(quantity: str, unit: str) -> Bound:
-    """Return the bound of cases that have no answer: no figure is good enough."""
-    reason = "what has no answer has to be refused, with the time or the element named"
+    """Return the bound of cases without an answer: the engine must raise an error, no value passes."""
+    reason = "a case without an answer must end with an error that names the time or the element"
     return Bound(quantity, unit, math.nan, math.nan, reason)
 
 
-class Measured(NamedTuple):
-    """A figure that a case found, and one line about it."""
+class Measurement(NamedTuple):
+    """Value that a case measured.
 
-    figure: float
+    Attributes:
+        value: the value, in the unit of the case's bound.
+        note: one line about it, or empty.
+    """
+
+    value: float
     note: str = ""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One thing to try with one engine at one setting.
+    """One test of one engine at one setting.
 
     Attributes:
-        name: what is tried.
+        name: description of the test.
         setting: the engine and its options.
-        bound: of the figure.
-        measure: a function of the setting, to be sent to another process.
-        names: for cases without an answer: texts that a refusal has to hold, to be of use.
-        limit: s of processor time, after which its process is ended.
-        topic: a letter out of `TOPICS`.
+        bound: bound on the measured value.
+        measure: measures the value; it can be pickled, as it runs in another process.
+        names: for cases without an answer, texts that the error must contain to be useful.
+        limit: s, CPU time after which the process of the case is ended.
+        topic: letter of the topic, see `TOPICS`.
     """
 
     name: str
     setting: Setting
     bound: Bound
-    measure: Callable[[Setting], Measured]
+    measure: Callable[[Setting], Measurement]
     names: tuple[str, ...] = ()
     limit: float = 30.0
     topic: str = ""
@@ -107,29 +117,30 @@ class Case:
 
 @dataclass(frozen=True)
 class Row:
-    """The result of a case.
+    """Result of a case.
 
     Attributes:
-        verdict: `refuses` is right where there is no answer and a shortcoming where there is one.
-        reason: of a refusal or a failure; else what there is to say about the figure.
-        figure: what was measured; None if the engine refused or was given up.
+        case: the case.
+        verdict: the verdict; `refuses` passes only if the case has no answer.
+        reason: reason of an error or a failure, else the note on the value.
+        value: the measured value; None if the engine raised an error or reached the time limit.
         wall_time: s.
     """
 
     case: Case
     verdict: Verdict
     reason: str
-    figure: float | None = None
+    value: float | None = None
     wall_time: float = 0.0
 
     @property
     def passes(self) -> bool:
-        """True if this is what one would want of an engine."""
+        """True if the engine gives an accurate answer, or an error if there is no answer."""
         return self.verdict == ("survives" if self.case.bound.has_answer else "refuses")
 
     @property
     def entry(self) -> dict[str, Any]:
-        """All of it, for JSON."""
+        """The case and its result, for JSON."""
         case, bound = self.case, self.case.bound
         return {
             "topic": case.topic,
@@ -138,7 +149,7 @@ class Row:
             "setting": str(case.setting),
             "quantity": bound.quantity,
             "unit": bound.unit,
-            "figure": self.figure,
+            "value": self.value,
             "bound": str(bound),
             "bound_reason": bound.reason,
             "verdict": self.verdict,
@@ -149,40 +160,40 @@ class Row:
 
 
 def of_run(
-    scene: Scene, measure: Callable[[Scene, Trajectory], Measured | float], setting: Setting
-) -> Measured:
-    """Measure a run of a scene."""
+    scene: Scene, measure: Callable[[Scene, Trajectory], Measurement | float], setting: Setting
+) -> Measurement:
+    """Simulate a scene at a setting and measure the run."""
     found = measure(scene, setting.simulate(scene))
-    return found if isinstance(found, Measured) else Measured(found)
+    return found if isinstance(found, Measurement) else Measurement(found)
 
 
 def judge(case: Case) -> Row:
-    """Run a case; whatever goes wrong in it is a row like others."""
-    start, figure = time.perf_counter(), None
+    """Run a case; any exception becomes part of the result."""
+    start, value = time.perf_counter(), None
     verdict: Verdict = "fails"
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # figures that are not finite are failures anyway
-            figure, reason = case.measure(case.setting)
-        verdict = case.bound.verdict(figure)
+            warnings.simplefilter("ignore")  # values that are not finite fail anyway
+            value, reason = case.measure(case.setting)
+        verdict = case.bound.verdict(value)
         if not case.bound.has_answer:
-            reason = f"runs on without a word, {reason}".rstrip(", ")
+            reason = f"completes without an error, {reason}".rstrip(", ")
     except NewtonEulerError as error:
         reason, missing = str(error), [name for name in case.names if name not in str(error)]
         if missing:
-            reason = f"refuses without naming {' and '.join(missing)}: {reason}"
+            reason = f"the error does not name {' and '.join(missing)}: {reason}"
         else:
             verdict = "refuses"
-    except Exception as error:  # an error of no kind that engines are to raise
+    except Exception as error:  # engines should raise NewtonEulerError only
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
-    return Row(case, verdict, reason, figure, time.perf_counter() - start)
+    return Row(case, verdict, reason, value, time.perf_counter() - start)
 
 
 def run_cases(cases: Sequence[Case], progress: Progress) -> list[Row]:
-    """Run all cases, by `PROCESSES` processes, and return their rows in order.
+    """Run all cases in `PROCESSES` processes, and return their results in order.
 
-    A case that is not done within its limit is a failure, and its process is ended. Those of a topic that
-    may take longest are first.
+    A case that reaches its time limit fails, and its process is ended. Within a topic, cases with long limits
+    start first.
     """
     order = sorted(range(len(cases)), key=lambda k: (cases[k].topic, -cases[k].limit))
     found = in_processes(

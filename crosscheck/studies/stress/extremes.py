@@ -1,4 +1,5 @@
-"""Extreme numbers: stiff gains, masses that are far apart, and what floating point cannot hold."""
+"""Stress cases (e), (f) and (k): stiff gains, extreme mass ratios, and numbers at the limits of floating
+point."""
 
 from __future__ import annotations
 
@@ -9,7 +10,15 @@ from functools import lru_cache, partial
 import numpy as np
 
 from crosscheck.library import load
-from crosscheck.studies.stress.cases import ANGLE, ENERGY, Bound, Case, Measured, of_run, refusal
+from crosscheck.studies.stress.cases import (
+    ANGLE_BOUND,
+    ENERGY_BOUND,
+    Bound,
+    Case,
+    Measurement,
+    of_run,
+    refusal,
+)
 from crosscheck.studies.stress.runs import (
     ONE_EACH,
     Setting,
@@ -36,17 +45,17 @@ from newton_euler.model.trajectory import Trajectory
 # (e) Stiff gains: control of the tracker's sliders
 
 GAINS = ((50.0, 20.0), (1e4, 1e2), (1e6, 1e3), (1e6, 1e6), (1e2, 1e6), (1e6, 1e2))
-"""K_p in N/m and K_d in N s/m: the paper's, then stiffer; the last one hardly damped."""
+"""K_p in N/m and K_d in N s/m: the paper's gains, then stiffer ones; the last pair has little damping."""
 
-CLOSE = Bound(
+STIFF_BOUND = Bound(
     "position error",
     "m",
     1e-5,
     1e-3,
-    "a hundredth of a millimeter on a machine of 0.1 m; a millimeter can be seen",
+    "a hundredth of a millimeter on a machine of 0.1 m; a millimeter is visible",
 )
 
-CONTROLLED: tuple[Setting, ...] = (
+STIFF_SETTINGS: tuple[Setting, ...] = (
     *formulations(),
     newton_euler("relative", "baumgarte"),
     newton_euler(integrator="Radau", rtol=1e-6, atol=1e-9),
@@ -59,20 +68,21 @@ CONTROLLED: tuple[Setting, ...] = (
 
 
 def stiff_gains(full: bool) -> Iterator[Case]:
-    """Yield the cases of (e), 0.1 s long unless in full, which is long enough for what is stiff."""
+    """Yield the cases of (e). The short form simulates 0.1 s, long enough for the stiff part of the
+    motion."""
     duration, limit = (0.5, 9.0) if full else (0.1, 5.0)
     for stiffness, damping in GAINS if full else GAINS[2:4]:
-        for setting in CONTROLLED:
+        for setting in STIFF_SETTINGS:
             name = f"tracker, {duration:g} s, K_p {stiffness:g}, K_d {damping:g}"
             measure = partial(measure_stiff, stiffness, damping, duration)
-            yield Case(name, setting, CLOSE, measure, limit=limit)
+            yield Case(name, setting, STIFF_BOUND, measure, limit=limit)
 
 
 @lru_cache
 def stiff_tracker(stiffness: float, damping: float, duration: float) -> tuple[Scene, Trajectory]:
-    """Return the tracker with these gains of both sliders, N/m and N s/m, and its motion.
+    """Return the tracker with gains of both sliders, N/m and N s/m, and its reference motion.
 
-    By Radau at rtol 1e-8, whose own error is far below the bound.
+    The reference is Radau's run at rtol 1e-8, whose error is far below the bound.
     """
     scene = load("tracker")
     control = tuple(
@@ -82,57 +92,62 @@ def stiff_tracker(stiffness: float, damping: float, duration: float) -> tuple[Sc
     return scene, newton_euler(integrator="Radau", rtol=1e-8, atol=1e-11).simulate(scene)
 
 
-def measure_stiff(stiffness: float, damping: float, duration: float, setting: Setting) -> Measured:
-    """Measure the largest distance from the motion."""
+def measure_stiff(stiffness: float, damping: float, duration: float, setting: Setting) -> Measurement:
+    """Measure the largest distance from the reference motion."""
     scene, reference = stiff_tracker(stiffness, damping, duration)
     run = setting.simulate(scene)
-    return Measured(distance(run, reference), f"{run.settings['steps']} steps")
+    return Measurement(distance(run, reference), f"{run.settings['steps']} steps")
 
 
-# (f) Masses that are far apart, and inertias that a rigid body can only just have
+# (f) Extreme mass ratios, and inertias at the limit of realizable ones
 
-RATIOS = (1e-8, 1e-4, 1.0, 1e4, 1e8)
-"""Mass of the coupler by the mass of the bars; of the last rod of a chain by that of the first."""
+MASS_RATIOS = (1e-8, 1e-4, 1.0, 1e4, 1e8)
+"""Mass of the coupler divided by the mass of a bar; mass of the last rod of a chain divided by the
+first's."""
 
-WEIGHTED = (
+MASS_SETTINGS = (
     *ONE_EACH,
     newton_euler("relative", "baumgarte"),
     newton_euler("cartesian", "baumgarte"),
     mujoco("implicitfast"),
 )
 
-INERTIAS = {
+LIMIT_INERTIAS = {
     "thin rod, A = 1e-8 C": (1e-8, 1.0),
     "thin rod, A = 1e-4 C": (1e-4, 1.0),
     "plate, A + B = C": (2.0, 1.0),
     "plate, A + B = C (1 + 1e-9)": (2.0 - 1e-9, 1.0),
 }
-"""Axial and transverse moments, kg m^2."""
+"""Axial and transverse moments of inertia of symmetric tops, kg m^2."""
 
 SPIN = np.array([0.3, -0.7, 1.1])
-"""rad/s."""
+"""rad/s, initial angular velocity of the tops, body frame."""
 
 
 def masses(full: bool) -> Iterator[Case]:
     """Yield the cases of (f)."""
-    for ratio in RATIOS if full else (1e-8, 1.0, 1e8):
-        for setting in WEIGHTED if full else ONE_EACH:
-            # bars that never lie flat in this time
+    for ratio in MASS_RATIOS if full else (1e-8, 1.0, 1e8):
+        for setting in MASS_SETTINGS if full else ONE_EACH:
+            # the bars never lie flat within 0.5 s
             loop = lasting(_changed(load("four_bar", N=1), "coupler_0", ratio), 0.5, 10)
             angle = partial(of_run, loop, parallelogram_error)
-            yield Case(f"four_bar N = 1, 0.5 s, coupler/bar = {ratio:.0e}", setting, ANGLE, angle, limit=20.0)
+            yield Case(
+                f"four_bar N = 1, 0.5 s, coupler/bar = {ratio:.0e}", setting, ANGLE_BOUND, angle, limit=20.0
+            )
             chain = lasting(_changed(load("chain", N=2), "rod_1", ratio), 2.0, 20, "energy", "velocities")
             energy = partial(of_run, chain, largest_energy_error)
-            yield Case(f"chain of 2, 2 s, last/first = {ratio:.0e}", setting, ENERGY, energy, limit=20.0)
+            yield Case(
+                f"chain of 2, 2 s, last/first = {ratio:.0e}", setting, ENERGY_BOUND, energy, limit=20.0
+            )
     duration = 10.0 if full else 2.0
-    for name, moments in INERTIAS.items():
+    for name, moments in LIMIT_INERTIAS.items():
         for setting in ONE_EACH:
             measure = partial(of_run, symmetric_top(*moments, SPIN, duration), top_error)
-            yield Case(f"free top, {duration:g} s, {name}", setting, ANGLE, measure)
+            yield Case(f"free top, {duration:g} s, {name}", setting, ANGLE_BOUND, measure)
 
 
 def _changed(scene: Scene, name: str, factor: float) -> Scene:
-    """Return the scene with the mass and inertia of a body times a factor."""
+    """Return the scene with the mass and inertia of a body multiplied by a factor."""
     bodies = [
         replace(body, mass=body.mass * factor, inertia=body.inertia * factor) if body.name == name else body
         for body in scene.mechanism.bodies
@@ -140,13 +155,13 @@ def _changed(scene: Scene, name: str, factor: float) -> Scene:
     return replace(scene, mechanism=Mechanism(bodies, scene.mechanism.joints))
 
 
-# (k) Floating-point traps: numbers that are too large, too small or none at all
+# (k) Floating-point limits: numbers that overflow, underflow, or are not finite
 
-X = np.array([1.0, 0.0, 0.0])
+PUSH_DIRECTION = np.array([1.0, 0.0, 0.0])
 
-DURATION = 1.0
+PUSH_DURATION = 1.0
 
-TRAPPED: tuple[Setting, ...] = (
+FLOATING_POINT_SETTINGS: tuple[Setting, ...] = (
     *formulations(),
     newton_euler("cartesian", "baumgarte"),
     newton_euler(integrator="Radau"),
@@ -157,22 +172,22 @@ TRAPPED: tuple[Setting, ...] = (
     pinocchio(),
 )
 
-EXACT = Bound(
-    "velocity error", "rel", 1e-6, 1e-2, "as with numbers of any size; flushed to zero it would be 1"
+VELOCITY_BOUND = Bound(
+    "velocity error", "rel", 1e-6, 1e-2, "as accurate as for usual numbers; underflow to zero gives 1"
 )
 
-UNANSWERED = refusal("end position", "m")
+NO_END_POSITION = refusal("end position", "m")
 
 
 def block(mass: float = 1.0, **more: object) -> Scene:
-    """A block of that mass, kg, on a rail along x; `more` as of `Scene`."""
+    """Return a block of a mass, kg, on a rail along x; `more` are arguments of `Scene`."""
     body = Body("block", mass, np.zeros(3), mass * np.eye(3))
-    rail = Prismatic("rail", "ground", "block", np.zeros(3), axis=X, actuated=True)
-    return Scene("block", Mechanism([Body.ground(), body], [rail]), DURATION, 0.1, **more)  # type: ignore[arg-type]
+    rail = Prismatic("rail", "ground", "block", np.zeros(3), axis=PUSH_DIRECTION, actuated=True)
+    return Scene("block", Mechanism([Body.ground(), body], [rail]), PUSH_DURATION, 0.1, **more)  # type: ignore[arg-type]
 
 
 def _sampled(wrong: Callable[[float], object]) -> Scene:
-    """A block under a controller that returns 1 N, and from 0.3 s on something wrong."""
+    """Return a block with a controller that returns 1 N, and an invalid value from 0.3 s on."""
 
     def control(time: float, x: object, rate: object) -> float:
         return 1.0 if time < 0.25 else wrong(time)  # type: ignore[return-value]
@@ -188,7 +203,7 @@ def _pushed(force: float, mass: float = 1.0) -> Scene:
 def _moving(speed: float) -> Scene:
     scene = block()
     state = State.initial(scene.mechanism)
-    state.linear_velocity[1] = speed * X
+    state.linear_velocity[1] = speed * PUSH_DIRECTION
     return replace(scene, initial_state=state)
 
 
@@ -213,7 +228,7 @@ WITHOUT_ANSWER: dict[str, tuple[Callable[[], Scene], tuple[str, ...]]] = {
     ),
     "a start at 1e200 m/s, its energy asked for": (lambda: _moving(1e200), ("t = ",)),
 }
-"""Scenes, and what a refusal has to name."""
+"""Scenes without an answer, and texts that the error must contain."""
 
 WITH_ANSWER: dict[str, tuple[float, float]] = {
     "a denormal force, 1e-310 N on 1 kg": (1e-310, 1.0),
@@ -223,29 +238,30 @@ WITH_ANSWER: dict[str, tuple[float, float]] = {
     "a huge body, 1e300 N on 1e300 kg": (1e300, 1e300),
     "a huge force, 1e150 N on 1 kg": (1e150, 1.0),
 }
-"""Force (N) and mass (kg) of a block whose velocity after 1 s is F t / m."""
+"""Force F (N) and mass m (kg) of a block, whose velocity after t = 1 s is F t / m."""
 
 
 def traps(full: bool) -> Iterator[Case]:
     """Yield the cases of (k)."""
-    for setting in TRAPPED if full else (*TRAPPED[:2], *TRAPPED[-3::2]):
+    few = (*FLOATING_POINT_SETTINGS[:2], *FLOATING_POINT_SETTINGS[-3::2])
+    for setting in FLOATING_POINT_SETTINGS if full else few:
         for name, (_, names) in WITHOUT_ANSWER.items():
-            yield Case(name, setting, UNANSWERED, partial(measure_trap, name), names=names)
+            yield Case(name, setting, NO_END_POSITION, partial(measure_trap, name), names=names)
         for name in WITH_ANSWER:
-            yield Case(name, setting, EXACT, partial(measure_push, name))
+            yield Case(name, setting, VELOCITY_BOUND, partial(measure_push, name))
 
 
-def measure_trap(name: str, setting: Setting) -> Measured:
-    """Return where the block ends up, if nothing says that it cannot."""
+def measure_trap(name: str, setting: Setting) -> Measurement:
+    """Measure the end position of the block, if the engine raises no error."""
     run = setting.simulate(WITHOUT_ANSWER[name][0]())
-    return Measured(float(run.position[-1, 1, 0]))
+    return Measurement(float(run.position[-1, 1, 0]))
 
 
-def measure_push(name: str, setting: Setting) -> Measured:
-    """Compare the velocity at the end with F t / m."""
+def measure_push(name: str, setting: Setting) -> Measurement:
+    """Measure the relative error of the velocity at the end."""
     force, mass = WITH_ANSWER[name]
     scene = replace(_pushed(force, mass), outputs=frozenset({"velocities"}))
     run = setting.simulate(scene)
     assert run.linear_velocity is not None
-    expected = force * DURATION / mass
-    return Measured(abs(float(run.linear_velocity[-1, 1, 0]) / expected - 1.0))
+    expected = force * PUSH_DURATION / mass
+    return Measurement(abs(float(run.linear_velocity[-1, 1, 0]) / expected - 1.0))

@@ -1,4 +1,4 @@
-"""Integration: long runs, the largest steps."""
+"""Stress cases (a) and (b): drift and energy of long runs, and the largest usable steps."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from crosscheck.library import load
 from crosscheck.studies.bisection import smallest
-from crosscheck.studies.stress.cases import ENERGY, Bound, Case, Measured
+from crosscheck.studies.stress.cases import ENERGY_BOUND, Bound, Case, Measurement
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
     TIGHT,
@@ -31,14 +31,14 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
-# (a) Long runs: what is left of the energy and of closed joints, and what of it is round-off
+# (a) Long runs: energy error, drift, and the part of the error that is accumulated round-off
 
-OUTPUTS = 200
+LONG_RUN_OUTPUTS = 200
 
 LAST_DIGIT = 4.0 * np.finfo(float).eps
-"""Share by which a run's start is off to be rounded differently from then on."""
+"""Relative change of a start after which all results are rounded differently."""
 
-DRIFT = Bound("drift", "m or rad", 1e-6, 1e-4, "a thousandth of a millimeter on a machine of 0.1 m")
+DRIFT_BOUND = Bound("drift", "m or rad", 1e-6, 1e-4, "a thousandth of a millimeter on a machine of 0.1 m")
 
 LONG_RUNS: dict[str, tuple[float, dict[float, tuple[Setting, ...]]]] = {
     "pendulum": (
@@ -81,11 +81,13 @@ LONG_RUNS: dict[str, tuple[float, dict[float, tuple[Setting, ...]]]] = {
         },
     ),
 }
-"""How many times shorter runs of a scene are if not in full (errors of the tracker, which comes to rest, do
-not grow), and settings by duration, s."""
+"""By scene, the ratio of durations of the full and the short form, and the settings by full duration, s.
 
-TIGHT_RUNS = {"pendulum": 1e4, "four_bar": 1e3}
-"""s."""
+Runs of the tracker can be much shorter: it comes to rest, and its errors do not grow.
+"""
+
+TIGHT_RUN_DURATIONS = {"pendulum": 1e4, "four_bar": 1e3}
+"""s, durations of runs at the tightest tolerance."""
 
 
 def long_runs(full: bool) -> Iterator[Case]:
@@ -93,49 +95,48 @@ def long_runs(full: bool) -> Iterator[Case]:
     for scene, (shorter, runs) in LONG_RUNS.items():
         for duration, settings in runs.items():
             for setting in settings:
-                # the work of control costs MuJoCo a call of Python a step
+                # MuJoCo would call Python at every step to integrate the work of control
                 works = scene != "tracker" or setting.engine != "mujoco"
-                yield _long_run(
-                    scene, setting, duration, 1.0 if full else shorter, ENERGY if works else DRIFT
-                )
-    for scene, duration in TIGHT_RUNS.items():
+                bound = ENERGY_BOUND if works else DRIFT_BOUND
+                yield _long_run(scene, setting, duration, 1.0 if full else shorter, bound)
+    for scene, duration in TIGHT_RUN_DURATIONS.items():
         each = duration / 1000.0
-        reason = "1e-11 a thousand seconds, what is left of tolerances of 1e-13"
-        bound = replace(ENERGY, survives=1e-11 * each, degrades=1e-9 * each, reason=reason)
+        reason = "1e-11 per thousand seconds, the error expected at tolerances of 1e-13"
+        bound = replace(ENERGY_BOUND, survives=1e-11 * each, degrades=1e-9 * each, reason=reason)
         yield _long_run(scene, TIGHT, duration, 1.0 if full else LONG_RUNS[scene][0], bound)
 
 
 def _long_run(scene: str, setting: Setting, duration: float, shorter: float, bound: Bound) -> Case:
-    measure = measure_drift if bound is DRIFT else measure_energy
+    measure = measure_drift if bound is DRIFT_BOUND else measure_energy
     limit = 10.0 if shorter > 1.0 else 150.0 if duration >= 1e3 else 40.0
     time = duration / shorter
     return Case(f"{scene}, {time:g} s", setting, bound, partial(measure, scene, time), limit=limit)
 
 
-def measure_energy(name: str, duration: float, setting: Setting) -> Measured:
-    """Measure the largest energy error; note its round-off, how it grows, and how far joints open.
+def measure_energy(name: str, duration: float, setting: Setting) -> Measurement:
+    """Measure the largest energy error; note its growth, the accumulated round-off, and the drift.
 
-    What rounding has added up to is seen by the same run from a start that is off in its last digits: steps
-    have the same errors of their own, but for those that rounding decides to reject, and other roundings. An
-    error of more than `ENERGY` allows is none of those.
+    The accumulated round-off is the change of the error if the start differs in its last digits. The run then
+    has the same truncation errors (except at steps that round-off decides to reject) and other rounding
+    errors. If the error exceeds `ENERGY_BOUND`, the error is not round-off.
     """
-    scene = lasting(load(name), duration, OUTPUTS, "violation", "energy", "velocities")
+    scene = lasting(load(name), duration, LONG_RUN_OUTPUTS, "violation", "energy", "velocities")
     run = setting.simulate(scene)
     found = balance(scene, run)
     unit = max(found.exchanged, _exchanged(name))
     errors = np.abs(found.residual) / unit
     grows = growth(scene.times, np.maximum.accumulate(errors))
     note = f"drift {largest_drift(run):.1e} m or rad; {grows}"
-    if np.max(errors) < ENERGY.survives:
+    if np.max(errors) < ENERGY_BOUND.survives:
         other = off_in_the_last_digit(scene)
         residual = balance(other, setting.simulate(other)).residual
         rounding = float(np.max(np.abs(residual - found.residual))) / unit
         note = f"accumulated round-off {rounding:.1e}; {note}"
-    return Measured(float(np.max(errors)), note)
+    return Measurement(float(np.max(errors)), note)
 
 
 def off_in_the_last_digit(scene: Scene) -> Scene:
-    """Return the scene with gravity and its start larger by `LAST_DIGIT`."""
+    """Return the scene with gravity and initial state multiplied by 1 + `LAST_DIGIT`."""
     more, state = 1.0 + LAST_DIGIT, initial_state(scene)
     names = ("position", "linear_velocity", "angular_velocity")
     state = replace(state, **{name: more * getattr(state, name) for name in names})
@@ -144,22 +145,23 @@ def off_in_the_last_digit(scene: Scene) -> Scene:
 
 @lru_cache
 def _exchanged(name: str) -> float:
-    """Return the energy, J, that a scene's first seconds exchange; outputs minutes apart do not show it."""
+    """Return the energy, J, that the scene exchanges in its first seconds; long runs have too few outputs for
+    it."""
     scene = load(name)
     return balance(scene, newton_euler().simulate(scene)).exchanged
 
 
-def measure_drift(name: str, duration: float, setting: Setting) -> Measured:
-    """Measure how far joints open; note how that grows."""
-    scene = lasting(load(name), duration, OUTPUTS, "violation")
+def measure_drift(name: str, duration: float, setting: Setting) -> Measurement:
+    """Measure the largest drift; note its growth."""
+    scene = lasting(load(name), duration, LONG_RUN_OUTPUTS, "violation")
     run = setting.simulate(scene)
     assert run.constraint_violation is not None
     drift = np.max(run.constraint_violation, axis=1)
-    return Measured(float(np.max(drift)), growth(scene.times, np.maximum.accumulate(drift)))
+    return Measurement(float(np.max(drift)), growth(scene.times, np.maximum.accumulate(drift)))
 
 
 def growth(times: Array, envelope: Array) -> str:
-    """Name the power of time that errors (n,) grow with, fitted to all but the first tenth of a run."""
+    """Report the power of time with which an envelope (n,) of errors grows after the first tenth of a run."""
     late = (times > 0.1 * times[-1]) & (envelope > 0.0)
     if np.count_nonzero(late) < 3 or envelope[late][-1] < 1.2 * envelope[late][0]:
         return "does not grow"
@@ -167,56 +169,56 @@ def growth(times: Array, envelope: Array) -> str:
     return f"grows like t^{power:.2f}"
 
 
-# (b) The largest step and the loosest tolerance that still give the answer
+# (b) Largest step and loosest tolerance with a usable motion
 
-SHARE = 0.1
-"""Of the mechanism's size: bodies further from where they should be are not there."""
+USABLE_ERROR = 0.1
+"""Largest position error of a usable motion, in units of the mechanism's size."""
 
-MOST_STEPS = 20_000
-"""Between two outputs; nobody takes shorter steps for a motion of seconds."""
+MAX_STEPS_PER_OUTPUT = 20_000
+"""Largest number of fixed steps between two outputs; shorter steps are impractical for seconds of motion."""
 
-STEP = Bound(
+STEP_BOUND = Bound(
     "largest step", "s", 1e-3, 1e-4, "MuJoCo's usual step is 2 ms; a tenth of that costs too much", True
 )
-TOLERANCE = Bound(
-    "loosest rtol", "", 1e-4, 1e-7, "scipy's default is 1e-3; nobody expects more of a looser one", True
+TOLERANCE_BOUND = Bound(
+    "loosest rtol", "", 1e-4, 1e-7, "scipy's default is 1e-3; a tenth of that should be enough", True
 )
 
 ADAPTIVE = ("DOP853", "Radau")
 
-DURATIONS = {"tracker": 5.0, "pendulum": 10.0}
-"""s."""
+STEP_DURATIONS = {"tracker": 5.0, "pendulum": 10.0}
+"""s, durations of the runs by scene."""
 
 
 def largest_steps(full: bool) -> Iterator[Case]:
-    """Yield the cases of (b); the tracker's only if not in full."""
+    """Yield the cases of (b). The short form has the tracker only."""
     stepped = [setting for integrator in ("RK4", "Euler") for setting in formulations(integrator=integrator)]
     stepped += [Setting("mujoco", {"integrator": i}) for i in ("RK4", "Euler", "implicit", "implicitfast")]
     stepped += [pinocchio(integrator=i) for i in ("RK4", "Euler")]
     adaptive = [setting for integrator in ADAPTIVE for setting in formulations(integrator=integrator)]
     if not full:
-        adaptive.pop()  # half a minute to compile
+        adaptive.pop()  # Radau in Cartesian coordinates compiles for half a minute
     adaptive += [pinocchio(integrator=i) for i in ADAPTIVE]
-    for scene, duration in DURATIONS.items() if full else [("tracker", DURATIONS["tracker"])]:
-        for bound, settings in ((STEP, stepped), (TOLERANCE, adaptive)):
+    for scene, duration in STEP_DURATIONS.items() if full else [("tracker", STEP_DURATIONS["tracker"])]:
+        for bound, settings in ((STEP_BOUND, stepped), (TOLERANCE_BOUND, adaptive)):
             for setting in settings:
-                name = f"{scene}, {duration:g} s within {SHARE:.0%}"
+                name = f"{scene}, {duration:g} s within {USABLE_ERROR:.0%}"
                 yield Case(name, setting, bound, partial(measure_largest, scene), limit=100.0)
 
 
 @lru_cache
-def _sought(name: str) -> tuple[Scene, Trajectory]:
-    scene = lasting(load(name), DURATIONS[name], 10)
+def _reference(name: str) -> tuple[Scene, Trajectory]:
+    scene = lasting(load(name), STEP_DURATIONS[name], 10)
     return scene, TIGHT.simulate(scene)
 
 
-def measure_largest(name: str, setting: Setting) -> Measured:
-    """Measure, by bisection, the step (s) of methods with fixed steps or the relative tolerance of others."""
-    scene, reference = _sought(name)
+def measure_largest(name: str, setting: Setting) -> Measurement:
+    """Find the largest usable step (s), or relative tolerance of an adaptive method, by bisection."""
+    scene, reference = _reference(name)
     adaptive = setting.options["integrator"] in ADAPTIVE
 
     def size(n: int) -> float:
-        """Return the n-th to try: ten tolerances per decade, or n steps from one output to the next."""
+        """Return candidate n: ten tolerances per decade, or n steps from one output to the next."""
         return float(10.0 ** (-n / 10.0)) if adaptive else scene.output_period / n
 
     def succeeds(n: int) -> bool:
@@ -227,9 +229,9 @@ def measure_largest(name: str, setting: Setting) -> Measured:
             run = replace(setting, options={**setting.options, **tried}).simulate(scene)
         except (NewtonEulerError, np.linalg.LinAlgError):
             return False
-        return distance(run, reference) < SHARE * scene.mechanism.size
+        return distance(run, reference) < USABLE_ERROR * scene.mechanism.size
 
-    n = smallest(succeeds, 120 if adaptive else MOST_STEPS)
+    n = smallest(succeeds, 120 if adaptive else MAX_STEPS_PER_OUTPUT)
     if n is None:
-        return Measured(float("nan"), "none is small enough")
-    return Measured(size(n), "the largest there is to try" if n == 1 else "")
+        return Measurement(float("nan"), "no candidate is small enough")
+    return Measurement(size(n), "the largest candidate" if n == 1 else "")

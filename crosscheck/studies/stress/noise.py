@@ -1,4 +1,4 @@
-"""(l) Overconstrained mechanisms as files have them: axes and points with the noise of a CAD program."""
+"""Stress cases (l): overconstrained mechanisms whose axes and points have the noise of CAD exports."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from crosscheck.library import load
-from crosscheck.studies.stress.cases import Bound, Case, Measured
+from crosscheck.studies.stress.cases import Bound, Case, Measurement
 from crosscheck.studies.stress.runs import COMBINATIONS, ONE_EACH, TIGHT, Setting, distance, lasting
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Fixed, Revolute, Spherical
@@ -20,17 +20,19 @@ INERTIA = 0.01 * np.eye(3)
 X, Y, Z = np.eye(3)
 
 NOISES = (1e-12, 1e-10, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
-"""rad of axes, m of points; the last is taken literally and locks the mechanisms."""
+"""rad of axes, m of points. The largest noise exceeds the redundancy tolerance and locks the mechanisms."""
 
-SENSITIVITY = 20.0
-"""m of motion for a rad or m of noise: bodies of 0.4 m that turn by 1.5 rad, through levers of a fourth."""
+NOISE_SENSITIVITY = 20.0
+"""Change of the motion (m) per noise (rad or m): bodies of 0.4 m turn by 1.5 rad on levers of a quarter of
+that."""
 
-ENGINES_OWN = {"newton_euler": 1e-8, "pinocchio": 1e-8, "mujoco": 1e-5}
-"""m, what an engine may be off without noise."""
+ENGINE_ERRORS = {"newton_euler": 1e-8, "pinocchio": 1e-8, "mujoco": 1e-5}
+"""m, error that each engine may have without noise."""
 
 
 def flat_four_bar(tilt: float, duration: float = 0.3) -> Scene:
-    """A parallelogram of hinges along y that a weld closes, one of them tilted out of the plane, rad."""
+    """Return a parallelogram of hinges along y, closed by a weld, with one hinge tilted out of plane by
+    `tilt`, rad."""
     elbow, wrist, foot = 0.2 * Z, 0.4 * X + 0.2 * Z, 0.4 * X
     bodies = [
         Body.ground(),
@@ -50,7 +52,7 @@ def flat_four_bar(tilt: float, duration: float = 0.3) -> Scene:
 
 
 def sarrus(noise: float) -> Scene:
-    """Two legs of three parallel hinges each, about x and about y, which let a plate move straight up."""
+    """Return Sarrus' linkage: two legs of three parallel hinges, about x and y, guide a plate straight up."""
     bodies, joints = [Body.ground(), Body("plate", 1.0, 0.6 * Z, INERTIA)], list[Joint]()
     for leg, axis, out in (("a", X, Y), ("b", Y, X)):
         foot, knee, hip = 0.5 * out, 0.7 * out + 0.3 * Z, 0.5 * out + 0.6 * Z
@@ -63,7 +65,7 @@ def sarrus(noise: float) -> Scene:
 
 
 def double_wishbone(noise: float) -> Scene:
-    """An upright on two arms, each hung on two coaxial hinges as in a car: five redundant equations each."""
+    """Return a car's double wishbone: each arm has two coaxial hinges, with five redundant constraints."""
     bodies = [
         Body.ground(),
         Body("lower", 2.0, 0.2 * X, INERTIA),
@@ -81,12 +83,12 @@ def double_wishbone(noise: float) -> Scene:
 
 
 def bricard(noise: float) -> Scene:
-    """The library's, for 0.3 s."""
+    """Return Bricard's linkage of the scene library, for 0.3 s."""
     return noisy(replace(load("bricard"), duration=0.3), noise)
 
 
 def noisy(scene: Scene, noise: float) -> Scene:
-    """The scene with random errors of its joints' axes (rad) and points (m) of that size at most."""
+    """Return the scene with uniform random errors up to `noise` of joint axes (rad) and points (m)."""
     rng = np.random.default_rng(0)
     joints = []
     for joint in scene.mechanism.joints:
@@ -104,17 +106,17 @@ MECHANISMS: dict[str, Callable[[float], Scene]] = {
 
 def cases(full: bool) -> Iterator[Case]:
     """Yield the cases of (l)."""
-    reason = "what the noise of the numbers makes; more than a centimeter is another motion"
+    reason = "the effect of the noise; beyond a centimeter the motion is a different one"
     for name in MECHANISMS if full else ("flat_four_bar", "bricard"):
         settings = (*COMBINATIONS, *ONE_EACH[2:]) if full and name == "flat_four_bar" else ONE_EACH
         for noise in NOISES if full else (1e-12, 1e-6):
             for setting in settings:
-                most = ENGINES_OWN[setting.engine] + SENSITIVITY * noise
+                most = ENGINE_ERRORS[setting.engine] + NOISE_SENSITIVITY * noise
                 bound = Bound("distance to the design", "m", most, 1e-2, reason)
                 yield Case(f"{name}, noise {noise:.0e}, 0.3 s", setting, bound, partial(measure, name, noise))
 
 
-def measure(name: str, noise: float, setting: Setting) -> Measured:
-    """Measure how far a run with noise comes from the design's, m."""
+def measure(name: str, noise: float, setting: Setting) -> Measurement:
+    """Measure the largest distance between the motions with and without noise, m."""
     design, scene = (lasting(MECHANISMS[name](size), 0.3, 10) for size in (0.0, noise))
-    return Measured(distance(setting.simulate(scene), TIGHT.simulate(design)))
+    return Measurement(distance(setting.simulate(scene), TIGHT.simulate(design)))

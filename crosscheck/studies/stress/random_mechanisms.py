@@ -1,8 +1,8 @@
-"""(j) Random mechanisms through all engines: their equations of motion at a random consistent state.
+"""Stress cases (j): equations of motion of all engines for random mechanisms at random consistent states.
 
-Each engine's rigid equations are compared with newton_euler's joint coordinates as `crosscheck run` compares
-engines: the levels of equations, at tolerances of round-off times the condition of each mechanism. Now and
-then native code is compared with its float form.
+Each engine's rigid equations are compared with newton_euler's joint coordinates in the same way as by
+`crosscheck run`: by the levels of equations, with tolerances of round-off times the condition number. For
+some mechanisms native code is compared with its float form.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from crosscheck.compare.figure import Figure
 from crosscheck.compare.levels import compare_pair
 from crosscheck.compare.samples import Samples, States
 from crosscheck.studies.random_scenes import GRAVITY, random_scene
-from crosscheck.studies.stress.cases import Bound, Case, Measured
+from crosscheck.studies.stress.cases import Bound, Case, Measurement
 from crosscheck.studies.stress.runs import Setting
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.compiled.equations import Code
@@ -30,58 +30,66 @@ from newton_euler.model.scene import Scene
 from newton_euler.runs.assemble import initial_state
 
 NATIVE_TOLERANCE = 1e-8
-"""Of native code against its float form, relative to the largest acceleration: the same equations in another
-order, at condition numbers up to 1e7."""
+"""Tolerance of native code relative to the largest acceleration.
+
+Native code and float form evaluate the same equations in another order, at condition numbers up to 1e7.
+"""
 
 COMPILED_EVERY = 50
-"""Native code of every so manieth mechanism is compared; compiling takes ten times as long as the rest."""
+"""One of so many mechanisms is compiled; compilation takes ten times as long as the rest."""
 
-CHUNK = 20
-"""Mechanisms of a case."""
+MECHANISMS_PER_CASE = 20
 
-SEED = 0
+MECHANISM_SEED = 0
 
-TOLERANCES = Bound(
-    "figure by its tolerance",
+TOLERANCE_RATIO = Bound(
+    "value divided by its tolerance",
     "",
     1.0,
     1.0,
     "tolerances of `crosscheck run`: round-off times the condition of the mechanism",
 )
 
-SYSTEMS = (
+COMPARED_SYSTEMS = (
     Setting("newton_euler", {"formulation": "cartesian"}),
     Setting("pinocchio", {"equations": "constraintDynamics"}),
     Setting("mujoco", {"equations": "rigid constraints"}),
 )
-"""Those compared with newton_euler's joint coordinates."""
+"""Systems that are compared with newton_euler's joint coordinates."""
 
-NATIVE = tuple(Setting("newton_euler", {"formulation": name, "code": "native"}) for name in FORMULATIONS)
+NATIVE_SETTINGS = tuple(
+    Setting("newton_euler", {"formulation": name, "code": "native"}) for name in FORMULATIONS
+)
 
 
 def cases(full: bool) -> Iterator[Case]:
     """Yield the cases of (j)."""
     count = 1000 if full else 40
-    for start in range(0, count, CHUNK):
-        numbers = range(start, start + CHUNK)
-        for setting in SYSTEMS:
-            name = f"random mechanisms {start} to {start + CHUNK - 1}"
-            yield Case(name, setting, TOLERANCES, partial(measure, SEED, numbers), limit=60.0)
+    for start in range(0, count, MECHANISMS_PER_CASE):
+        numbers = range(start, start + MECHANISMS_PER_CASE)
+        for setting in COMPARED_SYSTEMS:
+            name = f"random mechanisms {start} to {start + MECHANISMS_PER_CASE - 1}"
+            yield Case(name, setting, TOLERANCE_RATIO, partial(measure, MECHANISM_SEED, numbers), limit=60.0)
     numbers = range(0, count, COMPILED_EVERY)
-    for setting in NATIVE:
+    for setting in NATIVE_SETTINGS:
         name = f"random mechanisms 0 to {numbers[-1]}, every {COMPILED_EVERY}th"
-        yield Case(name, setting, TOLERANCES, partial(measure, SEED, numbers), limit=100.0)
+        yield Case(name, setting, TOLERANCE_RATIO, partial(measure, MECHANISM_SEED, numbers), limit=100.0)
 
 
 class Worst(NamedTuple):
-    """The figure of a mechanism that is the most of its tolerance; infinite without an answer."""
+    """Worst check of a mechanism.
+
+    Attributes:
+        share: value divided by its tolerance; infinite if the system failed.
+        reason: description of the check, or the error.
+    """
 
     share: float
     reason: str
 
 
-def measure(seed: int, numbers: Sequence[int], setting: Setting) -> Measured:
-    """Compare a system on some random mechanisms: the worst figure by its tolerance."""
+def measure(seed: int, numbers: Sequence[int], setting: Setting) -> Measurement:
+    """Compare a system with newton_euler on random mechanisms; measure the worst value by tolerance."""
     found = {}
     for number in numbers:
         worst = compare(_scene(seed, number), setting)
@@ -89,16 +97,16 @@ def measure(seed: int, numbers: Sequence[int], setting: Setting) -> Measured:
             found[f"random_scene({seed}, {number})"] = worst
     agree = sum(worst.share <= 1.0 for worst in found.values())
     name, worst = max(found.items(), key=lambda item: item[1].share)
-    return Measured(worst.share, f"{agree} of {len(found)} agree; worst: {name}, {worst.reason}")
+    return Measurement(worst.share, f"{agree} of {len(found)} agree; worst: {name}, {worst.reason}")
 
 
-@lru_cache(maxsize=2 * CHUNK)
+@lru_cache(maxsize=2 * MECHANISMS_PER_CASE)
 def _scene(seed: int, number: int) -> Scene:
     return random_scene(seed, number)
 
 
 def compare(scene: Scene, setting: Setting) -> Worst | None:
-    """Compare one system on one mechanism; None where native code leaves it to its float form."""
+    """Compare one system on one mechanism; None if native code falls back to its float form."""
     if "code" in setting.options:
         off = native_difference(scene, setting.options["formulation"])
         return None if off is None else Worst(off / NATIVE_TOLERANCE, f"acceleration, rel {off:.1e}")
@@ -127,7 +135,8 @@ def _system(engine: str, scene: Scene) -> System:
 
 
 def native_difference(scene: Scene, formulation: str) -> float | None:
-    """Compare native accelerations with their float form; None where native code leaves them to that."""
+    """Return the relative difference of native and float accelerations; None if native code falls back to
+    those."""
     code = Code(scene, formulation)
     system = code.system
     x = code.packed(*system.coordinates(initial_state(scene)))

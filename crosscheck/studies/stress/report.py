@@ -1,4 +1,4 @@
-"""The report of a stress run: how many cases each engine passes, and which do not."""
+"""Report of a stress test: numbers of cases that each engine passes, and the cases that do not pass."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from crosscheck.support.versions import versions
 
 FILES = ("stress.json", "stress.md")
 
-OWN, ALL = "newton_euler", "all"
-"""The first column, and the last: what all engines share."""
+FIRST_COLUMN, LAST_COLUMN = "newton_euler", "all"
+"""Engines of the first and the last column; "all" has the cases that do not depend on the engine."""
 
 
 def report(rows: Sequence[Row], full: bool, wall_time: float) -> Report:
-    """Cases that each engine passes, and on demand by topic what does not pass."""
+    """Make the report: numbers of passed cases by engine, and (with `-v`) the other cases by topic."""
     form = "full" if full else "ci"
     made_with = ", ".join(f"{name} {number}" for name, number in versions().items())
     preface = (
         f"Made by `crosscheck stress --{form}` in {wall_time / 60.0:.1f} minutes on {PROCESSES} processes "
-        f"({platform.machine()}; {made_with}). Each case measures one figure of one engine at one setting: "
-        "within its bound the engine survives, up to a laxer one it degrades, beyond that it fails. "
-        "It refuses when it stops with a stated reason, which is right where there is no answer and a "
-        "shortcoming where there is one. All cases, with figures and reasons, are in stress.json."
+        f"({platform.machine()}; {made_with}). Each case measures one value of one engine at one setting. "
+        "An engine survives within the bound, degrades within a wider bound, and fails beyond both. "
+        "An engine refuses if it raises an error with a reason: correct for a case without an answer, "
+        "a shortcoming otherwise. All cases, with values and reasons, are in stress.json."
     )
     parts: list[Part] = [_summary(rows), Lines("about", [preface], folded=True)]
     for letter, (topic, _) in TOPICS.items():
@@ -42,20 +42,20 @@ def report(rows: Sequence[Row], full: bool, wall_time: float) -> Report:
 
 
 def _bound(row: Row) -> str:
-    """A bound with its reason."""
+    """Format a bound with its reason."""
     bound = row.case.bound
     what = f"{bound.quantity} {bound}" if bound.has_answer else "cases without an answer"
     return f"{what}: {bound.reason}"
 
 
 def _cases(title: str, rows: Sequence[Row], engines: Sequence[str]) -> Table:
-    """Make a row per case of which something does not pass, and one row of all others."""
-    heads = [*texts("case"), *figures(*engines), Column("what does not pass", below=True)]
+    """Tabulate cases with a row for each case that does not pass in every engine, and one for all others."""
+    heads = [*texts("case"), *figures(*engines), Column("not passed", below=True)]
     cells: Rows = []
     lost = dict.fromkeys(row.case.name for row in rows if not row.passes)
     for name in lost:
         of_case = [row for row in rows if row.case.name == name]
-        failing = "; ".join(_worded(row) for row in of_case if not row.passes)
+        failing = "; ".join(_failure_text(row) for row in of_case if not row.passes)
         cells.append([name, *(_passes(of_case, engine) for engine in engines), failing])
     if others := [row for row in rows if row.case.name not in lost]:
         count = len({row.case.name for row in others})
@@ -63,25 +63,25 @@ def _cases(title: str, rows: Sequence[Row], engines: Sequence[str]) -> Table:
     return Table(title, heads, cells, folded=True)
 
 
-def _worded(row: Row) -> str:
-    """Word a case that does not pass: engine, setting, verdict and figure."""
-    setting, figure = row.case.setting, "" if row.figure is None else f" {row.figure:.1e}"
-    return f"{setting.engine}, {setting}: {row.verdict}{figure}"
+def _failure_text(row: Row) -> str:
+    """Report a case that does not pass: engine, setting, verdict and value."""
+    setting, value = row.case.setting, "" if row.value is None else f" {row.value:.1e}"
+    return f"{setting.engine}, {setting}: {row.verdict}{value}"
 
 
 def _passes(rows: Sequence[Row], engine: str) -> str:
-    """Word how many cases of an engine pass; nothing if there are none."""
+    """Format the number of cases of an engine that pass; empty if the engine has no case."""
     passes = [row.passes for row in rows if row.case.setting.engine == engine]
     return f"{sum(passes)} of {len(passes)}" if passes else ""
 
 
 def _engines(rows: Sequence[Row]) -> list[str]:
     found = {row.case.setting.engine for row in rows}
-    return sorted(found, key=lambda name: (name == ALL, name != OWN, name))
+    return sorted(found, key=lambda name: (name == LAST_COLUMN, name != FIRST_COLUMN, name))
 
 
 def counts(rows: Sequence[Row]) -> dict[str, dict[str, str]]:
-    """By topic and engine, how many of the cases pass: "3 of 4"."""
+    """Return the numbers of passed cases by topic and engine, as "3 of 4"."""
     table = {}
     for letter, (topic, _) in TOPICS.items():
         of_topic = [row for row in rows if row.case.topic == letter]
@@ -94,7 +94,7 @@ def _summary(rows: Sequence[Row]) -> Table:
     found = counts(rows)
     engines = [Column(engine, numeric=True) for engine in next(iter(found.values()), {})]
     lines: Rows = [[topic, *cells.values()] for topic, cells in found.items()]
-    return Table("cases that survive, and refusals where they are right", [Column(""), *engines], lines)
+    return Table("passed cases", [Column(""), *engines], lines)
 
 
 def write(rows: Sequence[Row], found: Report, full: bool, folder: Path) -> list[Path]:

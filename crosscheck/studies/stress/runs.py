@@ -1,4 +1,4 @@
-"""Engines with their settings, and scenes whose motion is known in closed form."""
+"""Settings of engines, scenes whose motion has a closed form, and errors of runs."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Setting:
-    """An engine with the options of its `simulate`."""
+    """An engine and options of its `simulate`."""
 
     engine: str
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def simulate(self, scene: Scene) -> Trajectory:
-        """Run a scene; raises what the engine does."""
+        """Simulate a scene; raises the errors of the engine."""
         return SIMULATE[self.engine](scene, **self.options)
 
     def __str__(self) -> str:
@@ -73,22 +73,22 @@ COMBINATIONS = tuple(
     newton_euler(formulation, stabilization)
     for formulation, stabilization in product(FORMULATIONS, ("projection", "baumgarte", "none"))
 )
-"""newton_euler's formulations under all stabilizations, at its default tolerance."""
+"""newton_euler's formulations with each stabilization, at the default tolerance."""
 
 TIGHT = newton_euler("relative", rtol=1e-13, atol=1e-15)
-"""The nearest to the answer that newton_euler comes."""
+"""newton_euler's most accurate setting, used as reference."""
 
 ONE_EACH = (newton_euler("relative"), newton_euler("cartesian"), mujoco(), pinocchio())
-"""Each set of equations at its defaults."""
+"""Each engine at its default setting, newton_euler in both formulations."""
 
 
 def formulations(**options: Any) -> tuple[Setting, ...]:
-    """Return newton_euler in both formulations, projected, with the same other options."""
+    """Return settings of newton_euler in both formulations with projection and the given options."""
     return tuple(newton_euler(formulation, **options) for formulation in FORMULATIONS)
 
 
 def lasting(scene: Scene, duration: float, outputs: int, *names: OutputName) -> Scene:
-    """The scene for another time, s, with that many outputs after the first of these names."""
+    """Return the scene with another duration, s, and so many equal output periods of the named outputs."""
     return replace(scene, duration=duration, output_period=duration / outputs, outputs=frozenset(names))
 
 
@@ -100,28 +100,28 @@ def balance(scene: Scene, run: Trajectory) -> Balance:
 
 
 def largest_energy_error(scene: Scene, run: Trajectory) -> float:
-    """The largest residual of the energy's balance, of the largest energy that was exchanged."""
+    """Return the largest energy balance error divided by the largest energy that was exchanged."""
     found = balance(scene, run)
     return float(np.max(np.abs(found.residual))) / found.exchanged
 
 
 def largest_drift(run: Trajectory) -> float:
-    """Measure the largest drift of joints, m or rad."""
+    """Return the largest constraint violation of a run, m or rad."""
     assert run.constraint_violation is not None
     return float(np.max(run.constraint_violation))
 
 
 def distance(first: Trajectory, second: Trajectory) -> float:
-    """The largest between positions of bodies at equal times, m."""
+    """Return the largest distance between positions of bodies at equal times, m."""
     return float(np.max(positions_apart(first, second)))
 
 
 def parallelogram_angle(scene: Scene) -> Array:
-    """(n,) rad, clockwise from upright: the bars of `four_bar` or one with other masses, in closed motion.
+    """Compute the angle (n,) of the bars of the scene `four_bar`, rad, clockwise from upright.
 
-    With angle a, windows N, bars of mass m and couplers of mass c, all of length L,
-    ((N + 1) m / 3 + N c) L a'' = ((N + 1) m / 2 + N c) g sin a, at first upright at the speed of the
-    couplers or lying flat, whatever the scene's state is.
+    The masses may differ from the library's. With angle a, N windows, bars of mass m and couplers of mass c,
+    all of length L, the equation of motion is ((N + 1) m / 3 + N c) L a'' = ((N + 1) m / 2 + N c) g sin a.
+    The start is the initial state of the scene.
     """
     from scipy.integrate import solve_ivp
 
@@ -131,7 +131,8 @@ def parallelogram_angle(scene: Scene) -> Array:
     inertia = sum(bar.mass for bar in bars) / 3.0 + sum(coupler.mass for coupler in couplers)
     weight = sum(bar.mass for bar in bars) / 2.0 + sum(coupler.mass for coupler in couplers)
     state = initial_state(scene)
-    # a body's own frame is parallel to the world at the initial pose of the mechanism, not of the state
+    # body frames are parallel to the world frame in the initial pose of the mechanism, not in the initial
+    # state
     start = [bar_angles(state.position[None, :2], bodies)[0], -state.angular_velocity[1, 2]]
     solution = solve_ivp(
         lambda t, y: [y[1], weight / inertia * GRAVITY * np.sin(y[0])],
@@ -146,20 +147,24 @@ def parallelogram_angle(scene: Scene) -> Array:
 
 
 def bar_angles(position: Array, bodies: tuple[Body, ...]) -> Array:
-    """(n,) rad: clockwise from upright, within a turn, of the first bar by its center of mass (n, b, 3)."""
+    """Compute the angle (n,) of the first bar, rad in (-pi, pi], clockwise from upright, from positions (n,
+    b, 3)."""
     foot = bodies[1].center_of_mass * [1.0, 0.0, 0.0]
     along = position[:, 1] - foot
     return np.asarray(np.arctan2(along[:, 0], along[:, 1]))
 
 
 def parallelogram_error(scene: Scene, run: Trajectory) -> float:
-    """The largest error of the bars' angle in a run of four-bar windows, rad."""
+    """Return the largest error of the bars' angle in a run of `four_bar`, rad."""
     off = bar_angles(run.position, scene.mechanism.bodies) - parallelogram_angle(scene)
     return float(np.max(np.abs(np.angle(np.exp(1j * off)))))
 
 
 def symmetric_top(axial: float, transverse: float, spin: Array, duration: float, outputs: int = 10) -> Scene:
-    """A free top of 1 kg with its axis along x, spinning at `spin` (3,) rad/s, without gravity."""
+    """Return a free symmetric top of 1 kg with its axis along x and the angular velocity `spin` (3,), rad/s.
+
+    `axial` and `transverse` are moments of inertia, kg m^2. There is no gravity.
+    """
     top = Body("top", 1.0, np.zeros(3), np.diag([axial, transverse, transverse]))
     mechanism = Mechanism([Body.ground(), top], [Free("floating", "ground", "top", np.zeros(3))])
     state = State.initial(mechanism)
@@ -169,10 +174,11 @@ def symmetric_top(axial: float, transverse: float, spin: Array, duration: float,
 
 
 def top_error(scene: Scene, run: Trajectory) -> float:
-    """The largest error of a symmetric top's orientation, rad.
+    """Return the largest error of the orientation of a free symmetric top, rad.
 
-    R(t) = exp(t L / I) exp(t w (1 - A / I) e) with axial and transverse moments A and I, angular momentum
-    L and spin w about the axis e (Landau, Lifshitz, Mechanics, section 33).
+    The orientation is R(t) = exp(t L / I) exp(t w (1 - A / I) e). A and I are the axial and transverse
+    moments of inertia, L is the angular momentum, and w is the angular velocity about the axis e (Landau,
+    Lifshitz, Mechanics, section 33).
     """
     axial, transverse = (float(scene.mechanism.bodies[1].inertia[k, k]) for k in (0, 1))
     spin = initial_state(scene).angular_velocity[1]

@@ -1,4 +1,4 @@
-"""The topics of a stress run."""
+"""Topics of stress tests, and the function that runs their cases."""
 
 from __future__ import annotations
 
@@ -28,16 +28,19 @@ TOPICS: dict[str, tuple[str, Callable[[bool], Iterator[Case]]]] = {
     "k": ("floating-point traps", extremes.traps),
     "l": ("noise in overconstrained loops", noise.cases),
 }
-"""Titles by letter, and the cases of each, in full or not."""
+"""By letter, the title of a topic, and a function of `full` that yields its cases."""
 
 
 def stress(letters: str, full: bool, progress: Progress) -> list[Row]:
-    """Return the rows of all cases of some topics.
+    """Run the cases of some topics.
 
     Args:
-        letters: out of `TOPICS`, all if empty.
-        full: all cases, or the short form of them.
-        progress: told what is going on.
+        letters: letters of topics; all topics if empty.
+        full: True for all cases, False for the short form.
+        progress: called with the number of finished cases.
+
+    Returns:
+        The result of each case.
 
     Raises:
         CrosscheckError: for an unknown letter.

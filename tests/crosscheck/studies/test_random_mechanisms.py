@@ -12,7 +12,13 @@ import pytest
 from crosscheck.studies.random_scenes import KINDS, random_scene
 from crosscheck.studies.stress import random_mechanisms
 from crosscheck.studies.stress.cases import judge
-from crosscheck.studies.stress.random_mechanisms import NATIVE, NATIVE_TOLERANCE, SYSTEMS, compare, measure
+from crosscheck.studies.stress.random_mechanisms import (
+    COMPARED_SYSTEMS,
+    NATIVE_SETTINGS,
+    NATIVE_TOLERANCE,
+    compare,
+    measure,
+)
 from crosscheck.studies.stress.topics import stress
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
@@ -28,15 +34,15 @@ from urdf.proximal import ITERATIONS, regularized
 COUNT = 16
 
 
-@pytest.mark.parametrize("setting", SYSTEMS, ids=lambda setting: setting.engine)
+@pytest.mark.parametrize("setting", COMPARED_SYSTEMS, ids=lambda setting: setting.engine)
 def test_engines_agree(setting):
     """At the tolerances of a crosscheck, of which the worst of these takes a tenth."""
     found = measure(0, range(COUNT), setting)
-    assert found.figure < 1.0, found.note
+    assert found.value < 1.0, found.note
     assert found.note.startswith(f"{COUNT} of {COUNT} agree; worst: random_scene(0, ")
 
 
-@pytest.mark.parametrize("setting", NATIVE, ids=lambda setting: setting.options["formulation"])
+@pytest.mark.parametrize("setting", NATIVE_SETTINGS, ids=lambda setting: setting.options["formulation"])
 def test_native_code_is_its_float_form_in_another_order(setting):
     assert compare(random_scene(0, 0), setting).share < 1e-12 / NATIVE_TOLERANCE
 
@@ -131,7 +137,7 @@ def test_an_error_is_found_and_named(monkeypatch, kind, named):
     monkeypatch.setattr(random_mechanisms, "Cartesian", kind)
     case = next(random_mechanisms.cases(False))
     row = judge(replace(case, measure=partial(measure, 0, [3])))
-    assert (row.verdict, row.passes, np.isinf(row.figure)) == ("fails", False, kind is not Wrong)
+    assert (row.verdict, row.passes, np.isinf(row.value)) == ("fails", False, kind is not Wrong)
     assert row.reason.startswith("0 of 1 agree; worst: random_scene(0, 3), ")
     assert named in row.reason
 
@@ -153,7 +159,7 @@ def test_every_mechanism_has_a_case_of_every_system():
         found[case.setting.engine, str(case.setting)] += len(case.measure.args[1])
     assert found == {
         (setting.engine, str(setting)): count
-        for settings, count in ((SYSTEMS, 1000), (NATIVE, 20))
+        for settings, count in ((COMPARED_SYSTEMS, 1000), (NATIVE_SETTINGS, 20))
         for setting in settings
     }
 

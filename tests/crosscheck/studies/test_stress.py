@@ -17,7 +17,7 @@ from crosscheck.library import load
 from crosscheck.library.references import known_figures
 from crosscheck.report.page import write_report
 from crosscheck.studies.stress import configurations, extremes, integration, rotation
-from crosscheck.studies.stress.cases import Bound, Case, Measured, judge, of_run, refusal, run_cases
+from crosscheck.studies.stress.cases import Bound, Case, Measurement, judge, of_run, refusal, run_cases
 from crosscheck.studies.stress.integration import growth, smallest
 from crosscheck.studies.stress.report import counts, report, write
 from crosscheck.studies.stress.runs import (
@@ -76,11 +76,11 @@ def test_figures_are_judged_by_their_bounds(bound, figure, verdict):
 @pytest.mark.parametrize(
     ("measure", "bound", "verdict", "passes", "reason"),
     [
-        (lambda _: Measured(1e-7, "well done"), BOUND, "survives", True, "well done"),
-        (lambda _: Measured(1e-3), BOUND, "degrades", False, ""),
+        (lambda _: Measurement(1e-7, "well done"), BOUND, "survives", True, "well done"),
+        (lambda _: Measurement(1e-3), BOUND, "degrades", False, ""),
         (raising(STOPPED), BOUND, "refuses", False, "integration stopped at t = 0.5 s: joint 'rail'"),
         (raising(STOPPED), REFUSAL, "refuses", True, "integration stopped at t = 0.5 s: joint 'rail'"),
-        (lambda _: Measured(0.0), REFUSAL, "fails", False, "runs on without a word"),
+        (lambda _: Measurement(0.0), REFUSAL, "fails", False, "completes without an error"),
         (raising(ZeroDivisionError("by zero")), BOUND, "fails", False, "ZeroDivisionError: by zero"),
         (raising(ZeroDivisionError("by zero")), REFUSAL, "fails", False, "ZeroDivisionError: by zero"),
     ],
@@ -94,7 +94,7 @@ def test_a_refusal_has_to_name_what_it_should():
     assert judge(case(raising(STOPPED), REFUSAL, names=("'rail'", "t = 0.5 s"))).passes
     row = judge(case(raising(STOPPED), REFUSAL, names=("'rail'", "'push'")))
     assert (row.verdict, row.passes) == ("fails", False)
-    assert row.reason.startswith("refuses without naming 'push': ")
+    assert row.reason.startswith("the error does not name 'push': ")
 
 
 # Running
@@ -105,8 +105,8 @@ def without_end(setting):
         pass
 
 
-def found(figure, setting):
-    return Measured(figure)
+def found(value, setting):
+    return Measurement(value)
 
 
 def ended(status, setting):
@@ -124,7 +124,7 @@ def test_cases_run_in_processes_with_a_time_limit_and_come_back_in_order():
     told = []
     rows = run_cases(cases, told.append)
     assert [row.verdict for row in rows] == ["survives", "fails", "fails", "fails", "fails"]
-    assert [row.figure for row in rows] == [1e-9, None, None, 1.0, 0.0]
+    assert [row.value for row in rows] == [1e-9, None, None, 1.0, 0.0]
     assert rows[1].reason == "not done after 0.5 s of processor time"
     assert rows[2].reason == "the process ended, 3"
     assert len(told) == len(cases)
@@ -133,7 +133,7 @@ def test_cases_run_in_processes_with_a_time_limit_and_come_back_in_order():
 
 def slept(setting):
     time.sleep(0.3)
-    return Measured(1e-9)
+    return Measurement(1e-9)
 
 
 def test_waiting_takes_no_time_of_a_case():
@@ -211,10 +211,10 @@ def test_the_slider_comes_to_rest_at_its_dead_centers():
         outputs=frozenset({"velocities", "violation"}),
     )
     run = TIGHT.simulate(scene)
-    r, rod = configurations.CRANK, configurations.ROD
+    r, rod = configurations.CRANK_LENGTH, configurations.ROD_LENGTH
     assert run.position[:, 3, 0] == pytest.approx([rod + r, rod - r, rod + r], abs=1e-14)  # round-off
     assert np.abs(run.linear_velocity[:, 3]).max() < 1e-13
-    assert configurations.position_of_slider(scene, run).figure < 1e-14
+    assert configurations.position_of_slider(scene, run).value < 1e-14
 
 
 def test_a_wrong_motion_of_the_windows_is_seen():
@@ -267,10 +267,10 @@ def test_traps(trap):
         assert row.passes, row.reason
 
 
-@pytest.mark.parametrize("offset", configurations.OFFSETS)
+@pytest.mark.parametrize("offset", configurations.START_OFFSETS)
 def test_starts_off_the_constraints_are_assembled(offset):
     found = configurations.measure_assembly(offset, TIGHT)
-    assert configurations.ASSEMBLED.verdict(found.figure) == "survives"
+    assert configurations.ASSEMBLED.verdict(found.value) == "survives"
 
 
 # Energies: round-off is told from what a method adds by itself
@@ -279,7 +279,7 @@ def test_starts_off_the_constraints_are_assembled(offset):
 def noted(setting, scene, duration):
     """The energy error of a run and the round-off in it."""
     found = integration.measure_energy(scene, duration, setting)
-    return found.figure, float(re.match(r"accumulated round-off (\S+);", found.note)[1])
+    return found.value, float(re.match(r"accumulated round-off (\S+);", found.note)[1])
 
 
 def test_round_off_is_told_from_errors_of_the_method():
@@ -292,7 +292,7 @@ def test_round_off_is_told_from_errors_of_the_method():
 
 def test_an_error_far_from_round_off_is_not_held_against_it():
     found = integration.measure_energy("pendulum", 20.0, newton_euler(integrator="Euler", step=1e-2))
-    assert found.figure > 1e-3
+    assert found.value > 1e-3
     assert "round-off" not in found.note
 
 
@@ -300,10 +300,10 @@ def test_energy_of_fixed_steps_is_what_the_gyroscopic_torque_adds():
     """To first order h omega^2 T times a number of the body's: ten times less with a tenth of the step."""
     errors = [
         of_run(
-            rotation.top(rotation.FAST, 1.0),
+            rotation.top(rotation.FIXED_STEP_SPEED, 1.0),
             rotation.kinetic_energy,
             newton_euler(form, integrator="Euler", step=step),
-        ).figure
+        ).value
         for form in ("relative", "cartesian")
         for step in (1e-4, 1e-5)
     ]
@@ -317,9 +317,9 @@ def test_energy_of_fixed_steps_is_what_the_gyroscopic_torque_adds():
 @pytest.fixture
 def rows():
     cases = [
-        case(lambda _: Measured(1e-7, "<fine>")),
-        case(lambda _: Measured(1e-3)),
-        case(lambda _: Measured(np.nan)),
+        case(lambda _: Measurement(1e-7, "<fine>")),
+        case(lambda _: Measurement(1e-3)),
+        case(lambda _: Measurement(np.nan)),
         case(raising(IntegrationError(0.5, "too | hard"))),
         case(raising(STOPPED), REFUSAL, names=("rail",)),
     ]
@@ -349,7 +349,7 @@ def test_the_report_counts_what_passes_and_names_what_does_not(rows, tmp_path):
     assert "for the sake of the test" in text
     content = json.loads((folder / "stress.json").read_text(), parse_constant=pytest.fail)
     assert [row["verdict"] for row in content["rows"]] == [row.verdict for row in rows]
-    assert content["rows"][2]["figure"] == "nan"
+    assert content["rows"][2]["value"] == "nan"
     assert "2 of 5 cases pass" in write_report(folder, lambda _: None).read_text()
 
 
