@@ -26,7 +26,6 @@ from newton_euler.compiled.formulations import cheaper_formulation, formulate
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.model_control import share_model_control
 from newton_euler.equations.parameters import (
-    is_kinematic,
     parameter_layout,
     parameter_values,
     pieces,
@@ -119,7 +118,7 @@ class Code:
         of_motions = [name for name in of_functions if name.startswith("motions")]
         self.piecewise = len(of_functions) > 0
         found = places(scene, parameters)
-        self.kinematic = tuple(name for name, place in found.items() if is_kinematic(place))
+        self.kinematic = tuple(name for name, place in found.items() if place.field.moves_loops)
         self._kinematic = (*of_motions, *self.kinematic)
         others = [name for name in parameters if name not in self.kinematic]
         held = [f"{law.prefix}.held" for law in scene.sampled]

@@ -75,7 +75,8 @@ from newton_euler.equations.redundancy import inherit_mobility
 from newton_euler.errors import PROPOSED, MechanismError, UnknownNameError, nearest
 from newton_euler.model.control import PD
 from newton_euler.model.digital_control import Law
-from newton_euler.model.joint import POINTS, Key
+from newton_euler.model.fields import NumberField
+from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction, on_piece, piece_numbers, terms
 from newton_euler.model.scene import Scene
@@ -94,10 +95,17 @@ GRAVITY: Owner = ("scene", 0, "gravity")
 
 
 class Place(NamedTuple):
-    """Position of numbers in a scene: their owner, and the component of its value; None for all of it."""
+    """Position of a parameter's numbers in a scene.
+
+    Attributes:
+        owner: the attribute with these numbers.
+        component: index of one number of the attribute's value; None for all of the value.
+        field: declaration of the attribute.
+    """
 
     owner: Owner
     component: tuple[int, ...] | None
+    field: NumberField
 
 
 def _parts(scene: Scene) -> dict[str, list[Any]]:
@@ -129,22 +137,10 @@ def _owners(scene: Scene) -> dict[str, list[Owner]]:
     return found | {numbered(*owner) + PIECE: [owner] for owner in with_pieces}
 
 
-def is_kinematic(place: Place) -> bool:
-    """Tell if a parameter moves the closed configurations, or how coordinates stand for poses."""
-    what, _, attribute = place.owner
-    return what in ("joints", "couplings", "motions") or attribute in ("center_of_mass", "quaternion")
-
-
-def is_opening(place: Place) -> bool:
-    """Tell if a parameter opens joints at the initial pose, so that the description needs another one."""
-    what, _, attribute = place.owner
-    return what == "joints" and attribute in ("point_on_first", "point_on_second", "length")
-
-
 def check_dynamic(scene: Scene, names: Iterable[str], where: str) -> None:
     """Raise `MechanismError` for a parameter that moves the closed configurations."""
     for name, place in places(scene, names).items():
-        if is_kinematic(place):
+        if place.field.moves_loops:
             needed = "one that leaves the closed configurations where they are"
             raise MechanismError(where, f"has the parameter {name!r}", needed)
 
@@ -202,7 +198,9 @@ def places(scene: Scene, names: Iterable[str]) -> dict[str, Place]:
         if len(owners[base]) > 1:
             needed = " or ".join(numbered(*owner) for owner in owners[base])
             raise MechanismError(f"parameter {name!r}", "stands for two values", needed)
-        found[name] = place = Place(owners[base][0], component)
+        what, k, attribute = owners[base][0]
+        field = parts[what][k].field_of(attribute)
+        found[name] = place = Place(owners[base][0], component, field)
         if name.endswith(PIECE):
             continue  # of a function whose samples may be parameters, too
         others = given.setdefault(place.owner, [])
@@ -321,9 +319,9 @@ def origins(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
     In the world at the initial pose, m.
     """
     found: dict[str, Array] = {}
-    for name, (owner, component) in places(scene, names).items():
+    for name, (owner, component, field) in places(scene, names).items():
         what, _, attribute = owner
-        if attribute not in (POINTS if what == "joints" else element_of(scene, owner).points):
+        if not field.displaces:
             continue
         of_joint = what == "joints" and attribute == "point_on_first"
         point = np.asarray(getattr(element_of(scene, owner), "point" if of_joint else attribute), dtype=float)
@@ -338,7 +336,7 @@ def parameter_layout(scene: Scene, names: Iterable[str]) -> tuple[tuple[object, 
     """
     names, functions = list(names), scene.functions
     values, found = parameter_values(scene, names), []
-    for name, (owner, _) in places(scene, names).items():
+    for name, (owner, *_) in places(scene, names).items():
         own = () if name.endswith(PIECE) else functions.get(owner, ())  # pieces have one size
         counts = tuple(len(term.part("")) for function in own for term in terms(function))
         found.append((name, values[name].shape, counts))
@@ -447,7 +445,7 @@ def _assigned(
     The pieces of functions are left out.
     """
     found: dict[Owner, Any] = {}
-    for name, (owner, component) in places.items():
+    for name, (owner, component, _) in places.items():
         if name.endswith(PIECE):
             continue
         if component is None:

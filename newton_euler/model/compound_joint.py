@@ -11,6 +11,7 @@ import numpy as np
 from newton_euler.errors import MechanismError, check_flag, finite_array, quoted
 from newton_euler.model.constraints import Constraint, Displacement, Perpendicular
 from newton_euler.model.description import ArrayField, DefaultArrayField, description
+from newton_euler.model.fields import NumberField
 from newton_euler.model.hinge_angles import (
     ClosedRow,
     HingeAngle,
@@ -57,6 +58,10 @@ class Compound(Joint):
     offsets: DefaultArrayField = field(default=None, kw_only=True)  # type: ignore[assignment]
     ball: bool = field(default=False, kw_only=True)
     kind: ClassVar[str] = "compound"
+    number_fields: ClassVar = Joint.number_fields | {
+        "axis": NumberField(shape=None, allowed="joint", moves_loops=True),
+        "offsets": NumberField("m", shape=None, moves_loops=True),
+    }
     vector_names: ClassVar[tuple[str, ...]] = ("slides", "hinges", "offsets")
 
     def __post_init__(self) -> None:
@@ -98,6 +103,9 @@ class Compound(Joint):
         count = len(self.slides) + len(self.hinges)
         axes = (f"{k}.axis" if k else "axis" for k in range(count))
         return (*POINTS, *axes, *(("offsets",) if len(self.offsets) else ()))
+
+    def field_of(self, name: str) -> NumberField:
+        return super().field_of(name.rpartition(".")[2])  # "1.axis" is the axis of coordinate 1
 
     def number(self, name: str) -> Array:
         if name.endswith("axis"):

@@ -16,9 +16,9 @@ from newton_euler.errors import (
     listed,
     quoted,
     real_array,
-    set_numbers,
 )
 from newton_euler.model.elements import CoordinateForce, Surroundings
+from newton_euler.model.fields import NumberField
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism, check_coordinate
 from newton_euler.model.motions import TimeFunction, terms
@@ -27,6 +27,8 @@ from newton_euler.model.variable import functions_of
 from newton_euler.scalars import Array, Scalar
 
 DRIVEN = ("target", "feedforward")  # attributes of laws that may be functions of time
+TARGET = NumberField("m", "rad", may_be_function=True)
+FEEDFORWARD = NumberField("N", "N m", may_be_function=True, strength="actuator")
 NO_FORCES: Mapping[Key, Scalar] = {}
 
 Readings = Mapping[Key, Sequence[Any]]
@@ -75,9 +77,12 @@ class DeclaredLaw(ControlLaw):
     target: float | TimeFunction
     feedforward: float | TimeFunction
 
-    parameters = ("stiffness", "damping", "target", "feedforward")
-    functions: ClassVar[tuple[str, ...]] = DRIVEN
-    strengths: ClassVar = {"actuator": ("stiffness", "damping", "feedforward")}
+    number_fields: ClassVar = {
+        "stiffness": NumberField("N/m", "N m/rad", strength="actuator"),
+        "damping": NumberField("N s/m", "N m s/rad", strength="actuator"),
+        "target": TARGET,
+        "feedforward": FEEDFORWARD,
+    }
 
     @property
     def is_driven(self) -> bool:
@@ -97,10 +102,6 @@ class DeclaredLaw(ControlLaw):
     @property
     def reads(self) -> tuple[Key, ...]:
         return tuple(self.feedback)
-
-    def _set_numbers(self, names: Sequence[str]) -> None:
-        functions = [name for name in DRIVEN if isinstance(getattr(self, name), TimeFunction)]
-        set_numbers(self, self.element, [name for name in names if name not in functions])
 
     def references(self, time: Scalar) -> dict[Key, Reference]:
         """Return the wanted values of the coordinates that it reads, at a time in s."""
@@ -171,7 +172,7 @@ class PD(DeclaredLaw):
     gravity_compensation: bool = False
 
     def __post_init__(self) -> None:
-        self._set_numbers(self.parameters)
+        self.set_numbers(self.element)
         check_key(self.element, self.joint, self.coordinate)
         check_flag(self.element, self, "gravity_compensation")
 
@@ -218,13 +219,16 @@ class StateFeedback(DeclaredLaw):
     feedforward: float | TimeFunction = 0.0
     targets: Mapping[str | Key, float | TimeFunction] = ()  # type: ignore[assignment]
 
-    parameters = ("gains", "target", "feedforward", "targets")
-    functions = (*DRIVEN, "targets")
-    strengths: ClassVar = {"actuator": ("gains", "feedforward")}
+    number_fields: ClassVar = {
+        "gains": NumberField(shape=None, strength="actuator"),
+        "target": TARGET,
+        "feedforward": FEEDFORWARD,
+        "targets": NumberField(shape=None, may_be_function=True),
+    }
 
     def __post_init__(self) -> None:
         where = self.element
-        self._set_numbers(DRIVEN)
+        self.set_numbers(where)
         check_key(where, self.joint, self.coordinate)
         gains = {key: (float(k_p), float(k_d)) for key, (k_p, k_d) in self._by_key("gains", (2,)).items()}
         targets = self._by_key("targets", ())
@@ -304,11 +308,15 @@ class ComputedTorque(DeclaredLaw):
     feedforward: float | TimeFunction = 0.0
     model: Mapping[str, Any] = ()  # type: ignore[assignment]
 
+    number_fields: ClassVar = DeclaredLaw.number_fields | {
+        "stiffness": NumberField("1/s^2", strength="actuator"),
+        "damping": NumberField("1/s", strength="actuator"),
+    }
     constant: ClassVar = DeclaredLaw.constant | {"model": "what a controller knows, the same in all runs"}
     uses_model = True
 
     def __post_init__(self) -> None:
-        self._set_numbers(self.parameters)
+        self.set_numbers(self.element)
         check_key(self.element, self.joint, self.coordinate)
         given: Any = {} if isinstance(self.model, tuple) and not self.model else self.model
         try:

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number, items_of, quoted
+from newton_euler.model.fields import NumberField
 from newton_euler.model.joint import Key
 from newton_euler.model.variable import WHICH, Change, Variable
 from newton_euler.scalars import Array
@@ -71,7 +72,7 @@ class Gear(JointCoupling):
     driver_coordinate: int = 0
     follower_coordinate: int = 0
     kind: ClassVar[str] = "gear"
-    parameters = ("ratio",)
+    number_fields: ClassVar = {"ratio": NumberField(shape=None, allowed="nonzero", moves_loops=True)}
     constant: ClassVar = {"driver_coordinate": WHICH, "follower_coordinate": WHICH}
 
     def factors(self) -> dict[tuple[str, int], float]:
@@ -129,7 +130,7 @@ class PolynomialCoupling(JointCoupling):
     driver_coordinate: int = 0
     follower_coordinate: int = 0
     kind: ClassVar[str] = "polynomial coupling"
-    parameters = ("coefficients",)
+    number_fields: ClassVar = {"coefficients": NumberField(shape=None, moves_loops=True)}
     constant: ClassVar = {"driver_coordinate": WHICH, "follower_coordinate": WHICH}
 
     def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:
@@ -191,7 +192,7 @@ class LinearCoupling(JointCoupling):
     name: str
     terms: tuple[tuple[str, int, float], ...]
     kind: ClassVar[str] = "coupling"
-    parameters = ("terms",)
+    number_fields: ClassVar = {"terms": NumberField(shape=None, allowed="nonzero", moves_loops=True)}
 
     def number(self, name: str) -> Array:
         return np.array([factor for _, _, factor in self.terms])

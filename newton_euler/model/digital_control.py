@@ -16,7 +16,6 @@ from newton_euler.errors import (
     is_whole,
     items_of,
     quoted,
-    set_numbers,
 )
 from newton_euler.model.control import (
     NO_FORCES,
@@ -29,6 +28,7 @@ from newton_euler.model.control import (
     StateFeedback,
     sensed,
 )
+from newton_euler.model.fields import NumberField
 from newton_euler.model.joint import Key
 from newton_euler.model.variable import Change
 from newton_euler.scalars import Array, Floats, Scalar
@@ -59,11 +59,15 @@ class HeldLaw(ControlLaw):
     period: float
     held: float
 
-    strengths: ClassVar = {}
+    number_fields: ClassVar = {"held": NumberField("N", "N m"), "period": NumberField("s", shape=None)}
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        return ()  # comparisons of models change no number of a controller
 
     @property
     def variables(self) -> tuple[str, ...]:
-        return "held", "period"
+        return tuple(self.number_fields)
 
     def _check_period(self) -> None:
         if not is_finite_number(self.period) or self.period < SHORTEST_PERIOD:
@@ -168,6 +172,12 @@ class Digital(HeldLaw):
     joint: str = field(init=False)
     coordinate: int = field(init=False)
 
+    number_fields: ClassVar = HeldLaw.number_fields | {
+        "resolution": NumberField("m", "rad", least=0.0),
+        "force_limit": NumberField("N", "N m", shape=None),
+        "slew_limit": NumberField("N/s", "N m/s", shape=None),
+        "stroke": NumberField(shape=None, allowed="joint"),
+    }
     constant: ClassVar = HeldLaw.constant | {"delay": "a whole number of samples"}
 
     def __post_init__(self) -> None:
@@ -182,7 +192,7 @@ class Digital(HeldLaw):
         if not is_whole(self.delay) or not 0 <= int(self.delay) <= LONGEST_DELAY:
             needed = f"a number of samples, 0 to {LONGEST_DELAY}"
             raise MechanismError(where, f"delay is {quoted(self.delay)}", needed)
-        set_numbers(self, where, ["resolution"], least=0.0)
+        self.set_numbers(where)
         for name in ("force_limit", "slew_limit"):
             value = getattr(self, name)
             if not _is_limit(value) or not value > 0.0:
@@ -194,8 +204,10 @@ class Digital(HeldLaw):
 
     @property
     def variables(self) -> tuple[str, ...]:
-        limits = ("resolution", "force_limit", "slew_limit", "stroke")
-        return (*super().variables, *limits, *self.law.variables)
+        return (*self.number_fields, *self.law.variables)
+
+    def field_of(self, name: str) -> NumberField:
+        return self.law.field_of(name) if name in self.law.variables else super().field_of(name)
 
     @property
     def constants(self) -> dict[str, str]:

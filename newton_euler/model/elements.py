@@ -15,6 +15,7 @@ import numpy as np
 from newton_euler.errors import MechanismError, listed, quoted
 from newton_euler.model import balls
 from newton_euler.model.constraints import Frame
+from newton_euler.model.fields import POINT
 from newton_euler.model.joint import Key, Pose
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_coordinate
 from newton_euler.model.variable import WHICH, Variable
@@ -49,15 +50,25 @@ class Element(Variable):
 
     Attributes:
         noun: messages begin with it.
-        strengths: attributes that the element is proportional to, by what they are the strength of.
         body_fields: attributes that are names of bodies.
-        functions: attributes that may be functions of time, or mappings to some.
     """
 
     noun: ClassVar[str]
-    strengths: ClassVar[Mapping[str, tuple[str, ...]]]
     body_fields: ClassVar[tuple[str, ...]] = ()
-    functions: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def strengths(self) -> dict[str, tuple[str, ...]]:
+        """Attributes that the element is proportional to, by what they are the strength of."""
+        kinds = dict.fromkeys(field.strength for field in self.number_fields.values() if field.strength)
+        return {
+            kind: tuple(name for name, field in self.number_fields.items() if field.strength == kind)
+            for kind in kinds
+        }
+
+    @property
+    def functions(self) -> tuple[str, ...]:
+        """Attributes that may be functions of time, or mappings to functions of time."""
+        return tuple(name for name, field in self.number_fields.items() if field.may_be_function)
 
     @property
     def on_ball(self) -> bool:
@@ -250,7 +261,7 @@ class OnPoint(OnBodies, AppliedForce):
     body: str
     point: Array
     body_fields = ("body",)
-    points = ("point",)
+    number_fields: ClassVar = {"point": POINT}
 
     def check(self, mechanism: Mechanism) -> None:
         """Raise `MechanismError` unless the mechanism has its body, a moving one."""

@@ -18,10 +18,7 @@ from newton_euler.errors import (
     MechanismError,
     check_key,
     check_texts,
-    is_finite_number,
     quoted,
-    set_arrays,
-    set_numbers,
 )
 from newton_euler.model import balls
 from newton_euler.model.constraints import Span
@@ -35,11 +32,14 @@ from newton_euler.model.elements import (
     OnPoint,
     Surroundings,
 )
+from newton_euler.model.fields import POINT, NumberField
 from newton_euler.model.mechanism import Mechanism, check_name
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array, Scalar, cross, sqrt
 
-ROTOR = {"rotor": ("inertia",)}
+SPRING = NumberField("N/m", "N m/rad", least=0.0, strength="spring")
+DAMPER = NumberField("N s/m", "N m s/rad", least=0.0, strength="damper")
+ROTOR = NumberField("kg", "kg m^2", positive=True, strength="rotor")
 
 
 class Spring(AppliedForce):
@@ -54,12 +54,12 @@ class Spring(AppliedForce):
     damping: float
 
     noun = "spring"
-    strengths: ClassVar = {"spring": ("stiffness",), "damper": ("damping",)}
+    number_fields: ClassVar = {"stiffness": SPRING, "damping": DAMPER}
 
     @property
     def active_parts(self) -> list[str]:
         """The parts of nonzero strength: "spring", "damper", or both."""
-        return [part for part, (value,) in self.strengths.items() if getattr(self, value)]
+        return [part for part, (name,) in self.strengths.items() if getattr(self, name)]
 
 
 @dataclass(frozen=True)
@@ -89,12 +89,11 @@ class JointSpring(CoordinateForce, Spring):
     rest: float = 0.0
     coordinate: int = 0
 
-    parameters = ("stiffness", "damping", "rest")
+    number_fields: ClassVar = Spring.number_fields | {"rest": NumberField("m", "rad")}
     kind_of_parameters = ".spring"
 
     def __post_init__(self) -> None:
-        set_numbers(self, self.element, ("stiffness", "damping"), 0.0)
-        set_numbers(self, self.element, ("rest",))
+        self.set_numbers(self.element)
         check_key(self.element, self.joint, self.coordinate)
 
     def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
@@ -138,13 +137,12 @@ class BallSpring(OnBall, Spring):
     damping: float = 0.0
     rest: ArrayField = (0.0, 0.0, 0.0)  # type: ignore[assignment]
 
-    parameters = ("stiffness", "damping", "rest")
+    number_fields: ClassVar = Spring.number_fields | {"rest": NumberField("rad", shape=(3,))}
     may_jump = True
 
     def __post_init__(self) -> None:
         check_texts(self.element, self, "joint")
-        set_numbers(self, self.element, ("stiffness", "damping"), 0.0)
-        set_arrays(self, self.element, rest=(3,))
+        self.set_numbers(self.element)
 
     def theta(self, at: Surroundings) -> Array:
         """Compute the rotation vector theta (3,), rad, world frame."""
@@ -225,16 +223,20 @@ class PointSpring(OnBodies, Spring):
     damping: float = field(default=0.0, kw_only=True)
 
     noun = "point spring"
-    parameters = ("stiffness", "rest_length", "damping")
+    number_fields: ClassVar = {
+        "point_on_first": POINT,
+        "point_on_second": POINT,
+        "stiffness": SPRING,
+        "rest_length": NumberField("m", least=0.0),
+        "damping": DAMPER,
+    }
     body_fields = ("first", "second")
-    points = ("point_on_first", "point_on_second")
     may_jump = True
 
     def __post_init__(self) -> None:
         check_name("point spring", self.name)
         check_texts(self.element, self, "first", "second")
-        set_arrays(self, self.element, point_on_first=(3,), point_on_second=(3,))
-        set_numbers(self, self.element, self.parameters, 0.0)
+        self.set_numbers(self.element)
 
     def check(self, mechanism: Mechanism) -> None:
         """Raise `MechanismError` unless the mechanism has its two bodies."""
@@ -325,13 +327,15 @@ class Wrench(OnPoint):
     frame: Literal["world", "body"] = "world"
 
     noun = "wrench"
-    parameters = ("force", "torque")
-    strengths: ClassVar = {"wrench": ("force", "torque")}
+    number_fields: ClassVar = OnPoint.number_fields | {
+        "force": NumberField("N", shape=(3,), strength="wrench"),
+        "torque": NumberField("N m", shape=(3,), strength="wrench"),
+    }
 
     def __post_init__(self) -> None:
         check_name("wrench", self.name)
         check_texts(self.element, self, "body")
-        set_arrays(self, self.element, point=(3,), force=(3,), torque=(3,))
+        self.set_numbers(self.element)
         if not isinstance(self.frame, str) or self.frame not in ("world", "body"):
             raise MechanismError(self.element, f"frame is {quoted(self.frame)}", "'world' or 'body'")
 
@@ -375,12 +379,11 @@ class Armature(OnCoordinate):
     coordinate: int = 0
 
     noun = "armature"
-    parameters = ("inertia",)
-    strengths = ROTOR
+    number_fields: ClassVar = {"inertia": ROTOR}
     kind_of_parameters = ".rotor"
 
     def __post_init__(self) -> None:
-        _set_inertia(self)
+        self.set_numbers(self.element)
         check_key(self.element, self.joint, self.coordinate)
 
     def at_joint(self, at: Surroundings) -> Scalar:
@@ -417,12 +420,11 @@ class BallArmature(OnBall):
     inertia: float
 
     noun = "armature"
-    parameters = ("inertia",)
-    strengths = ROTOR
+    number_fields: ClassVar = {"inertia": ROTOR}
     kind_of_parameters = ".rotor"
 
     def __post_init__(self) -> None:
-        _set_inertia(self)
+        self.set_numbers(self.element)
         check_texts(self.element, self, "joint")
 
     def at_joint(self, at: Surroundings) -> Array:
@@ -434,10 +436,3 @@ class BallArmature(OnBall):
         omega = self.spin(at)
         square = omega @ omega
         return 0.5 * self.inertia * square
-
-
-def _set_inertia(armature: Armature | BallArmature) -> None:
-    inertia = armature.inertia
-    if not is_finite_number(inertia) or inertia <= 0.0:
-        raise MechanismError(armature.element, f"inertia is {quoted(inertia)}", "a positive finite number")
-    object.__setattr__(armature, "inertia", float(inertia))

@@ -29,6 +29,7 @@ from newton_euler.model.constraints import (
     Perpendicular,
 )
 from newton_euler.model.description import ArrayField, DefaultArrayField, description
+from newton_euler.model.fields import POINT, NumberField
 from newton_euler.model.variable import Variable
 from newton_euler.scalars import Array, Scalar, cross, sqrt
 
@@ -163,6 +164,11 @@ class Joint(Variable):
     actuated: bool = field(default=False, kw_only=True)
 
     kind: ClassVar[str]
+    number_fields: ClassVar = {
+        "point": replace(POINT, moves_loops=True),
+        "point_on_first": replace(POINT, moves_loops=True, opens_joints=True),
+        "point_on_second": replace(POINT, moves_loops=True, opens_joints=True),
+    }
     axis_names: ClassVar[tuple[str, ...]] = ()
     vector_names: ClassVar[tuple[str, ...]] = ()
     """Attributes that are vectors (3,), or rows of them, beside those of `axis_names`."""
@@ -182,10 +188,7 @@ class Joint(Variable):
 
     @property
     def variables(self) -> tuple[str, ...]:
-        return (*POINTS, *self.axis_names)
-
-    def number(self, name: str) -> Array:
-        return np.zeros(3) if name in POINTS else super().number(name)
+        return tuple(self.number_fields)
 
     @property
     def described(self) -> Self:
@@ -317,6 +320,9 @@ class AxisJoint(Joint):
 
     axis: ArrayField = field(kw_only=True)
     axis_names: ClassVar[tuple[str, ...]] = ("axis",)
+    number_fields: ClassVar = Joint.number_fields | {
+        "axis": NumberField(shape=None, allowed="axis", moves_loops=True)
+    }
     along: ClassVar[tuple[MotionKind, ...]] = ()
     """Motions along and about the axis, in their order."""
 

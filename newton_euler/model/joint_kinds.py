@@ -14,6 +14,7 @@ from newton_euler.errors import MechanismError, is_finite_number, quoted
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Constraint, Distance, Perpendicular, Reversed
 from newton_euler.model.description import ArrayField, description
+from newton_euler.model.fields import NumberField
 from newton_euler.model.joint import (
     BALL_MOTION,
     LEAST_LENGTH,
@@ -64,6 +65,9 @@ class Universal(Joint):
     axis_on_second: ArrayField = field(kw_only=True)
     kind: ClassVar[str] = "universal"
     axis_names: ClassVar[tuple[str, ...]] = ("axis_on_first", "axis_on_second")
+    number_fields: ClassVar = Joint.number_fields | dict.fromkeys(
+        ("axis_on_first", "axis_on_second"), NumberField(shape=None, allowed="joint", moves_loops=True)
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -176,6 +180,9 @@ class Screw(Cylindrical):
 
     pitch: float = field(kw_only=True)
     kind: ClassVar[str] = "screw"
+    number_fields: ClassVar = AxisJoint.number_fields | {
+        "pitch": NumberField("m/rad", shape=None, allowed="nonzero", moves_loops=True)
+    }
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -183,10 +190,6 @@ class Screw(Cylindrical):
             needed = "a finite number of meters per radian, not 0"
             raise MechanismError(f"joint {quoted(self.name)}", f"pitch is {quoted(self.pitch)}", needed)
         object.__setattr__(self, "pitch", float(self.pitch))
-
-    @property
-    def variables(self) -> tuple[str, ...]:
-        return (*super().variables, "pitch")
 
 
 @description
@@ -256,6 +259,9 @@ class Rod(Joint):
     """
 
     kind: ClassVar[str] = "rod"
+    number_fields: ClassVar = Joint.number_fields | {
+        "length": NumberField("m", shape=None, moves_loops=True, opens_joints=True)
+    }
     only_closes: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -273,10 +279,6 @@ class Rod(Joint):
     def length(self) -> float:
         """m, which stays where points vary."""
         return math.dist(self.reaction_point, self.point)
-
-    @property
-    def variables(self) -> tuple[str, ...]:
-        return (*super().variables, "length")
 
     def varied(self, values: Mapping[str, Any]) -> Self:
         return super().varied({"length": self.length, **values})

@@ -29,6 +29,7 @@ from newton_euler.model.constraints import Frame
 from newton_euler.model.couplings import JointCoupling
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.fields import NumberField
 from newton_euler.model.geometry import UNIT_TOLERANCE, Capsule, Mesh, Shape, Solid, total
 from newton_euler.model.joint import Joint, JointEquations, Key, Pose
 from newton_euler.model.variable import Change, Variable
@@ -94,7 +95,12 @@ class Body(Variable):
     allow_unrealisable_inertia: bool = False
     meshes: tuple[Mesh, ...] = ()
 
-    parameters = ("mass", "center_of_mass", "inertia", "quaternion")
+    number_fields: ClassVar = {
+        "mass": NumberField("kg"),
+        "center_of_mass": NumberField("m", shape=(3,), moves_loops=True),
+        "inertia": NumberField("kg m^2", shape=(3, 3), allowed="inertia"),
+        "quaternion": NumberField(shape=(4,), allowed="direction", moves_loops=True),
+    }
     constant: ClassVar = {"shapes": LOOKS, "meshes": LOOKS}
 
     def __post_init__(self) -> None:

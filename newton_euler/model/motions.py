@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self, assert_never
+from typing import Any, ClassVar, Self, assert_never
 
 import numpy as np
 
 from newton_euler.errors import MechanismError, check_key, items_of, quoted
 from newton_euler.model.elements import OnCoordinate
+from newton_euler.model.fields import NumberField
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Piecewise, Spline, Steps
 from newton_euler.model.variable import Change, Function
@@ -162,9 +163,8 @@ class PrescribedMotion(OnCoordinate):
     coordinate: int = 0
 
     noun = "motion"
-    parameters = ("function",)
+    number_fields: ClassVar = {"function": NumberField(shape=None, may_be_function=True, moves_loops=True)}
     kind_of_parameters = ".motion"
-    functions = ("function",)
 
     def __post_init__(self) -> None:
         where, needed = self.element, "a Polynomial, Sine, Spline or Sum"

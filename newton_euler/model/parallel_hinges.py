@@ -11,6 +11,7 @@ import numpy as np
 from newton_euler.errors import MechanismError, check_flag, quoted, set_arrays
 from newton_euler.model.constraints import Angle, Constraint, Displacement, Distance, Frame, Jacobian, Span
 from newton_euler.model.description import DefaultArrayField, description
+from newton_euler.model.fields import NumberField
 from newton_euler.model.joint import LEAST_LENGTH, AxisJoint, Motion, Pose
 from newton_euler.scalars import Array, arctan2, cross, sqrt
 
@@ -117,6 +118,9 @@ class ParallelHinges(AxisJoint):
     offset: DefaultArrayField = field(kw_only=True)
     opposed: bool = field(default=False, kw_only=True)
     kind: ClassVar[str] = "parallel_hinges"
+    number_fields: ClassVar = AxisJoint.number_fields | {
+        "offset": NumberField("m", shape=None, moves_loops=True)
+    }
     vector_names: ClassVar[tuple[str, ...]] = ("offset",)
 
     def __post_init__(self) -> None:
@@ -146,10 +150,6 @@ class ParallelHinges(AxisJoint):
     def _across(self, vector: Array) -> Array:
         """Return the part of a vector (3,) that is perpendicular to the axis."""
         return np.asarray(vector - (self.axis @ vector) * self.axis)
-
-    @property
-    def variables(self) -> tuple[str, ...]:
-        return (*super().variables, "offset")
 
     def varied(self, values: Mapping[str, Any]) -> Self:
         """See `Joint.varied`; the offset turns with the axis, and is counted at the initial pose."""

@@ -24,6 +24,7 @@ from newton_euler.model.control import sensed
 from newton_euler.model.description import ArrayField, TupleField, description
 from newton_euler.model.digital_control import Digital, HeldLaw, Law, Sampled
 from newton_euler.model.elements import CoordinateForce, OnBall, check_elements
+from newton_euler.model.fields import NumberField
 from newton_euler.model.forces import Armature, BallArmature, Force, JointSpring
 from newton_euler.model.geometry import UNIT_TOLERANCE
 from newton_euler.model.joint import Key
@@ -111,7 +112,7 @@ class Scene(Variable):
     description: str = ""
     redundancy_tolerance: float = REDUNDANCY_TOLERANCE
 
-    parameters = ("gravity",)
+    number_fields: ClassVar = {"gravity": NumberField("m/s^2", shape=(3,))}
     constant: ClassVar = {
         "duration": "the same in all runs",
         "output_period": "the same in all runs",

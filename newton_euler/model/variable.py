@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 
+from newton_euler.model.fields import NumberField
 from newton_euler.scalars import Array, Scalar
 
 T = TypeVar("T")
@@ -17,40 +18,10 @@ T = TypeVar("T")
 Change = Callable[..., Any]
 """Makes an object with other values of its fields: `altered`, which takes whatever they are, or `replace`."""
 
-PARTS = ("angular_frequency", "phase")
-"""Numbers of functions of time that these are not linear in, by names that follow those of the attribute."""
+PARTS = {"angular_frequency": "rad/s", "phase": "rad"}
+"""Units of the numbers in which functions of time are not linear, by names that follow the attribute's."""
 
 WHICH = "which coordinate it is"  # reason why an index does not vary
-
-UNITS = {
-    **dict.fromkeys(("center_of_mass", "point", "point_on_first", "point_on_second"), "m"),
-    **dict.fromkeys(("length", "rest_length", "offset", "offsets", "first_side", "second_side"), "m"),
-    "gravity": "m/s^2",
-    "mass": "kg",
-    "inertia": "kg m^2",
-    "pitch": "m/rad",
-    "force": "N",
-    "torque": "N m",
-    "speed": "m/s",
-    "air_density": "kg/m^3",
-    "angular_frequency": "rad/s",
-    "phase": "rad",
-    "period": "s",
-}
-"""Of parameters by their attribute; those of `PointSpring` and of joint coordinates follow."""
-
-UNITS_ALONG = {
-    "stiffness": ("N/m", "N m/rad"),
-    "damping": ("N s/m", "N m s/rad"),
-    "rest": ("m", "rad"),
-    "target": ("m", "rad"),
-    "feedforward": ("N", "N m"),
-    "inertia": ("kg", "kg m^2"),
-    "resolution": ("m", "rad"),
-    "force_limit": ("N", "N m"),
-    "slew_limit": ("N/s", "N m/s"),
-}
-"""Of parameters of what acts along slides and points, and of what acts about hinges and balls."""
 
 
 def altered(thing: T, **fields: Any) -> T:
@@ -145,14 +116,39 @@ class Variable:
     """An element with numbers that may change from run to run without a new compilation.
 
     Attributes:
-        parameters: attributes that may change: numbers, arrays, functions of time, and mappings to such.
-        points: attributes that are points of bodies, (3,) in the world, of which displacements vary.
+        number_fields: declarations of the attributes that may change, by name.
         constant: attributes that do not change, with what they are instead.
     """
 
-    parameters: tuple[str, ...] = ()
-    points: ClassVar[tuple[str, ...]] = ()
+    number_fields: ClassVar[Mapping[str, NumberField]] = {}
     constant: ClassVar[Mapping[str, str]] = {}
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of attributes that may change and are no points."""
+        return tuple(name for name, field in self.number_fields.items() if not field.displaces)
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        """Names of attributes that are points of bodies, of which displacements vary."""
+        return tuple(name for name, field in self.number_fields.items() if field.displaces)
+
+    def field_of(self, name: str) -> NumberField:
+        """Return the declaration of one of `variables`."""
+        attribute, _, part = name.partition(".")
+        field = self.number_fields[attribute]
+        return replace(field, unit=PARTS[part], unit_about="") if part else field
+
+    def set_numbers(self, where: str) -> None:
+        """Replace numbers and arrays by floats and read-only arrays, checked by `number_fields`.
+
+        Raises:
+            MechanismError: naming `where` and the attribute, for a value that the field does not take.
+        """
+        for name, field in self.number_fields.items():
+            value = getattr(self, name)
+            if field.shape is not None and not (field.may_be_function and isinstance(value, Function)):
+                object.__setattr__(self, name, field.checked(where, name, value))
 
     @property
     def variables(self) -> tuple[str, ...]:
@@ -173,7 +169,8 @@ class Variable:
         """Names of all numbers that do not change, and what they are instead."""
         of_functions = {
             f"{attribute}.{name}": reason
-            for attribute in self.parameters
+            for attribute, field in self.number_fields.items()
+            if field.may_be_function
             for function in functions_of(getattr(self, attribute))
             for name, reason in function.constant.items()
         }

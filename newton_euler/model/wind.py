@@ -9,16 +9,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from newton_euler.arguments import Range, checked
-from newton_euler.errors import (
-    MechanismError,
-    check_texts,
-    quoted,
-    set_arrays,
-    set_numbers,
-)
+from newton_euler.errors import MechanismError, check_texts, quoted
 from newton_euler.model.balls import TINY
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.elements import OnPoint, Surroundings
+from newton_euler.model.fields import NumberField
 from newton_euler.model.mechanism import check_name
 from newton_euler.model.motions import Sum, TimeFunction
 from newton_euler.model.smooth_functions import Polynomial, Sine
@@ -94,19 +89,19 @@ class WindLoad(OnPoint):
     air_density: float = field(default=STANDARD_AIR, kw_only=True)
 
     noun = "wind load"
-    parameters = ("direction", "speed", "air_density")
-    strengths: ClassVar = {"wind": ("air_density",)}
-    functions: ClassVar = ("speed",)
-
-    @property
-    def variables(self) -> tuple[str, ...]:
-        return (*super().variables, "first_side", "second_side")
+    number_fields: ClassVar = OnPoint.number_fields | {
+        "direction": NumberField(shape=(3,), allowed="direction"),
+        "speed": NumberField("m/s", may_be_function=True),
+        "air_density": NumberField("kg/m^3", least=0.0, strength="wind"),
+        "first_side": NumberField("m", shape=(3,), allowed="joint"),
+        "second_side": NumberField("m", shape=(3,), allowed="joint"),
+    }
 
     @np.errstate(all="ignore")  # squares overflow, and are refused
     def __post_init__(self) -> None:
         check_name(self.noun, self.name)
         check_texts(self.element, self, "body")
-        set_arrays(self, self.element, point=(3,), first_side=(3,), second_side=(3,), direction=(3,))
+        self.set_numbers(self.element)
         for vector in ("first_side", "second_side", "direction"):
             given = getattr(self, vector)
             if not 0.0 < given @ given < LONG * LONG:
@@ -116,9 +111,6 @@ class WindLoad(OnPoint):
         if abs(cosine) > SQUARE:
             problem = f"its sides have a cosine of {cosine:.3g}"
             raise MechanismError(self.element, problem, f"perpendicular sides, |cosine| at most {SQUARE:g}")
-        if not isinstance(self.speed, TimeFunction):
-            set_numbers(self, self.element, ("speed",))
-        set_numbers(self, self.element, ("air_density",), 0.0)
 
     @property
     def lengths(self) -> Array:

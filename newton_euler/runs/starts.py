@@ -40,7 +40,6 @@ from newton_euler.equations.independence import independent
 from newton_euler.equations.kinematics import TreeKinematics
 from newton_euler.equations.parameters import (
     PIECE,
-    is_kinematic,
     numbered,
     parameter_layout,
     pieces,
@@ -58,7 +57,6 @@ from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State, whole_revolutions
-from newton_euler.model.variable import UNITS
 from newton_euler.runs.assemble import coordinates_of, initial_state, measured_coordinate, with_angles
 from newton_euler.runs.homotopy import HomotopyRecord, assemble_all
 from newton_euler.runs.initial_coordinates import START_PREFIX, initial_numbers
@@ -97,7 +95,7 @@ class Assembly:
         self.scene, self.initial = scene, initial_numbers(scene, names)
         self._begin: dict[str, NativeFunction] = {}
         others = [name for name in names if name not in self.initial]
-        self.kinematic = [name for name, place in places(scene, others).items() if is_kinematic(place)]
+        self.kinematic = [name for name, place in places(scene, others).items() if place.field.moves_loops]
         self._names = {name: unambiguous(scene, name) for name in self.kinematic}
         self._rates = {number.key for number in self.initial.values() if number.order == 1}
         keys = dict.fromkeys(number.key for number in self.initial.values())
@@ -262,10 +260,9 @@ class Assembly:
         """Compute the number of homotopy steps (n,) of each run."""
         code, size = self.code, self.scene.mechanism.size
         units = np.ones(code.inputs)
-        for name in self._names.values():
+        for name, place in places(code.scene, self._names.values()).items():
             count = max(1, math.prod(code.parameters[name]))
-            attribute = name.partition("].")[2].partition(".")[0]
-            units[code.place(name) :][:count] = size if UNITS.get(attribute) == "m" else 1.0
+            units[code.place(name) :][:count] = size if place.field.unit == "m" else 1.0
         for key, name in self._driven.functions.items():
             units[code.place(name)] = size if self.scene.mechanism.is_slide(*key) else 1.0
             units[code.place(name) + 1] = np.inf  # rates move nothing

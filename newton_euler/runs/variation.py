@@ -10,7 +10,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, Any, NamedTuple, TypeAlias
+from typing import Annotated, Any, NamedTuple, TypeAlias, assert_never
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from newton_euler.equations.parameters import (
     Owner,
     Place,
     element_of,
-    is_opening,
     own_value,
     parameter_values,
     places,
@@ -28,22 +27,17 @@ from newton_euler.equations.parameters import (
     with_values,
 )
 from newton_euler.errors import MechanismError, finite_array, quoted, real_array
-from newton_euler.model.compound_joint import Compound
-from newton_euler.model.control import ComputedTorque
+from newton_euler.model.elements import OnBall, OnCoordinate
+from newton_euler.model.fields import NumberField
 from newton_euler.model.initial_pose import coordinates_at, described_at
 from newton_euler.model.mechanism import LEAST, REALISABLE_TOLERANCE
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.model.variable import UNITS, UNITS_ALONG, functions_of
+from newton_euler.model.variable import functions_of
 from newton_euler.runs.initial_coordinates import RATE_SUFFIX, START_PREFIX, initial_numbers, own_initial
 from newton_euler.runs.starts import Assembly, assembly_of
 from newton_euler.scalars import Array, Floats
 
-RESTRICTED = frozenset({"axis_on_first", "axis_on_second", "first_side", "second_side", "stroke"})
-"""Attributes whose numbers restrict each other, or those of another attribute."""
-
-DIRECTIONS = frozenset({"direction", "axis", "quaternion"})  # attributes that are vectors of any length but 0
-NONZERO = frozenset({"ratio", "pitch", "terms"})  # attributes whose numbers are not 0
 SHORT, LONG = 1e-100, 1e100  # lengths of directions beyond which their constructors are asked
 CAREFUL = 1e-9  # relative margin within which inertias are suspicious
 
@@ -91,7 +85,7 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
         for error in errors.values():
             raise of_single_run(scene, error)
     numbers = {name: value for name, value in given.items() if name not in assembly.initial}
-    if not any(is_opening(place) for place in places(scene, numbers).values()):
+    if not any(place.field.opens_joints for place in places(scene, numbers).values()):
         changed = rebuilt(scene, numbers) if numbers else scene
         return replace(changed, initial_state=assembly.state(x)) if assembly.is_needed else changed
     varied, state = with_values(scene, numbers), assembly.state(x)
@@ -201,16 +195,13 @@ def units_of(scene: Scene, names: Iterable[str]) -> dict[str, str]:
 
 
 def _unit(scene: Scene, place: Place) -> str:
-    what, _, name = place.owner
-    element, attribute = element_of(scene, place.owner), name.rpartition(".")[2]
-    if functions_of(getattr(element, name, None)):
+    element, field = element_of(scene, place.owner), place.field
+    if functions_of(getattr(element, place.owner[2], None)):
         return ""
-    if attribute not in UNITS_ALONG or what == "bodies":
-        return UNITS.get(attribute, "")
-    if isinstance(element, ComputedTorque) or own_value(scene, place.owner).ndim:
-        return ""
-    along = not hasattr(element, "key") or (not element.on_ball and scene.mechanism.is_slide(*element.key))
-    return UNITS_ALONG[attribute][0 if along else 1]
+    about = isinstance(element, OnBall) or (
+        isinstance(element, OnCoordinate) and not scene.mechanism.is_slide(*element.key)
+    )
+    return field.unit_about if about and field.unit_about else field.unit
 
 
 def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunValues:
@@ -271,7 +262,9 @@ def _refuse(found: RunValues, run: int, name: str, problem: str, needed: str) ->
 def _check_element(scene: Scene, places_of: Mapping[str, Place], found: RunValues) -> None:
     """Check the values of parameters of one element, by name, in all runs."""
     stacks: dict[Owner, Array] = {}
-    for name, (owner, component) in places_of.items():
+    fields: dict[Owner, NumberField] = {}
+    for name, (owner, component, field) in places_of.items():
+        fields[owner] = field
         array = found.arrays[name]
         if component is None:
             stacks[owner] = array
@@ -284,12 +277,12 @@ def _check_element(scene: Scene, places_of: Mapping[str, Place], found: RunValue
             columns[component[::-1]] = array
     bad = np.zeros(0, dtype=int)
     for owner, stack in stacks.items():
-        bad = np.union1d(bad, _suspicious(scene, owner, stack))
+        bad = np.union1d(bad, _suspicious(scene, owner, fields[owner], stack))
     for k in bad.tolist():
         error = refusal(scene, {owner: stack[k] for owner, stack in stacks.items()})
         if error is None:
             continue
-        alone = [name for name, (owner, _) in places_of.items() if refusal(scene, {owner: stacks[owner][k]})]
+        alone = [name for name, (owner, *_) in places_of.items() if refusal(scene, {owner: stacks[owner][k]})]
         name = next(iter([*alone, *places_of]))
         value = found.arrays[name][k]
         problem = f"is {value.tolist()!r:.100}"
@@ -298,24 +291,27 @@ def _check_element(scene: Scene, places_of: Mapping[str, Place], found: RunValue
         _refuse(found, k, name, problem, error.needed)
 
 
-def _suspicious(scene: Scene, owner: Owner, stack: Array) -> Array:
-    """Find runs whose values (n, ...) of an attribute its element may not take."""
-    what, _, attribute = owner
-    if what == "bodies" and attribute == "inertia":
-        return np.flatnonzero(~_realisable(stack, element_of(scene, owner).allow_unrealisable_inertia))
+def _suspicious(scene: Scene, owner: Owner, field: NumberField, stack: Array) -> Array:
+    """Find the runs, of n, whose values (n, ...) of an attribute the constructor may refuse."""
     own, outside = own_value(scene, owner), np.zeros(len(stack), dtype=bool)
-    of_compound = attribute.endswith("axis") and isinstance(element_of(scene, owner), Compound)
-    if attribute in RESTRICTED or of_compound:
-        return np.flatnonzero(np.any(stack != own, axis=1))
-    if attribute in DIRECTIONS:
-        lengths = np.max(np.abs(stack), axis=1)
-        turned = outside
-        if attribute == "axis":  # by which components others are chosen
-            units = np.abs(stack) / np.maximum(np.linalg.norm(stack, axis=1, keepdims=True), SHORT)
-            turned = np.argmin(units.round(6), axis=1) != np.argmin(np.abs(own).round(6))
-        return np.flatnonzero(turned | (lengths < SHORT) | (lengths > LONG))
-    if attribute in NONZERO:
-        outside |= np.any(stack.reshape(len(stack), -1) == 0.0, axis=1)
+    match field.allowed:
+        case "inertia":
+            return np.flatnonzero(~_realisable(stack, element_of(scene, owner).allow_unrealisable_inertia))
+        case "joint":
+            return np.flatnonzero(np.any(stack != own, axis=1))
+        case "direction" | "axis":
+            lengths = np.max(np.abs(stack), axis=1)
+            outside |= (lengths < SHORT) | (lengths > LONG)
+            if field.allowed == "axis":  # the smallest component of an axis decides on the vectors across it
+                units = np.abs(stack) / np.maximum(np.linalg.norm(stack, axis=1, keepdims=True), SHORT)
+                outside |= np.argmin(units.round(6), axis=1) != np.argmin(np.abs(own).round(6))
+            return np.flatnonzero(outside)
+        case "nonzero":
+            outside |= np.any(stack.reshape(len(stack), -1) == 0.0, axis=1)
+        case "interval":
+            pass
+        case _:
+            assert_never(field.allowed)
     for component in np.ndindex(own.shape):
         column = np.moveaxis(stack, 0, -1)[component]
         low, high = _interval(scene, owner, own, component, np.unique(column))

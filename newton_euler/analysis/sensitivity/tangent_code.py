@@ -12,7 +12,7 @@ from newton_euler.codegen.compile import VERY_LARGE, Traced
 from newton_euler.codegen.expression import Graph, Program, differentiate_along, substitute
 from newton_euler.compiled.equations import CACHED_SCENES, used_by
 from newton_euler.equations.formulation import Formulation
-from newton_euler.equations.parameters import is_kinematic, places
+from newton_euler.equations.parameters import places
 from newton_euler.equations.row_choice import dimensionless_rows
 from newton_euler.equations.sparse import RowsInUse, least_squares, solve_constrained, sparse_vector
 from newton_euler.integrators.options import FormulationName
@@ -68,7 +68,7 @@ class TangentCode(CompiledScene):
         if not (SpanningTree(self.scene.mechanism).cuts or self.system.couplings):
             return False
         found = places(self.scene, self._named).values()
-        return any(is_kinematic(place) and place.owner[0] != "bodies" for place in found)
+        return any(place.field.moves_loops and place.owner[0] != "bodies" for place in found)
 
     def _traced(self, name: str, in_lanes: bool) -> Traced:
         if not name.endswith(ALONG):

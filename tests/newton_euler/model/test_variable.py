@@ -25,7 +25,7 @@ from newton_euler.model.motions import PrescribedMotion, Sum, TimeFunction
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Spline, Steps
 from newton_euler.model.state import State
-from newton_euler.model.variable import PARTS, UNITS, UNITS_ALONG, Variable
+from newton_euler.model.variable import PARTS, Variable
 
 SCENES = [*ELEMENTS.values(), *COUPLED.values(), *COMPOUNDS.values()]
 
@@ -119,13 +119,13 @@ def _has(element, name):
 
 
 MIXED = {"axis", "axis_on_first", "axis_on_second", "direction", "quaternion", "ratio", "terms"}
-MIXED |= {"coefficients", "gains", "targets", "function", "stroke", "held"}
+MIXED |= {"coefficients", "gains", "targets", "function", "stroke"}
 """Numbers without a unit, and with several."""
 
 
 def test_units_are_known():
-    last = {name.rpartition(".")[2] for element in EXAMPLES.values() for name in element.variables}
-    assert last == {*UNITS, *UNITS_ALONG} | MIXED
+    fields = [(name, each.field_of(name)) for each in EXAMPLES.values() for name in each.variables]
+    assert {name.rpartition(".")[2] for name, field in fields if not field.unit} == MIXED
 
 
 def test_the_list_of_parameters_is_complete():
@@ -138,9 +138,11 @@ def test_the_list_of_parameters_is_complete():
         on_joint = "ball" if isinstance(element, OnBall) else ""
         kind = f"{on_joint}{getattr(element, 'kind_of_parameters', '')}.".removeprefix(".")
         names |= {kind + re.sub(r"^\d\.", "", name) for name in element.variables}
-    of_functions = {name for name in names if name.endswith(PARTS)}
+    of_functions = {name for name in names if name.endswith((*PARTS,))}
     assert {name.rpartition(".")[2] for name in of_functions} == set(PARTS)
-    listed = {name for name in documented if not name.startswith("newton_euler") and not name.endswith(PARTS)}
+    listed = {
+        name for name in documented if not name.startswith("newton_euler") and not name.endswith((*PARTS,))
+    }
     assert names - of_functions == listed | {"held"}
 
 

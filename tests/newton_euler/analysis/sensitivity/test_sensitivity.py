@@ -17,7 +17,7 @@ from newton_euler import compile_scene, equilibrium, sensitivities, simulate_bat
 from newton_euler.analysis.sensitivity.tangent_code import tangent_code
 from newton_euler.analysis.sensitivity.tangent_run import FollowedRun
 from newton_euler.analysis.sensitivity.tangent_starts import Starts, own_numbers
-from newton_euler.equations.parameters import is_kinematic, parameter_values, places
+from newton_euler.equations.parameters import parameter_values, places
 from newton_euler.integrators.options import Options
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import LinearCoupling
@@ -134,7 +134,7 @@ def numbers_of(value):
 
 
 def is_geometry(scene, name):
-    return any(is_kinematic(place) for place in places(scene, [name]).values())
+    return any(place.field.moves_loops for place in places(scene, [name]).values())
 
 
 def single_directions(values):
