@@ -1,11 +1,10 @@
-"""Runs public model files one by one and writes the table of docs/results/models.md.
+"""Public models: run `crosscheck run` on a list of model files, and write the table docs/results/models.md.
 
     python -m crosscheck.studies.models docs/results/models.yaml FOLDER --write docs/results/models.md
 
-FOLDER holds the repositories as OWNER/NAME. Each file is run by `crosscheck run` in a process of its own,
-which has a limit of processor time. The findings are kept in a JSON file beside the results; with
-`--only TEXT`, files whose path holds no such text keep the findings of before. Who is right where models do
-not agree, and why, is for people to find out, and for the list to say.
+FOLDER contains the repositories as OWNER/NAME. Each file runs in a separate process with a limit of CPU time.
+The results are stored in a JSON file of the output folder. With `--only TEXT`, only files whose path contains
+TEXT are run again. If a verdict is not AGREE, a person finds out the reason and writes it into the list.
 """
 
 from __future__ import annotations
@@ -35,36 +34,36 @@ from crosscheck.support.files import write_files
 from newton_euler.folders import make_folder
 from newton_euler.reading.import_report import ACTING, FATES, ImportedElement, ImportReport
 
-MAX_PROCESSOR_TIME = 600
-"""s for one model; processor time, so that other work on the machine changes no verdict."""
+MAX_CPU_TIME = 600
+"""s, CPU time of one model. CPU time makes verdicts independent of other load."""
 
 MAX_WALL_TIME = 3600.0
-"""s for one model that waits for something."""
+"""s, wall time of one model."""
 
-BEGIN, END = "<!-- models: begin -->", "<!-- models: end -->"
-"""Between them stands what is written."""
+TABLE_BEGIN, TABLE_END = "<!-- models: begin -->", "<!-- models: end -->"
+"""Marks in the Markdown file around the generated text."""
 
 REFUSED, TOO_LONG = "refused", "too long"
-"""Verdicts of models that no outcome is known of: a file is refused, a run lasts too long."""
+"""Verdicts of models without an outcome: the file was rejected, or the run reached a time limit."""
 
 VERDICTS = (*(outcome.value for outcome in Outcome), REFUSED, TOO_LONG)
-"""Verdicts of a model, in the order in which they are counted."""
+"""Verdicts of a model, in the order of the counts in the table."""
 
-JUDGED = (ExitStatus.AGREE, ExitStatus.DISAGREE, ExitStatus.UNFINISHED, ExitStatus.REDUCED)
-"""Exit statuses of runs that leave a summary."""
+STATUS_WITH_SUMMARY = (ExitStatus.AGREE, ExitStatus.DISAGREE, ExitStatus.UNFINISHED, ExitStatus.REDUCED)
+"""Exit statuses of runs that write a summary."""
 
-MAX_REASON = 240
-"""Characters of a reason in the table."""
+MAX_REASON_LENGTH = 240
+"""Characters, longest reason in the table."""
 
 
-class Entry(BaseModel):
-    """A file of the list.
+class ListedModel(BaseModel):
+    """A model file of the list.
 
     Attributes:
         file: path in its repository.
-        options: of `crosscheck run`, see `crosscheck list`.
-        why: who is right and why, for a model that does not agree.
-        ours: whether that is a fault or a lack of crosscheck.
+        options: options of `crosscheck run`, see `crosscheck list`.
+        why: reason why the verdict is not AGREE, found by a person.
+        ours: True if the reason is an error or a limitation of crosscheck.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -76,28 +75,33 @@ class Entry(BaseModel):
 
 
 class Repository(BaseModel):
-    """Files of one repository, OWNER/NAME."""
+    """Model files of one repository.
+
+    Attributes:
+        repository: OWNER/NAME.
+        options: options of all files.
+        files: the files.
+    """
 
     model_config = ConfigDict(extra="forbid")
 
     repository: str
     options: dict[str, Any] = Field(default_factory=dict)
-    """Of all its files."""
-    files: list[Entry]
+    files: list[ListedModel]
 
 
-class Found(BaseModel):
-    """Result of a run.
+class ModelResult(BaseModel):
+    """Result of a model file.
 
     Attributes:
         verdict: one of `VERDICTS`.
-        line: the verdict as `crosscheck run` has it, or the error.
-        reason: the part of the line that tells why the verdict is not AGREE.
-        first: kind of the first element that acted and was not simulated, such as "limits".
-        fates: how many elements became what, each as the worst that became of it.
-        covered: how many of the scene's elements the motion covers, and of how many.
-        lacks: what of the file the run lacks, in words.
-        processor_time: s, of all processes of the command.
+        line: verdict line of `crosscheck run`, or the error.
+        reason: part of the line that explains why the verdict is not AGREE.
+        first: kind of the first element that would have acted and was not simulated, such as "limits".
+        fates: numbers of elements by the result of their import (the worst result, if there are several).
+        covered: number of elements of the scene that the motion tests, as "3 of 4".
+        lacks: description of the parts of the file that were not simulated.
+        processor_time: s, CPU time of all processes of the command.
     """
 
     verdict: str
@@ -111,10 +115,10 @@ class Found(BaseModel):
 
 
 def read_list(path: Path) -> list[Repository]:
-    """The list of a YAML file.
+    """Read the list of models from a YAML file.
 
     Raises:
-        CrosscheckError: for a file that is no such list.
+        CrosscheckError: for a file that is not a list of models.
     """
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -123,8 +127,15 @@ def read_list(path: Path) -> list[Repository]:
         raise CrosscheckError(f"{path} is no list of models: {error}") from error
 
 
-def run_model(folder: Path, repository: Repository, entry: Entry, output: Path) -> Found:
-    """Run one file of a repository that is in `folder`, results to `output`."""
+def run_model(folder: Path, repository: Repository, entry: ListedModel, output: Path) -> ModelResult:
+    """Run `crosscheck run` on one model file.
+
+    Args:
+        folder: folder of the repositories.
+        repository, entry: the file.
+        output: folder of the results of `crosscheck run`.
+    """
+    # The command, with options of the repository and of the file
     home = folder / repository.repository
     path = home / entry.file
     options = repository.options | entry.options
@@ -133,6 +144,7 @@ def run_model(folder: Path, repository: Repository, entry: Entry, output: Path) 
     if "loops" in options:
         options["loops"] = str(path.parent / str(options["loops"]))
     settings = [part for name, value in options.items() for part in ("--set", f"{name}={value}")]
+    # Run it with limits of time
     shutil.rmtree(output, ignore_errors=True)
     command = [sys.executable, "-P", "-m", "crosscheck", "run", str(path), *settings, "--output", str(output)]
     before = _processor_time()
@@ -147,22 +159,23 @@ def run_model(folder: Path, repository: Repository, entry: Entry, output: Path) 
         )
     except subprocess.TimeoutExpired:
         line = f"more than {MAX_WALL_TIME:g} s"
-        return Found(verdict=TOO_LONG, line=line, processor_time=_processor_time() - before)
+        return ModelResult(verdict=TOO_LONG, line=line, processor_time=_processor_time() - before)
     used = _processor_time() - before
     if done.returncode == -signal.SIGXCPU:
-        line = f"more than {MAX_PROCESSOR_TIME} s of processor time"
-        return Found(verdict=TOO_LONG, line=line, processor_time=used)
+        line = f"more than {MAX_CPU_TIME} s of processor time"
+        return ModelResult(verdict=TOO_LONG, line=line, processor_time=used)
+    # A file that was rejected leaves an error, any other a summary
     summary = output / "summary.json"
-    if done.returncode not in JUDGED or not summary.exists():
+    if done.returncode not in STATUS_WITH_SUMMARY or not summary.exists():
         lines = [line for line in done.stderr.splitlines() if line.strip()] or [f"status {done.returncode}"]
         line = lines[-1].removeprefix("crosscheck: error: ").replace(f"{home}/", "")
-        return Found(verdict=REFUSED, line=line, reason=line, processor_time=used)
+        return ModelResult(verdict=REFUSED, line=line, reason=line, processor_time=used)
     content = json.loads(summary.read_text(encoding="utf-8"))
     report = ImportReport()
     report.entries = [ImportedElement(**each) for each in content["mapping"] or []]
     still = "nothing moves" if "nothing moves" in content["verdict"] else ""
     tested = [covered["tested"] for covered in content["coverage"] or []]
-    return Found(
+    return ModelResult(
         verdict=content["outcome"],
         line=content["verdict"],
         reason=_reason(content),
@@ -175,18 +188,19 @@ def run_model(folder: Path, repository: Repository, entry: Entry, output: Path) 
 
 
 def _limit_processor_time() -> None:
-    """Give a process that begins, and each that it starts, `MAX_PROCESSOR_TIME`."""
-    resource.setrlimit(resource.RLIMIT_CPU, (MAX_PROCESSOR_TIME, MAX_PROCESSOR_TIME + 1))
+    """Limit the CPU time of a new process, and of each process that it starts, to `MAX_CPU_TIME`."""
+    resource.setrlimit(resource.RLIMIT_CPU, (MAX_CPU_TIME, MAX_CPU_TIME + 1))
 
 
 def _processor_time() -> float:
-    """Sum the s of processor time of all processes that this one has started and that have ended."""
+    """Return the total CPU time, s, of all child processes that have ended."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
 def _reason(content: dict[str, Any]) -> str:
-    """Word why a summary does not say AGREE: what acted and was not simulated, or the rest of the verdict."""
+    """Return the reason why a verdict is not AGREE: elements that were not simulated, or the rest of the
+    line."""
     if content["outcome"] == Outcome.AGREE:
         return ""
     if content["outcome"] != Outcome.AGREE_ON_A_REDUCED_MODEL:
@@ -214,8 +228,8 @@ def _fates(report: ImportReport) -> dict[str, int]:
     return {fate: counts[k] for k, fate in enumerate(FATES)}
 
 
-def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterator[str]:
-    """The counts and the table in Markdown, models in the order of the list."""
+def table(repositories: Sequence[Repository], found: dict[str, ModelResult]) -> Iterator[str]:
+    """Yield the counts and the table in Markdown, with models in the order of the list."""
     pairs = [(entry, found.get(f"{r.repository}/{entry.file}")) for r in repositories for entry in r.files]
     known = [(entry, each) for entry, each in pairs if each is not None]
     counts = Counter(each.verdict for _, each in known)
@@ -254,27 +268,27 @@ def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterat
 
 
 def _shortened(reason: str) -> str:
-    return reason if len(reason) <= MAX_REASON else f"{reason[: MAX_REASON - 4].rstrip()} ..."
+    return reason if len(reason) <= MAX_REASON_LENGTH else f"{reason[: MAX_REASON_LENGTH - 4].rstrip()} ..."
 
 
 def write(path: Path, lines: Sequence[str]) -> None:
-    """Put lines between the marks of a Markdown file.
+    """Replace the text between the marks of a Markdown file.
 
     Raises:
-        CrosscheckError: for a file without them.
+        CrosscheckError: for a file without the marks.
     """
     text = path.read_text(encoding="utf-8")
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
+    before, begin, rest = text.partition(TABLE_BEGIN)
+    _, end, after = rest.partition(TABLE_END)
     if not begin or not end:
-        raise CrosscheckError(f"{path} has no lines {BEGIN} and {END}")
+        raise CrosscheckError(f"{path} has no lines {TABLE_BEGIN} and {TABLE_END}")
     write_files({path: "\n".join([before + begin, *lines, end + after]).encode()})
 
 
 @click.command()
 @click.argument("models", type=click.Path(path_type=Path))
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False, exists=True))
-@click.option("--only", default="", help="Run files whose path holds this text; the others stay as found.")
+@click.option("--only", default="", help="Run only files whose path contains this text.")
 @click.option("--write", "target", type=click.Path(path_type=Path), help="Markdown file to write into.")
 @click.option("--output", type=click.Path(path_type=Path), default="output/models", help="Folder.")
 def main(models: Path, folder: Path, only: str, target: Path | None, output: Path) -> None:
@@ -282,10 +296,10 @@ def main(models: Path, folder: Path, only: str, target: Path | None, output: Pat
     try:
         repositories = read_list(models)
         store = output / "models.json"
-        found: dict[str, Found] = {}
+        found: dict[str, ModelResult] = {}
         if store.exists():
             content = json.loads(store.read_text(encoding="utf-8"))
-            found = {name: Found.model_validate(each) for name, each in content.items()}
+            found = {name: ModelResult.model_validate(each) for name, each in content.items()}
         make_folder(output)
         for repository in repositories:
             for entry in repository.files:

@@ -1,9 +1,9 @@
 """Random mechanisms at random consistent states, each reproducible from (seed, number).
 
-A tree of 2 to 8 bodies grows from the ground by joints of random kinds; then up to three joints close
-loops. All joints are placed in one pose of the bodies, so that loops are closed by construction, and the
-mechanism is moved from there as far as its loops let it. One mechanism in six is flat: hinges, slides and
-planes of one normal, whose loops have three redundant equations each.
+A tree of 2 to 8 bodies grows from the ground by joints of random kinds. Then up to three joints close loops.
+All joints are placed in one pose of the bodies, so that the loops are closed by construction. Then the
+mechanism is moved to a random state that its loops allow. One mechanism in six is planar: its hinges, slides
+and planes share one normal, and each loop has three redundant constraints.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ from newton_euler.scalars import Array, cross
 GRAVITY = 9.81
 """m/s^2, in a random direction."""
 
-FLAT = 1.0 / 6.0
-"""Share of flat mechanisms."""
+PLANAR_FRACTION = 1.0 / 6.0
+"""Fraction of planar mechanisms."""
 
-OVERDETERMINED = 0.2
-"""Share of loops in other mechanisms that may have redundant equations."""
+REDUNDANT_LOOP_FRACTION = 0.2
+"""Fraction of loops in other mechanisms that may have redundant constraints."""
 
-REACHES = (0.5, 0.2, 0.05, 0.0)
-"""How far joints are moved from where loops were closed, tried in this order: rad, and sizes."""
+DISPLACEMENTS = (0.5, 0.2, 0.05, 0.0)
+"""rad or mechanism sizes, displacements of joints from the initial pose, tried in this order."""
 
-ATTEMPTS = 10
-"""At a joint or gear that leaves the mechanism a freedom; after those it does without."""
+MAX_ATTEMPTS = 10
+"""Largest number of attempts to add a joint or gear that leaves the mechanism a degree of freedom."""
 
-FRAMES: tuple[Literal["world", "body"], ...] = ("world", "body")
+WRENCH_FRAMES: tuple[Literal["world", "body"], ...] = ("world", "body")
 
 KINDS = (
     "fixed",
@@ -68,26 +68,34 @@ KINDS = (
     "rod",
     "free",
 )
-"""Joint kinds; another length or order makes other mechanisms of the same numbers."""
+"""Joint kinds. Another length or order of this list gives other mechanisms for the same numbers."""
 
-ROLLING = 0.25
+PARALLEL_HINGES_FRACTION = 0.25
 """Fraction of revolute joints that become two parallel hinges."""
 
-FLAT_KINDS = ("revolute", "prismatic", "planar", "fixed")
+PLANAR_KINDS = ("revolute", "prismatic", "planar", "fixed")
+"""Joint kinds of planar mechanisms."""
 
-ALONG = ("prismatic", "translational", "cylindrical", "screw", "point_on_line")
-"""Kinds whose second point may lie anywhere along the axis."""
+KINDS_ALONG_AXIS = ("prismatic", "translational", "cylindrical", "screw", "point_on_line")
+"""Joint kinds whose second point may lie anywhere along the axis."""
 
 
 class _Draft:
-    """A mechanism that grows; lengths are of the order of `length`, m, and masses of `mass`, kg."""
+    """Mechanism under construction.
+
+    Attributes:
+        rng, of_offsets, of_links: random generators. Features that were added later have their own
+            generators, so that the mechanisms of a number keep their other features.
+        length, mass: m and kg, orders of magnitude of lengths and masses.
+        normal: (3,) common normal of a planar mechanism, else None.
+    """
 
     def __init__(
         self, rng: np.random.Generator, of_offsets: np.random.Generator, of_links: np.random.Generator
     ) -> None:
         self.rng, self.of_offsets, self.of_links = rng, of_offsets, of_links
         self.length, self.mass = 10.0 ** rng.uniform(-1.0, 1.0, 2)
-        self.normal = _direction(rng) if rng.random() < FLAT else None
+        self.normal = _direction(rng) if rng.random() < PLANAR_FRACTION else None
         self.bodies = [Body.ground()]
         self.joints: list[Joint] = []
         self.gears: list[Gear] = []
@@ -100,14 +108,16 @@ class _Draft:
 
     @property
     def mechanism(self) -> Mechanism:
+        """The mechanism as far as it is built."""
         return Mechanism(self.bodies, self.joints, self.gears)
 
     def _vector(self, scale: float = 1.0) -> Array:
-        """(3,) m."""
+        """Return a random vector (3,), m."""
         return scale * self.length * self.rng.uniform(-1.0, 1.0, 3)
 
     def _grow(self, name: str) -> None:
-        """Add a body and the joint that it hangs on; the first joint is one that moves."""
+        """Add a body and a joint that connects it to an earlier body. The first joint of a mechanism can
+        move."""
         rng = self.rng
         parent = self.bodies[rng.integers(len(self.bodies))]
         center = parent.center_of_mass + _direction(rng) * self.length * rng.uniform(0.3, 1.0)
@@ -118,9 +128,9 @@ class _Draft:
         self.joints.append(joint)
 
     def _joint(self, name: str, one: Body, other: Body) -> Joint:
-        """A joint of a random kind between two bodies, either way round."""
+        """Make a joint of a random kind between two bodies, in random order of the bodies."""
         rng = self.rng
-        kinds = KINDS if self.normal is None else FLAT_KINDS
+        kinds = KINDS if self.normal is None else PLANAR_KINDS
         kind = JOINT_KINDS[kinds[rng.integers(len(kinds))]]
         first, second = (one, other) if rng.random() < 0.5 else (other, one)
         share = rng.uniform(0.2, 0.8)
@@ -129,7 +139,7 @@ class _Draft:
         if self.normal is not None:
             axis = _across(axis, self.normal) if kind.kind == "prismatic" else self.normal
         options: dict[str, Any] = dict.fromkeys(kind.axis_names, axis)
-        if kind.kind == "revolute" and self.of_links.random() < ROLLING:
+        if kind.kind == "revolute" and self.of_links.random() < PARALLEL_HINGES_FRACTION:
             kind = JOINT_KINDS["parallel_hinges"]
             options["offset"] = 0.3 * self.length * _direction(self.of_links)
             options["opposed"] = bool(self.of_links.random() < 0.5)
@@ -137,7 +147,7 @@ class _Draft:
             options["axis_on_second"] = _across(_direction(rng), axis)
         if kind.kind == "screw":
             options["pitch"] = _sign(rng) * self.length * rng.uniform(0.05, 0.3)
-        if kind.kind in ALONG:
+        if kind.kind in KINDS_ALONG_AXIS:
             options["point_on_second"] = point + (axis @ shift) * axis
         elif kind.kind == "planar":
             options["point_on_second"] = point + shift - (axis @ shift) * axis
@@ -157,23 +167,27 @@ class _Draft:
         return kind(name, first.name, second.name, point, **options)
 
     def _close(self, name: str) -> None:
-        """Add a joint between any two bodies that leaves a freedom and mostly adds equations of its own."""
+        """Add a joint between two bodies that closes a loop.
+
+        The joint leaves the mechanism a degree of freedom, and in most mechanisms adds no redundant
+        constraint.
+        """
         before = _rank(Mechanism(self.bodies, self.joints))[1]
-        for _ in range(ATTEMPTS):
+        for _ in range(MAX_ATTEMPTS):
             one, other = self.rng.choice(len(self.bodies), 2, replace=False)
             joint = self._joint(name, self.bodies[one], self.bodies[other])
             if joint.kind == "free":
-                continue  # which closes nothing
+                continue  # a free joint closes no loop
             freedoms, redundant = _rank(Mechanism(self.bodies, [*self.joints, joint]))
-            may_repeat = self.normal is not None or self.rng.random() < OVERDETERMINED
+            may_repeat = self.normal is not None or self.rng.random() < REDUNDANT_LOOP_FRACTION
             if freedoms > 0 and (may_repeat or redundant == before):
                 self.joints.append(joint)
                 return
 
     def _couple(self, name: str) -> None:
-        """Add a gear between any two joint coordinates that leaves a freedom."""
+        """Add a gear between two joint coordinates that leaves the mechanism a degree of freedom."""
         keys, rng = _coordinates(self.joints), self.rng
-        for _ in range(ATTEMPTS if len(keys) > 1 else 0):
+        for _ in range(MAX_ATTEMPTS if len(keys) > 1 else 0):
             (driver, i), (follower, j) = (keys[k] for k in rng.choice(len(keys), 2, replace=False))
             units = [self._unit(joint, number) for joint, number in ((driver, i), (follower, j))]
             ratio = _sign(rng) * rng.uniform(0.3, 3.0) * units[1] / units[0]
@@ -187,7 +201,7 @@ class _Draft:
         return float(self.length) if joint.coordinate_kinds[number] == "slide" else 1.0
 
     def forces(self) -> tuple[list[Force], list[Law]]:
-        """Springs, dampers, wrenches and PD laws now and then, of the order of the weight."""
+        """Make random springs, dampers, wrenches and PD controllers, of the order of the weight."""
         rng, weight = self.rng, self.mass * GRAVITY
         forces, control = list[Force](), list[Law]()
         for joint, coordinate in _coordinates(self.joints):
@@ -202,7 +216,7 @@ class _Draft:
         self.joints = [replace(joint, actuated=joint.name in driven) for joint in self.joints]
         if rng.random() < 0.3:
             forces.append(self._spring())
-        for frame in FRAMES:
+        for frame in WRENCH_FRAMES:
             if rng.random() < 0.2:
                 body = self.bodies[rng.integers(1, len(self.bodies))]
                 force, torque = weight * rng.normal(size=3), weight * self._vector()
@@ -226,19 +240,19 @@ class _Draft:
 
 
 def _direction(rng: np.random.Generator) -> Array:
-    """A unit vector, all directions alike."""
+    """Return a random unit vector, uniformly distributed."""
     return _unit(rng.normal(size=3))
 
 
 def _compound(rng: np.random.Generator) -> dict[str, Any]:
-    """Slides and hinges or a ball, along axes that are askew but not near a plane or a line."""
+    """Make the options of a compound joint: slides, and hinges or a ball, whose axes are well independent."""
     slides, hinges = rng.integers(0, 4, 2)
     ball = bool(hinges == 0 and rng.random() < 0.5)
     return {"slides": _askew(rng, slides), "hinges": _askew(rng, hinges), "ball": ball}
 
 
 def _askew(rng: np.random.Generator, count: int) -> Array:
-    """(count, 3) orthonormal axes, each turned by some tenths of a radian."""
+    """Return `count` orthonormal axes (count, 3), each rotated by some tenths of a radian."""
     axes = rotation(from_rotation_vector(rng.uniform(0.0, np.pi) * _direction(rng)))[:count]
     return np.array([_unit(axis + rng.uniform(-0.2, 0.2, 3)) for axis in axes]).reshape(-1, 3)
 
@@ -246,7 +260,7 @@ def _askew(rng: np.random.Generator, count: int) -> Array:
 def _of_balls(
     rng: np.random.Generator, draft: _Draft
 ) -> tuple[tuple[BallSpring, ...], tuple[BallArmature, ...]]:
-    """Springs, dampers and rotors on balls now and then, of the order of the weight and of the inertias."""
+    """Make random springs, dampers and rotors of balls, of the order of the weight and of the inertias."""
     torque, inertia = draft.mass * GRAVITY * draft.length, 0.1 * draft.mass * draft.length**2
     springs, rotors = list[BallSpring](), list[BallArmature]()
     for joint in draft.joints:
@@ -261,7 +275,7 @@ def _of_balls(
 
 
 def _wind(rng: np.random.Generator, draft: _Draft) -> tuple[WindLoad, ...]:
-    """Wind of the order of the weight on a plate of some body, now and then."""
+    """Make a random wind load on a plate of one body, of the order of the weight, in some mechanisms."""
     body = draft.bodies[rng.integers(1, len(draft.bodies))]
     (first, second, _), sizes = _askew(rng, 3), draft.length * rng.uniform(0.2, 1.0, 2)
     sides = {"first_side": sizes[0] * first, "second_side": sizes[1] * _across(second, first)}
@@ -276,7 +290,7 @@ def _unit(vector: Array) -> Array:
 
 
 def _across(vector: Array, axis: Array) -> Array:
-    """The unit vector nearest to a vector across a unit axis."""
+    """Return the unit vector along the part of a vector that is perpendicular to a unit axis."""
     return _unit(cross(axis, cross(vector, axis)))
 
 
@@ -285,7 +299,7 @@ def _sign(rng: np.random.Generator) -> float:
 
 
 def _body(rng: np.random.Generator, name: str, mass: float, center: Array, length: float) -> Body:
-    """A body of any realisable inertia: that of masses spread by different amounts along three axes."""
+    """Make a body with a random realizable inertia: masses spread by different amounts along three axes."""
     mass = mass * 10.0 ** rng.uniform(-1.0, 1.0)
     spread = (length * rng.uniform(0.03, 0.5, 3)) ** 2
     turn = rotation(from_rotation_vector(rng.uniform(0.0, np.pi) * _direction(rng)))
@@ -294,12 +308,12 @@ def _body(rng: np.random.Generator, name: str, mass: float, center: Array, lengt
 
 
 def _coordinates(joints: Sequence[Joint]) -> list[tuple[Joint, int]]:
-    """All hinges and slides."""
+    """List all hinge and slide coordinates as joint and number."""
     return [(joint, k) for joint in joints for k in range(len(joint.coordinate_kinds))]
 
 
 def _rank(mechanism: Mechanism) -> tuple[int, int]:
-    """Degrees of freedom and redundant equations at the initial pose."""
+    """Return the numbers of degrees of freedom and of redundant constraints at the initial pose."""
     system = Relative(Scene("draft", mechanism, duration=1.0, output_period=1.0))
     return _rank_at(system, system.coordinates(initial_state(system.scene))[0])
 
@@ -311,11 +325,12 @@ def _rank_at(system: Relative, q: Array) -> tuple[int, int]:
 
 
 def _moved(rng: np.random.Generator, mechanism: Mechanism) -> State:
-    """A state away from the initial pose, with velocities of 0.3 to 10 rad/s and sizes a second."""
+    """Find a state away from the initial pose, with velocities of 0.3 to 10 rad/s or mechanism sizes per
+    second."""
     system = Relative(Scene("draft", mechanism, duration=1.0, output_period=1.0))
     start, _ = system.coordinates(initial_state(system.scene))
     wanted = _rank_at(system, start)
-    for reach in REACHES:
+    for reach in DISPLACEMENTS:
         step = reach * system.velocity_units * rng.uniform(-1.0, 1.0, system.nv)
         try:
             q = project_position(system, system.retract(start, step))
@@ -325,11 +340,11 @@ def _moved(rng: np.random.Generator, mechanism: Mechanism) -> State:
             break
     speed = 10.0 ** rng.uniform(-0.5, 1.0)
     v = project_velocity(system, q, speed * system.velocity_units * rng.normal(size=system.nv))
-    return system.state(q, project_velocity(system, q, v))  # once more for the digits
+    return system.state(q, project_velocity(system, q, v))  # a second projection removes round-off
 
 
 def _motion(rng: np.random.Generator, scene: Scene) -> Scene:
-    """The scene with one joint coordinate on a prescribed motion, if that leaves a freedom."""
+    """Prescribe the motion of one joint coordinate, if a degree of freedom remains."""
     keys, state = _coordinates(scene.mechanism.joints), initial_state(scene)
     system, frames = Relative(scene), state.frames()
     before = _rank_at(system, system.coordinates(state)[0])
@@ -350,9 +365,13 @@ def _motion(rng: np.random.Generator, scene: Scene) -> Scene:
 
 
 def random_scene(seed: int, number: int) -> Scene:
-    """Random mechanism number `number` of a seed, in a random consistent state as its initial one."""
+    """Generate a random mechanism whose initial state is a random consistent state.
+
+    Args:
+        seed, number: whole numbers; equal pairs give equal scenes.
+    """
     rng = np.random.default_rng([seed, number])
-    # streams of their own: what was there before them stays
+    # separate generators for features that were added later, so that earlier features stay the same
     draft = _Draft(rng, np.random.default_rng([seed, number, 2]), np.random.default_rng([seed, number, 4]))
     forces, control = draft.forces()
     springs, rotors = _of_balls(np.random.default_rng([seed, number, 1]), draft)

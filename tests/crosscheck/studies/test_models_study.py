@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from crosscheck.studies.models import BEGIN, END, Found, main, read_list, table, write
+from crosscheck.studies.models import TABLE_BEGIN, TABLE_END, ModelResult, main, read_list, table, write
 from crosscheck.support.errors import CrosscheckError
 
 LIST = """models:
@@ -37,7 +37,7 @@ def test_the_table_has_counts_and_reasons(tmp_path: Path) -> None:
     repositories = read_list(tmp_path / "list.yaml")
     fates = {"exactly": 5, "inactive": 2, "left out": 3}
     found = {
-        "some/robots/arm.xml": Found(
+        "some/robots/arm.xml": ModelResult(
             verdict="AGREE",
             line="AGREE: all",
             fates=fates,
@@ -45,15 +45,15 @@ def test_the_table_has_counts_and_reasons(tmp_path: Path) -> None:
             lacks="3 elements are left out",
             processor_time=3.2,
         ),
-        "some/robots/broken.xml": Found(verdict="refused", line="error", fates={}, processor_time=1.0),
-        "some/robots/floor.xml": Found(
+        "some/robots/broken.xml": ModelResult(verdict="refused", line="error", fates={}, processor_time=1.0),
+        "some/robots/floor.xml": ModelResult(
             verdict="AGREE ON A REDUCED MODEL",
             line="",
             reason="without contact " + 300 * "x",
             first="contacts",
             processor_time=4.0,
         ),
-        "some/robots/other.urdf": Found(
+        "some/robots/other.urdf": ModelResult(
             verdict="DISAGREE", line="DISAGREE: part", reason="part", fates=fates, processor_time=2.0
         ),
     }
@@ -72,9 +72,9 @@ def test_the_table_has_counts_and_reasons(tmp_path: Path) -> None:
         " |  |  | 4 |",
     ]
     target = tmp_path / "models.md"
-    target.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")
+    target.write_text(f"before\n{TABLE_BEGIN}\nold\n{TABLE_END}\nafter\n")
     write(target, ["new", "lines"])
-    assert target.read_text() == f"before\n{BEGIN}\nnew\nlines\n{END}\nafter\n"
+    assert target.read_text() == f"before\n{TABLE_BEGIN}\nnew\nlines\n{TABLE_END}\nafter\n"
     target.write_text("no marks")
     with pytest.raises(CrosscheckError, match="has no lines"):
         write(target, [])
@@ -89,7 +89,7 @@ def test_files_are_run_each_by_itself(tmp_path: Path) -> None:
     (robots / "arm.xml").write_text(ARM)
     (robots / "broken.xml").write_text("<mujoco>")
     (robots / "floor.xml").write_text(FLOOR)
-    (tmp_path / "models.md").write_text(f"{BEGIN}\n{END}\n")
+    (tmp_path / "models.md").write_text(f"{TABLE_BEGIN}\n{TABLE_END}\n")
     arguments = ["list.yaml", str(tmp_path), "--write", "models.md", "--output", "out"]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path)
