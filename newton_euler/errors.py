@@ -366,11 +366,11 @@ class RoundOffWarning(UserWarning):
     def __init__(self, scene: str, formulation: str, rtol: float, atol: float, excess: float) -> None:
         self.excess = excess
         self.rtol = 10.0 ** ceil(log10(0.1 * excess * rtol))
-        other = "" if formulation == "cartesian" else ", or formulation='cartesian'"
+        other = "relative" if formulation == "cartesian" else "cartesian"
         super().__init__(
             f"scene {scene!r}: rtol {rtol:.3g} is below the round-off of the equations: error estimates of "
             f"steps are up to {excess:.2g} times the tolerance, which shorter steps would not change; "
-            f"use rtol={self.rtol:.0e}, atol={self.rtol * atol / rtol:.0e}{other}"
+            f"use rtol={self.rtol:.0e}, atol={self.rtol * atol / rtol:.0e}, or formulation={other!r}"
         )
 
 

@@ -118,6 +118,21 @@ def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) ->
     return Equations(system, partial(solve, *arguments), rates_at, start, nq)
 
 
+def articulated_bodies(scene: Scene) -> Callable[[], Array]:
+    """Make a call of no arguments that computes accelerations at the initial state by Pinocchio's `aba`.
+
+    Raises:
+        UrdfError: for a scene with loops, and for a force that `lcaba` does not know.
+    """
+    equations = equations_of(scene, 0.0, (0.0, 1))
+    system, start, nq = equations.system, equations.start, equations.nq
+    if system.closed.constraints:
+        raise UrdfError(f"scene {scene.name!r}: Pinocchio's aba knows no loops")
+    gains, constant = _laws(system.scene, system)
+    model, tau = system.closed.model, gains @ start + constant
+    return partial(pin.aba, model, model.createData(), start[:nq].copy(), start[nq:].copy(), tau)
+
+
 def _checked_equations(system: PinocchioSystem) -> Equations:
     """Those of `PinocchioSystem` itself, for what is no part of `constraintDynamics`."""
     to, nq = system.map, system.closed.model.nq

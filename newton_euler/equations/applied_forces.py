@@ -31,7 +31,7 @@ def surroundings(scene: Scene, state: State, time: float = 0.0) -> Surroundings:
     return Surroundings(mechanism, [body.pose for body in mechanism.bodies], frames, measured, time)
 
 
-def body_wrenches(scene: Scene, at: Surroundings) -> list[Array]:
+def applied_wrenches(scene: Scene, at: Surroundings) -> list[Array]:
     """Compute the wrenches (6,) of forces on each body, without those on joint coordinates.
 
     Force and torque about the center of mass, N and N m, world frame, ground first.

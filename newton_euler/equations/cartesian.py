@@ -31,7 +31,7 @@ from newton_euler.model.euler_parameters import matrix_g, matrix_l
 from newton_euler.model.joint import Key
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.state import State
-from newton_euler.scalars import Array, Scalar, sqrt, zeros
+from newton_euler.scalars import Array, Scalar, sqrt
 
 
 class Cartesian(CartesianTerms):
@@ -109,15 +109,12 @@ class Cartesian(CartesianTerms):
         """
         _, B = self.Phi_q_and_B(q, v)
         right = self.right_side(q, v)
-        force = self.g(q, v)
+        force = self._applied(q, v)
         mass: Rows = [{} for _ in force]
         scales = []
-        parts = zip(self.bodies, self.split(q), self.split(v), strict=True)
-        for k, (body, (_, p), (_, pdot)) in enumerate(parts):
+        for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
             linear, angular = slice(6 * k, 6 * k + 3), slice(6 * k + 3, 6 * k + 6)
-            term = self.l_h_pdot(body, p, pdot)
             scales.append(p @ p)
-            force[angular] = force[angular] - term  # g - b
             spread(mass[linear], linear.start, body.mass * np.eye(3))  # N_i
             spread(mass[angular], angular.start, body.inertia)  # J'_i
         factor = sparse.factorize(mass, range(len(mass)))
@@ -131,8 +128,17 @@ class Cartesian(CartesianTerms):
         soft = dict(enumerate([1.0 / inertia for inertia in inertias], start=self.rows))
         usual = rows.scales and rows.scales[: count + len(soft)]
         used = RowsInUse([*rows.numbers[:count], *soft], usual, flags=rows.flags)
-        push, right = sparse.sparse_vector(force), np.concatenate([right, gammas])
-        return Equations(factor, push, [*B, *of_rotors], right, used, refine=True, softness=soft)
+        free, right = factor.lower(sparse.sparse_vector(force)), np.concatenate([right, gammas])
+        return Equations(factor, free, [*B, *of_rotors], right, used, refine=True, softness=soft)
+
+    def _applied(self, q: Array, v: Array) -> Array:
+        """Compute g - b (6 n,) of eq. (21) for Euler parameters of norm 1."""
+        force = self.g(q, v)
+        parts = zip(self.bodies, self.split(q), self.split(v), strict=True)
+        for k, (body, (_, p), (_, pdot)) in enumerate(parts):
+            angular = slice(6 * k + 3, 6 * k + 6)
+            force[angular] = force[angular] - self.l_h_pdot(body, p, pdot)
+        return force
 
     def sparse_residuals(
         self, q: Array, v: Array, rows: RowsInUse, accelerations: Array, multipliers: Array
@@ -140,9 +146,7 @@ class Cartesian(CartesianTerms):
         """Compute the residuals of a sparse solution constraint by constraint, without the matrix B."""
         equations, frames = self.sparse_equations(q, v, rows), self.frames(q, v)
         # bodies: accelerations minus applied forces
-        force, right = zeros(len(accelerations), accelerations), -equations.gamma.astype(object)
-        for k, share in equations.force.items():
-            force[k] = -share
+        force, right = -self._applied(q, v), -equations.gamma.astype(object)
         moving = frames[:1]  # with accelerations in place of velocities
         for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
             linear, angular = slice(6 * k, 6 * k + 3), slice(6 * k + 3, 6 * k + 6)

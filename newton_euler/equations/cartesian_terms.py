@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.equations.applied_forces import body_wrenches
+from newton_euler.equations.applied_forces import applied_wrenches
 from newton_euler.equations.couplings import Measured
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.model_control import model_control
@@ -190,7 +190,7 @@ class CartesianTerms(Formulation):
     def g(self, q: Array, qdot: Array) -> Array:
         """Compute g (6 n,), eqs (20) and (24): applied f_i in the world and n'_i in the body."""
         frames = self.frames(q, qdot)
-        applied = body_wrenches(self.scene, self.seen(q, qdot))
+        applied = applied_wrenches(self.scene, self.seen(q, qdot))
         wrenches = [
             wrench + np.concatenate([body.mass * self.scene.gravity, np.zeros(3)])
             for body, wrench in zip(self.mechanism.bodies, applied, strict=True)

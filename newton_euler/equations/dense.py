@@ -27,7 +27,7 @@ def largest(residuals: Array) -> float:
 def singular_values(matrix: Array, full: bool = False) -> tuple[Array, Array, Array]:
     """Compute U, s and V^T of a matrix, reduced or `full`.
 
-    Raises `numpy.linalg.LinAlgError` for one that is not finite: LAPACK would go on for ever, or print.
+    Raises `numpy.linalg.LinAlgError` for a matrix that is not finite: LAPACK would not return, or print.
     """
     if not np.isfinite(matrix).all():
         raise np.linalg.LinAlgError("a matrix is not finite")
@@ -61,7 +61,7 @@ def minimum_norm(
     Args:
         matrix: (k, n); right: (k,).
         row_units, column_units: (k,) and (n,) units of the rows and of x.
-        max_rank: as of `independent_rows`.
+        max_rank: as in `independent_rows`.
     """
     if not matrix.size:
         return np.zeros(matrix.shape[1])
@@ -172,7 +172,7 @@ def orthonormal_null(matrix: Array, rank: int | None = None) -> Array:
 def least_squares(matrix: Array, right: Array, rank_tolerance: float | None = None) -> Array:
     """Compute the shortest of the least-squares solutions.
 
-    Raises `numpy.linalg.LinAlgError` for what is not finite: LAPACK might go on for ever.
+    Raises `numpy.linalg.LinAlgError` for numbers that are not finite: LAPACK might not return.
     """
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
         raise np.linalg.LinAlgError("a matrix is not finite")

@@ -40,14 +40,14 @@ REMEMBERED = 64  # states whose kinematics are kept
 
 
 class Servos(NamedTuple):
-    """Actuators and the joint coordinates whose accelerations they are to make."""
+    """Actuators, and the joint coordinates that get wanted accelerations by the actuators."""
 
     coordinates: tuple[Key, ...]
-    """(d,) independent of each other."""
+    """(d,) coordinates z, independent of each other."""
     actuators: tuple[Key, ...]
-    """(a,) on the same coordinates, or as many at least where z determines the whole motion."""
+    """(a,) coordinates of the actuators: z, or at least d others if z determines the whole motion."""
     rows: RowsInUse
-    """Of the constraints."""
+    """Constraint rows in use."""
     scales: list[float] | None = None
     """Usual sizes of the pivots of these rows and of those of the coordinates; None where unknown."""
 
@@ -64,7 +64,7 @@ class Formulation(System):
 
     Attributes:
         K_D, K_P: Baumgarte's gains, 1/s and 1/s^2.
-        time: s, at which prescribed motions are evaluated.
+        time: time of prescribed motions, s.
         equations: of all joints, in body frames of the reference `poses`.
         constrained: of the joints that have multipliers in this form.
         rows: number of equations of these joints and of the couplings.
@@ -197,7 +197,7 @@ class Formulation(System):
         raise NotImplementedError
 
     def sparse_equations(self, q: Array, v: Array, rows: RowsInUse) -> Equations:
-        """Compute all that `sparse_solution` solves for the accelerations that the form has there."""
+        """Compute the equations that `sparse_solution` solves for the form's own accelerations."""
         raise NotImplementedError
 
     def sparse_residuals(
@@ -224,13 +224,13 @@ class Formulation(System):
     def reactions(
         self, q: Array, v: Array, vdot: Array, bodies: tuple[Array, Array], multipliers: Array
     ) -> tuple[Array, Array]:
-        """Compute forces and torques (j, 3) of joints; `bodies` are the accelerations of these."""
+        """Compute forces and torques (j, 3) of joints from accelerations `bodies` of all bodies."""
         raise NotImplementedError
 
     # Coordinates
 
     def remembered(self, q: Array, v: Array, compute: Callable[[Array, Array], T]) -> T:
-        """Return compute(q, v), that of an earlier call if it was of one of the last `REMEMBERED` states."""
+        """Return compute(q, v), or the result of an earlier call for one of the last `REMEMBERED` states."""
         # over generic scalars the bytes tell which objects they are, which the copies keep alive
         state = (q.dtype, q.tobytes(), v.dtype, v.tobytes())
         known = self._states  # is replaced, never changed: other threads may be reading
@@ -419,7 +419,7 @@ class Formulation(System):
         for place, unit in zip(places, units, strict=True):
             only = np.zeros(len(equations.gamma))
             only[place] = unit
-            tangent = sparse.solve_constrained(equations._replace(force={}, gamma=only)).acceleration
+            tangent = sparse.solve_constrained(equations._replace(free={}, gamma=only)).acceleration
             shares.append(sparse_vector([dot(row, tangent) / on[k] for k, row in enumerate(acting)]))
         found, pivot_ratio = sparse.least_squares(shares, forces * units)
         forces = np.array([found.get(k, 0.0) / unit for k, unit in enumerate(on)])
@@ -449,7 +449,7 @@ class Formulation(System):
         return self._evaluation(q, v, *self.solve(q, v))
 
     def sparse_evaluation(self, q: Array, v: Array, rows: RowsInUse) -> tuple[Evaluation, Scalar]:
-        """Evaluate by sparse elimination over generic scalars; also the pivot ratio of that."""
+        """Evaluate by sparse elimination over generic scalars; return the pivot ratio, too."""
         solution = self.sparse_solution(q, v, rows)
         multipliers = np.array([solution.multipliers.get(k, 0.0) for k in range(self.rows)])
         vdot = self.sparse_vdot(q, v, solution)

@@ -1,17 +1,19 @@
 """Kinematics of a scene in the coordinates of its spanning tree, over generic scalars.
 
-Body by body from the ground to the leaves; then the constraints of the loops, Phi and their Jacobian. Body
-frames are those of the tree: parallel to the world at the initial pose.
+The bodies come one by one, from the ground to the leaves, then the constraints of the loops: Phi and its
+Jacobian. Body frames are those of the tree, parallel to the world at the initial pose.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, assert_never
 
 import numpy as np
 
+from newton_euler.equations.articulated import Axis
 from newton_euler.equations.couplings import Coupling, Measured
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.sparse import Rows, add
@@ -22,7 +24,7 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree, TreeJoint
 from newton_euler.model.state import State
-from newton_euler.scalars import Array, cos, cross, cross_of, sin, tilde
+from newton_euler.scalars import Array, cos, cross, sin, tilde
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +33,11 @@ class Link:
 
     Attributes:
         frame: pose and velocity; the rotation is that of the body's tree frame.
-        acceleration, angular_acceleration: (3,) at qddot = 0: the velocity-product part; at another one
-            where residuals are computed.
-        path: indices of the joint velocities that move the body.
-        linear, angular: (3, len(path)) velocity transformation: v = linear @ qdot[path].
+        acceleration, angular_acceleration: (3,) of the center of mass; at qddot = 0 unless accelerations are
+            given to `tree_links`.
+        path: numbers of the joint velocities that move the body.
+        axes: axes of these velocities.
+        lever: (3,) from the point of the last axis to the center of mass, world frame, m.
         orientation: (4,) the rotation as Euler parameters, continuous in the joint coordinates.
     """
 
@@ -42,9 +45,24 @@ class Link:
     acceleration: Array
     angular_acceleration: Array
     path: list[int]
-    linear: Array
-    angular: Array
+    axes: list[Axis]
+    lever: Array
     orientation: Array
+
+    @cached_property
+    def linear(self) -> Array:
+        """Velocity transformation (3, len(path)): v = linear @ qdot[path]."""
+        columns, lever = list[Array](), self.lever
+        for axis in reversed(self.axes):
+            columns.append(axis.direction if axis.slides else cross(axis.direction, lever))
+            lever = axis.arm + lever
+        return np.array(columns[::-1]).T if columns else np.zeros((3, 0))
+
+    @cached_property
+    def angular(self) -> Array:
+        """Velocity transformation (3, len(path)): omega = angular @ qdot[path]."""
+        columns = [np.zeros(3) if axis.slides else axis.direction for axis in self.axes]
+        return np.array(columns).T if columns else np.zeros((3, 0))
 
 
 def rotation_about(axis: Array, angle: Array) -> Array:
@@ -57,8 +75,8 @@ def tree_links(mechanism: Mechanism, tree: SpanningTree, q: Array, v: Array, vdo
     """Compute the kinematics of all bodies, ground first, at q (nq,), v (nv,) and vdot (nv,)."""
     ground = mechanism.bodies[0]
     zero = np.zeros(3)
-    frame, none = Frame(ground.center_of_mass, np.eye(3), zero, zero), np.zeros((3, 0))
-    root = Link(frame, zero, zero, [], none, none, np.array([1.0, 0.0, 0.0, 0.0]))
+    frame = Frame(ground.center_of_mass, np.eye(3), zero, zero)
+    root = Link(frame, zero, zero, [], [], zero, np.array([1.0, 0.0, 0.0, 0.0]))
     links: dict[int, Link] = {0: root}
     for joint in tree.joints:
         motion = q[joint.q], v[joint.v], vdot[joint.v]
@@ -73,31 +91,35 @@ def _child(
     r, a, velocity, omega = parent.frame
     acceleration, alpha = parent.acceleration, parent.angular_acceleration
     orientation = parent.orientation
+    way = [parent.lever]  # to the first motion, from each to the next, and to the child's center of mass
 
     def move(s: Array) -> None:
         """Go from the present point to the one at s, fixed in the present frame."""
         nonlocal r, velocity, acceleration
         turning = cross(omega, s)
-        r = r + s
+        r, way[-1] = r + s, way[-1] + s
         velocity = velocity + turning
         acceleration = acceleration + cross(alpha, s) + cross(omega, turning)
 
+    # from the parent's center of mass to the first motion's point
     here = joint.points[0] if joint.motions else tree.joint(joint.joint).reaction_point
     apart = tree.joint(joint.joint).apart  # the points are those of the joint's second body
     move(a @ (here - (apart if joint.forward else 0.0) - mechanism.bodies[joint.parent].center_of_mass))
-    columns: list[tuple[Array, Array | None]] = []  # an axis, and the point that it passes through
+    # motion by motion
+    directions: list[tuple[Array, bool]] = []
     iq = iv = 0
     for motion, point in zip(joint.motions, joint.points, strict=True):
         if np.any(point != here):
             move(a @ (point - here))
             here = point
+        way.append(np.zeros(3))
         if motion.kind == "slide":
             axis = a @ motion.axis
             coriolis = 2.0 * cross(omega, axis * v[iv])
             move(axis * q[iq])
             velocity = velocity + axis * v[iv]
             acceleration = acceleration + coriolis + axis * vdot[iv]
-            columns.append((axis, None))
+            directions.append((axis, True))
             iq, iv = iq + 1, iv + 1
         elif motion.kind == "hinge":
             axis = a @ motion.axis
@@ -106,7 +128,7 @@ def _child(
             a = a @ rotation_about(motion.axis, q[iq])
             half = 0.5 * q[iq]
             orientation = product(orientation, np.array([cos(half), *(sin(half) * motion.axis)]))
-            columns.append((axis, r))
+            directions.append((axis, False))
             iq, iv = iq + 1, iv + 1
         elif motion.kind == "ball":
             a = a @ rotation(q[iq : iq + 4])
@@ -114,25 +136,24 @@ def _child(
             relative = a @ v[iv : iv + 3]
             alpha = alpha + cross(omega, relative) + a @ vdot[iv : iv + 3]
             omega = omega + relative
-            columns.extend((a[:, k], r) for k in range(3))
+            directions.extend((a[:, k], False) for k in range(3))
+            way.extend([np.zeros(3), np.zeros(3)])
             iq, iv = iq + 4, iv + 3
         else:
             assert_never(motion.kind)
+    # from the last motion's point to the child's center of mass
     move(a @ (mechanism.bodies[joint.child].center_of_mass - (here - (0.0 if joint.forward else apart))))
 
-    arm = (r - parent.frame.position).tolist()
-    angular: list[Any] = parent.angular.T.tolist()
-    linear: list[Any] = []
-    for column, spin in zip(parent.linear.T.tolist(), angular, strict=True):
-        turning = cross_of(spin, arm)
-        linear.append([x + y for x, y in zip(column, turning, strict=True)])
-    for axis, center in columns:
-        angular.append(np.zeros(3) if center is None else axis)
-        linear.append(axis if center is None else cross(axis, r - center))
+    # the point of a slide is that of the next axis, or the center of mass: no mass is apart from it
+    arms, ahead = list[Array](), way[-1]
+    for (_, slides), step in zip(reversed(directions), reversed(way[:-1]), strict=True):
+        arms.append(np.zeros(3) if slides else ahead)
+        ahead = step + ahead if slides else step
+    arms = [*arms, ahead][::-1]
+    own = [Axis(*direction, arm) for direction, arm in zip(directions, arms[:-1], strict=True)]
     path = parent.path + list(range(joint.v.start, joint.v.stop))
-    stack = (lambda rows: np.array(rows).T) if path else (lambda rows: np.zeros((3, 0)))
     frame = Frame(r, a, velocity, omega)
-    return Link(frame, acceleration, alpha, path, stack(linear), stack(angular), orientation)
+    return Link(frame, acceleration, alpha, path, parent.axes + own, arms[-1], orientation)
 
 
 def drift(jacobian: Jacobian, first: Link, second: Link) -> Array:
@@ -193,15 +214,23 @@ class TreeKinematics(Formulation):
         return rows.reshape(6 * len(links), self.nv)
 
     def project(self, jacobian: Jacobian, first: Link, second: Link) -> Rows:
-        """Project a Jacobian between two bodies onto joint velocities: J = Phi_r V + Phi_theta W."""
+        """Project a Jacobian between two bodies onto joint velocities: J = Phi_r V + Phi_theta W.
+
+        A velocity that moves both bodies has an entry only if the constraint changes when both bodies turn as
+        one, as in the world components of an open ball joint.
+        """
         r_i, theta_i, r_j, theta_j = jacobian
         rows: Rows = [{} for _ in r_i]
-        for link, block in (
-            (first, r_i @ first.linear + theta_i @ first.angular),
-            (second, r_j @ second.linear + theta_j @ second.angular),
+        shared = sum(i == j for i, j in zip(first.path, second.path, strict=False))
+        turned = theta_i + theta_j - r_j @ tilde(second.frame.position - first.frame.position)
+        own = slice(shared, None)
+        for path, block in (
+            (first.path[:shared], turned @ first.angular[:, :shared]),
+            (first.path[own], r_i @ first.linear[:, own] + theta_i @ first.angular[:, own]),
+            (second.path[own], r_j @ second.linear[:, own] + theta_j @ second.angular[:, own]),
         ):
             for row, entries in zip(rows, block, strict=True):
-                for k, entry in zip(link.path, entries, strict=True):
+                for k, entry in zip(path, entries, strict=True):
                     add(row, k, entry)
         return rows
 

@@ -1,8 +1,8 @@
-"""The equations of motion in joint coordinates of a spanning tree, with closed loops.
+"""Equations of motion in joint coordinates of a spanning tree, with constraints that close the loops.
 
-The body equations are those of the Cartesian form; here they are projected onto the velocities
-that the tree allows. With v_i = V_i qdot and omega_i = W_i qdot the velocity transformation of
-body i, and a0_i, alpha0_i its acceleration at qddot = 0 (`newton_euler.equations.kinematics`),
+The body equations are those of the Cartesian form, projected onto the velocities of the tree. With
+v_i = V_i qdot and omega_i = W_i qdot of body i, and with its accelerations a0_i, alpha0_i at qddot = 0
+(`newton_euler.equations.kinematics`),
 
     M qddot = f + J^T lambda
     J qddot = gamma - K_D (J qdot) - K_P Phi                    as in eq. (9)
@@ -12,56 +12,39 @@ body i, and a0_i, alpha0_i its acceleration at qddot = 0 (`newton_euler.equation
     J = Phi_r V + Phi_theta W                                   of the joints that close loops
     gamma = gamma_Phi - Phi_r a0 - Phi_theta alpha0
 
-(Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, chapter 13; Featherstone, Rigid
-Body Dynamics Algorithms, 2008, section 8.1, for loops on top of a tree.) M and f are summed up from the
-leaves to the ground, by the composite-rigid-body and the recursive Newton-Euler algorithm (Featherstone,
-sections 6.2 and 5.3).
+(P. E. Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, chapter 13; R. Featherstone, Rigid Body
+Dynamics Algorithms, 2008, section 8.1, for loops on top of a tree). Recursions over the axes of the tree
+compute M, f, and the factor of M (`newton_euler.equations.articulated`).
 
-Beyond that: couplings and prescribed motions are further rows of J, rotors further shares of M.
+Couplings and prescribed motions are further rows of J. Rotors add to M.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from newton_euler.equations import dense, sparse
-from newton_euler.equations.applied_forces import body_wrenches
+from newton_euler.equations.applied_forces import applied_wrenches
+from newton_euler.equations.articulated import (
+    Axis,
+    AxisTree,
+    Rotor,
+    SpatialInertia,
+    add_rotors,
+    moved_wrench,
+)
 from newton_euler.equations.formulation import Servos
 from newton_euler.equations.kinematics import Link, TreeKinematics, drift, tree_links
 from newton_euler.equations.model_control import model_control
 from newton_euler.equations.reactions import constraint_wrenches, tree_reactions
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
-from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, add_symmetric
+from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, add
 from newton_euler.errors import SingularityError
 from newton_euler.model import balls
 from newton_euler.model.joint import Key
-from newton_euler.scalars import Array, Scalar, cross, symmetric, tilde, zeros
-
-
-class Composite(NamedTuple):
-    """Mass, first moment (3,) and inertia (3, 3) of bodies that move as one, about one of their points."""
-
-    mass: Scalar
-    moment: Array
-    inertia: Array
-
-    def joined(self, other: Composite, arm: Array) -> Composite:
-        """Join bodies whose point is at an arm (3,) from this one's."""
-        moved = other.moment + other.mass * arm
-        shift = tilde(other.moment) @ tilde(arm) + tilde(arm) @ tilde(moved)
-        return Composite(
-            self.mass + other.mass, self.moment + moved, self.inertia + other.inertia - symmetric(shift)
-        )
-
-    def momenta(self, velocity: Array, omega: Array) -> tuple[Array, Array]:
-        """Compute linear and angular momentum (3,) about the point, which has this velocity."""
-        return (
-            self.mass * velocity + cross(omega, self.moment),
-            self.inertia @ omega + cross(self.moment, velocity),
-        )
+from newton_euler.scalars import Array, Scalar, cross, symmetric, zeros
 
 
 class Relative(TreeKinematics):
@@ -76,14 +59,18 @@ class Relative(TreeKinematics):
         a = link.frame.rotation
         return symmetric(a @ self.inertias[body] @ a.T)
 
-    def needed_wrenches(
+    def body_wrenches(
         self, q: Array, v: Array, linear: Sequence[Array] | Array, angular: Sequence[Array] | Array
     ) -> list[Array]:
-        """Compute the wrenches (6,) that joints supply to bodies of these accelerations (b, 3).
+        """Compute the wrenches (6,) that joints supply to bodies with given accelerations.
 
-        m (a - g) and I alpha + omega x I omega about the center of mass, world frame, less applied forces.
+        They are m (a - g) and I alpha + omega x I omega, less applied forces, about the centers of mass.
+
+        Args:
+            q, v: (nq,) and (nv,).
+            linear, angular: (b, 3) accelerations of all bodies, world frame, m/s^2 and rad/s^2.
         """
-        applied, needed = body_wrenches(self.scene, self.seen(q, v)), []
+        applied, needed = applied_wrenches(self.scene, self.seen(q, v)), []
         for body, link in enumerate(self.links(q, v)):
             inertia, omega = self.world_inertia(body, link), link.frame.angular_velocity
             force = self.mechanism.bodies[body].mass * (linear[body] - self.scene.gravity)
@@ -91,77 +78,57 @@ class Relative(TreeKinematics):
             needed.append(np.concatenate([force, torque]) - applied[body])
         return needed
 
-    def _projected(self, links: list[Link], wrenches: Sequence[Array]) -> Array:
-        """Project wrenches (6,) on bodies onto velocities: sum V^T f + W^T n (nv,).
+    def axis_wrenches(self, links: list[Link], q: Array, v: Array) -> dict[int, Array]:
+        """Sum up the wrenches (6,) of bodies with the accelerations of these links, as `on_axes`."""
+        moving = [k.acceleration for k in links], [k.angular_acceleration for k in links]
+        return on_axes(links, self.body_wrenches(q, v, *moving))
 
-        From the leaves to the ground each joint carries what acts beyond it (section 5.3).
-        """
-        force, carried = zeros(self.nv, *wrenches), list(wrenches)
-        for joint in reversed(self.tree.joints):
-            link, parent, wrench = links[joint.child], links[joint.parent], carried[joint.child]
-            own = slice(len(parent.path), len(link.path))
-            force[joint.v] = link.linear[:, own].T @ wrench[:3] + link.angular[:, own].T @ wrench[3:]
-            moment = cross(link.frame.position - parent.frame.position, wrench[:3])
-            carried[joint.parent] = carried[joint.parent] + wrench + np.concatenate([np.zeros(3), moment])
-        return force
+    def axis_inertias(self, links: list[Link]) -> list[SpatialInertia]:
+        """Sum up the inertias of bodies by the last axis that moves them, about the point of the axis."""
+        found = [SpatialInertia.none()] * self.nv
+        for body, link in enumerate(links):
+            if link.path:
+                mass, k = self.mechanism.bodies[body].mass, link.path[-1]
+                rigid = SpatialInertia.of_body(mass, self.world_inertia(body, link), link.lever)
+                found[k] = found[k].joined(rigid)
+        return found
 
-    def _mass_rows(self, links: list[Link], q: Array, v: Array) -> Rows:
-        """Compute the nonzeros of M (nv, nv), with all that a joint moves as one body (section 6.2)."""
-        composites = [
-            Composite(body.mass, np.zeros(3), self.world_inertia(k, link))
-            for k, (body, link) in enumerate(zip(self.mechanism.bodies, links, strict=True))
-        ]
-        rows: Rows = [{} for _ in range(self.nv)]
-        for joint in reversed(self.tree.joints):
-            link, parent, composite = links[joint.child], links[joint.parent], composites[joint.child]
-            arm = link.frame.position - parent.frame.position
-            composites[joint.parent] = composites[joint.parent].joined(composite, arm)
-            for n in range(len(parent.path), len(link.path)):
-                momentum, spin = composite.momenta(link.linear[:, n], link.angular[:, n])
-                row = momentum @ link.linear[:, : n + 1] + spin @ link.angular[:, : n + 1]
-                for j, entry in zip(link.path[: n + 1], row, strict=True):
-                    add_symmetric(rows, link.path[n], j, entry)
-        for inertia, jacobian, _ in self._rotors(q, v):
-            for i, x in jacobian.items():
-                for j, y in jacobian.items():
-                    if j <= i:
-                        add_symmetric(rows, i, j, inertia * (x * y))
-        return rows
-
-    def _force(self, links: list[Link], q: Array, v: Array) -> Array:
-        """Compute f (nv,) of these links, whose accelerations are those at qddot = 0."""
-        at_rest = [k.acceleration for k in links], [k.angular_acceleration for k in links]
-        force = self.actuation(q, v) - self._projected(links, self.needed_wrenches(q, v, *at_rest))
-        for inertia, jacobian, gamma in self._rotors(q, v):
-            for i, x in jacobian.items():
-                force[i] = force[i] + inertia * gamma * x
+    def _joint_forces(self, q: Array, v: Array) -> dict[int, Scalar]:
+        """Compute the part of control laws, springs and rotors in f."""
+        force = sparse.sparse_vector(self.actuation(q, v))
+        for rotor in self._rotors(q, v):
+            for i, x in rotor.jacobian.items():
+                add(force, i, rotor.inertia * rotor.gamma * x)
         return force
 
     def actuation(self, q: Array, v: Array) -> Array:
-        """Compute the share (nv,) of control laws and springs on joint coordinates in f."""
+        """Compute the part (nv,) of control laws and springs on joint coordinates in f."""
         measured, generalized = self.measured(q, v), zeros(self.nv, q, v)
         for law, u in zip(self.scene.joint_forces, self.joint_forces(q, v), strict=True):
             for k, entry in measured[law.key].jacobian.items():
                 generalized[k] += entry * u
         return generalized
 
-    def _rotors(self, q: Array, v: Array) -> Iterator[tuple[Scalar, dict[int, Scalar], Scalar]]:
-        """Compute a, J and gamma of armatures, an extension: their force is -a (J vdot - gamma).
+    def _rotors(self, q: Array, v: Array) -> list[Rotor]:
+        """Collect the rotors of armatures: one for a hinge or slide, three for a ball.
 
-        Those of balls have three rows J, of the relative angular velocity's components.
+        The three of a ball have the components of the relative angular velocity.
         """
-        measured = self.measured(q, v)
+        measured, found = self.measured(q, v), list[Rotor]()
         for armature in self.scene.armatures:
             if armature.on_ball:
                 terms = self._spin_terms(armature.joint, self.links(q, v))
             else:
                 seen = measured[armature.key]
                 terms = [(seen.jacobian, seen.gamma)]
-            for row, gamma in terms:
-                yield armature.inertia, row, gamma
+            found.extend(Rotor(armature.inertia, *term) for term in terms)
+        return found
 
     def _spin_terms(self, joint: str, links: list[Link]) -> list[tuple[dict[int, Scalar], Scalar]]:
-        """Compute J and gamma of the angular velocity at a ball, which is three of v if the tree has it."""
+        """Compute J and gamma of the relative angular velocity at a ball.
+
+        The components are three of v if the tree has the ball.
+        """
         place = self.tree.ball_place(joint)
         if place is not None:
             return [({k: 1.0}, 0.0) for k in range(place.start, place.stop)]
@@ -179,7 +146,7 @@ class Relative(TreeKinematics):
         return self._constraints(self.links(q, v), q, v)
 
     def _constraints(self, links: list[Link], q: Array, v: Array) -> tuple[Rows, Array]:
-        """Compute J and the right side, of joints less J qddot for the accelerations of these links."""
+        """Compute J and the right side, for joints less J qddot for the accelerations of these links."""
         jacobian, right = list[dict[int, Scalar]](), [np.zeros(0)]
         for closure in self.constrained:
             first, second = links[closure.first], links[closure.second]
@@ -202,10 +169,7 @@ class Relative(TreeKinematics):
     def sparse_residuals(
         self, q: Array, v: Array, rows: RowsInUse, accelerations: Array, multipliers: Array
     ) -> tuple[Array, Array]:
-        """Compute the residuals without M: from the ground to the leaves and back.
-
-        By the recursive Newton-Euler algorithm (section 5.3).
-        """
+        """Compute the residuals without M, by the recursive Newton-Euler algorithm."""
         links = tree_links(self.mechanism, self.tree, q, v, accelerations)
         jacobian, right = self._constraints(links, q, v)
         right, known = right.astype(object), sparse.sparse_vector(accelerations)
@@ -216,31 +180,32 @@ class Relative(TreeKinematics):
             for place, entry in jacobian[k].items():
                 force[place] = force[place] - entry * multipliers[k]
         moving = [k.acceleration for k in links], [k.angular_acceleration for k in links]
-        needed = self.needed_wrenches(q, v, *moving)
+        wrenches = self.body_wrenches(q, v, *moving)
         for push in constraint_wrenches(self, self.frames(q, v), self.measured(q, v), of_joints):
-            needed[push.first] = needed[push.first] - push.on_first
-            needed[push.second] = needed[push.second] - push.on_second
-        force = force + self._projected(links, needed)
-        for inertia, row, gamma in self._rotors(q, v):
-            push_back = inertia * (sparse.dot(row, known) - gamma)
-            for place, entry in row.items():
+            wrenches[push.first] = wrenches[push.first] - push.on_first
+            wrenches[push.second] = wrenches[push.second] - push.on_second
+        for place, share in axis_tree(links).rnea_backward(on_axes(links, wrenches)).items():
+            force[place] = force[place] + share
+        for rotor in self._rotors(q, v):
+            push_back = rotor.inertia * (sparse.dot(rotor.jacobian, known) - rotor.gamma)
+            for place, entry in rotor.jacobian.items():
                 force[place] = force[place] + push_back * entry
         return force, -right
 
     # Solutions
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
-        mass, force = self.sparse_mass_and_force(q, v)
-        return sparse.to_array(mass, self.nv), force
-
-    def sparse_mass_and_force(self, q: Array, v: Array) -> tuple[Rows, Array]:
-        """Compute the nonzeros of M (nv, nv), and f (nv,), over generic scalars."""
         links = self.links(q, v)
-        return self._mass_rows(links, q, v), self._force(links, q, v)
+        force = self._joint_forces(q, v)
+        for k, share in axis_tree(links).rnea_backward(self.axis_wrenches(links, q, v)).items():
+            add(force, k, -share)
+        return sparse.to_array(self.mass_rows(q), self.nv), sparse.to_array([force], self.nv)[0]
 
     def mass_rows(self, q: Array) -> Rows:
-        rest = np.zeros(self.nv)
-        return self._mass_rows(self.links(q, rest), q, rest)
+        links, rest = self.links(q, np.zeros(self.nv)), np.zeros(self.nv)
+        rows = axis_tree(links).crba(self.axis_inertias(links), range(self.nv - 1, -1, -1))
+        add_rotors(rows, self._rotors(q, rest))
+        return rows
 
     def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Solve for qddot (nv,) and lambda (k,) with dense matrices.
@@ -278,10 +243,11 @@ class Relative(TreeKinematics):
 
     def sparse_equations(self, q: Array, v: Array, rows: RowsInUse) -> Equations:
         """Factorize M, leaves first, over generic scalars; accelerations are qddot."""
-        mass, force = self.sparse_mass_and_force(q, v)
-        jacobian, right = self.constraints(q, v)
-        factor = sparse.factorize(mass, range(self.nv - 1, -1, -1), rows.mass_scales)
-        return Equations(factor, sparse.sparse_vector(force), jacobian, right, rows, refine=False)
+        links, rotors = self.links(q, v), self._rotors(q, v)
+        jacobian, right = self._constraints(links, q, v)
+        factor = axis_tree(links).factorize(self.axis_inertias(links), rotors, rows.mass_scales)
+        free = factor.lower(self._joint_forces(q, v), self.axis_wrenches(links, q, v))
+        return Equations(factor, free, jacobian, right, rows, refine=False)
 
     def sparse_coordinates(self, q: Array, v: Array, keys: Sequence[Key]) -> tuple[Rows, Array]:
         measured = self.measured(q, v)
@@ -297,7 +263,7 @@ class Relative(TreeKinematics):
         wanted, _ = self.sparse_coordinates(q, rest, servos.coordinates)
         gamma = np.concatenate([-self.phi_t(), np.array(rates)])
         solution = sparse.solve_constrained(
-            equations.extended(wanted, gamma, servos.scales)._replace(force={})
+            equations.extended(wanted, gamma, servos.scales)._replace(free={})
         )
         return self.sparse_vdot(q, rest, solution), solution.pivot_ratio
 
@@ -305,10 +271,10 @@ class Relative(TreeKinematics):
 
     def body_accelerations(self, q: Array, v: Array, vdot: Array) -> tuple[Array, Array]:
         """Compute linear and angular accelerations (b, 3): a0 + V qddot and alpha0 + W qddot."""
-        links = self.links(q, v)
+        links = tree_links(self.mechanism, self.tree, q, v, vdot)
         return (
-            np.array([k.acceleration + k.linear @ vdot[k.path] for k in links]),
-            np.array([k.angular_acceleration + k.angular @ vdot[k.path] for k in links]),
+            np.array([link.acceleration for link in links]),
+            np.array([link.angular_acceleration for link in links]),
         )
 
     def reactions(
@@ -327,5 +293,32 @@ class Relative(TreeKinematics):
                 x_rates = (x * vdot[k] for k, x in seen.jacobian.items())
                 acceleration = sum(x_rates, start=0.0) - seen.gamma
                 joint_forces.append((armature.key, -(armature.inertia * acceleration)))
-        needed = self.needed_wrenches(q, v, linear, angular)
+        needed = self.body_wrenches(q, v, linear, angular)
         return tree_reactions(self, frames, measured, needed, multipliers, joint_forces, couples)
+
+
+def axis_tree(links: Sequence[Link]) -> AxisTree:
+    """Collect the axes of all velocities from the bodies that they move."""
+    axes: dict[int, Axis] = {}
+    before: dict[int, int] = {}
+    for link in links:
+        for n in reversed(range(len(link.path))):
+            k = link.path[n]
+            if k in axes:
+                break
+            axes[k], before[k] = link.axes[n], link.path[n - 1] if n else -1
+    order = sorted(axes)
+    return AxisTree([axes[k] for k in order], [before[k] for k in order])
+
+
+def on_axes(links: Sequence[Link], wrenches: Sequence[Array]) -> dict[int, Array]:
+    """Sum up wrenches (6,) by the last axis that moves their bodies, about the point of the axis.
+
+    The wrenches given are about the centers of mass of all bodies, ground first.
+    """
+    found: dict[int, Array] = {}
+    for link, wrench in zip(links, wrenches, strict=True):
+        if link.path:
+            k, moved = link.path[-1], moved_wrench(wrench, link.lever)
+            found[k] = found[k] + moved if k in found else moved
+    return found

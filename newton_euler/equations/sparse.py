@@ -1,8 +1,8 @@
-"""Sparse symmetric factorization and solver over generic scalars; its structure depends on no number.
+"""Sparse symmetric factorization and solver over generic scalars; the structure depends on no number.
 
 A zero of type float is a structural zero: it is not stored, multiplied or added. Run over traced
 scalars, what is left is straight-line code for exactly the nonzeros; run over floats it is the same
-algorithm. No pivoting: `Factor.pivot_ratio` tells how close to singular the matrix is.
+algorithm. There is no pivoting: `Factor.pivot_ratio` measures how close to singular the matrix is.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,12 +19,12 @@ from newton_euler.scalars import NUMBERS, Array, Scalar, minimum
 SINGULAR = 1e-11  # ratio of a pivot to its usual size below which it counts as zero
 
 LEFT_OUT = 1e30
-"""Compliance of a constraint row that is left out, in units of its diagonal element. Its multiplier is zero
-to round-off, and no digit of the other rows depends on it."""
+"""Compliance of a constraint row that is left out, in units of the row's diagonal element. The multiplier of
+the row is zero to round-off, and no digit of the other rows depends on the row."""
 
 
 def is_zero(scalar: Scalar) -> bool:
-    """Tell if a scalar is zero in all states."""
+    """Return True for a scalar that is zero in all states."""
     return isinstance(scalar, NUMBERS) and scalar == 0.0
 
 
@@ -66,7 +66,7 @@ def add_symmetric(rows: Rows, i: int, j: int, scalar: Scalar) -> None:
 
 
 def minimum_degree(matrix: Sequence[Collection[int]]) -> list[int]:
-    """Compute an order of elimination with little fill: always the row with the fewest neighbors left.
+    """Compute an order of elimination with little fill: the row with the fewest neighbors left is next.
 
     Of a matrix the columns of each row are looked at. On the graph of a tree it is leaves first and makes no
     fill at all (George and Liu, SIAM Review 31, 1989).
@@ -202,9 +202,9 @@ class RowsInUse(NamedTuple):
     """Constraint rows that imply all others.
 
     Attributes:
-        numbers: of the rows.
-        scales: usual sizes of the pivots of their Schur complement; None where these are unknown.
-        mass_scales: the same for the mass matrix.
+        numbers: numbers of the rows.
+        scales: usual sizes of the pivots of the rows' Schur complement; None if unknown.
+        mass_scales: usual sizes of the pivots of the mass matrix; None if unknown.
         flags: 1 for rows that are left out now, 0 for rows in use, by number; other rows are always in use.
     """
 
@@ -220,7 +220,7 @@ class RowsInUse(NamedTuple):
         return [number for number in self.numbers if not flags.get(number)]
 
     def compliance(self, matrix: Rows) -> dict[int, Scalar]:
-        """Return, by number, what leaves rows out if the diagonal of a matrix over all rows gets it."""
+        """Return by row number what to add to the diagonal of a matrix to leave rows out."""
         flags = self.flags or {}
         return {  # 1 is for rows that are zero in some configurations
             i: flags[i] * (LEFT_OUT * matrix[n].get(n, 0.0) + 1.0)
@@ -229,22 +229,38 @@ class RowsInUse(NamedTuple):
         }
 
 
+class MassFactor(Protocol):
+    """L D L^T of a mass matrix, as `Factor`."""
+
+    @property
+    def pivots(self) -> list[Any]: ...
+
+    @property
+    def pivot_ratio(self) -> Scalar: ...
+
+    def lower(self, right: dict[int, Any]) -> dict[int, Any]: ...
+
+    def scaled(self, x: dict[int, Any]) -> dict[int, Any]: ...
+
+    def upper(self, right: dict[int, Any]) -> dict[int, Any]: ...
+
+
 class Equations(NamedTuple):
     """M a = f + J^T lambda, J a + softness * lambda = gamma: arguments of `solve_constrained`.
 
     Attributes:
-        factor: of M.
-        force: f.
+        factor: factor of M.
+        free: L^-1 f.
         jacobian: J.
         gamma: (k,).
-        rows: of both to use; the others must follow from them.
+        rows: rows of J and gamma to use; the other rows must follow from these.
         refine: True to solve once more for the remaining J a - gamma, which regains the digits
             that a badly conditioned complement loses.
-        softness: of compliant rows.
+        softness: softness of compliant rows by number.
     """
 
-    factor: Factor
-    force: dict[int, Any]
+    factor: MassFactor
+    free: dict[int, Any]
     jacobian: Rows
     gamma: Array
     rows: RowsInUse
@@ -263,10 +279,10 @@ class Solution:
     """Acceleration and multipliers of `solve_constrained`.
 
     Attributes:
-        acceleration, multipliers: their nonzeros.
-        pivot_ratio: the lesser of those of both factors, see `Factor`.
-        pivots: of the Schur complement, for the rows in use.
-        mass_pivots: of the mass matrix.
+        acceleration, multipliers: nonzeros of a and lambda.
+        pivot_ratio: the lesser pivot ratio of both factors, see `Factor`.
+        pivots: pivots of the Schur complement, for the rows in use.
+        mass_pivots: pivots of the mass matrix.
     """
 
     acceleration: dict[int, Any]
@@ -278,12 +294,13 @@ class Solution:
 
 def solve_constrained(equations: Equations) -> Solution:
     """Solve for accelerations a and multipliers lambda by the Schur complement J M^-1 J^T."""
-    factor, force, jacobian, gamma, rows, refine, softness = equations
+    factor, total, jacobian, gamma, rows, refine, softness = equations
+    # without constraints: a = L^-T D^-1 L^-1 f
     kept = rows.numbers
-    total = factor.lower(force)
     acceleration = factor.upper(factor.scaled(total)) if not kept else {}
     if not kept:
         return Solution(acceleration, {}, factor.pivot_ratio, [], factor.pivots)
+    # the Schur complement J M^-1 J^T = H^T D^-1 H with H = L^-1 J^T
     half = [factor.lower(jacobian[i]) for i in kept]
     weighted = [factor.scaled(row) for row in half]
     schur = gram(half, weighted)
@@ -293,6 +310,7 @@ def solve_constrained(equations: Equations) -> Solution:
             add(schur[n], n, soft[i])
     complement = factorize(schur, minimum_degree(schur), rows.scales)
     right = {n: gamma[i] - dot(weighted[n], total) for n, i in enumerate(kept)}
+    # multipliers, then accelerations under all forces
     multipliers: dict[int, Any] = {}
     for _ in range(2 if refine else 1):
         change = complement.solve({n: x for n, x in right.items() if not is_zero(x)})
@@ -326,7 +344,7 @@ def gram_factor(rows: Rows, used: RowsInUse | None = None, scales: Sequence[floa
 def least_squares(rows: Rows, right: Array, used: RowsInUse | None = None) -> tuple[dict[int, Any], Scalar]:
     """Compute the shortest x with rows @ x = right (k,), and the pivot ratio of the Gram matrix.
 
-    If the numbers of the rows are `used`, those that are left out now do not count.
+    Rows that `used` leaves out now do not count.
     """
     factor = gram_factor(rows, used)
     weights = factor.solve(sparse_vector(right))

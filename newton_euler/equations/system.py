@@ -22,7 +22,7 @@ from newton_euler.scalars import Array, Scalar
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Observation:
-    """One state as an engine sees it, without its accelerations; SI.
+    """Poses, velocities and energies of one state in an engine; SI units.
 
     Attributes:
         state: poses and velocities as this engine's own kinematics give them.
@@ -71,7 +71,7 @@ class MassProperties:
 
     @classmethod
     def of(cls, mechanism: Mechanism) -> MassProperties:
-        """Compute those that the mechanism states."""
+        """Return the mass properties that the mechanism states."""
         turns = [rotation(body.quaternion) for body in mechanism.bodies]
         return cls(
             np.array([body.mass for body in mechanism.bodies]),
@@ -87,7 +87,7 @@ class System(Protocol):
     scene: Scene
     mechanism: Mechanism
     time: Scalar
-    """s, at which prescribed motions, control laws and wind are looked at."""
+    """Time of prescribed motions, control laws and wind, s."""
     nq: int
     nv: int
     phi_units: Array
@@ -103,7 +103,7 @@ class System(Protocol):
     def joint_geometry(self) -> dict[str, JointGeometry]:
         """Return the joints of this system's own model at the initial pose, by name.
 
-        Those that a model has of its own, for bodies that only rods hold, are left out.
+        Joints that a model adds for bodies that only rods hold are left out.
         """
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
@@ -174,7 +174,7 @@ def constraint_rate(system: System, q: Array, v: Array) -> Array:
 
 
 def rate_of_phi(system: System, jacobian: Array, v: Array) -> Array:
-    """Compute the same where Phi_q (k, nv) is known."""
+    """Compute dPhi/dt (k,) from Phi_q (k, nv)."""
     return np.asarray(jacobian @ v + system.phi_t())
 
 

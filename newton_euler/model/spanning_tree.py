@@ -182,16 +182,6 @@ class SpanningTree:
         return [on_q for motion, on_q, _ in self.motions if motion.kind == "ball"]
 
     @cached_property
-    def products(self) -> int:
-        """Products of velocities that elimination of the inertia matrix takes, n^3 / 6 in a chain."""
-        above, total = {0: 0}, 0  # velocities between the ground and a body
-        for kept in self.joints:
-            first = above[kept.parent]
-            above[kept.child] = last = first + kept.v.stop - kept.v.start
-            total += sum(k * k for k in range(first + 1, last + 1))
-        return total // 2
-
-    @cached_property
     def is_length(self) -> Array:
         """(nv,) True for velocities in m/s."""
         found = np.zeros(self.nv, dtype=bool)

@@ -67,9 +67,9 @@ def simulate(
 
     Args:
         scene: a mechanism with its surroundings, start and duration.
-        formulation: "relative" (joint coordinates) or "cartesian" (the paper's equation 21). If None, the
-            formulation that compiles faster, see `newton_euler.compiled.formulations.cheaper_formulation`;
-            the trajectory's settings name it.
+        formulation: "relative" (joint coordinates) or "cartesian" (the paper's equation 21). If None, joint
+            coordinates unless closed loops share long paths, see
+            `newton_euler.compiled.formulations.cheaper_formulation`. The trajectory's settings name it.
         integrator: one of `newton_euler.integrators.options.INTEGRATORS`.
         stabilization: "projection", "baumgarte" or "none".
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2; the paper's 10 if None.

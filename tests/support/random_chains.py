@@ -37,10 +37,17 @@ def random_joint(
             "axis_on_first": axis,
             "axis_on_second": unit(np.cross(axis, rng.normal(size=3))),
         }
+    elif kind == "compound":
+        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        more |= {"slides": turn[:1], "hinges": turn[1:], "offsets": 0.1 * rng.normal(size=(1, 3))}
     elif kind not in ("spherical", "fixed", "free"):
         more["axis"] = axis
     if kind in ("cylindrical", "translational"):
         more["point_on_second"] = point + 0.1 * axis
+    if kind == "screw":
+        more["pitch"] = 0.2
+    if kind == "parallel_hinges":
+        more["offset"] = 0.1 * unit(np.cross(axis, rng.normal(size=3)))
     return JOINT_KINDS[kind](name, first, second, point, **more)
 
 
@@ -132,3 +139,27 @@ CHAINS = {
         seed=4,
     ),
 }
+
+
+def tree(seed: int, count: int = 14) -> Scene:
+    """Random bodies on joints of all kinds, in branches of some twenty velocities, under gravity."""
+    rng = np.random.default_rng(seed)
+    bodies, joints, control = [Body.ground()], list[Joint](), []
+    kinds = [kind for kind, joint in JOINT_KINDS.items() if not joint.only_closes]
+    for k in range(count):
+        inertia = random_inertia(rng, 1e-2 * rng.uniform(1.0, 1.8, 3))
+        body = Body(
+            f"body_{k}", rng.uniform(0.5, 2.0), 0.3 * rng.normal(size=3), inertia, unit(rng.normal(size=4))
+        )
+        parent = bodies[int(rng.integers(max(0, k - 2), k + 1))].name
+        ends = (parent, body.name) if rng.random() < 0.5 else (body.name, parent)
+        joint = random_joint(kinds[(k + seed) % len(kinds)], f"joint_{k}", *ends, rng, k % 3 == 0)
+        bodies.append(body)
+        joints.append(joint)
+        if joint.actuated:
+            control += [PD(joint.name, 5.0, 0.7, 0.1, c) for c in range(len(joint.coordinate_kinds))]
+    mechanism = Mechanism(bodies, joints)
+    return Scene("tree", mechanism, 0.5, 0.1, gravity=np.array([0.3, -1.0, -9.81]), control=tuple(control))
+
+
+TREES = {f"tree {seed}": tree(seed) for seed in range(3)}

@@ -30,7 +30,7 @@ from crosscheck.compare.kinematics import kinematics_rows
 from crosscheck.compare.levels import Level
 from crosscheck.compare.samples import Samples, States
 from crosscheck.compare.two_models.align import Aligned, Partner, axes
-from newton_euler.equations.applied_forces import body_wrenches, surroundings
+from newton_euler.equations.applied_forces import applied_wrenches, surroundings
 from newton_euler.equations.couplings import Coupling, couplings
 from newton_euler.equations.dense import orthonormal_range
 from newton_euler.equations.undetermined import undetermined_in_both
@@ -422,7 +422,7 @@ def _at_joints(
 def _on_bodies(scene: Scene, states: Iterable[State], size: float) -> Array:
     """(n, b, 6) N, and N m over the size, of springs between points and wrenches; none on the ground."""
     without = replace(scene, forces=tuple(force for force in scene.forces if not force.on_ball))
-    found = np.array([body_wrenches(without, surroundings(without, state)) for state in states])
+    found = np.array([applied_wrenches(without, surroundings(without, state)) for state in states])
     found[:, 0] = 0.0
     found[..., 3:] /= size
     return found

@@ -106,11 +106,18 @@ def _pinocchio(scene: Scene, lcaba: tuple[float, int] | None) -> RightHandSide:
     return RightHandSide(Timer(equations_of(scene, 0.0, lcaba).acceleration).timeit)
 
 
+def _aba(scene: Scene) -> RightHandSide:
+    from urdf.benchmark_kernels import articulated_bodies
+
+    return RightHandSide(Timer(articulated_bodies(scene)).timeit)
+
+
 WAYS: dict[str, Callable[[Scene], RightHandSide]] = {
     "newton_euler relative": partial(_newton_euler, formulation="relative"),
     "newton_euler cartesian": partial(_newton_euler, formulation="cartesian"),
     "mujoco mj_forward": _mj_forward,
     "mujoco mj_step Euler in C": _mj_step,
+    "pinocchio aba": _aba,
     "pinocchio constraintDynamics": partial(_pinocchio, lcaba=None),
     "pinocchio lcaba, mu 1e-6": partial(_pinocchio, lcaba=(1e-6, 1)),
 }

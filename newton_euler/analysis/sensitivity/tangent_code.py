@@ -116,7 +116,7 @@ class TangentCode(CompiledScene):
         equations = equations._replace(refine=equations.refine and refined)
         solution = solve_constrained(equations)
         # residuals at held accelerations and multipliers, differentiated
-        count, used = len(equations.factor.columns), equations.rows.numbers
+        count, used = len(equations.factor.pivots), equations.rows.numbers
         accelerations, of_rows = graph.variables(count), graph.variables(len(used))
         multipliers = zeros(len(equations.jacobian), x)
         multipliers[used] = of_rows
@@ -127,7 +127,8 @@ class TangentCode(CompiledScene):
         right = substitute(graph, differentiated(np.concatenate(residuals).tolist(), x, along), held, values)
         # derivatives of the accelerations
         force, gamma = sparse_vector([-change for change in right[:count]]), -objects(right[count:])
-        found = solve_constrained(equations._replace(force=force, gamma=gamma)).acceleration
+        free = equations.factor.lower(force)
+        found = solve_constrained(equations._replace(free=free, gamma=gamma)).acceleration
         moved = [found.get(k, 0.0) for k in range(count)]
         of_held = replace(solution, acceleration=dict(enumerate(accelerations)))
         # derivatives of qdot and vdot

@@ -63,7 +63,14 @@ def test_constrained_solution_is_the_saddle_points():
     force, gamma = rng.standard_normal(8), rng.standard_normal(3)
     factor = factorize(rows_of(mass), range(7, -1, -1))
     solution = solve_constrained(
-        Equations(factor, sparse_vector(force), rows_of(jacobian), gamma, RowsInUse([0, 1, 2]), refine=False)
+        Equations(
+            factor,
+            factor.lower(sparse_vector(force)),
+            rows_of(jacobian),
+            gamma,
+            RowsInUse([0, 1, 2]),
+            refine=False,
+        )
     )
     saddle = np.block([[mass, -jacobian.T], [jacobian, np.zeros((3, 3))]])
     expected = np.linalg.solve(saddle, np.concatenate([force, gamma]))
@@ -95,7 +102,9 @@ def test_refinement_regains_the_digits_of_a_badly_conditioned_complement():
     errors = []
     for refine in (False, True):
         rows = RowsInUse([0, 1, 2])
-        equations = Equations(factor, sparse_vector(force), rows_of(jacobian), gamma, rows, refine)
+        equations = Equations(
+            factor, factor.lower(sparse_vector(force)), rows_of(jacobian), gamma, rows, refine
+        )
         solution = solve_constrained(equations)
         acceleration = np.array([solution.acceleration[k] for k in range(8)])
         errors.append(np.abs(jacobian @ acceleration - gamma).max() / np.abs(acceleration).max())

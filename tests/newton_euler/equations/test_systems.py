@@ -14,7 +14,7 @@ from constrained_motion import admissible_projector, states_near_start
 from elements import COUPLED, ELEMENTS, MOTIONS
 from finite_difference import jacobian
 from mechanisms import REGULAR, SLIDER_ACCELERATIONS, bar, planar_four_bar, slider_tree
-from random_chains import CHAINS
+from random_chains import CHAINS, TREES
 
 from crosscheck.engines.engine import ENGINES
 from newton_euler import simulate
@@ -54,7 +54,7 @@ SMALL = {build.__name__: build() for build in (*REGULAR, planar_four_bar)}
 ARMED = {f"{name}, armed": armed(scene) for name, scene in (ELEMENTS | SMALL).items() if "forces" not in name}
 GROUPS = (
     Group(SMALL | CHAINS | COUPLED, 1e-10, 1e-8),
-    Group(ELEMENTS, 1e-10, 1e-9),
+    Group(ELEMENTS | TREES | {f"{name}, armed": armed(scene) for name, scene in TREES.items()}, 1e-10, 1e-9),
     Group({name: scene for name, scene in ARMED.items() if scene.armatures} | COMPOUNDS, 1e-10, 1e-10),
     Group({f"{name}, forced": sprung(armed(scene)) for name, scene in COMPOUNDS.items()}, 1e-10, 1e-10),
     Group({f"{name}, balls": scene for name, scene in BALLS.items()}, 1e-11, 1e-11),

@@ -243,8 +243,3 @@ def test_an_interrupt_stops_native_code(tracker):
     threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
     with pytest.raises(KeyboardInterrupt):
         compiled.simulate("RK4", step=1e-4, most_steps=10**9)  # minutes
-
-
-@pytest.mark.parametrize(("rods", "formulation"), [(40, "relative"), (41, "cartesian")])
-def test_long_paths_of_joint_coordinates_take_the_cartesian_form(rods, formulation):
-    assert Code(load("chain", N=rods)).formulation == formulation
