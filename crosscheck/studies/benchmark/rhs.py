@@ -163,9 +163,12 @@ def _per_call(side: RightHandSide, count: int) -> float:
 
 
 def _batch(calls: Callable[[int], float]) -> int:
-    """Estimate the number of calls that take about `BATCH`."""
+    """Estimate the number of calls that take about `BATCH`, from the shortest of three times.
+
+    The first call compiles, and an interrupted one would leave batches of a few calls with cold caches.
+    """
     count = 1
-    while (seconds := calls(count)) < 0.2 * BATCH:
+    while (seconds := min(calls(count) for _ in range(3))) < 0.2 * BATCH:
         count *= 4
     return max(1, round(count * BATCH / seconds))
 
