@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields, replace
-from typing import Annotated, Any, ClassVar, ForwardRef, Literal, Union
+from typing import Annotated, Any, ClassVar, ForwardRef, Literal, Union, get_args
 
 from pydantic import (
     AfterValidator,
@@ -28,7 +28,7 @@ from newton_euler.errors import NewtonEulerError, UnknownNameError
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import Gear, LinearCoupling, PolynomialCoupling
 from newton_euler.model.digital_control import Digital
-from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.model.forces import Armature, BallArmature, Force
 from newton_euler.model.geometry import Box, Capsule, Cylinder, Sphere
 from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism
@@ -37,7 +37,6 @@ from newton_euler.model.scene import OUTPUTS, REDUNDANCY_TOLERANCE, Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Spline, Steps
 from newton_euler.model.state import State
-from newton_euler.model.wind import WindLoad
 
 LARGEST = 1e100
 """Of any number of a scene, so that squares and triple products stay finite."""
@@ -147,7 +146,6 @@ ROWS: dict[str, Any] = dict.fromkeys(("slides", "hinges", "offsets"), list[Vecto
 JOINT = _one_of(_entry(made, kind, **ROWS) for kind, made in JOINT_KINDS.items())
 COUPLINGS = {"gear": Gear, "polynomial": PolynomialCoupling, "linear": LinearCoupling}
 COUPLING = _one_of(_entry(made, kind) for kind, made in COUPLINGS.items())
-SPRINGS = {"joint_spring": JointSpring, "ball_spring": BallSpring, "point_spring": PointSpring}
 SUM = _entry(Sum, "sum", terms=_several(ForwardRef("FUNCTION")))
 FUNCTIONS = {"polynomial": Polynomial, "sine": Sine}
 SAMPLES: dict[str, Any] = dict.fromkeys(("times", "values"), list[Number])
@@ -155,17 +153,14 @@ SAMPLED = [_entry(made, kind, **SAMPLES) for kind, made in (("spline", Spline), 
 FUNCTION = _one_of([*(_entry(made, kind) for kind, made in FUNCTIONS.items()), *SAMPLED, SUM])
 SUM.model_rebuild(_types_namespace={"FUNCTION": FUNCTION})
 VALUE: Any = Union[Number, FUNCTION]  # noqa: UP007
-WIND = _entry(WindLoad, "wind_load", speed=VALUE)
-FORCE = _one_of([*(_entry(made, kind) for kind, made in (SPRINGS | {"wrench": Wrench}).items()), WIND])
-DRIVEN: dict[str, Any] = {"target": VALUE, "feedforward": VALUE}
+FORMS["float | TimeFunction"] = VALUE
+FORCE = _one_of(_entry(made, made.kind) for made in get_args(Force))
 GAINS: Any = dict[str, tuple[Number, Number]]
 MODEL: Any = dict[str, Union[Number, list[Number], list[list[Number]]]]  # noqa: UP007
 DECLARED = {
-    "pd": _entry(PD, **DRIVEN),
-    "state_feedback": _entry(
-        StateFeedback, "state_feedback", gains=GAINS, targets=dict[str, VALUE], **DRIVEN
-    ),
-    "computed_torque": _entry(ComputedTorque, "computed_torque", model=MODEL, **DRIVEN),
+    "pd": _entry(PD),
+    "state_feedback": _entry(StateFeedback, "state_feedback", gains=GAINS, targets=dict[str, VALUE]),
+    "computed_torque": _entry(ComputedTorque, "computed_torque", model=MODEL),
 }
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -43,6 +43,45 @@ class Surroundings(NamedTuple):
     measured: Mapping[Key, Sequence[Any]]
     time: Scalar
     model: Callable[[], Mapping[Key, Scalar]] = dict
+
+
+class Move(NamedTuple):
+    """The motion of a body from the initial pose to another pose.
+
+    Attributes:
+        turn: (3, 3) rotation, world frame.
+        start, end: (3,) center of mass before and after, m.
+    """
+
+    turn: Array
+    start: Array
+    end: Array
+
+    def point(self, point: Array) -> Array:
+        """Return the new places (..., 3) of points of the body."""
+        return np.asarray(self.end + (point - self.start) @ self.turn.T)
+
+    def vector(self, vector: Array) -> Array:
+        """Return the new directions (..., 3) of vectors of the body."""
+        return np.asarray(vector @ self.turn.T)
+
+
+class PoseChange(NamedTuple):
+    """The change of a scene's initial pose, where the scene is described.
+
+    Attributes:
+        mechanism: the bodies and joints at the initial pose before.
+        moves: motions of all bodies, ground first.
+        zeros: joint coordinates of the new initial pose, m or rad, counted from the pose before.
+    """
+
+    mechanism: Mechanism
+    moves: Sequence[Move]
+    zeros: Mapping[Key, float]
+
+    def move(self, body: str) -> Move:
+        """Return the motion of a body by its name."""
+        return self.moves[self.mechanism.body_index(body)]
 
 
 class Element(Variable):
@@ -211,10 +250,16 @@ class AppliedForce(Element):
     """A force or a control law: does nothing, but for the methods that a kind of its own redefines.
 
     Attributes:
+        kind: name of the kind of force in scene files.
         may_jump: True if the force may jump where motion takes it.
     """
 
+    kind: ClassVar[str]
     may_jump: ClassVar[bool] = False
+
+    def described_after(self, change: PoseChange) -> Self:
+        """Return the force described at another initial pose."""
+        raise NotImplementedError
 
     def spans(self, at: Surroundings) -> tuple[Array, ...]:
         """Compute the vectors (3,), m, whose directions the force needs, so that they may not be zero."""

@@ -9,8 +9,8 @@ Computer-Aided Analysis of Mechanical Systems, 1988, chapter 9, for the elements
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import ClassVar, Literal, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from newton_euler.model.elements import (
     OnBodies,
     OnCoordinate,
     OnPoint,
+    PoseChange,
     Surroundings,
 )
 from newton_euler.model.fields import POINT, NumberField
@@ -89,12 +90,16 @@ class JointSpring(CoordinateForce, Spring):
     rest: float = 0.0
     coordinate: int = 0
 
+    kind = "joint_spring"
     number_fields: ClassVar = Spring.number_fields | {"rest": NumberField("m", "rad")}
     kind_of_parameters = ".spring"
 
     def __post_init__(self) -> None:
         self.set_numbers(self.element)
         check_key(self.element, self.joint, self.coordinate)
+
+    def described_after(self, change: PoseChange) -> Self:
+        return replace(self, rest=self.rest - change.zeros[self.key])
 
     def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
         return -(self.stiffness * (x - self.rest) + self.damping * x_rate)
@@ -137,12 +142,18 @@ class BallSpring(OnBall, Spring):
     damping: float = 0.0
     rest: ArrayField = (0.0, 0.0, 0.0)  # type: ignore[assignment]
 
+    kind = "ball_spring"
     number_fields: ClassVar = Spring.number_fields | {"rest": NumberField("rad", shape=(3,))}
     may_jump = True
 
     def __post_init__(self) -> None:
         check_texts(self.element, self, "joint")
         self.set_numbers(self.element)
+
+    def described_after(self, change: PoseChange) -> Self:
+        i, j = balls.ends(change.mechanism, self.joint)
+        rest = change.moves[i].turn @ balls.rotation_by(self.rest) @ change.moves[j].turn.T
+        return replace(self, rest=balls.rotation_vector(rest))
 
     def theta(self, at: Surroundings) -> Array:
         """Compute the rotation vector theta (3,), rad, world frame."""
@@ -223,6 +234,7 @@ class PointSpring(OnBodies, Spring):
     damping: float = field(default=0.0, kw_only=True)
 
     noun = "point spring"
+    kind = "point_spring"
     number_fields: ClassVar = {
         "point_on_first": POINT,
         "point_on_second": POINT,
@@ -243,6 +255,11 @@ class PointSpring(OnBodies, Spring):
         super().check(mechanism)
         if self.first == self.second:
             raise MechanismError(self.element, f"connects {quoted(self.first)} to itself", "two bodies")
+
+    def described_after(self, change: PoseChange) -> Self:
+        on_first = change.move(self.first).point(self.point_on_first)
+        on_second = change.move(self.second).point(self.point_on_second)
+        return replace(self, point_on_first=on_first, point_on_second=on_second)
 
     @property
     def has_direction(self) -> bool:
@@ -327,6 +344,7 @@ class Wrench(OnPoint):
     frame: Literal["world", "body"] = "world"
 
     noun = "wrench"
+    kind = "wrench"
     number_fields: ClassVar = OnPoint.number_fields | {
         "force": NumberField("N", shape=(3,), strength="wrench"),
         "torque": NumberField("N m", shape=(3,), strength="wrench"),
@@ -338,6 +356,13 @@ class Wrench(OnPoint):
         self.set_numbers(self.element)
         if not isinstance(self.frame, str) or self.frame not in ("world", "body"):
             raise MechanismError(self.element, f"frame is {quoted(self.frame)}", "'world' or 'body'")
+
+    def described_after(self, change: PoseChange) -> Self:
+        move = change.move(self.body)
+        moved = replace(self, point=move.point(self.point))
+        if self.frame == "world":
+            return moved
+        return replace(moved, force=move.vector(self.force), torque=move.vector(self.torque))
 
     def parts(self, at: Surroundings) -> tuple[int, Array, Array, Array]:
         k = at.mechanism.body_index(self.body)

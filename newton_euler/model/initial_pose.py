@@ -8,18 +8,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NamedTuple, assert_never
+from typing import Any
 
 import numpy as np
 
 from newton_euler.errors import MechanismError
-from newton_euler.model import balls
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Frame
 from newton_euler.model.control import ComputedTorque, StateFeedback
 from newton_euler.model.digital_control import Controller, Digital, Law, Sampled
+from newton_euler.model.elements import Move, PoseChange
 from newton_euler.model.euler_parameters import from_rotation, product
-from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.hinge_angles import HingeAngle
 from newton_euler.model.joint import Joint, JointEquations, Key
 from newton_euler.model.mechanism import Mechanism
@@ -27,34 +26,12 @@ from newton_euler.model.motions import TimeFunction, shifted
 from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array, Floats, cross
 
 COUNTED = ("rest", "force", "torque")
 """Attributes of forces that are counted from the initial pose, or are components there."""
 
 TURNED = 1e-12  # elements of a rotation below which a body has not turned
-
-
-class Move(NamedTuple):
-    """The motion of a body from the initial pose to another one.
-
-    Attributes:
-        turn: (3, 3) rotation, world frame.
-        start, end: (3,) center of mass before and after, m.
-    """
-
-    turn: Array
-    start: Array
-    end: Array
-
-    def point(self, point: Array) -> Array:
-        """Return points (..., 3) of the body where they come to."""
-        return np.asarray(self.end + (point - self.start) @ self.turn.T)
-
-    def vector(self, vector: Array) -> Array:
-        """Return vectors (..., 3) of the body as they come to be."""
-        return np.asarray(vector @ self.turn.T)
 
 
 @dataclass(frozen=True)
@@ -93,6 +70,7 @@ def described_at(scene: Scene, state: State) -> Scene:
         for body, frame in zip(mechanism.bodies, frames, strict=True)
     ]
     zeros = coordinates_at(mechanism, state)
+    change = PoseChange(mechanism, moves, zeros)
     for equations in mechanism.equations:
         _check_slides(scene, equations, moves[equations.first])
     bodies = [mechanism.bodies[0]]
@@ -108,7 +86,7 @@ def described_at(scene: Scene, state: State) -> Scene:
         scene,
         mechanism=made,
         control=tuple(_law(scene, law, zeros) for law in scene.control),
-        forces=tuple(_force(mechanism, force, moves, zeros) for force in scene.forces),
+        forces=tuple(force.described_after(change) for force in scene.forces),
         motions=tuple(motions),
         initial_state=None,
     )
@@ -174,31 +152,6 @@ def _joint(equations: JointEquations, moves: list[Move], frames: list[Frame]) ->
 def _links(axes: Array) -> list[Array]:
     """Return a frame (3, 3) in each link between two hinges of a row."""
     return [np.column_stack([a, b, cross(a, b)]) for a, b in pairwise(axes)]
-
-
-def _force(mechanism: Mechanism, force: Force, moves: list[Move], zeros: dict[Key, float]) -> Force:
-    """Return a force where its bodies come to."""
-    if isinstance(force, JointSpring):
-        return replace(force, rest=force.rest - zeros[force.key])
-    if isinstance(force, BallSpring):
-        i, j = balls.ends(mechanism, force.joint)
-        rest = moves[i].turn @ balls.rotation_by(force.rest) @ moves[j].turn.T
-        return replace(force, rest=balls.rotation_vector(rest))
-    if isinstance(force, PointSpring):
-        first, second = (moves[mechanism.body_index(name)] for name in (force.first, force.second))
-        points = first.point(force.point_on_first), second.point(force.point_on_second)
-        return replace(force, point_on_first=points[0], point_on_second=points[1])
-    if isinstance(force, Wrench):
-        move = moves[mechanism.body_index(force.body)]
-        moved = replace(force, point=move.point(force.point))
-        if force.frame == "world":
-            return moved
-        return replace(moved, force=move.vector(force.force), torque=move.vector(force.torque))
-    if isinstance(force, WindLoad):
-        move = moves[mechanism.body_index(force.body)]
-        sides = move.vector(force.first_side), move.vector(force.second_side)
-        return replace(force, point=move.point(force.point), first_side=sides[0], second_side=sides[1])
-    assert_never(force)
 
 
 def _law(scene: Scene, law: Law, zeros: dict[Key, float]) -> Law:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import field
-from typing import Annotated, ClassVar
+from dataclasses import field, replace
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from newton_euler.arguments import Range, checked
 from newton_euler.errors import MechanismError, check_texts, quoted
 from newton_euler.model.balls import TINY
 from newton_euler.model.description import ArrayField, description
-from newton_euler.model.elements import OnPoint, Surroundings
+from newton_euler.model.elements import OnPoint, PoseChange, Surroundings
 from newton_euler.model.fields import NumberField
 from newton_euler.model.mechanism import check_name
 from newton_euler.model.motions import Sum, TimeFunction
@@ -89,6 +89,7 @@ class WindLoad(OnPoint):
     air_density: float = field(default=STANDARD_AIR, kw_only=True)
 
     noun = "wind load"
+    kind = "wind_load"
     number_fields: ClassVar = OnPoint.number_fields | {
         "direction": NumberField(shape=(3,), allowed="direction"),
         "speed": NumberField("m/s", may_be_function=True),
@@ -111,6 +112,11 @@ class WindLoad(OnPoint):
         if abs(cosine) > SQUARE:
             problem = f"its sides have a cosine of {cosine:.3g}"
             raise MechanismError(self.element, problem, f"perpendicular sides, |cosine| at most {SQUARE:g}")
+
+    def described_after(self, change: PoseChange) -> Self:
+        move = change.move(self.body)
+        sides = move.vector(self.first_side), move.vector(self.second_side)
+        return replace(self, point=move.point(self.point), first_side=sides[0], second_side=sides[1])
 
     @property
     def lengths(self) -> Array:

@@ -66,17 +66,21 @@ def test_the_solver_simulates_a_force_from_its_class_alone(lifted):
 @pytest.mark.parametrize(
     "consumer",
     [
-        lambda scene: described_at(scene, initial_state(scene)),
         lambda scene: Wrenches(scene.mechanism, initial_state(scene)).add_forces(scene),
         mjcf.to_xml,
         RigidMuJoCo,
         PinocchioSystem,
     ],
-    ids=["initial pose", "reading", "MJCF", "MuJoCo", "Pinocchio"],
+    ids=["reading", "MJCF", "MuJoCo", "Pinocchio"],
 )
 def test_a_consumer_that_does_not_know_a_force_raises(lifted, consumer):
     with pytest.raises(AssertionError, match="Lift"):
         consumer(lifted)
+
+
+def test_a_force_that_is_not_described_at_other_poses_raises(lifted):
+    with pytest.raises(NotImplementedError):
+        described_at(lifted, initial_state(lifted))
 
 
 class Unknown:
