@@ -225,12 +225,12 @@ def moved_start_lines(mapping: ImportReport, scene: Scene) -> Iterator[str]:
     moved = mapping.moved
     if moved is None:
         return
-    share = max(moved.displacement / scene.mechanism.size, abs(moved.way))
+    share = max(moved.displacement / scene.mechanism.size, abs(moved.joint_motion))
     if share > START_DIGITS:
         yield (
             f"the start is not the file's: {moved.loop} is open by {moved.open:.3g} m or rad in the file; "
             f"closing the loops moved body {moved.body!r} by {moved.displacement:.3g} m and joint "
-            f"{moved.joint!r} by {moved.way:.3g} m or rad"
+            f"{moved.joint!r} by {moved.joint_motion:.3g} m or rad"
         )
 
 

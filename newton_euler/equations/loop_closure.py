@@ -140,7 +140,7 @@ class MovedStart:
         open: largest loop-closure error of the file's own start, m or rad.
         loop: element of the file with that error.
         body, displacement: body whose center of mass moves farthest, and its distance, m.
-        joint, way: joint that moves most, and its motion, m or rad.
+        joint, joint_motion: joint that moves most, and its motion, m or rad.
     """
 
     open: float
@@ -148,7 +148,7 @@ class MovedStart:
     body: str
     displacement: float
     joint: str
-    way: float
+    joint_motion: float
 
 
 class FileStart(ABC):
@@ -230,13 +230,13 @@ class FileStart(ABC):
         for owner, gap in zip(owners, np.abs(before).tolist(), strict=True):
             opened[owner] = max(opened.get(owner, 0.0), gap)
         moved = self.difference(q, found.q)
-        dof, way = int(np.argmax(np.abs(moved))), np.linalg.norm(self.centers() - centers, axis=1)
-        farthest, widest = int(np.argmax(way)), max(opened, key=lambda owner: opened[owner])
+        dof, distances = int(np.argmax(np.abs(moved))), np.linalg.norm(self.centers() - centers, axis=1)
+        farthest, widest = int(np.argmax(distances)), max(opened, key=lambda owner: opened[owner])
         change = MovedStart(
             opened[widest],
             widest,
             self.center_names()[farthest],
-            float(way[farthest]),
+            float(distances[farthest]),
             self.joint_of(dof),
             float(moved[dof]),
         )
@@ -246,7 +246,7 @@ class FileStart(ABC):
         lines = [
             f"open at {called}, in m or rad: {elements}",
             f"assembled next to {called}: closed to {found.offset:.1e}, joint {self.joint_of(dof)!r} "
-            f"moved most, by {moved[dof]:.3g}, bodies by up to {np.max(way):.3g} m",
+            f"moved most, by {moved[dof]:.3g}, bodies by up to {np.max(distances):.3g} m",
         ]
         if found.noise > CLOSURE_TOLERANCE:
             lines.append(

@@ -111,7 +111,7 @@ def check_revolutions(scene: Scene, state: State) -> None:
         x = float(scene.mechanism.measure(key, frames)[0])
         if not _is_of_pose(angle, x):
             problem = f"coordinate {key[1]} is {angle:.9g} rad in a state whose poses have it at {x:.9g} rad"
-            needed = "the same angle but for whole revolutions, 2 pi each"
+            needed = "the same angle up to whole revolutions, 2 pi each"
             raise MechanismError(f"joint {key[0]!r}", problem, needed)
 
 
@@ -170,7 +170,7 @@ def _check_velocities(scene: Scene, state: State) -> None:
             raise MechanismError(
                 f"joint {equations.joint.name!r}",
                 f"opens at {rates[worst]:.3g} {unit} in the initial state",
-                f"at most {allowed[worst]:.3g} {unit}, as newton_euler.assemble(scene, guess) makes it",
+                f"at most {allowed[worst]:.3g} {unit}; see newton_euler.assemble(scene, guess)",
             )
 
 
@@ -281,15 +281,15 @@ def _check_couplings(scene: Scene, state: State) -> None:
         allowed = VELOCITY_TOLERANCE * speed * (1.0 if coupling.is_length else 1.0 / size)
         allowed *= sensitivity
         if abs(gap) > CLOSURE_TOLERANCE:
-            problem, needed = f"is off by {gap:.3g} {unit}", f"at most {CLOSURE_TOLERANCE:g} {unit}"
+            problem, needed = f"has an error of {gap:.3g} {unit}", f"at most {CLOSURE_TOLERANCE:g} {unit}"
         elif abs(opening) > allowed:
-            problem, needed = f"is off by {opening:.3g} {unit}/s", f"at most {allowed:.3g} {unit}/s"
+            problem, needed = f"has an error of {opening:.3g} {unit}/s", f"at most {allowed:.3g} {unit}/s"
         else:
             continue
         raise MechanismError(
             f"{coupling.what} {coupling.name!r}",
             f"{problem} in the initial state",
-            f"{needed}, as newton_euler.assemble(scene, guess) makes it",
+            f"{needed}; see newton_euler.assemble(scene, guess)",
         )
 
 

@@ -191,5 +191,5 @@ class Encoders:
             x[place : place + 3] = time, angle, rate
         if not self._project(x):
             read = ", ".join(f"{key[0]} {float(readings[key][0]):.6g}" for key in self._places)
-            raise MechanismError("encoders", f"no pose is near with {read}", "coordinates within reach")
+            raise MechanismError("encoders", f"read {read}, with no pose nearby", "coordinates within reach")
         return x[:nq], x[nq : code.size]

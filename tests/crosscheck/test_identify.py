@@ -162,7 +162,7 @@ def test_identify_names_what_the_data_do_not_determine(capsys, tmp_path, data):
     fit = ("--fit", "panel_7.mass", "--fit", "slider_2.inertia.xx")
     status, out, _ = run(capsys, "identify", "tracker_gravity", data, *fit, "--output", tmp_path)
     assert status == 3
-    assert "slider_2.inertia.xx is not determined" in out
+    assert "slider_2.inertia.xx is not identifiable" in out
     found = json.loads((tmp_path / "identify.json").read_text())
     assert found["parameters"]["slider_2.inertia.xx"]["deviation"] == "inf"
 
@@ -172,7 +172,7 @@ def test_identify_says_if_the_scene_cannot_move_as_was_measured(capsys, tmp_path
     fit = ("--fit", "panel_7.mass")
     status, out, _ = run(capsys, "identify", "tracker", data, *fit, "--output", tmp_path)
     assert status == 3
-    assert "the scene cannot move as was measured" in " ".join(out.split())
+    assert "the scene cannot move as measured" in " ".join(out.split())
 
 
 @pytest.mark.parametrize(

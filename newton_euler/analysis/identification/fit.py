@@ -172,7 +172,7 @@ class Fit:
             residuals, np.ones(basis.shape[1]), jacobian, max_nfev=MAX_EVALUATIONS, **TOLERANCES
         )
         over = f"{MAX_EVALUATIONS} evaluations are used up" if solved.status == 0 else "steps are too small"
-        self.stopped = f"residuals are not the least: {self._refused or over}"
+        self.stopped = f"the fit has not converged: {self._refused or over}"
         return changed(solved.x)
 
     def unsettled(self, change: Array) -> float:

@@ -159,11 +159,10 @@ class Identification:
     def fit(self) -> str:
         """A line on the misfit and its probability."""
         if np.isnan(self.probability):
-            return "noise of columns is needed, and more numbers, to tell whether the scene is right"
+            return "to test the scene, give the noise of columns, and more numbers than parameters"
         chance = f"{self.probability:.2g}" if self.probability >= 1e-6 else "below 1e-6"
         freedom = f"{round(self.degrees_of_freedom, 1):,.10g} degrees of freedom"
-        told = f"chi-square probability {chance}, {freedom}"
-        return f"misfit {self.misfit:.3g}, 1 expected: {told}"
+        return f"reduced chi {self.misfit:.3g}, expected 1: chi-square probability {chance}, {freedom}"
 
     @property
     def is_wrong(self) -> bool:
@@ -177,11 +176,12 @@ class Identification:
         if self.is_wrong:
             worst = max(self.misfits, key=lambda name: self.misfits[name])
             lines = [
-                "the scene cannot move as was measured, or there is more noise: do not trust these values",
+                "the scene cannot move as measured, or the noise is larger than given: "
+                "do not trust these values",
                 f"largest residuals: {worst}, {self.misfits[worst]:.3g} times its noise",
             ]
-        lines += [f"{name} does not move like this: a constant fits better" for name in self.unlike]
-        lines += [f"{name} fits as degrees: [deg] behind its name?" for name in self.in_degrees]
+        lines += [f"{name}: a constant fits better than the scene" for name in self.unlike]
+        lines += [f"{name} fits in degrees: add [deg] to its name?" for name in self.in_degrees]
         return [*lines, *self.undetermined, *[self.stopped] * bool(self.stopped)]
 
     @property
@@ -189,7 +189,7 @@ class Identification:
         """Lines on a start that contradicts measurements, and on limits of the covariance."""
         lines = [self.contradiction] if self.contradiction else []
         if not self.is_wrong and self.curvature > MAX_CURVATURE:
-            lines.append("the region of all parameters together is bent: deviations are of single ones")
+            lines.append("the confidence region is curved: deviations hold for single parameters only")
         return lines
 
 
@@ -251,7 +251,9 @@ def identify(
         covariance[k, k] = np.nan if edge[k] else np.inf
     if noise.probability < MIN_PROBABILITY:
         covariance[:] = np.nan
-    open_noise = [f"the noise of {name} is not determined by its residuals" for name in noise.undetermined]
+    open_noise = [
+        f"the noise of {name} is not identifiable from its residuals" for name in noise.undetermined
+    ]
     residuals = fit.residuals(change)
     found = Identification(
         scene=with_parameters(scene, dict(zip(names, values.tolist(), strict=True))),
@@ -331,16 +333,16 @@ def _lines(names: Sequence[str], values: Array, fit: Fit, weak: Array) -> list[s
     found = [([k for k, x in enumerate(row) if abs(x) > FACTOR_TOLERANCE], row) for row in weak]
     for parts, row in sorted(found, key=lambda pair: (len(pair[0]), pair[0])):
         if len(parts) == 1:
-            lines.append(f"{names[parts[0]]} is not determined")
+            lines.append(f"{names[parts[0]]} is not identifiable")
             continue
         change = row * fit.scale
         if len(parts) == 2 and values[parts].all():
             x, y = change[parts] / values[parts]
             if abs(abs(x) - abs(y)) < FACTOR_TOLERANCE * abs(x):
                 lines.append(
-                    f"only {names[parts[0]]} {'/' if x * y > 0.0 else '*'} {names[parts[1]]} is determined"
+                    f"only {names[parts[0]]} {'/' if x * y > 0.0 else '*'} {names[parts[1]]} is identifiable"
                 )
                 continue
         changes = [f"{names[k]} {0.01 * change[k]:+.2g} {fit.units[k]}".rstrip() for k in parts]
-        lines.append(f"not determined: {', '.join(changes)} together change nothing {beyond}")
+        lines.append(f"not identifiable: {', '.join(changes)} together change nothing {beyond}")
     return lines

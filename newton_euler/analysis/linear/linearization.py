@@ -365,7 +365,7 @@ class Linearization:
                 problem = (
                     f"joint {system.row_owners[worst]!r} {verb} {abs(residuals[worst]):.3g} (m or rad, s)"
                 )
-                raise MechanismError(where, problem, "closed loops, as newton_euler.assemble makes them")
+                raise MechanismError(where, problem, "closed loops; see newton_euler.assemble(scene, guess)")
 
     def _columns(
         self, table: Array, inputs: Sequence[Key | str], names: Sequence[str | Key]

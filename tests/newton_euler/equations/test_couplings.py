@@ -194,10 +194,14 @@ def test_functions_and_their_derivatives(function):
 def test_states_that_do_not_follow_are_refused():
     scene = slider_crank(PrescribedMotion("main", Polynomial([0.1, 2.0])))
     rest = State.initial(scene.mechanism)
-    with pytest.raises(MechanismError, match=r"motion of joint 'main': is off by -0.1 rad in the initial"):
+    with pytest.raises(
+        MechanismError, match=r"motion of joint 'main': has an error of -0.1 rad in the initial"
+    ):
         initial_state(replace(scene, initial_state=rest))
     fast = (PrescribedMotion("main", Polynomial([0.0, 2.0])),)
-    with pytest.raises(MechanismError, match=r"motion of joint 'main': is off by -2 rad/s in the initial"):
+    with pytest.raises(
+        MechanismError, match=r"motion of joint 'main': has an error of -2 rad/s in the initial"
+    ):
         initial_state(replace(scene, initial_state=rest, motions=fast))
     state = newton_euler.assemble(scene, rest)
     assert initial_state(replace(scene, initial_state=state)) is state

@@ -74,7 +74,7 @@ def test_gears_start_in_the_fewest_revolutions_that_agree_with_all_poses(angle, 
 @pytest.mark.parametrize("order", ORDERS, ids=str)
 def test_wheels_that_do_not_mesh_are_refused_in_any_order(order):
     scene = train(order)
-    with pytest.raises(MechanismError, match=r"is off by .* rad in the initial state"):
+    with pytest.raises(MechanismError, match=r"has an error of .* rad in the initial state"):
         initial_state(replace(scene, initial_state=turned(scene, 5.0, error=1e-3)))
 
 
