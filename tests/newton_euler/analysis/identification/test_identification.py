@@ -216,7 +216,7 @@ RATIO = "only mass.mass / line.stiffness is identifiable"
     ],
 )
 def test_what_the_data_do_not_determine_is_named(scene, joint, parameters, lines):
-    with pytest.warns(IdentificationWarning, match=r"is (not )?determined"):
+    with pytest.warns(IdentificationWarning, match=r"is (not )?identifiable"):
         found = identify(scene, parameters, measured(scene, joint, noise=1e-4))
     # ten deviations of what is determined, the frequency
     assert found.values == pytest.approx(found.before, rel=1e-4, abs=1e-12)
