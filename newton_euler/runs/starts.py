@@ -180,7 +180,7 @@ class Assembly:
         errors = {run: self._error(run, found[run], values, begun) for run in lost.tolist()}
         given = {name: values[name] for name, number in self.initial.items() if number.order == 1}
         for run in self._contradictory(found):
-            problem = f"loops do not let joints move with {self._shown(run, given)}"
+            problem = f"loops do not allow {self._shown(run, given)}"
             error = MechanismError(f"run {run}", problem, "rates that loops and couplings allow")
             errors.setdefault(run, error)
         # revolutions of given angles; velocities that are round-off become zero
@@ -293,8 +293,8 @@ class Assembly:
         given = {number.key for number in self.initial.values() if number.order == 0}
         labels = self.scene.mechanism.coordinate_labels
         held = listed(START_PREFIX + labels[key] for key in self._keys if key not in given)
-        problem += f", where {held} is the own one of the scene" if held else ""
-        return MechanismError(f"run {run}", problem, "values that loops let joints move to")
+        problem += f", with {held} of the scene itself" if held else ""
+        return MechanismError(f"run {run}", problem, "values that joints can reach with closed loops")
 
     def _shown(self, run: int, values: Mapping[str, Array]) -> str:
         """Format the values of a run that move its start, for messages."""

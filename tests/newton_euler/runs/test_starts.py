@@ -138,11 +138,11 @@ def test_a_given_state_begins_at_its_own_coordinates(tracker, tracker_states):
         ({"start.pivot": [0.4, 0.4], "start.guide": [0.0, 3.0]}, "joint '.*' stays open by"),
         (
             {"start.pivot.rate": [1.0, 1.0], "start.guide.rate": [0.0, 5.0]},
-            "loops do not let joints move with start.pivot.rate = 1.0, start.guide.rate = 5.0",
+            "loops do not allow start.pivot.rate = 1.0, start.guide.rate = 5.0",
         ),
         (
             {"start.pivot": [0.4, 0.5], "start.guide.rate": [0.0, 0.0]},
-            "stays open by .* to start.pivot = 0.5, .*, where start.guide is the own one of the scene",
+            "stays open by .* to start.pivot = 0.5, .*, with start.guide of the scene itself",
         ),
     ],
 )
