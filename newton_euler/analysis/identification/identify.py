@@ -162,7 +162,7 @@ class Identification:
             return "to test the scene, give the noise of columns, and more numbers than parameters"
         chance = f"{self.probability:.2g}" if self.probability >= 1e-6 else "below 1e-6"
         freedom = f"{round(self.degrees_of_freedom, 1):,.10g} degrees of freedom"
-        return f"reduced chi {self.misfit:.3g}, expected 1: chi-square probability {chance}, {freedom}"
+        return f"reduced chi {self.misfit:.3g}, expected 1; probability {chance}, {freedom}"
 
     @property
     def is_wrong(self) -> bool:
