@@ -69,7 +69,7 @@ MISTAKES = {
         "crosscheck/regress/compare.py",
         "_check(figure, now.get(figure.name), problem)",
         "_check(figure, figure, problem)",
-        "crosscheck/test_regress.py::test_a_figure_moves_where_it_leaves_its_tolerance",
+        "crosscheck/regress/test_regress.py::test_a_figure_moves_where_it_leaves_its_tolerance",
     ),
     "the program of a scene with other numbers": (
         "newton_euler/codegen/fingerprint.py",

@@ -45,7 +45,7 @@ def started(folder: Path, arguments: list[str], cache: Path | None = None) -> su
         cwd=folder,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])} | changed,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[3])} | changed,
     )
 
 

@@ -13,7 +13,7 @@ import urdf.dynamics  # noqa: F401  # these: native modules cannot be imported a
 
 pytest_plugins = ["pytester"]
 
-LINKAGE = Path(__file__).parents[2] / "examples" / "linkage.xml"
+LINKAGE = Path(__file__).parents[3] / "examples" / "linkage.xml"
 
 SUITE = """
     import dataclasses

@@ -19,7 +19,7 @@ from crosscheck.regress.baseline import Baseline, Plan, Record, StoredFigure, St
 from crosscheck.support.checksum import sealed
 from newton_euler.model.state import State
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 # Baselines

@@ -16,7 +16,7 @@ import pytest
 from newton_euler.errors import DISTRIBUTION, MissingPackageError
 from newton_euler.optional_packages import optional_package
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 CONTENT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 

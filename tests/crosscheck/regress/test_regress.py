@@ -21,7 +21,7 @@ from crosscheck.regress.baseline import Record, StoredFigure, read
 from crosscheck.regress.compare import MODEL_FILE, Comparison, check, check_unsimulated, compare, divergence
 from crosscheck.regress.run import Guarded
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def figure(array, tolerance=(1e-9,), name="position"):

@@ -116,7 +116,7 @@ def test_every_python_process_is_started_without_the_current_folder() -> None:
     started = [
         line
         for package in ("crosscheck", "mjcf", "newton_euler", "urdf")
-        for path in Path(__file__).parents[2].glob(f"{package}/**/*.py")
+        for path in Path(__file__).parents[3].glob(f"{package}/**/*.py")
         for line in path.read_text().splitlines()
         if "[sys.executable" in line
     ]

@@ -250,7 +250,7 @@ def test_an_interrupt_at_any_time_is_one_line(tmp_path, seed):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[3])},
     )
     assert process.stdout.readline() == "loaded\n"
     time.sleep(dice.uniform(0.0, dice.choice([0.1, 1.0, 4.0])))
