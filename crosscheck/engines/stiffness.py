@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from newton_euler.integrators.singular import NEAR
+from newton_euler.integrators.singular import NEAR_PIVOT_RATIO
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
@@ -60,7 +60,7 @@ def modes(scene: Scene, states: Sequence[tuple[float, State]]) -> Array:
     found: list[Array] = []
     for time, state in states:
         x = compiled.packed(*compiled.system.coordinates(state), time)
-        if not derivative(x)[-1] > NEAR:
+        if not derivative(x)[-1] > NEAR_PIVOT_RATIO:
             continue
         units = np.maximum(1.0, np.abs(x[:n]))
 

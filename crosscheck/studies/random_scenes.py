@@ -18,7 +18,7 @@ from newton_euler.equations.dense import largest, rank
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.errors import AssemblyError
-from newton_euler.integrators.dense_projection import ROUND_OFF
+from newton_euler.integrators.dense_projection import RESIDUAL_ROUND_OFF
 from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear
@@ -336,7 +336,10 @@ def _moved(rng: np.random.Generator, mechanism: Mechanism) -> State:
             q = project_position(system, system.retract(start, step))
         except AssemblyError:
             continue
-        if largest(system.phi(q)) < 4.0 * ROUND_OFF * mechanism.size and _rank_at(system, q) == wanted:
+        if (
+            largest(system.phi(q)) < 4.0 * RESIDUAL_ROUND_OFF * mechanism.size
+            and _rank_at(system, q) == wanted
+        ):
             break
     speed = 10.0 ** rng.uniform(-0.5, 1.0)
     v = project_velocity(system, q, speed * system.velocity_units * rng.normal(size=system.nv))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable
+from enum import EnumType, IntEnum
 from typing import Any, NamedTuple
 
 from newton_euler.codegen.function_text import (
@@ -183,9 +184,11 @@ class Expressions(FunctionText):
             raise self._error(node, f"uses {node.id!r} before it has a value") from error
 
     def _of_attribute(self, node: ast.Attribute) -> Value:
-        """Read a field of a record, from where it was put on entry."""
-        if not isinstance(node.value, ast.Name) or node.value.id not in self._records:
-            raise self._error(node, "holds an attribute of anything but a record")
+        """Read a field of a record, from where it was put on entry, or the number of an `IntEnum` member."""
+        if not isinstance(node.value, ast.Name):
+            raise self._error(node, "holds an attribute of anything but a record or an IntEnum")
+        if node.value.id not in self._records:
+            return Value("i64", str(int(self._member(node.value, node))))
         record, name = self._records[node.value.id], node.attr
         assert not isinstance(record.type, str)
         if name not in record.type.kinds:
@@ -199,6 +202,15 @@ class Expressions(FunctionText):
             ]
             self._fields[node.value.id, name] = Value(kind_in(kind, self.lanes), word)
         return self._fields[node.value.id, name]
+
+    def _member(self, owner: ast.Name, node: ast.Attribute) -> IntEnum:
+        """Look up the member of an `IntEnum` of module level."""
+        members = None if owner.id in self._variables else self._global(owner)
+        if not isinstance(members, EnumType) or not issubclass(members, IntEnum):
+            raise self._error(node, "holds an attribute of anything but a record or an IntEnum")
+        if node.attr not in members.__members__:
+            raise self._error(node, f"uses {node.attr!r}, which {members.__name__} has not")
+        return members[node.attr]
 
     def _of_unaryop(self, node: ast.UnaryOp) -> Value:
         value = self._value(node.operand)

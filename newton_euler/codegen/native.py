@@ -5,8 +5,8 @@ functions, and runs as such. `newton_euler.codegen.translate` gives the same fun
 run or for several side by side. It may contain all that a method of integration needs: assignments, if,
 while, `for k in range(...)`, arithmetic, comparisons, elements `a[k]` and tails `a[k:]` of vectors, fields of
 records, calls of other native functions, of callbacks and of abs, min, max, sqrt. Arguments are annotated
-`float`, `int`, `Vector`, `Shared`, `Callback` or a subclass of `Record`; tables of module level (tuples of
-floats) become constants.
+`float`, `int`, an `IntEnum`, `Vector`, `Shared`, `Callback` or a subclass of `Record`. Tables of module level
+(tuples of floats) and members of an `IntEnum` become constants.
 
 Integers are 64 bit; `//` and `%` round towards zero and are meant for numbers that are not negative.
 """
@@ -16,6 +16,7 @@ from __future__ import annotations
 import ctypes
 import sys
 from collections.abc import Callable
+from enum import EnumType, IntEnum
 from functools import cached_property
 from struct import Struct
 from typing import Any, ClassVar, NamedTuple, Self, TypeVar
@@ -78,7 +79,7 @@ class Record:
         """Address of the fields, valid as long as this object lives."""
         return ctypes.addressof(self._packed)
 
-    def become(self, other: Self) -> None:
+    def overwrite_with(self, other: Self) -> None:
         """Take the fields of another record, as native code sees them; it may call this."""
         ctypes.memmove(self.address, other.address, self.layout.size)
         self.__dict__["_other"] = other  # alive as long as this object is
@@ -133,6 +134,8 @@ def native(function: F) -> F:
     kinds: dict[str, Any] = {}
     for name, hint in function.__annotations__.items():
         kind = TYPES.get(hint) or function.__globals__.get(hint)
+        if isinstance(kind, EnumType) and issubclass(kind, IntEnum):
+            kind = "i64"
         if not isinstance(kind, str) and not (isinstance(kind, type) and issubclass(kind, Record)):
             raise NativeError(f"{function.__name__}: unknown type {hint!r}")
         kinds[name] = kind

@@ -12,7 +12,7 @@ import numpy as np
 
 from newton_euler.codegen.compile import CALLBACK
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators import stepper as m
+from newton_euler.integrators.stepper import STOP_ALL_RUNS, Count
 from newton_euler.scalars import Array
 
 EQUATION_ERRORS = (NewtonEulerError, np.linalg.LinAlgError)
@@ -90,12 +90,12 @@ class Callbacks:
 
     def _end(self, on: int) -> None:
         """End the runs in the lanes that are on at their next step."""
-        self.counts[m.WISH] = m.STOP
+        self.counts[Count.STOP_REQUEST] = STOP_ALL_RUNS
 
     def _pause(self, counts: int, wish: int, on: int) -> None:
         """Python runs signal handlers here, between two of its own instructions."""
         if self._interrupted or self._stopped:
-            vector_at(wish, 1)[0] = m.STOP
+            vector_at(wish, 1)[0] = STOP_ALL_RUNS
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:

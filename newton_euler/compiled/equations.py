@@ -46,38 +46,38 @@ from newton_euler.equations.sparse import RowsInUse, add, dot, gram_factor, is_z
 from newton_euler.equations.system import Observation, at_time
 from newton_euler.errors import UnknownNameError
 from newton_euler.integrators.options import baumgarte_alpha
-from newton_euler.integrators.singular import NEAR, ratio_for_steps
+from newton_euler.integrators.singular import NEAR_PIVOT_RATIO, ratio_for_steps
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array, Scalar, minimum
 
-SIDE_BY_SIDE = (("output",), ("position", "velocity"))
+MULTI_STATE_GROUPS = (("output",), ("position", "velocity"))
 """Programs that take several states at once, the same number in each group: outputs are many."""
 
-OF_POSITIONS = frozenset({"violation"})
+POSITION_OUTPUTS = frozenset({"violation"})
 """Outputs that depend on q alone, as poses do."""
 
 CACHED_SCENES = 8
 """Number of most recently used scenes whose compiled code stays in memory, for each kind of code."""
 
-NEUTRAL = frozenset(
+NOT_COMPILED_FIELDS = frozenset(
     {"description", "duration", "output_period", "controller", "shapes", "meshes", "times", "values"}
 )
 """Fields of scenes, control laws, bodies and functions with knots that no equation sees."""
 
-KINEMATIC = ("position", "velocity")
+KINEMATIC_PROGRAMS = ("position", "velocity")
 """Programs that no parameter enters but those of geometry and motions; coverage takes those of the run."""
 
 OPEN_TOLERANCE = 1e-9
 """Sizes of the mechanism, or rad, that a constraint may stay open after projection."""
 
 
-MOST_SUMS = 8
+MAX_ROW_SUMS = 8
 """Sums of rows that are left out whose shares are looked at. The more there are, the less likely all of their
 shares are small by chance."""
 
 
-class Code:
+class CompiledEquations:
     """Native functions of one formulation of a scene. Each is traced and compiled when first needed.
 
     Attributes:
@@ -177,9 +177,9 @@ class Code:
         return len(SpanningTree(self.scene.mechanism).cuts) > 0 or len(self.system.couplings) > 0
 
     @cached_property
-    def kept(self) -> int:
+    def output_state_size(self) -> int:
         """Number of elements of a state that outputs need: its first nq, or all."""
-        return self.system.nq if self.scene.outputs <= OF_POSITIONS else self.size
+        return self.system.nq if self.scene.outputs <= POSITION_OUTPUTS else self.size
 
     @cached_property
     def arrays(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
@@ -208,7 +208,7 @@ class Code:
 
     def _traced(self, name: str, in_lanes: bool) -> Traced:
         """Return one of the programs with its layout."""
-        group = next((group for group in SIDE_BY_SIDE if name in group), ())
+        group = next((group for group in MULTI_STATE_GROUPS if name in group), ())
         many = len(group) > 0 and all(self.program(other).operations < LARGE for other in group)
         program, layout = self.program(name), self._layouts.get(name)
         if in_lanes:
@@ -217,8 +217,8 @@ class Code:
 
     def _identity_of(self, name: str) -> str | None:
         """Fingerprint of everything that a program, or the choice of "rows", depends on."""
-        parameters = self._kinematic if name in KINEMATIC else tuple(self.parameters)
-        neutral = NEUTRAL if name == "output" else NEUTRAL | {"outputs"}
+        parameters = self._kinematic if name in KINEMATIC_PROGRAMS else tuple(self.parameters)
+        neutral = NOT_COMPILED_FIELDS if name == "output" else NOT_COMPILED_FIELDS | {"outputs"}
         return self._fingerprint(parameters, neutral)
 
     @cached_property
@@ -348,7 +348,7 @@ class Code:
     def _trace(self, name: str) -> Program:
         """Trace a program; those whose results have names leave their layout in `_layouts`."""
         graph = Graph()
-        names = self._kinematic if name in KINEMATIC else tuple(self.parameters)
+        names = self._kinematic if name in KINEMATIC_PROGRAMS else tuple(self.parameters)
         x = graph.variables(self._length(names))
         return graph.prune(self._scalars(name, self._system_of(x, names), x))
 
@@ -438,7 +438,9 @@ class Code:
         if not self.loses_rank:
             return 1.0
         ratio = float(self.function("derivative")(x)[-1])
-        return ratio_for_steps(ratio, float(self.function("ratio")(x)[0])) if ratio < NEAR else ratio
+        return (
+            ratio_for_steps(ratio, float(self.function("ratio")(x)[0])) if ratio < NEAR_PIVOT_RATIO else ratio
+        )
 
     def _trace_shares(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace the square of the largest share of a row in use in one left out, and the nonzeros of rows.
@@ -450,8 +452,8 @@ class Code:
         rows = dimensionless_rows(system, system.phi_and_jacobian(q)[1], self.rows.numbers)
         factor, flags, count = gram_factor(rows, used), used.flags or {}, len(exchange.numbers)
         weights = np.eye(count)
-        if count > MOST_SUMS:
-            weights = np.random.default_rng(0).choice([-1.0, 1.0], (MOST_SUMS, count))
+        if count > MAX_ROW_SUMS:
+            weights = np.random.default_rng(0).choice([-1.0, 1.0], (MAX_ROW_SUMS, count))
         places = [used.numbers.index(number) for number in exchange.numbers]
         worst: Scalar = 0.0
         for signs in weights / np.array(exchange.units):

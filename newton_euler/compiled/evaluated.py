@@ -27,22 +27,30 @@ from newton_euler.equations.dense import singular_values
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out
 from newton_euler.equations.system import System, rate_of_phi
 from newton_euler.errors import AssemblyError
-from newton_euler.integrators import stepper as m
 from newton_euler.integrators.constraint_ratio import no_ratio
-from newton_euler.integrators.dense_projection import ROUND_OFF, closing_of
+from newton_euler.integrators.dense_projection import RESIDUAL_ROUND_OFF, closing_of
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.projection import worst_joint
 from newton_euler.integrators.row_exchange import no_exchange
 from newton_euler.integrators.singular import DENSE_PIVOT_RATIO
+from newton_euler.integrators.status import Status
+from newton_euler.integrators.stepper import (
+    COUNTS,
+    QUATERNION,
+    QUATERNION_WITH_RATES,
+    Count,
+    Equations,
+    Table,
+)
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
-NUDGE = 1e-8
+DIFFERENCE_STEP = 1e-8
 """Relative difference of coordinates and velocities, absolute (m, rad) for those below 1, for the
 Jacobian."""
 
-MAX_STEPS = 50_000
+MAX_EVALUATED_STEPS = 50_000
 """Steps after which an adaptive method gives up, if a run does not say."""
 
 
@@ -53,18 +61,18 @@ def integrate_adaptive(
     evaluated = EvaluatedSystem(system, options)
     n, start = system.nq + system.nv, np.concatenate([q, v, times[:1]])
     states = np.zeros((len(times), n))
-    table = m.Table(
+    table = Table(
         count=len(times),
-        kept=n,
+        output_state_size=n,
         runs=1,
         stride=1,
         first=np.zeros(1),
         times=np.array(times, dtype=float),
         ends=start[None],
         states=states,
-        tallies=np.zeros((1, m.COUNTS)),
+        tallies=np.zeros((1, COUNTS)),
     )
-    most = options.most_steps or MAX_STEPS
+    most = options.most_steps or MAX_EVALUATED_STEPS
     if options.integrator == "Radau":
         method: Any = radau_of(n, n + 1, options, most, evaluated.callback(n * n, evaluated.jacobian))
     else:
@@ -75,9 +83,9 @@ def integrate_adaptive(
     integrate = METHODS[options.integrator]
     with evaluated.interruptible(), np.errstate(all="ignore"):  # numbers are checked
         native_method(integrate)(integrate, evaluated.equations, table, method)
-    found = {"steps": int(evaluated.counts[m.STEPS]), "evaluations": evaluated.evaluations}
+    found = {"steps": int(evaluated.counts[Count.STEPS]), "evaluations": evaluated.evaluations}
     stopped = evaluated.failure(start[:-1], options.integrator, most)
-    return states[: int(evaluated.counts[m.WRITTEN])], found, stopped
+    return states[: int(evaluated.counts[Count.ROWS_WRITTEN])], found, stopped
 
 
 class EvaluatedSystem(Callbacks):
@@ -89,7 +97,7 @@ class EvaluatedSystem(Callbacks):
     """
 
     def __init__(self, system: System, options: Options) -> None:
-        super().__init__(np.zeros(m.COUNTS))
+        super().__init__(np.zeros(COUNTS))
         self._system = copy.copy(system)  # whose time changes
         self._kept = np.delete(np.arange(len(system.phi_units)), rows_left_out(system))
         self._phi_units = system.phi_units[self._kept]
@@ -107,11 +115,11 @@ class EvaluatedSystem(Callbacks):
         marks = np.zeros(n)
         with_rates = isinstance(system, Cartesian)
         marks[[place.start for place in system.quaternions]] = (
-            m.QUATERNION_WITH_RATES if with_rates else m.QUATERNION
+            QUATERNION_WITH_RATES if with_rates else QUATERNION
         )
         groups = constraint_groups(system) if options.projection and rows > 0 else np.zeros(0)
         derivative = self.callback(n + 1, self._derivative)
-        self.equations = m.Equations(
+        self.equations = Equations(
             n=n,
             nq=nq,
             inputs=n + 1,
@@ -120,7 +128,7 @@ class EvaluatedSystem(Callbacks):
             loses_rank=int(watches),
             ratio=no_ratio(),
             projecting=int(options.projection and rows > 0),
-            tolerance=ROUND_OFF,
+            tolerance=RESIDUAL_ROUND_OFF,
             open_tolerance=OPEN_TOLERANCE,
             lanes=1,
             position=self.callback(n + 2, self._position),
@@ -137,7 +145,7 @@ class EvaluatedSystem(Callbacks):
                 ),
             ),
             exchange=no_exchange(n + 1),
-            beside=np.zeros(2 * n + 4),
+            projection_work=np.zeros(2 * n + 4),
             pause=self.pause,
             marks=marks,
             groups=int(groups.max(initial=0.0)),
@@ -177,7 +185,7 @@ class EvaluatedSystem(Callbacks):
         """Compute the derivative (n n,) of the rates by q and v, by one-sided differences."""
         at, y = self._rates(q, v), np.concatenate([q, v])
         columns = np.empty((len(y), len(y)))
-        for k, h in enumerate(NUDGE * np.maximum(1.0, np.abs(y))):
+        for k, h in enumerate(DIFFERENCE_STEP * np.maximum(1.0, np.abs(y))):
             moved = y.copy()
             moved[k] += h
             columns[k] = (self._rates(moved[: len(q)], moved[len(q) :]) - at) / h
@@ -197,7 +205,7 @@ class EvaluatedSystem(Callbacks):
         """Make a Newton step: q and v (n,), the squared residual before it and its pivot ratio."""
         phi = self._system.phi(q)[self._kept] / self._phi_units
         left = float(phi @ phi)
-        if left < ROUND_OFF**2:
+        if left < RESIDUAL_ROUND_OFF**2:
             return np.concatenate([q, v, [left, 1.0]])
         step, ratio = self._least_step(self._jacobian(q), phi)
         return np.concatenate([self._system.retract(q, -step), v, [left, ratio]])
@@ -235,24 +243,23 @@ class EvaluatedSystem(Callbacks):
         Raises:
             Exception: what is no error of the equations.
         """
-        status, error = int(self.counts[m.STATUS]), self.error
-        if status == m.DONE:
+        status, error = Status(int(self.counts[Count.STATUS])), self.error
+        if status == Status.DONE:
             return None
-        if status == m.INTERRUPTED:
+        if status == Status.INTERRUPTED:
             raise self.fatal or KeyboardInterrupt
-        system, time = self._system, float(self.counts[m.REACHED])
+        system, time = self._system, float(self.counts[Count.TIME_REACHED])
         system.time = time
         state = system.state(last[: system.nq], last[system.nq :])
-        if status == m.OPEN:
+        if status == Status.OPEN:
             joint, residual = worst_joint(system, state)
             reason = f"projection fails: {error or AssemblyError(joint, residual, CLOSURE_TOLERANCE)}"
             return IntegrationError(time, reason)
-        reason = {
-            m.NOT_FINITE: "the solution is not finite",
-            m.SINGULAR: str(error),
-            m.TOO_MANY_STEPS: f"more than {most} steps of {integrator}; for stiff equations use Radau",
-            m.STEP_TOO_SMALL: "steps have become too small",
-        }[status]
+        reason = status.message.format(max_steps=most)
+        if status == Status.SINGULAR:
+            reason = str(error)
+        if status in (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL) and integrator == "DOP853":
+            reason += "; for stiff equations use Radau"
         with np.errstate(all="ignore"):  # of what is not finite the message tells
             around = surroundings(system.scene, state, time)
             return IntegrationError(time, blamed(system.scene, state, reason, around))

@@ -6,15 +6,16 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from newton_euler.compiled.equations import Code
+from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.equations.applied_forces import blamed
 from newton_euler.equations.dense import largest_share, singular_values
 from newton_euler.equations.system import dimensionless_jacobian, fastest_joint
-from newton_euler.integrators import stepper as m
 from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.integrators.options import Options, most_steps
 from newton_euler.integrators.projection import worst_joint
-from newton_euler.integrators.singular import FAR, NEAR
+from newton_euler.integrators.singular import FAR_PIVOT_RATIO, NEAR_PIVOT_RATIO
+from newton_euler.integrators.status import Status
+from newton_euler.integrators.stepper import Count
 from newton_euler.model.trajectory import IntegrationError, UndeterminedStartError
 from newton_euler.scalars import Array
 
@@ -23,26 +24,26 @@ STABILITY_LIMITS = {"RK4": RK4_LIMIT, "Euler": 2.0}
 oscillation without damping (E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, second edition,
 Springer 2006, section I.1)."""
 
-NUDGE = 1e-7
+DIFFERENCE_STEP = 1e-7
 """Relative difference of coordinates and velocities, absolute for those below 1, for difference quotients."""
 
-UNSTABLE = (m.NOT_FINITE, m.OPEN, m.STRAYING)
+UNSTABLE_STATUSES = (Status.NOT_FINITE, Status.OPEN, Status.STRAYING)
 """Statuses of runs that end so if their fixed step is too long."""
 
-LEFT_MOTION = 30.0
+LEFT_MOTION_FACTOR = 30.0
 """Factor by which rates exceed the limit of stability, from one step to the next, in a run that has left its
 motion. Chosen between the 1.5 and the 100 or more of runs of light links in loops."""
 
 EXAMINED_FROM_END = (1, 2, 4, 16, 64)
 """Numbers, from the end, of the states of a run that are examined for rates that make a step too long."""
 
-POWERS = 40
+POWER_ITERATIONS = 40
 """Steps of the power iteration for the fastest rate; the second half of them is used."""
 
 
 @np.errstate(all="ignore")  # of what is not finite the message tells
 def failure(
-    code: Code,
+    code: CompiledEquations,
     options: Options,
     status: int,
     states: Sequence[Array],
@@ -60,24 +61,24 @@ def failure(
         error: of the equations in Python, if one ended the run.
     """
     x = states[-1]
-    system, reached = code.float_system(x), float(counts[m.REACHED])
+    system, reached = code.float_system(x), float(counts[Count.TIME_REACHED])
     q, v = x[: system.nq], x[system.nq : code.size]
     state = system.state(q, v)
     if error is not None:
         reason = str(error)
-    elif status in UNSTABLE and (found := _instability(code, options, states[:-1])):
+    elif status in UNSTABLE_STATUSES and (found := _instability(code, options, states[:-1])):
         reason = found
-    elif status == m.OPEN:
+    elif status == Status.OPEN:
         joint, residual = worst_joint(system, state)
-        reason = f"projection cannot close joint {joint!r}, which is open by {residual:.3g} (m or rad)"
+        reason = Status.OPEN.message.format(joint=joint, residual=residual)
         reason += "; a shorter step, or DOP853, may pass" if options.step is not None else ""
     else:
-        reason = _reason(code, options, status, x)
-    stopped = UndeterminedStartError if status == m.UNDETERMINED else IntegrationError
+        reason = _reason(code, options, Status(status), x)
+    stopped = UndeterminedStartError if status == Status.UNDETERMINED else IntegrationError
     return stopped(reached, blamed(system.scene, state, reason, system.seen(q, v)))
 
 
-def _instability(code: Code, options: Options, states: Sequence[Array]) -> str:
+def _instability(code: CompiledEquations, options: Options, states: Sequence[Array]) -> str:
     """Say that a fixed step is too long for the rates of the motion; empty if no state shows that.
 
     The state where rates first exceed the limit counts: later ones may be those of a run that has left the
@@ -89,12 +90,12 @@ def _instability(code: Code, options: Options, states: Sequence[Array]) -> str:
 
     def rate_at(number: int) -> float:
         x = states[number]
-        return fastest_rate(code, x) if code.pivot_ratio(x) > FAR else 0.0
+        return fastest_rate(code, x) if code.pivot_ratio(x) > FAR_PIVOT_RATIO else 0.0
 
     limit = STABILITY_LIMITS[options.integrator]
     too_long = f"step={options.step:g} s is too long for {options.integrator}"
     number, rate = first_above(rate_at, len(states), limit / options.step)
-    if number > 0 and rate * options.step > LEFT_MOTION * limit:
+    if number > 0 and rate * options.step > LEFT_MOTION_FACTOR * limit:
         return f"{too_long}: the run leaves its motion; use a shorter step, or DOP853, which chooses its own"
     if rate * options.step > limit:
         return (
@@ -130,16 +131,16 @@ def first_above(rate_at: Callable[[int], float], count: int, limit: float) -> tu
     return last, rate
 
 
-def fastest_rate(code: Code, x: Array) -> float:
+def fastest_rate(code: CompiledEquations, x: Array) -> float:
     """Estimate the largest magnitude, 1/s, of an eigenvalue of the motion linearized at x (inputs,).
 
     By power iteration with one-sided differences of the compiled rates. The mean growth over many steps is
     the magnitude also where the eigenvalues are complex. 0 if numbers are not finite.
     """
     derivative, n = code.function("derivative"), code.size
-    at, units = derivative(x)[:n], NUDGE * np.maximum(1.0, np.abs(x[:n]))
-    direction, growth = np.random.default_rng(0).standard_normal(n), np.zeros(POWERS)
-    for k in range(POWERS):
+    at, units = derivative(x)[:n], DIFFERENCE_STEP * np.maximum(1.0, np.abs(x[:n]))
+    direction, growth = np.random.default_rng(0).standard_normal(n), np.zeros(POWER_ITERATIONS)
+    for k in range(POWER_ITERATIONS):
         moved = x.copy()
         moved[:n] += units * direction
         direction = (derivative(moved)[:n] - at) / units
@@ -147,37 +148,31 @@ def fastest_rate(code: Code, x: Array) -> float:
         if not 0.0 < size < np.inf:
             return 0.0
         direction, growth[k] = direction / size, np.log(size)
-    return float(np.exp(np.mean(growth[POWERS // 2 :])))
+    return float(np.exp(np.mean(growth[POWER_ITERATIONS // 2 :])))
 
 
-def _reason(code: Code, options: Options, status: int, x: Array) -> str:
-    integrator, most = options.integrator, most_steps(options)
-    known = status in (m.STRAYING, m.UNDETERMINED, m.UNPROJECTED)
-    near = known or code.pivot_ratio(x) < NEAR
-    advice = {True: "", False: "; for stiff equations use Radau"}[near or integrator != "DOP853"]
+def _reason(code: CompiledEquations, options: Options, status: Status, x: Array) -> str:
+    """Complete the message of a status: with the singular configuration near x (inputs,), or with advice."""
+    is_singular = status in (Status.STRAYING, Status.UNDETERMINED, Status.UNPROJECTED)
+    near = is_singular or code.pivot_ratio(x) < NEAR_PIVOT_RATIO
     joint, value = nearly_dependent(code, x) if near else ("", 0.0)
-    here = f"a singular configuration, where joint {joint!r} loses rank"
-    remedy = "a larger one, up to 1e-8, may pass, unless dimensions miss that configuration by more"
-    larger = f"; round-off near {here} (singular value {value:.1e}), is larger than rtol allows; {remedy}"
-    larger = larger if near else ""
-    return {
-        m.NOT_FINITE: "the solution is not finite",
-        m.SINGULAR: "the equations of motion are singular",
-        m.TOO_MANY_STEPS: f"more than {most} steps{advice}{larger}",
-        m.STEP_TOO_SMALL: f"steps have become too small{advice}{larger}",
-        m.STRAYING: f"accelerations of a step contradict each other near {here}; another step may pass",
-        m.UNDETERMINED: f"the run starts at rest at {here}, and the direction of motion is undetermined: "
-        "start it elsewhere, or with velocities",
-        m.UNPROJECTED: f"the run starts without projection at {here}, and may go over to another motion",
-    }[status]
+    place = f"a singular configuration, where joint {joint!r} loses rank"
+    reason = status.message.format(max_steps=most_steps(options), place=place)
+    if status not in (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL):
+        return reason
+    if near:
+        remedy = "a larger one, up to 1e-8, may pass, unless dimensions miss that configuration by more"
+        noise = f"round-off near {place} (singular value {value:.1e}), is larger than rtol allows"
+        return f"{reason}; {noise}; {remedy}"
+    return f"{reason}; for stiff equations use Radau" if options.integrator == "DOP853" else reason
 
 
-def singular_joint(code: Code, x: Array) -> str:
+def singular_joint(code: CompiledEquations, x: Array) -> str:
     """Find the joint or gear that weighs most in the constraint rows that are nearest to dependent."""
     return nearly_dependent(code, x)[0]
 
 
-def nearly_dependent(code: Code, x: Array) -> tuple[str, float]:
+def nearly_dependent(code: CompiledEquations, x: Array) -> tuple[str, float]:
     """Return `singular_joint` and the smallest singular value, dimensionless, of the constraint rows in use.
 
     Without constraints, the joint that moves fastest, and 1.

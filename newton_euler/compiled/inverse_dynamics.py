@@ -17,7 +17,7 @@ import numpy as np
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
-from newton_euler.compiled.equations import NEUTRAL
+from newton_euler.compiled.equations import NOT_COMPILED_FIELDS
 from newton_euler.compiled.outputs import at_rows
 from newton_euler.equations.formulation import Servos
 from newton_euler.equations.parameters import measuring, numbered, pieces, with_values
@@ -104,7 +104,7 @@ class InverseDynamics:
 
         begun = [float(motion.function.value(0.0)) for motion in self.scene.motions]
         chosen = self.servos.coordinates, self.servos.actuators, begun
-        known = fingerprint(self.scene, *chosen, neutral=NEUTRAL)
+        known = fingerprint(self.scene, *chosen, neutral=NOT_COMPILED_FIELDS)
         return NativeFunction(traced, known and f"{known} inverse dynamics {name}")
 
     def _trace_forces(

@@ -16,7 +16,7 @@ import numpy as np
 
 from newton_euler.codegen.compile import lane_count
 from newton_euler.compiled.callbacks import DenseCallbacks, vector_at
-from newton_euler.compiled.equations import Code
+from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.outputs import Outputs
 from newton_euler.compiled.run import (
     METHODS,
@@ -29,31 +29,32 @@ from newton_euler.compiled.run import (
     table_of,
 )
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators import stepper as m
 from newton_euler.integrators.options import Options
+from newton_euler.integrators.status import Status
+from newton_euler.integrators.stepper import COUNTS, LEAVE_LANE, STOP_ALL_RUNS, Count, Table
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
-IN_LANES = frozenset({"DOP853", "RK4", "Euler"})
+LANE_METHODS = frozenset({"DOP853", "RK4", "Euler"})
 """Methods that make runs side by side; the matrices of Radau take other pivots in each."""
 
-TABLE = 4_000_000
+MAX_TABLE_BYTES = 4_000_000
 """Bytes that the states of the runs of a group may take, which fit into the cache of a core."""
 
-LEAST, MOST = 32, 1024
+MIN_GROUP, MAX_GROUP = 32, 1024
 """Runs of a group: at its end some lanes have none."""
 
 
-def go_in_lanes(code: Code, integrator: str) -> bool:
+def runs_in_lanes(code: CompiledEquations, integrator: str) -> bool:
     """True if runs are made side by side; those with knots or digital control go from instant to instant, one
     by one."""
-    return integrator in IN_LANES and not code.piecewise and not code.scene.sampled
+    return integrator in LANE_METHODS and not code.piecewise and not code.scene.sampled
 
 
-def load_lanes(code: Code, integrator: str) -> None:
+def load_lanes(code: CompiledEquations, integrator: str) -> None:
     """Make everything ready that runs need."""
     load(code, integrator)
-    if go_in_lanes(code, integrator):
+    if runs_in_lanes(code, integrator):
         native_method(METHODS[integrator], in_lanes=True)
         names = ["derivative"] + ["position", "velocity"] * code.projects + ["rate"] * (integrator == "Euler")
         names += ["shares"] * (len(code.exchangeable.numbers) > 0)
@@ -61,14 +62,14 @@ def load_lanes(code: Code, integrator: str) -> None:
             code.function(name, in_lanes=True)
 
 
-class Departure(DenseCallbacks):
+class LaneExit(DenseCallbacks):
     """Callbacks of native code in lanes: those that would go on in Python leave.
 
     Runs that leave, and those in which a callback raises an error, are made again by scalar code, which
     reports the error.
     """
 
-    def __init__(self, code: Code, counts: Array, stopped: Sequence[bool]) -> None:
+    def __init__(self, code: CompiledEquations, counts: Array, stopped: Sequence[bool]) -> None:
         """All runs stop if `stopped` holds something; `counts` are (COUNTS, lanes)."""
         super().__init__(counts, stopped)
         self._size = code.size
@@ -80,14 +81,14 @@ class Departure(DenseCallbacks):
         self._end(on)
 
     def _end(self, on: int) -> None:
-        self.counts[m.WISH, self._lanes(on)] = m.LEAVE
+        self.counts[Count.STOP_REQUEST, self._lanes(on)] = LEAVE_LANE
 
     def _lanes(self, on: int) -> list[int]:
         return [lane for lane in range(self.counts.shape[1]) if on >> lane & 1]
 
     def _pause(self, counts: int, wish: int, on: int) -> None:
         if self._stopped:
-            self.counts[m.WISH] = m.STOP
+            self.counts[Count.STOP_REQUEST] = STOP_ALL_RUNS
 
 
 class Runs(NamedTuple):
@@ -109,13 +110,15 @@ class Runs(NamedTuple):
 class SideBySide:
     """A method on a compiled scene over given times, ready for groups of runs; one thread at a time."""
 
-    def __init__(self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = ()) -> None:
+    def __init__(
+        self, code: CompiledEquations, times: Array, options: Options, stopped: Sequence[bool] = ()
+    ) -> None:
         """Make everything ready; runs stop if `stopped`, which other threads may fill, holds something."""
         self._code, self._stopped = code, stopped
         self._alone = Integrator(code, times, options, stopped)
-        self._group = min(max(TABLE // (8 * len(times) * max(code.size, 1)), LEAST), MOST)
-        counts = np.zeros((m.COUNTS, lane_count()))
-        python = Departure(code, counts, stopped)
+        self._group = min(max(MAX_TABLE_BYTES // (8 * len(times) * max(code.size, 1)), MIN_GROUP), MAX_GROUP)
+        counts = np.zeros((COUNTS, lane_count()))
+        python = LaneExit(code, counts, stopped)
         derivative = code.function("derivative", in_lanes=True)
         system = equations(code, python, derivative, marks(code, options.integrator))
         method = method_of(code, options, np.zeros((0, 0)), lane_count())
@@ -123,7 +126,7 @@ class SideBySide:
         self._times = times.copy()
         self._states = np.zeros((self._group, len(times), code.size))
         native = native_method(integrate, in_lanes=True)
-        self._run: Callable[[m.Table], None] = lambda table: native(integrate, system, table, method)
+        self._run: Callable[[Table], None] = lambda table: native(integrate, system, table, method)
 
     def __call__(self, runs: Runs, numbers: Array) -> None:
         """Make some of the runs, given by their numbers."""
@@ -134,12 +137,12 @@ class SideBySide:
 
     def _make(self, runs: Runs, numbers: Array) -> None:
         ends, states = runs.starts[numbers], self._states[: len(numbers)]
-        counts = np.zeros((len(numbers), m.COUNTS))
+        counts = np.zeros((len(numbers), COUNTS))
         self._run(table_of(self._code, self._times, ends, states, counts, lane_count()))
         outputs = Outputs(self._code, self._times, ends, states, numbers)
         outputs.write(runs.results)
-        again = counts[:, m.STATUS] != m.DONE
-        for k in np.flatnonzero(again | self._unsettled(runs.results, numbers)).tolist():
+        again = counts[:, Count.STATUS] != Status.DONE
+        for k in np.flatnonzero(again | self._incomplete(runs.results, numbers)).tolist():
             if self._stopped:
                 break
             number = int(numbers[k])
@@ -148,7 +151,7 @@ class SideBySide:
                     self._alone(runs.starts[number])
                     self._alone.outputs(runs.results[number])
                 else:
-                    outputs.settle(runs.results[number], k)
+                    outputs.complete(runs.results[number], k)
             except IntegrationError as error:
                 runs.errors[number] = error
                 runs.results[number] = np.nan
@@ -156,7 +159,7 @@ class SideBySide:
                 counts[k] = self._alone.counts
         runs.counts[numbers] = counts
 
-    def _unsettled(self, results: Array, numbers: Array) -> Array:
+    def _incomplete(self, results: Array, numbers: Array) -> Array:
         """Find the runs (k,) whose results, those of these numbers (k,), need Python."""
         code = self._code
         if code.stabilization != "projection" or ("reactions" in code.scene.outputs and code.redundant):

@@ -11,7 +11,7 @@ import numpy as np
 from newton_euler.codegen.compile import NativeFunction
 from newton_euler.codegen.native import Callback, Record, Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.compiled.equations import Code
+from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.equations.system import at_time
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.projection import check_still_closed
@@ -131,7 +131,7 @@ class Outputs:
         write: writes the results of all runs into those (..., n, outputs) of some more.
     """
 
-    def __init__(self, code: Code, times: Array, x: Array, states: Array, places: Array) -> None:
+    def __init__(self, code: CompiledEquations, times: Array, x: Array, states: Array, places: Array) -> None:
         """Of states (runs, n, size) at `times` (n,) with the parameters in x (runs, inputs), by then.
 
         `places` (runs,) are numbers of the runs among the results.
@@ -158,11 +158,11 @@ class Outputs:
         self.write = loops().bind(map_runs, rows)
 
     def __call__(self, results: Array, rows: int | None = None) -> dict[str, Array]:
-        """Write the results (n, outputs) of the first run; returns views of them as `settle` does."""
+        """Write the results (n, outputs) of the first run; returns views of them as `complete` does."""
         self.write(results)
-        return self.settle(results[:rows])
+        return self.complete(results[:rows])
 
-    def settle(self, results: Array, run: int = 0) -> dict[str, Array]:
+    def complete(self, results: Array, run: int = 0) -> dict[str, Array]:
         """Complete the results (rows, outputs) of a run, which `write` has written; returns views by name.
 
         Reactions near singular or under redundant constraints come from the float form, which knows the
@@ -176,13 +176,13 @@ class Outputs:
         if self._code.stabilization != "projection":
             check_still_closed(self._code.scene, self._times, arrays["phi"])
         if "reactions" in self._code.scene.outputs:
-            self._settle_reactions(arrays, run)
+            self._recompute_singular_reactions(arrays, run)
         if not np.isfinite(results).all():
             check_finite(self._times, arrays)
         return arrays
 
     @np.errstate(all="ignore")  # what overflows fails
-    def _settle_reactions(self, arrays: dict[str, Array], run: int) -> None:
+    def _recompute_singular_reactions(self, arrays: dict[str, Array], run: int) -> None:
         code, times, pivot_ratio = self._code, self._times, arrays["pivot_ratio"]
         open_rows = np.arange(len(pivot_ratio)) if code.redundant else np.flatnonzero(~(pivot_ratio > 0.0))
         if not len(open_rows):
@@ -198,7 +198,7 @@ class Outputs:
             arrays["reaction_torque"][row] = evaluation.reaction_torque
 
 
-def named(code: Code, results: Array) -> dict[str, Array]:
+def named(code: CompiledEquations, results: Array) -> dict[str, Array]:
     """Return views of results (n, outputs) by name."""
     return {
         name: results[:, place].reshape(len(results), *shape) for name, (place, shape) in code.arrays.items()

@@ -19,32 +19,41 @@ from newton_euler.compiled.callbacks import (
     vector_at,
 )
 from newton_euler.compiled.constraint_groups import group_places
-from newton_euler.compiled.equations import OPEN_TOLERANCE, Code
-from newton_euler.compiled.failures import UNSTABLE, failure
+from newton_euler.compiled.equations import OPEN_TOLERANCE, CompiledEquations
+from newton_euler.compiled.failures import UNSTABLE_STATUSES, failure
 from newton_euler.compiled.outputs import Outputs, loops
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.row_choice import exchanged
 from newton_euler.errors import OptionError
-from newton_euler.integrators import stepper as m
-from newton_euler.integrators.constraint_ratio import READY, UNPREPARED, ConstraintRatio
-from newton_euler.integrators.dense_projection import ROUND_OFF, Closing, closing_of, unprepared
+from newton_euler.integrators.constraint_ratio import ConstraintRatio, Progress
+from newton_euler.integrators.dense_projection import RESIDUAL_ROUND_OFF, Closing, closing_of, unprepared
 from newton_euler.integrators.dop853 import CONTROLS, Dop853, integrate_dop853
 from newton_euler.integrators.fixed_step import FixedStep, divisions, integrate_fixed
 from newton_euler.integrators.options import FIXED, Options, most_steps
 from newton_euler.integrators.projection import project
 from newton_euler.integrators.radau import Radau, integrate_radau
 from newton_euler.integrators.row_exchange import EXCHANGED, RowExchange, no_exchange
+from newton_euler.integrators.status import Status
+from newton_euler.integrators.stepper import (
+    ANGLE,
+    COUNTS,
+    QUATERNION,
+    QUATERNION_WITH_RATES,
+    Count,
+    Equations,
+    Table,
+)
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
 MAX_EXAMINED = 8
 """Outputs of a run among which states are examined to explain how it ended."""
 
-MAX_REPEATED, LAST_STEPS = 10_000, 200
+MAX_REPEATED_STEPS, MAX_EXAMINED_STEPS = 10_000, 200
 """Fixed steps since the last output that are made again to explain how a run ended; states are examined among
 the last of them."""
 
-PREPARING = threading.Lock()
+COMPILATION_LOCK = threading.Lock()
 """Held while functions are compiled: threads that need the same wait for one of them."""
 
 METHODS: dict[str, Callable[..., None]] = {
@@ -60,7 +69,7 @@ def native_method(method: Callable[..., Any], in_lanes: bool = False) -> NativeF
     return NativeFunctions([method], in_lanes)
 
 
-def load(code: Code, integrator: str) -> None:
+def load(code: CompiledEquations, integrator: str) -> None:
     """Make everything ready that a run needs."""
     native_method(METHODS[integrator])
     loops()
@@ -68,7 +77,7 @@ def load(code: Code, integrator: str) -> None:
         code.function(name)
 
 
-def needed(code: Code, integrator: str) -> list[str]:
+def needed(code: CompiledEquations, integrator: str) -> list[str]:
     """Return the names of the functions that a run needs."""
     names = ["derivative", "output"] + ["position", "velocity"] * code.projects
     names += ["shares"] * (len(code.exchangeable.numbers) > 0)
@@ -76,21 +85,21 @@ def needed(code: Code, integrator: str) -> list[str]:
     return names + ["measured"] * bool(code.scene.sampled)
 
 
-def marks(code: Code, integrator: str) -> Array:
+def marks(code: CompiledEquations, integrator: str) -> Array:
     """Mark angles and Euler parameters (size,), see `newton_euler.integrators.stepper`; others are 0.
 
     Norms that Baumgarte's method governs are its own, but for those that Euler's method leaves behind.
     """
     marked = np.zeros(code.size)
-    marked[code.system.uncounted_angles] = m.ANGLE
+    marked[code.system.uncounted_angles] = ANGLE
     cartesian = isinstance(code.system, Cartesian)
     if not (cartesian and code.stabilization == "baumgarte" and integrator != "Euler"):
         starts = [place.start for place in code.system.quaternions]
-        marked[starts] = m.QUATERNION_WITH_RATES if cartesian else m.QUATERNION
+        marked[starts] = QUATERNION_WITH_RATES if cartesian else QUATERNION
     return marked
 
 
-def round_off_units(code: Code) -> Array:
+def round_off_units(code: CompiledEquations) -> Array:
     """Return the units (size,) below which coordinates have the absolute round-off of their unit.
 
     Carried angles have the unit 1. Velocities and the work have none: their round-off is relative.
@@ -104,7 +113,7 @@ def round_off_units(code: Code) -> Array:
 class Fallback(DenseCallbacks):
     """Callbacks of a run into Python: singular states, by the dense float form, and interrupts."""
 
-    def __init__(self, code: Code, counts: Array, stopped: Sequence[bool] = ()) -> None:
+    def __init__(self, code: CompiledEquations, counts: Array, stopped: Sequence[bool] = ()) -> None:
         super().__init__(counts, stopped)
         self._code = code
         self.derivative = self.guarded(self._derivative, self._failed)
@@ -134,19 +143,24 @@ class Integrator:
     """
 
     def __init__(
-        self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = (), room: int = 0
+        self,
+        code: CompiledEquations,
+        times: Array,
+        options: Options,
+        stopped: Sequence[bool] = (),
+        room: int = 0,
     ) -> None:
         """Make everything ready; a run stops if `stopped`, which other threads may fill, holds something."""
         functions = (f for each in code.scene.functions.values() for f in each)
         if options.rest and not all(f.is_constant for f in functions):
             raise OptionError("rest", options.rest, "0 for a scene with functions of time other than Steps")
         self._code, self._options, self._stopped = code, options, stopped
-        self.times, self.x, self.counts = times.copy(), np.zeros(code.inputs), np.zeros(m.COUNTS)
+        self.times, self.x, self.counts = times.copy(), np.zeros(code.inputs), np.zeros(COUNTS)
         self._python = Fallback(code, self.counts, stopped)
         self.table, self.steps = np.zeros((len(times), code.size)), np.zeros((room, code.flags.stop + 1))
         marked = marks(code, options.integrator)
         system = equations(code, self._python, code.function("derivative"), marked)
-        table = table_of(code, self.times, self.x[None], self.table[None], np.zeros((1, m.COUNTS)))
+        table = table_of(code, self.times, self.x[None], self.table[None], np.zeros((1, COUNTS)))
         method = method_of(code, options, self.steps)
         self.outputs = Outputs(code, self.times, self.x[None], self.table[None], np.zeros(1))
         integrate = METHODS[options.integrator]
@@ -159,12 +173,12 @@ class Integrator:
             IntegrationError: with the time reached, the reason and the joint.
         """
         self.x[:] = x
-        error, status = self._execute(), int(self.counts[m.STATUS])
-        if status != m.DONE or error is not None:
+        error, status = self._execute(), int(self.counts[Count.STATUS])
+        if status != Status.DONE or error is not None:
             # a run that goes on to another end has recovered from an error of the dense form
-            error = error or (self._python.error if status == m.SINGULAR else None)
+            error = error or (self._python.error if status == Status.SINGULAR else None)
             passed: list[Array] = []
-            if self._options.step is not None and error is None and status in UNSTABLE:
+            if self._options.step is not None and error is None and status in UNSTABLE_STATUSES:
                 passed = [x, *self._outputs_passed(), *self._steps_passed()]
             raise failure(self._code, self._options, status, [*passed, self.x], self.counts, error)
 
@@ -183,13 +197,13 @@ class Integrator:
             return python.fatal
         if python.fatal is not None:
             raise python.fatal
-        if self.counts[m.STATUS] == m.INTERRUPTED:
+        if self.counts[Count.STATUS] == Status.INTERRUPTED:
             raise KeyboardInterrupt
         return None
 
     def _outputs_passed(self) -> list[Array]:
         """Return some states (inputs,) of a run by fixed steps at its outputs."""
-        written = int(self.counts[m.WRITTEN])
+        written = int(self.counts[Count.ROWS_WRITTEN])
         return [self._row(row) for row in range(1, written, written // MAX_EXAMINED + 1)]
 
     def _steps_passed(self) -> list[Array]:
@@ -198,18 +212,18 @@ class Integrator:
         These steps are made once more, with an output at each.
         """
         assert self._options.step is not None
-        last = int(self.counts[m.WRITTEN]) - 1
+        last = int(self.counts[Count.ROWS_WRITTEN]) - 1
         if last < 0 or last + 1 >= len(self.times):
             return []
         begin, end = self.times[last : last + 2]
         count = divisions(end - begin, self._options.step)
-        if count > MAX_REPEATED:
+        if count > MAX_REPEATED_STEPS:
             return []
         again = Integrator(self._code, np.linspace(begin, end, count + 1), self._options, self._stopped)
         again.x[:] = self._row(last)
         again._execute()  # to where it ended, whatever ended it
-        written = int(again.counts[m.WRITTEN])
-        return [again._row(row) for row in range(max(1, written - LAST_STEPS), written)]
+        written = int(again.counts[Count.ROWS_WRITTEN])
+        return [again._row(row) for row in range(max(1, written - MAX_EXAMINED_STEPS), written)]
 
     def _row(self, row: int) -> Array:
         """Return the state (inputs,) in a row of the table, of which the method has written all."""
@@ -225,7 +239,7 @@ class Integrator:
             self(x)
         except IntegrationError as error:
             stopped = error
-        rows, results = int(self.counts[m.WRITTEN]), np.empty(self.outputs.shape)
+        rows, results = int(self.counts[Count.ROWS_WRITTEN]), np.empty(self.outputs.shape)
         while rows > 0:
             try:
                 self.outputs(results, rows)
@@ -235,7 +249,9 @@ class Integrator:
         return results[:rows], stopped
 
 
-def equations(code: Code, python: DenseCallbacks, derivative: Callback, marked: Array) -> m.Equations:
+def equations(
+    code: CompiledEquations, python: DenseCallbacks, derivative: Callback, marked: Array
+) -> Equations:
     """Return a scene's native functions as methods call them: in lanes, if the counts (COUNTS, lanes) of the
     callbacks are of as many runs."""
     in_lanes = python.counts.ndim > 1
@@ -243,7 +259,7 @@ def equations(code: Code, python: DenseCallbacks, derivative: Callback, marked: 
         code.function(name, in_lanes) if code.projects else None for name in ("position", "velocity")
     )
     lanes = position.lanes if position else 1
-    return m.Equations(
+    return Equations(
         n=code.size,
         nq=code.system.nq,
         inputs=code.inputs,
@@ -252,14 +268,14 @@ def equations(code: Code, python: DenseCallbacks, derivative: Callback, marked: 
         loses_rank=int(code.loses_rank),
         ratio=ratio_on_demand(code, python, in_lanes),
         projecting=int(code.projects),
-        tolerance=ROUND_OFF,
+        tolerance=RESIDUAL_ROUND_OFF,
         open_tolerance=OPEN_TOLERANCE,
         lanes=1 if in_lanes else lanes,
         position=position,
         velocity=velocity,
         closing=closing_on_demand(code, python, in_lanes),
         exchange=exchange_of(code, python, in_lanes),
-        beside=np.zeros((code.inputs + code.size + 3, lanes)),
+        projection_work=np.zeros((code.inputs + code.size + 3, lanes)),
         pause=python.pause,
         marks=marked,
         groups=int(code.groups.max(initial=0.0)),
@@ -268,36 +284,38 @@ def equations(code: Code, python: DenseCallbacks, derivative: Callback, marked: 
     )
 
 
-def closing_on_demand(code: Code, python: DenseCallbacks, in_lanes: bool) -> Closing:
+def closing_on_demand(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool) -> Closing:
     """Return a record to close a scene with, whose functions are compiled when a run first comes near a
     singular configuration."""
 
     def prepare(x: int, y: int, on: int) -> None:
-        with PREPARING:
+        with COMPILATION_LOCK:
             retract, surface = (code.function(name, in_lanes) for name in ("retract", "surface"))
         system, (constraints, places) = code.system, surface.layout
         functions, lanes = (retract, surface), surface.lanes
         units = system.velocity_units
-        closing.become(closing_of(system.nq, units, code.inputs, places, constraints, functions, lanes))
+        closing.overwrite_with(
+            closing_of(system.nq, units, code.inputs, places, constraints, functions, lanes)
+        )
 
     closing = unprepared(python.guarded(prepare), code.system.nq, code.system.nv)
     return closing
 
 
-def ratio_on_demand(code: Code, python: DenseCallbacks, in_lanes: bool) -> ConstraintRatio:
+def ratio_on_demand(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool) -> ConstraintRatio:
     """Return a record of the constraints alone, whose function is compiled when pivots are first small."""
 
     def prepare(x: int, y: int, on: int) -> None:
-        with PREPARING:
+        with COMPILATION_LOCK:
             function = code.function("ratio", in_lanes)
-        ratio.become(ConstraintRatio(READY, None, function, found))
+        ratio.overwrite_with(ConstraintRatio(Progress.READY, None, function, found))
 
     found = np.zeros((1, lane_count() if in_lanes else 1))
-    ratio = ConstraintRatio(UNPREPARED, python.guarded(prepare), None, found)
+    ratio = ConstraintRatio(Progress.UNPREPARED, python.guarded(prepare), None, found)
     return ratio
 
 
-def exchange_of(code: Code, python: DenseCallbacks, in_lanes: bool) -> RowExchange:
+def exchange_of(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool) -> RowExchange:
     """Return the record of a scene's exchangeable rows."""
     rows = code.exchangeable
     if not rows.numbers:
@@ -329,13 +347,15 @@ def exchange_of(code: Code, python: DenseCallbacks, in_lanes: bool) -> RowExchan
     )
 
 
-def table_of(code: Code, times: Array, ends: Array, states: Array, tallies: Array, lanes: int = 1) -> m.Table:
+def table_of(
+    code: CompiledEquations, times: Array, ends: Array, states: Array, tallies: Array, lanes: int = 1
+) -> Table:
     """Return a table of as many runs as there are ends; each lane makes the first one that is its own."""
     first = np.arange(float(lanes))
-    return m.Table(len(times), code.kept, len(ends), lanes, first, times, ends, states, tallies)
+    return Table(len(times), code.output_state_size, len(ends), lanes, first, times, ends, states, tallies)
 
 
-def method_of(code: Code, options: Options, steps: Array, lanes: int = 1) -> Record:
+def method_of(code: CompiledEquations, options: Options, steps: Array, lanes: int = 1) -> Record:
     """Return a method with its state and scratch, for a run in each lane, and room for steps of one."""
     n, most = code.size, most_steps(options)
 
@@ -381,7 +401,7 @@ def dop853_of(
         atol=options.atol,
         near_rtol=near[0],
         near_atol=near[1],
-        most=most,
+        max_steps=most,
         rest=options.rest,
         units=units,
         now=scratch(inputs),
@@ -406,7 +426,7 @@ def radau_of(n: int, inputs: int, options: Options, most: int, jacobian: Callbac
     return Radau(
         rtol=options.rtol,
         atol=options.atol,
-        most=most,
+        max_steps=most,
         jacobian=jacobian,
         now=scratch(inputs),
         at=scratch(inputs),
@@ -429,8 +449,8 @@ def radau_of(n: int, inputs: int, options: Options, most: int, jacobian: Callbac
 class Projection:
     """Projection of states onto the constraints of a scene."""
 
-    def __init__(self, code: Code) -> None:
-        self._python, self._projects = Fallback(code, np.zeros(m.COUNTS)), code.projects
+    def __init__(self, code: CompiledEquations) -> None:
+        self._python, self._projects = Fallback(code, np.zeros(COUNTS)), code.projects
         self.x = np.zeros(code.inputs)
         rates = self._python.derivative  # projection calls none, and compiling them takes time
         system = equations(code, self._python, rates, np.zeros(code.size))
@@ -444,7 +464,7 @@ class Projection:
         self._python.begin()
         status = self._run()
         raise_fatal(self._python)
-        if status != m.DONE:
+        if status != Status.DONE:
             return False
         x[:] = self.x
         return True

@@ -11,15 +11,22 @@ Written for native code, see `newton_euler.codegen.native`; it runs as plain Pyt
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 
 from newton_euler.codegen.native import Callback, Record, Vector, native
 
-UNKNOWN, UNPREPARED, READY = 0, 1, 2
-"""Values of `ConstraintRatio.progress`."""
 
-FAILED = -1.0
+class Progress(IntEnum):
+    """Values of `ConstraintRatio.progress`: without a function, before and after `prepare` was called."""
+
+    UNKNOWN = 0
+    UNPREPARED = 1
+    READY = 2
+
+
+UNKNOWN_RATIO = -1.0
 """Stands for the pivot ratio if the function cannot be compiled."""
 
 
@@ -28,7 +35,7 @@ class ConstraintRatio(Record):
     """The function of a scene's constraints alone.
 
     Attributes:
-        progress: UNPREPARED before `prepare` has been called, then READY; UNKNOWN if there is no function.
+        progress: a `Progress`.
         prepare: fills in this record.
         evaluate: writes the pivot ratio at x (inputs,), 1 or less.
         found: (1,) what it writes.
@@ -42,14 +49,14 @@ class ConstraintRatio(Record):
 
 def no_ratio() -> ConstraintRatio:
     """Return the record of equations whose own pivot ratio is that of the constraints."""
-    return ConstraintRatio(UNKNOWN, None, None, np.zeros(1))
+    return ConstraintRatio(Progress.UNKNOWN, None, None, np.zeros(1))
 
 
 @native
 def evaluate_ratio(ratio: ConstraintRatio, x: Vector) -> float:
     """Evaluate the pivot ratio of the constraints at x (inputs,) by a function that is ready."""
-    if ratio.progress != READY:
-        return FAILED
+    if ratio.progress != Progress.READY:
+        return UNKNOWN_RATIO
     ratio.evaluate(x, ratio.found)
     return max(ratio.found[0], 0.0)
 
@@ -57,8 +64,8 @@ def evaluate_ratio(ratio: ConstraintRatio, x: Vector) -> float:
 @native
 def constraint_ratio(ratio: ConstraintRatio, x: Vector) -> float:
     """Return the pivot ratio of the constraints at x (inputs,), 0 if it is unknown; compile it if need be."""
-    if ratio.progress == UNKNOWN:
+    if ratio.progress == Progress.UNKNOWN:
         return 0.0
-    if ratio.progress == UNPREPARED:
+    if ratio.progress == Progress.UNPREPARED:
         ratio.prepare(x, ratio.found)
     return evaluate_ratio(ratio, x)

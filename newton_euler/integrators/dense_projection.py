@@ -21,17 +21,17 @@ from newton_euler.codegen.native import Callback, Record, Shared, Vector, native
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.scalars import Array
 
-NEWTON_STEPS = 20
+MAX_DENSE_ITERATIONS = 20
 """Newton's steps at most, of which each makes residuals half as large or is the last."""
 
-ROUND_OFF = 16.0 * np.finfo(float).eps
+RESIDUAL_ROUND_OFF = 16.0 * np.finfo(float).eps
 """Residuals below this share of the mechanism's size are what evaluating them loses."""
 
-ALIKE = 1e-12
+REUSE_JACOBIAN_BELOW = 1e-12
 """Dimensionless residual that a Newton step of 1e-6 leaves. The next one may do with the same Jacobian: it
-leaves 1e-6 / `WEAK` of the residual at most."""
+leaves 1e-6 / `WEAK_CONSTRAINT_LENGTH` of the residual at most."""
 
-WEAK = 3e-5
+WEAK_CONSTRAINT_LENGTH = 3e-5
 """Dimensionless length, as a share of the longest, below which a column of what constraints measure says too
 little to correct a state by it: the correction of a velocity would have the round-off of its residual divided
 by the square."""
@@ -216,7 +216,7 @@ def orthogonalize(closing: Closing) -> None:
                 most = lengths[row]
                 place = row
         longest = max(longest, most)
-        scale = 1.0 / sqrt(most) if most > WEAK * WEAK * longest else 0.0
+        scale = 1.0 / sqrt(most) if most > WEAK_CONSTRAINT_LENGTH * WEAK_CONSTRAINT_LENGTH * longest else 0.0
         closing.chosen[r] = float(place)
         closing.inverse[r] = scale
         for i in range(nv):
@@ -295,8 +295,8 @@ def close_by(closing: Closing, x: Vector, y: Vector) -> None:
         at[i] = y[i]
     closing.evaluate(at, found)
     left = squared(k, found)
-    for number in range(NEWTON_STEPS):
-        if number == 0 or left > ALIKE * ALIKE:
+    for number in range(MAX_DENSE_ITERATIONS):
+        if number == 0 or left > REUSE_JACOBIAN_BELOW * REUSE_JACOBIAN_BELOW:
             if factor_metric(closing) == 0:
                 return
             orthogonalize(closing)
@@ -318,7 +318,7 @@ def close_by(closing: Closing, x: Vector, y: Vector) -> None:
             break
         for i in range(nq):
             y[i] = at[i]
-        if left < ROUND_OFF * ROUND_OFF:
+        if left < RESIDUAL_ROUND_OFF * RESIDUAL_ROUND_OFF:
             break
     if not left <= CLOSURE_TOLERANCE * CLOSURE_TOLERANCE:
         return

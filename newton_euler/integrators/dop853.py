@@ -8,6 +8,7 @@ Written for native code, see `newton_euler.codegen.native`; it runs as plain Pyt
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from math import sqrt
 
 from newton_euler.codegen.native import Record, Shared, Vector, native
@@ -30,41 +31,79 @@ from newton_euler.integrators.projection import (
     project_end,
     project_rows,
 )
-from newton_euler.integrators.round_off import ROUGH, ROUND_OFF_MARGIN, UNMEASURED, measure_round_off
+from newton_euler.integrators.round_off import (
+    ROUGH_ERROR_RATIO,
+    ROUND_OFF_MARGIN,
+    STEPS_TO_NEXT_MEASUREMENT,
+    measure_round_off,
+)
 from newton_euler.integrators.row_exchange import RowExchange, copy_flags, exchange_rows
-from newton_euler.integrators.singular import HOP, HOPS, NEAR, UNSAFE, crossing_factor, evaluate
+from newton_euler.integrators.singular import (
+    MAX_PLACEMENT_TRIES,
+    NEAR_PIVOT_RATIO,
+    UNSAFE_PIVOT_RATIO,
+    UNSAFE_STEP_FACTOR,
+    crossing_factor,
+    evaluate,
+)
+from newton_euler.integrators.status import Status
 from newton_euler.integrators.stepper import (
-    DONE,
-    EXCESS,
+    EPS,
     HUGE,
-    REJECTED,
-    SPACING,
-    STEPS,
+    Count,
     Equations,
     Table,
     before_step,
-    finish,
-    keep_norms,
-    record,
-    take,
+    finish_run,
+    normalize_quaternions,
+    start_run,
+    write_row,
 )
 
-LEAST = 1e3
+MIN_FIRST_STEP_ULPS = 1e3
 """Of the first step in units of the distance of doubles at its time."""
 
-SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
+SAFETY, MIN_STEP_FACTOR, MAX_STEP_FACTOR = 0.9, 0.2, 10.0
 """Factors of the step-size control, as in scipy."""
 
-EXPONENT = -1.0 / 8.0
+ERROR_EXPONENT = -1.0 / 8.0
 """Of the error in the factor for the next step."""
 
-SIZE, GROWTH, HOPPED, DUE, UNCUT, BEYOND, LEAVES, SMOOTHNESS, NOISY, MOVED = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
-MOVED_NOISE = 10
-"""Places in the vector `control`."""
 
-CONTROLS = 11
+class Control(IntEnum):
+    """Places in the vector `control` of a run.
 
-FAILED = 1e10
+    Attributes:
+        STEP: size of the next step, s.
+        MAX_GROWTH: the largest factor for the step after the next one.
+        PLACEMENT_TRIES: how often the step was shortened to pass a singular configuration between stages.
+        NEXT_ROW: row of the table that is written next.
+        UNCLIPPED_STEP: the size, s, before the step was shortened to end with the run.
+        OVERSHOOTS_END: 1 if steps may go beyond the end of the run, else 0.
+        STARTS_SINGULAR: 1 until the run has left a singular configuration where it began, then 0.
+        ERROR_RATIO: the squared error estimates of order 3 over those of order 5 of the last step.
+        ROUND_OFF_MARK: 1 if round-off made most of the error estimate when it was measured last. A negative
+            number counts the steps that look like round-off until it is measured again.
+        PROJECTION_CHANGE: the change by projection for which the step was rejected last, in tolerances.
+        PROJECTION_NOISE: the change by projection of the step accepted last if it was 1 or more, else 0.
+    """
+
+    STEP = 0
+    MAX_GROWTH = 1
+    PLACEMENT_TRIES = 2
+    NEXT_ROW = 3
+    UNCLIPPED_STEP = 4
+    OVERSHOOTS_END = 5
+    STARTS_SINGULAR = 6
+    ERROR_RATIO = 7
+    ROUND_OFF_MARK = 8
+    PROJECTION_CHANGE = 9
+    PROJECTION_NOISE = 10
+
+
+CONTROLS = len(Control)
+
+FAILED_STEP_ERROR = 1e10
 """Stands for the error of a step that could not be evaluated or projected."""
 
 
@@ -75,7 +114,7 @@ class Dop853(Record):
     Attributes:
         rtol, atol: tolerances.
         near_rtol, near_atol: the same next to a singular configuration, which may be larger.
-        most: the largest number of steps.
+        max_steps: the largest number of steps.
         rest: rates, SI, below which a mechanism stays where it is until the end; 0 for never.
         units: (n,) of the state, SI: numbers below their unit have the absolute round-off of the unit.
         now, at, end, projected: states with time and parameters: where a step begins, of a stage, where it
@@ -98,7 +137,7 @@ class Dop853(Record):
     atol: float
     near_rtol: float
     near_atol: float
-    most: int
+    max_steps: int
     rest: float
     units: Shared
     now: Vector
@@ -114,7 +153,7 @@ class Dop853(Record):
 
 
 @native
-def keep_step(rows: RowExchange, h: float, method: Dop853, number: int) -> None:
+def store_step(rows: RowExchange, h: float, method: Dop853, number: int) -> None:
     """Keep a step of size h if there is room for it."""
     count = rows.first + rows.count
     if number < method.room:
@@ -150,7 +189,7 @@ def advance(s: int, h: float, count: int, row: int, x: Vector, k: Vector, at: Ve
 
 
 @native
-def stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> int:
+def stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> Status:
     """Evaluate stage s of a step of size h: its state in `at`, its derivative in row s of k; returns a
     status."""
     n = system.n
@@ -181,9 +220,9 @@ def error_norm(system: Equations, h: float, margin: float, method: Dop853) -> fl
         fifth += (five / scale) * (five / scale)
         third += (three / scale) * (three / scale)
     if fifth == 0.0 and third == 0.0:
-        method.control[SMOOTHNESS] = HUGE
+        method.control[Control.ERROR_RATIO] = HUGE
         return 0.0
-    method.control[SMOOTHNESS] = third / fifth if fifth > 0.0 else HUGE
+    method.control[Control.ERROR_RATIO] = third / fifth if fifth > 0.0 else HUGE
     return h * fifth / sqrt((fifth + 0.01 * third) * system.n)
 
 
@@ -250,7 +289,7 @@ def first_step(system: Equations, method: Dop853, span: float) -> float:
     d0 = sqrt(d0 / n)
     d1 = sqrt(d1 / n)
     h = min(1e-6 if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1, span)
-    h = max(h, min(LEAST * SPACING * abs(now[n]), span))  # next to the origin the state says little
+    h = max(h, min(MIN_FIRST_STEP_ULPS * EPS * abs(now[n]), span))  # next to the origin the state says little
     for i in range(n):
         at[i] = now[i] + h * k[i]
     at[n] = now[n] + h
@@ -279,7 +318,7 @@ def error_on_constraints(n: int, h: float, closing: Closing, method: Dop853) -> 
     k = method.k
     close(closing, end, k[13 * row :])
     if not k[13 * row + n] > 0.0:
-        return FAILED
+        return FAILED_STEP_ERROR
     at[n] = end[n]
     for i in range(n):
         five = 0.0
@@ -294,7 +333,7 @@ def error_on_constraints(n: int, h: float, closing: Closing, method: Dop853) -> 
         at[i] = end[i] + h * three
     close(closing, at, k[15 * row :])
     if not min(k[14 * row + n], k[15 * row + n]) > 0.0:
-        return FAILED
+        return FAILED_STEP_ERROR
     fifth = 0.0
     third = 0.0
     for i in range(n):
@@ -309,45 +348,45 @@ def error_on_constraints(n: int, h: float, closing: Closing, method: Dop853) -> 
 
 
 @native
-def write_outputs(system: Equations, table: Table, states: Vector, method: Dop853, near: int) -> int:
+def write_outputs(system: Equations, table: Table, states: Vector, method: Dop853, near: int) -> Status:
     """Write rows of a run's states that its step has reached; returns a status."""
     n = system.n
     now = method.now
     times = table.times
-    h = method.control[SIZE]
+    h = method.control[Control.STEP]
     for s in range(STAGES + 1, 16):
         status = stage(system, method, s, h, method.at)
-        if status != DONE:
+        if status != Status.DONE:
             return status
     prepare_dense(h, n, n + 1, n, now, method.end, method.k, method.terms)
-    due = int(method.control[DUE])
+    due = int(method.control[Control.NEXT_ROW])
     row = due
     while row < table.count and times[row] <= now[n] + h:
         state = states[n * row :]
-        count = n if near == 1 or method.control[BEYOND] == 1.0 else table.kept
+        count = n if near == 1 or method.control[Control.OVERSHOOTS_END] == 1.0 else table.output_state_size
         interpolate(count, n, (times[row] - now[n]) / h, method, state)
-        keep_norms(system, state, state)
+        normalize_quaternions(system, state, state)
         row += 1
-    method.control[DUE] = float(row)
+    method.control[Control.NEXT_ROW] = float(row)
     return project_rows(system, table, states, due, row, near, method.at)
 
 
 @native
-def stay(system: Equations, table: Table, states: Vector, method: Dop853) -> None:
+def finish_at_rest(system: Equations, table: Table, states: Vector, method: Dop853) -> None:
     """Write `now` into the rows that are due if it rests, and go to their end."""
     n = system.n
     largest = 0.0
     for i in range(system.n):
         largest = max(largest, abs(method.k[i]))
     if largest < method.rest:
-        for row in range(int(method.control[DUE]), table.count):
-            record(system, states, row, method.now)
+        for row in range(int(method.control[Control.NEXT_ROW]), table.count):
+            write_row(system, states, row, method.now)
         method.now[n] = table.times[table.count - 1]
-        method.control[DUE] = float(table.count)
+        method.control[Control.NEXT_ROW] = float(table.count)
 
 
 @native
-def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853) -> int:
+def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853) -> Status:
     """Begin a run at `now`; returns a status."""
     now = method.now
     for i in range(system.inputs):
@@ -355,29 +394,31 @@ def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853
         method.end[i] = now[i]
         method.projected[i] = now[i]
     status = begin_adaptive(system, table, states, now, method.k)
-    if status != DONE:
+    if status != Status.DONE:
         return status
     copy_flags(system.exchange, now, method.at)
     copy_flags(system.exchange, now, method.end)
     copy_flags(system.exchange, now, method.projected)
     for i in range(system.n):
         method.round_off[i] = 0.0
-    method.control[DUE] = 1.0
-    stay(system, table, states, method)
-    if method.control[DUE] < table.count:
-        method.control[SIZE] = first_step(system, method, table.times[table.count - 1] - now[system.n])
-    method.control[GROWTH] = LARGEST
-    method.control[HOPPED] = 0.0
-    method.control[BEYOND] = 0.0
-    method.control[LEAVES] = 1.0
-    method.control[NOISY] = 0.0
-    method.control[MOVED] = HUGE
-    method.control[MOVED_NOISE] = 0.0
-    return DONE
+    method.control[Control.NEXT_ROW] = 1.0
+    finish_at_rest(system, table, states, method)
+    if method.control[Control.NEXT_ROW] < table.count:
+        method.control[Control.STEP] = first_step(
+            system, method, table.times[table.count - 1] - now[system.n]
+        )
+    method.control[Control.MAX_GROWTH] = MAX_STEP_FACTOR
+    method.control[Control.PLACEMENT_TRIES] = 0.0
+    method.control[Control.OVERSHOOTS_END] = 0.0
+    method.control[Control.STARTS_SINGULAR] = 1.0
+    method.control[Control.ROUND_OFF_MARK] = 0.0
+    method.control[Control.PROJECTION_CHANGE] = HUGE
+    method.control[Control.PROJECTION_NOISE] = 0.0
+    return Status.DONE
 
 
 @native
-def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853) -> int:
+def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853) -> Status:
     """Try a step, whose size is changed if it is not to be taken; returns a status."""
     n = system.n
     row = n + 1
@@ -387,98 +428,111 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     counts = system.counts
     control = method.control
     stop = table.times[table.count - 1]
-    status = before_step(system, table, method.most, control[SIZE], now)
-    if status != DONE:
+    status = before_step(system, table, method.max_steps, control[Control.STEP], now)
+    if status != Status.DONE:
         return status
-    control[UNCUT] = control[SIZE]
-    if control[BEYOND] == 0.0 and stop - now[n] - control[SIZE] < 1e-3 * control[SIZE]:
-        control[SIZE] = stop - now[n]
-    h = control[SIZE]
+    control[Control.UNCLIPPED_STEP] = control[Control.STEP]
+    if (
+        control[Control.OVERSHOOTS_END] == 0.0
+        and stop - now[n] - control[Control.STEP] < 1e-3 * control[Control.STEP]
+    ):
+        control[Control.STEP] = stop - now[n]
+    h = control[Control.STEP]
     pivot_ratio = HUGE
     for s in range(1, STAGES + 1):
         status = stage(system, method, s, h, end if s == STAGES else method.at)
-        if status != DONE:
+        if status != Status.DONE:
             break
         pivot_ratio = min(pivot_ratio, k[row * s + n])
-    if system.projecting == 1 and pivot_ratio < NEAR and control[UNCUT] > h:
-        counts[REJECTED] += 1.0
-        control[BEYOND] = 1.0
-        control[SIZE] = control[UNCUT]
-        return DONE
-    if k[n] >= UNSAFE:
-        control[LEAVES] = 0.0
-    if pivot_ratio < UNSAFE and control[LEAVES] == 0.0:
-        counts[REJECTED] += 1.0
-        control[SIZE] = HOP * h
-        return DONE
+    if system.projecting == 1 and pivot_ratio < NEAR_PIVOT_RATIO and control[Control.UNCLIPPED_STEP] > h:
+        counts[Count.REJECTED] += 1.0
+        control[Control.OVERSHOOTS_END] = 1.0
+        control[Control.STEP] = control[Control.UNCLIPPED_STEP]
+        return Status.DONE
+    if k[n] >= UNSAFE_PIVOT_RATIO:
+        control[Control.STARTS_SINGULAR] = 0.0
+    if pivot_ratio < UNSAFE_PIVOT_RATIO and control[Control.STARTS_SINGULAR] == 0.0:
+        counts[Count.REJECTED] += 1.0
+        control[Control.STEP] = UNSAFE_STEP_FACTOR * h
+        return Status.DONE
     pivot_ratio = min(pivot_ratio, k[n])
-    error = FAILED
-    if status == DONE:
+    error = FAILED_STEP_ERROR
+    if status == Status.DONE:
         error = error_norm(system, h, 0.0, method)
         end[n] = now[n] + h
     excess = error
     rough = 0
-    if control[SMOOTHNESS] < ROUGH or (control[NOISY] == 1.0 and error >= 1.0):
+    if control[Control.ERROR_RATIO] < ROUGH_ERROR_RATIO or (
+        control[Control.ROUND_OFF_MARK] == 1.0 and error >= 1.0
+    ):
         rough = 1
-    if rough == 1 and control[NOISY] < 0.0:
+    if rough == 1 and control[Control.ROUND_OFF_MARK] < 0.0:
         rough = 0
-        control[NOISY] = control[NOISY] + 1.0
-    if status == DONE and rough == 1 and pivot_ratio >= NEAR:
+        control[Control.ROUND_OFF_MARK] = control[Control.ROUND_OFF_MARK] + 1.0
+    if status == Status.DONE and rough == 1 and pivot_ratio >= NEAR_PIVOT_RATIO:
         spare = k[row * (STAGES + 1) :]
-        if measure_round_off(system, h, now, method.units, method.at, k, spare, method.round_off) == DONE:
+        if (
+            measure_round_off(system, h, now, method.units, method.at, k, spare, method.round_off)
+            == Status.DONE
+        ):
             error = min(error, error_norm(system, h, ROUND_OFF_MARGIN, method))
         if error < 0.5 * excess:
-            control[NOISY] = 1.0
+            control[Control.ROUND_OFF_MARK] = 1.0
         else:
-            control[NOISY] = 0.0 if control[NOISY] == 1.0 else 0.0 - UNMEASURED
+            control[Control.ROUND_OFF_MARK] = (
+                0.0 if control[Control.ROUND_OFF_MARK] == 1.0 else 0.0 - STEPS_TO_NEXT_MEASUREMENT
+            )
     near = 0
-    if system.projecting == 1 and pivot_ratio < NEAR and status == DONE:
+    if system.projecting == 1 and pivot_ratio < NEAR_PIVOT_RATIO and status == Status.DONE:
         near = 1
         error = min(error, error_on_constraints(n, h, system.closing, method))
-    if near == 1 and control[HOPPED] < HOPS:
-        shorter = SAFETY * error**EXPONENT if error > 1.0 else 1.0
+    if near == 1 and control[Control.PLACEMENT_TRIES] < MAX_PLACEMENT_TRIES:
+        shorter = SAFETY * error**ERROR_EXPONENT if error > 1.0 else 1.0
         wanted = crossing_factor(k[n], k[row * 9 + n], k[row * STAGES + n], shorter)
         if wanted < 1.0:
-            counts[REJECTED] += 1.0
-            control[HOPPED] += 1.0
-            control[SIZE] = wanted * h
-            return DONE
+            counts[Count.REJECTED] += 1.0
+            control[Control.PLACEMENT_TRIES] += 1.0
+            control[Control.STEP] = wanted * h
+            return Status.DONE
     if not error < 1.0:
-        counts[REJECTED] += 1.0
-        if status != DONE and h < 1e-10 * (stop - table.times[0]):
+        counts[Count.REJECTED] += 1.0
+        if status != Status.DONE and h < 1e-10 * (stop - table.times[0]):
             return status
-        control[SIZE] = h * max(SMALLEST, SAFETY * error**EXPONENT)
-        control[GROWTH] = 1.0
-        return DONE
+        control[Control.STEP] = h * max(MIN_STEP_FACTOR, SAFETY * error**ERROR_EXPONENT)
+        control[Control.MAX_GROWTH] = 1.0
+        return Status.DONE
     status = project_end(system, near, end, method.projected, method.at)
     moved = 0.0
-    if status != DONE:
-        moved = FAILED
+    if status != Status.DONE:
+        moved = FAILED_STEP_ERROR
     elif near == 0 and system.projecting == 1:
         moved = change_by_projection(system, method.at, method.projected, method.rtol, method.atol)
-    if status != DONE or is_error_of_step(moved, control[MOVED], control[MOVED_NOISE]) == 1:
-        counts[REJECTED] += 1.0
-        if status != DONE and h < 1e-10 * (stop - table.times[0]):
+    if (
+        status != Status.DONE
+        or is_error_of_step(moved, control[Control.PROJECTION_CHANGE], control[Control.PROJECTION_NOISE]) == 1
+    ):
+        counts[Count.REJECTED] += 1.0
+        if status != Status.DONE and h < 1e-10 * (stop - table.times[0]):
             return status
-        control[SIZE] = h * max(SMALLEST, SAFETY * moved**EXPONENT)
-        control[GROWTH] = 1.0
-        control[MOVED] = moved
-        return DONE
-    control[MOVED] = HUGE
-    control[MOVED_NOISE] = moved if moved >= 1.0 else 0.0
-    keep_step(system.exchange, h, method, int(counts[STEPS]))
-    counts[STEPS] += 1.0
+        control[Control.STEP] = h * max(MIN_STEP_FACTOR, SAFETY * moved**ERROR_EXPONENT)
+        control[Control.MAX_GROWTH] = 1.0
+        control[Control.PROJECTION_CHANGE] = moved
+        return Status.DONE
+    control[Control.PROJECTION_CHANGE] = HUGE
+    control[Control.PROJECTION_NOISE] = moved if moved >= 1.0 else 0.0
+    store_step(system.exchange, h, method, int(counts[Count.STEPS]))
+    counts[Count.STEPS] += 1.0
     if near == 0 and excess >= 1.0:
-        counts[EXCESS] = max(counts[EXCESS], excess)
-    control[HOPPED] = 0.0
-    if table.times[int(control[DUE])] <= now[n] + h:
+        counts[Count.ROUND_OFF_EXCESS] = max(counts[Count.ROUND_OFF_EXCESS], excess)
+    control[Control.PLACEMENT_TRIES] = 0.0
+    if table.times[int(control[Control.NEXT_ROW])] <= now[n] + h:
         status = write_outputs(system, table, states, method, near)
-        if status != DONE:
+        if status != Status.DONE:
             return status
     for i in range(n):
         now[i] = method.projected[i]
     now[n] = now[n] + h
-    if control[BEYOND] == 1.0 and now[n] > stop:
+    if control[Control.OVERSHOOTS_END] == 1.0 and now[n] > stop:
         for i in range(n):
             now[i] = states[n * (table.count - 1) + i]
         now[n] = stop
@@ -488,18 +542,20 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         copy_flags(system.exchange, now, method.at)
         copy_flags(system.exchange, now, end)
         copy_flags(system.exchange, now, method.projected)
-    if status == DONE and (system.projecting == 1 or changed == 1):
+    if status == Status.DONE and (system.projecting == 1 or changed == 1):
         status = evaluate(system, now, k)
-    if status != DONE:
+    if status != Status.DONE:
         return status
     if system.projecting == 0 and changed == 0:
         for i in range(n + 1):
             k[i] = k[row * STAGES + i]
-    factor = LARGEST if error == 0.0 else min(control[GROWTH], SAFETY * error**EXPONENT)
-    control[SIZE] = h * max(SMALLEST, factor)
-    control[GROWTH] = LARGEST
-    stay(system, table, states, method)
-    return DONE
+    factor = (
+        MAX_STEP_FACTOR if error == 0.0 else min(control[Control.MAX_GROWTH], SAFETY * error**ERROR_EXPONENT)
+    )
+    control[Control.STEP] = h * max(MIN_STEP_FACTOR, factor)
+    control[Control.MAX_GROWTH] = MAX_STEP_FACTOR
+    finish_at_rest(system, table, states, method)
+    return Status.DONE
 
 
 @native
@@ -509,13 +565,13 @@ def integrate_dop853(system: Equations, table: Table, method: Dop853) -> None:
     fresh = 1
     while run < table.runs:
         states = table.states[system.n * table.count * run :]
-        status = DONE
+        status = Status.DONE
         if fresh == 1:
-            take(system, table, run, method.now)
+            start_run(system, table, run, method.now)
             status = begin_dop853(system, table, states, method)
             fresh = 0
-        if status == DONE and method.control[DUE] < table.count:
+        if status == Status.DONE and method.control[Control.NEXT_ROW] < table.count:
             status = step_dop853(system, table, states, method)
-        if status != DONE or method.control[DUE] >= table.count:
-            run = finish(system, table, run, status, method.now)
+        if status != Status.DONE or method.control[Control.NEXT_ROW] >= table.count:
+            run = finish_run(system, table, run, status, method.now)
             fresh = 1

@@ -7,40 +7,43 @@ two outputs is divided into equal steps of at most the wanted size.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 from newton_euler.codegen.native import Callback, Record, Vector, native
 from newton_euler.integrators.options import FIXED
-from newton_euler.integrators.projection import begin, finish_step, project
+from newton_euler.integrators.projection import begin_run, finish_step, project
 from newton_euler.integrators.row_exchange import copy_flags, exchange_rows
 from newton_euler.integrators.singular import (
-    CONTRADICTION,
     DENSE_PIVOT_RATIO,
-    NEAR,
-    UNSAFE,
-    contradiction,
+    MAX_CONTRADICTION,
+    NEAR_PIVOT_RATIO,
+    UNSAFE_PIVOT_RATIO,
+    check_singular_start,
     evaluate,
-    leaving,
+    stage_contradiction,
 )
+from newton_euler.integrators.status import Status
 from newton_euler.integrators.stepper import (
-    DONE,
-    INTERRUPTED,
-    REACHED,
-    STEPS,
-    STRAYING,
+    Count,
     Equations,
     Table,
-    finish,
-    interrupted,
-    keep_norms,
-    record,
-    take,
-    unwind,
+    finish_run,
+    normalize_quaternions,
+    start_run,
+    stop_request,
+    unwind_angles,
+    write_row,
 )
 
 RK4 = FIXED.index("RK4")
 
-DUE, TAKEN = 0, 1
-"""Places in the vector `control`."""
+
+class Progress(IntEnum):
+    """Places in the vector `control`: row of the table that is written next, and steps taken towards it."""
+
+    NEXT_ROW = 0
+    STEPS_TAKEN = 1
+
 
 RK4_LIMIT = 2.785
 """Largest product of a gain alpha and a step of RK4 that is stable (E. Hairer, G. Wanner, Solving Ordinary
@@ -81,7 +84,7 @@ def divisions(span: float, step: float) -> int:
 
 
 @native
-def step_rk4(system: Equations, method: FixedStep, h: float, end: float, span: float) -> int:
+def step_rk4(system: Equations, method: FixedStep, h: float, end: float, span: float) -> Status:
     """Take a step of size h to the time `end` of a run of a span, all s; returns a status."""
     n = system.n
     row = n + 1
@@ -93,10 +96,10 @@ def step_rk4(system: Equations, method: FixedStep, h: float, end: float, span: f
         at[i] = now[i]
         change[i] = 0.0
     at[n] = now[n]
-    pivot_ratio = NEAR
+    pivot_ratio = NEAR_PIVOT_RATIO
     for s in range(4):
         status = evaluate(system, at, k[row * s :])
-        if status != DONE:
+        if status != Status.DONE:
             return status
         pivot_ratio = min(pivot_ratio, k[row * s + n])
         weight = h / 6.0 if s == 0 or s == 3 else h / 3.0
@@ -105,14 +108,14 @@ def step_rk4(system: Equations, method: FixedStep, h: float, end: float, span: f
             change[i] += weight * k[row * s + i]
             at[i] = now[i] + reach * k[row * s + i]
         at[n] = now[n] + reach
-    if pivot_ratio < NEAR:
-        first = 1 if system.counts[STEPS] == 0.0 else 0
-        if k[n] >= UNSAFE or (system.projecting == 0 and first == 0):
-            if contradiction(system, h, now, k) > CONTRADICTION:
-                return STRAYING
+    if pivot_ratio < NEAR_PIVOT_RATIO:
+        first = 1 if system.counts[Count.STEPS] == 0.0 else 0
+        if k[n] >= UNSAFE_PIVOT_RATIO or (system.projecting == 0 and first == 0):
+            if stage_contradiction(system, h, now, k) > MAX_CONTRADICTION:
+                return Status.STRAYING
         elif first == 1 and not k[n] > DENSE_PIVOT_RATIO:
-            status = leaving(system, span, system.projecting, now, k)
-            if status != DONE:
+            status = check_singular_start(system, span, system.projecting, now, k)
+            if status != Status.DONE:
                 return status
     for i in range(n):
         now[i] += change[i]
@@ -121,7 +124,7 @@ def step_rk4(system: Equations, method: FixedStep, h: float, end: float, span: f
 
 
 @native
-def step_euler(system: Equations, method: FixedStep, h: float, end: float, span: float) -> int:
+def step_euler(system: Equations, method: FixedStep, h: float, end: float, span: float) -> Status:
     """Take a step as `step_rk4` does: velocities first, then positions with the new velocities.
 
     Near a singular configuration it loses no digits that a method of order 1 would have.
@@ -136,66 +139,66 @@ def step_euler(system: Equations, method: FixedStep, h: float, end: float, span:
     k = method.k
     begun = method.change
     status = evaluate(system, now, k)
-    if status == DONE and system.counts[STEPS] == 0.0 and not k[n] > DENSE_PIVOT_RATIO:
-        status = leaving(system, span, 1, now, k)
-    if status != DONE:
+    if status == Status.DONE and system.counts[Count.STEPS] == 0.0 and not k[n] > DENSE_PIVOT_RATIO:
+        status = check_singular_start(system, span, 1, now, k)
+    if status != Status.DONE:
         return status
     for i in range(nq, n):
         now[i] += h * k[i]
-    keep_norms(system, now, now)
+    normalize_quaternions(system, now, now)
     method.rate(now, k)
     for i in range(nq):
         begun[i] = now[i]
         now[i] += h * k[i]
     now[n] = end
-    keep_norms(system, now, begun)
-    unwind(system, now, k)
-    return project(system, 1, now) if system.projecting == 1 else DONE
+    normalize_quaternions(system, now, begun)
+    unwind_angles(system, now, k)
+    return project(system, 1, now) if system.projecting == 1 else Status.DONE
 
 
 @native
-def begin_fixed(system: Equations, states: Vector, method: FixedStep) -> int:
+def begin_fixed(system: Equations, states: Vector, method: FixedStep) -> Status:
     """Begin a run at `now`; returns a status."""
     for i in range(system.inputs):
         method.at[i] = method.now[i]
-    method.control[DUE] = 1.0
-    method.control[TAKEN] = 0.0
-    status = begin(system, states, method.now)
+    method.control[Progress.NEXT_ROW] = 1.0
+    method.control[Progress.STEPS_TAKEN] = 0.0
+    status = begin_run(system, states, method.now)
     copy_flags(system.exchange, method.now, method.at)
     return status
 
 
 @native
-def step_fixed(system: Equations, table: Table, states: Vector, method: FixedStep) -> int:
+def step_fixed(system: Equations, table: Table, states: Vector, method: FixedStep) -> Status:
     """Take a step towards the row that is due; returns a status."""
     times = table.times
     counts = system.counts
     now = method.now
-    due = int(method.control[DUE])
-    taken = int(method.control[TAKEN])
+    due = int(method.control[Progress.NEXT_ROW])
+    taken = int(method.control[Progress.STEPS_TAKEN])
     count = divisions(times[due] - times[due - 1], method.step)
     h = (times[due] - times[due - 1]) / count
-    counts[REACHED] = now[system.n]
-    if interrupted(system) > 0:
-        return INTERRUPTED
+    counts[Count.TIME_REACHED] = now[system.n]
+    if stop_request(system) > 0:
+        return Status.INTERRUPTED
     end = times[due - 1] + (taken + 1) * h
     span = times[table.count - 1] - times[0]
-    status = DONE
+    status = Status.DONE
     if method.number == RK4:
         status = step_rk4(system, method, h, end, span)
     else:
         status = step_euler(system, method, h, end, span)
-    if status != DONE:
+    if status != Status.DONE:
         return status
     if exchange_rows(system.exchange, now) == 1:
         copy_flags(system.exchange, now, method.at)
-    counts[STEPS] += 1.0
-    method.control[TAKEN] = float(taken + 1)
+    counts[Count.STEPS] += 1.0
+    method.control[Progress.STEPS_TAKEN] = float(taken + 1)
     if taken + 1 == count:
-        record(system, states, due, now)
-        method.control[DUE] = float(due + 1)
-        method.control[TAKEN] = 0.0
-    return DONE
+        write_row(system, states, due, now)
+        method.control[Progress.NEXT_ROW] = float(due + 1)
+        method.control[Progress.STEPS_TAKEN] = 0.0
+    return Status.DONE
 
 
 @native
@@ -205,13 +208,13 @@ def integrate_fixed(system: Equations, table: Table, method: FixedStep) -> None:
     fresh = 1
     while run < table.runs:
         states = table.states[system.n * table.count * run :]
-        status = DONE
+        status = Status.DONE
         if fresh == 1:
-            take(system, table, run, method.now)
+            start_run(system, table, run, method.now)
             status = begin_fixed(system, states, method)
             fresh = 0
-        if status == DONE and method.control[DUE] < table.count:
+        if status == Status.DONE and method.control[Progress.NEXT_ROW] < table.count:
             status = step_fixed(system, table, states, method)
-        if status != DONE or method.control[DUE] >= table.count:
-            run = finish(system, table, run, status, method.now)
+        if status != Status.DONE or method.control[Progress.NEXT_ROW] >= table.count:
+            run = finish_run(system, table, run, status, method.now)
             fresh = 1

@@ -21,20 +21,18 @@ from newton_euler.equations.dense import largest, minimum_norm
 from newton_euler.equations.redundancy import constraint_rank, loosely_closed, rows_left_out, without
 from newton_euler.equations.system import System, rate_of_phi
 from newton_euler.errors import AssemblyError
-from newton_euler.integrators.dense_projection import ROUND_OFF, close
+from newton_euler.integrators.dense_projection import RESIDUAL_ROUND_OFF, close
 from newton_euler.integrators.row_exchange import exchange_rows
-from newton_euler.integrators.singular import DENSE_PIVOT_RATIO, evaluate, leaving
+from newton_euler.integrators.singular import DENSE_PIVOT_RATIO, check_singular_start, evaluate
+from newton_euler.integrators.status import Status
 from newton_euler.integrators.stepper import (
-    DONE,
     HUGE,
-    NOT_FINITE,
-    OPEN,
-    WRITTEN,
+    Count,
     Equations,
     Table,
-    keep_norms,
-    record,
-    unwind,
+    normalize_quaternions,
+    unwind_angles,
+    write_row,
 )
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.model.scene import Scene
@@ -42,47 +40,47 @@ from newton_euler.model.state import State
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
-NATIVE_STEPS = 10
+MAX_NATIVE_ITERATIONS = 10
 """Newton's steps in native code, which begins near the constraints."""
 
-FEW_STEPS = 3
+MAX_LANE_ITERATIONS = 3
 """The same for several states side by side, from where dense output has put them."""
 
-NEWTON_STEPS = 20
+MAX_ITERATIONS = 20
 """The same in Python, which also assembles mechanisms."""
 
-SURE = 1e-10
+MIN_PIVOT = 1e-10
 """Pivot ratio of the least-squares problem above which its corrections are more than magnified round-off."""
 
-SQUARING = 1e-4
+QUADRATIC_RATE = 1e-4
 """A residual r leaves one of r^2 times a number that grows with the root of 1 / pivot ratio; a hundred such
 are allowed for."""
 
-SHRINKS = 0.5
+MIN_SHRINK = 0.5
 """Factor by which projection has to change a shorter step less than the longer one before it. The change
 falls with a high power of the step; what does not fall is round-off."""
 
-NOISE_GROWS = 2.0
+MAX_NOISE_GROWTH = 2.0
 """Factor by which the round-off in the change by projection may grow from one step to the next."""
 
-COME_OPEN = 1e-2
+MAX_DRIFT = 1e-2
 """Lengths of the mechanism's longest body, or rad, by which a joint may drift without projection before what
 runs on is another mechanism: a hundredth can be seen."""
 
 
 @native
-def project_densely(system: Equations, x: Vector, scratch: Vector) -> int:
+def project_densely(system: Equations, x: Vector, scratch: Vector) -> Status:
     """Project as `project` does, by the dense form; `scratch` is (n + 1,)."""
     close(system.closing, x, scratch)
     if not scratch[system.n] > 0.0:
-        return OPEN
+        return Status.OPEN
     for i in range(system.n):
         x[i] = scratch[i]
-    return DONE
+    return Status.DONE
 
 
 @native
-def spread(inputs: int, lanes: int, x: Vector, given: Vector) -> None:
+def copy_to_lanes(inputs: int, lanes: int, x: Vector, given: Vector) -> None:
     """Copy x (inputs,) into all lanes of `given` (inputs, lanes)."""
     for i in range(inputs):
         for lane in range(lanes):
@@ -90,75 +88,79 @@ def spread(inputs: int, lanes: int, x: Vector, given: Vector) -> None:
 
 
 @native
-def project(system: Equations, with_velocities: int, x: Vector) -> int:
+def project(system: Equations, with_velocities: int, x: Vector) -> Status:
     """Put a state on the constraints, positions first, velocities if wanted (1 or 0); returns a status.
 
-    After `NATIVE_STEPS` the residual is found once more, for what the last one left is what counts.
+    After `MAX_NATIVE_ITERATIONS` the residual is found once more, for what the last one left is what counts.
     x (inputs,) is a state with time and parameters.
     """
     n = system.n
     lanes = system.lanes
-    found = system.beside[lanes * system.inputs :]
+    found = system.projection_work[lanes * system.inputs :]
     left = HUGE
-    for step in range(NATIVE_STEPS + 1):
-        spread(system.inputs, lanes, x, system.beside)
-        system.position(system.beside, found)
-        if not found[lanes * (n + 1)] > SURE:
+    for step in range(MAX_NATIVE_ITERATIONS + 1):
+        copy_to_lanes(system.inputs, lanes, x, system.projection_work)
+        system.position(system.projection_work, found)
+        if not found[lanes * (n + 1)] > MIN_PIVOT:
             return project_densely(system, x, found)
         before = left
         left = found[lanes * n]
         # at round-off, or at an end
-        if left < system.tolerance * system.tolerance or left >= 0.25 * before or step == NATIVE_STEPS:
+        if (
+            left < system.tolerance * system.tolerance
+            or left >= 0.25 * before
+            or step == MAX_NATIVE_ITERATIONS
+        ):
             break
         for i in range(n):
             x[i] = found[lanes * i]
-        if left * left < SQUARING * found[lanes * (n + 1)] * system.tolerance * system.tolerance:
+        if left * left < QUADRATIC_RATE * found[lanes * (n + 1)] * system.tolerance * system.tolerance:
             left = 0.0  # so the next one would find
             break
     if with_velocities == 1:
-        spread(system.inputs, lanes, x, system.beside)
-        system.velocity(system.beside, found)
+        copy_to_lanes(system.inputs, lanes, x, system.projection_work)
+        system.velocity(system.projection_work, found)
         left = found[lanes * n]
-        if left < HUGE and not found[lanes * (n + 1)] > SURE:
+        if left < HUGE and not found[lanes * (n + 1)] > MIN_PIVOT:
             return project_densely(system, x, found)
     if not left < HUGE:
-        return NOT_FINITE
+        return Status.NOT_FINITE
     if left > system.open_tolerance * system.open_tolerance:
-        return OPEN
+        return Status.OPEN
     if with_velocities == 1:
         for i in range(n):
             x[i] = found[lanes * i]
-    return DONE
+    return Status.DONE
 
 
 @native
 def project_side_by_side(system: Equations, with_velocities: int) -> int:
-    """Project a state in each lane of `beside`, each as `project` does; 1 if a few steps did for all of them,
+    """Project a state in each lane of `work`, each as `project` does; 1 if a few steps did for all of them,
     else 0."""
     n = system.n
     lanes = system.lanes
-    beside = system.beside
-    found = beside[lanes * system.inputs :]
+    work = system.projection_work
+    found = work[lanes * system.inputs :]
     before = found[lanes * (n + 2) :]  # squared residual, 0 where nothing is left to do
     for lane in range(lanes):
         before[lane] = HUGE
     unsettled = lanes
-    for _step in range(FEW_STEPS):
-        system.position(beside, found)
+    for _step in range(MAX_LANE_ITERATIONS):
+        system.position(work, found)
         unsettled = 0
         for lane in range(lanes):
             if before[lane] > 0.0:
                 left = found[lanes * n + lane]
                 pivot_ratio = found[lanes * (n + 1) + lane]
-                if not pivot_ratio > SURE or left >= 0.25 * before[lane]:
+                if not pivot_ratio > MIN_PIVOT or left >= 0.25 * before[lane]:
                     return 0
                 before[lane] = left
                 if left < system.tolerance * system.tolerance:
                     before[lane] = 0.0
                 else:
                     for i in range(n):
-                        beside[lanes * i + lane] = found[lanes * i + lane]
-                    if left * left < SQUARING * pivot_ratio * system.tolerance * system.tolerance:
+                        work[lanes * i + lane] = found[lanes * i + lane]
+                    if left * left < QUADRATIC_RATE * pivot_ratio * system.tolerance * system.tolerance:
                         before[lane] = 0.0
                     else:
                         unsettled += 1
@@ -167,23 +169,23 @@ def project_side_by_side(system: Equations, with_velocities: int) -> int:
     if unsettled > 0:
         return 0
     if with_velocities == 1:
-        system.velocity(beside, found)
+        system.velocity(work, found)
         for lane in range(lanes):
             left = found[lanes * n + lane]
             if (
                 not left <= system.open_tolerance * system.open_tolerance
-                or not found[lanes * (n + 1) + lane] > SURE
+                or not found[lanes * (n + 1) + lane] > MIN_PIVOT
             ):
                 return 0
         for i in range(lanes * n):
-            beside[i] = found[i]
+            work[i] = found[i]
     return 1
 
 
 @native
 def project_rows(
     system: Equations, table: Table, states: Vector, first: int, end: int, near: int, x: Vector
-) -> int:
+) -> Status:
     """Put rows `first` to `end` of the states of a run on the constraints, if wanted; returns a status.
 
     Near a singular configuration (`near` is 1) they are by the dense form. x has the parameters; the rest of
@@ -191,8 +193,8 @@ def project_rows(
     """
     n = system.n
     lanes = system.lanes
-    beside = system.beside
-    with_velocities = 1 if table.kept == n else 0
+    work = system.projection_work
+    with_velocities = 1 if table.output_state_size == n else 0
     row = first
     while system.projecting == 1 and row < end:
         together = 0
@@ -200,37 +202,37 @@ def project_rows(
             for lane in range(lanes):
                 source = row + lane if row + lane < end else end - 1
                 for i in range(n):
-                    beside[lanes * i + lane] = states[n * source + i]
-                beside[lanes * n + lane] = table.times[source]
+                    work[lanes * i + lane] = states[n * source + i]
+                work[lanes * n + lane] = table.times[source]
                 for i in range(n + 1, system.inputs):
-                    beside[lanes * i + lane] = x[i]
+                    work[lanes * i + lane] = x[i]
             together = project_side_by_side(system, with_velocities)
         for lane in range(lanes if row + lanes < end else end - row):
             state = states[n * row :]
             if together == 1:
                 for i in range(n):
-                    state[i] = beside[lanes * i + lane]
+                    state[i] = work[lanes * i + lane]
             else:
                 for i in range(n):
                     x[i] = state[i]
                 x[n] = table.times[row]
-                status = DONE
+                status = Status.DONE
                 if near == 1:
-                    status = project_densely(system, x, beside)
+                    status = project_densely(system, x, work)
                 else:
                     status = project(system, with_velocities, x)
-                if status != DONE:
+                if status != Status.DONE:
                     return status
                 for i in range(n):
                     state[i] = x[i]
             row += 1
-            system.counts[WRITTEN] = float(row)
-    system.counts[WRITTEN] = float(end)
-    return DONE
+            system.counts[Count.ROWS_WRITTEN] = float(row)
+    system.counts[Count.ROWS_WRITTEN] = float(end)
+    return Status.DONE
 
 
 @native
-def begin(system: Equations, states: Vector, now: Vector) -> int:
+def begin_run(system: Equations, states: Vector, now: Vector) -> Status:
     """Put the first state of a run on the constraints if wanted, and into its states; returns a status.
 
     The rows in use are chosen for it.
@@ -238,41 +240,41 @@ def begin(system: Equations, states: Vector, now: Vector) -> int:
     exchange_rows(system.exchange, now)
     if system.projecting == 1:
         status = project(system, 1, now)
-        if status != DONE:
+        if status != Status.DONE:
             return status
-    record(system, states, 0, now)
-    return DONE
+    write_row(system, states, 0, now)
+    return Status.DONE
 
 
 @native
-def begin_adaptive(system: Equations, table: Table, states: Vector, now: Vector, rates: Vector) -> int:
+def begin_adaptive(system: Equations, table: Table, states: Vector, now: Vector, rates: Vector) -> Status:
     """Begin, and evaluate the rates (n + 1) of the first state; returns a status."""
-    status = begin(system, states, now)
-    if status == DONE:
+    status = begin_run(system, states, now)
+    if status == Status.DONE:
         status = evaluate(system, now, rates)
-    if status == DONE and not rates[system.n] > DENSE_PIVOT_RATIO:
+    if status == Status.DONE and not rates[system.n] > DENSE_PIVOT_RATIO:
         span = table.times[table.count - 1] - now[system.n]
-        status = leaving(system, span, system.projecting, now, rates)
+        status = check_singular_start(system, span, system.projecting, now, rates)
     return status
 
 
 @native
-def finish_step(system: Equations, near: int, now: Vector, carried: Vector) -> int:
+def finish_step(system: Equations, near: int, now: Vector, carried: Vector) -> Status:
     """Complete a step: angles within half a revolution, norms 1, on the constraints; returns a status.
 
     Near a singular configuration (`near` is 1) projection is by the dense form. `carried` moves with angles.
     """
-    unwind(system, now, carried)
-    keep_norms(system, now, now)
+    unwind_angles(system, now, carried)
+    normalize_quaternions(system, now, now)
     if system.projecting == 0:
-        return DONE
+        return Status.DONE
     if near == 1:
-        return project_densely(system, now, system.beside)
+        return project_densely(system, now, system.projection_work)
     return project(system, 1, now)
 
 
 @native
-def project_end(system: Equations, near: int, end: Vector, projected: Vector, unprojected: Vector) -> int:
+def project_end(system: Equations, near: int, end: Vector, projected: Vector, unprojected: Vector) -> Status:
     """Complete a step that may still be rejected; returns a status.
 
     Args:
@@ -334,7 +336,7 @@ def is_error_of_step(moved: float, before: float, noise: float) -> int:
         before: change of the longer step that was rejected just before; `HUGE` if there was none.
         noise: change of the step accepted last if it was 1 or more, else 0.
     """
-    return 1 if moved >= 1.0 and moved >= NOISE_GROWS * noise and moved < SHRINKS * before else 0
+    return 1 if moved >= 1.0 and moved >= MAX_NOISE_GROWTH * noise and moved < MIN_SHRINK * before else 0
 
 
 @np.errstate(invalid="ignore")  # of hinges in a row, which do not reach every orientation
@@ -352,13 +354,13 @@ def project_position(system: System, q: Array) -> Array:
         return best
     unused = rows_left_out(system)
     worse, least = 0, np.inf
-    for _ in range(NEWTON_STEPS + 1):
+    for _ in range(MAX_ITERATIONS + 1):
         phi, jacobian = system.phi(at), without(system.phi_jacobian(at), unused)
         open_by = largest(without(phi, unused))
         worse = 0 if open_by < least else worse + 1
         if worse == 0:
             best, least = at, open_by
-        if not np.isfinite(phi).all() or least < ROUND_OFF * system.mechanism.size or worse == 2:
+        if not np.isfinite(phi).all() or least < RESIDUAL_ROUND_OFF * system.mechanism.size or worse == 2:
             break
         step = minimum_norm(
             jacobian, without(phi, unused), system.phi_units, system.velocity_units, constraint_rank(system)
@@ -397,7 +399,7 @@ def joint_violations(mechanism: Mechanism, state: State) -> Array:
 
 
 def check_still_closed(scene: Scene, times: Array, phi: Array) -> None:
-    """Raise `IntegrationError` at the first of times (n,) with a residual (n, k) of more than `COME_OPEN`.
+    """Raise `IntegrationError` at the first of times (n,) with a residual (n, k) of more than `MAX_DRIFT`.
 
     Residuals are those of all joints, then of couplings. Where the first are larger than that, as of a start
     that nobody has checked, twice as much is allowed: gains may still close it. Nothing is known of the steps
@@ -407,7 +409,7 @@ def check_still_closed(scene: Scene, times: Array, phi: Array) -> None:
     drifts = np.abs(phi) / row_units(mechanism.equations, coupled, mechanism.longest)
     largest_drift = np.max(drifts, axis=1, initial=0.0)
     start = float(largest_drift[0])
-    wide = np.flatnonzero(largest_drift > (COME_OPEN if start <= COME_OPEN else 2.0 * start))
+    wide = np.flatnonzero(largest_drift > (MAX_DRIFT if start <= MAX_DRIFT else 2.0 * start))
     if not wide.size:
         return
     row = int(wide[0])

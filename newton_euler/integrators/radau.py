@@ -23,27 +23,26 @@ from newton_euler.integrators.projection import (
     project_rows,
 )
 from newton_euler.integrators.row_exchange import copy_flags, exchange_rows
-from newton_euler.integrators.singular import HOP, UNSAFE, evaluate
+from newton_euler.integrators.singular import UNSAFE_PIVOT_RATIO, UNSAFE_STEP_FACTOR, evaluate
+from newton_euler.integrators.status import Status
 from newton_euler.integrators.stepper import (
-    DONE,
+    EPS,
     HUGE,
-    REJECTED,
-    SPACING,
-    STEPS,
+    Count,
     Equations,
     Table,
     before_step,
-    finish,
-    keep_norms,
-    take,
+    finish_run,
+    normalize_quaternions,
+    start_run,
 )
 from newton_euler.scalars import Array
 
-SIXTH = sqrt(6.0)
-NODES = ((4.0 - SIXTH) / 10.0, (4.0 + SIXTH) / 10.0, 1.0)
+SQRT_6 = sqrt(6.0)
+NODES = ((4.0 - SQRT_6) / 10.0, (4.0 + SQRT_6) / 10.0, 1.0)
 """c: where in the step the stages are (section IV.5)."""
 
-ERROR = ((-13.0 - 7.0 * SIXTH) / 3.0, (-13.0 + 7.0 * SIXTH) / 3.0, -1.0 / 3.0)
+ERROR_WEIGHTS = ((-13.0 - 7.0 * SQRT_6) / 3.0, (-13.0 + 7.0 * SQRT_6) / 3.0, -1.0 / 3.0)
 """Weights of the stages in the error estimate of order 3 (section IV.8)."""
 
 
@@ -77,16 +76,16 @@ DENSE = tuple(float(x) for x in _collocation()[1].ravel())
 """Coefficients of theta, theta^2, theta^3 from the stages, row by row."""
 
 _SHARES = np.linspace(0.0, 1.0, 1001)
-WITHIN = float(np.max(np.abs(_SHARES * np.prod([_SHARES - c for c in NODES], axis=0))))
+INTERPOLATION_ERROR = float(np.max(np.abs(_SHARES * np.prod([_SHARES - c for c in NODES], axis=0))))
 """Largest error of the collocation polynomial within a step, in units of h^4 y''''/24."""
 
-NEWTON_STEPS = 6
+MAX_NEWTON_STEPS = 6
 
-SETTLED = 1e-2
+ROUND_OFF_CORRECTION = 1e-2
 """Share of the tolerance below which a correction that does not shrink any more is round-off, which stiff
 forces magnify: shorter steps would not have less of it."""
 
-SMALLEST, FASTEST = 0.2, 10.0
+MIN_STEP_FACTOR, MAX_STEP_FACTOR = 0.2, 10.0
 """Factors from one step size to the next."""
 
 
@@ -95,7 +94,7 @@ class Radau(Record):
     """The method and its state.
 
     Attributes:
-        rtol, atol, most: tolerances and the largest number of steps.
+        rtol, atol, max_steps: tolerances and the largest number of steps.
         jacobian: derivative (n, n) of the rates by a state.
         now, at, projected: states with time and parameters: where a step begins, of a stage, and where the
             step ends on the constraints.
@@ -112,7 +111,7 @@ class Radau(Record):
 
     rtol: float
     atol: float
-    most: int
+    max_steps: int
     jacobian: Callback
     now: Vector
     at: Vector
@@ -132,7 +131,7 @@ class Radau(Record):
 
 
 @native
-def prepare(n: int, m: int, h: float, method: Radau) -> int:
+def factor_matrices(n: int, m: int, h: float, method: Radau) -> int:
     """Factor the matrices of a step of size h; 1 if one is singular, else 0. J begins with m zero rows."""
     real = method.real
     re = method.re
@@ -164,7 +163,7 @@ def scaled_norm(n: int, x: Vector, now: Vector, rtol: float, atol: float) -> flo
 
 
 @native
-def iterate(system: Equations, method: Radau, m: int, h: float) -> int:
+def solve_stages(system: Equations, method: Radau, m: int, h: float) -> int:
     """Find the stages z by Newton's iteration; returns the number of its steps, negative if it failed."""
     n = system.n
     now = method.now
@@ -173,7 +172,7 @@ def iterate(system: Equations, method: Radau, m: int, h: float) -> int:
     w = method.w
     f = method.f
     change = method.change
-    tolerance = max(10.0 * SPACING / method.rtol, min(0.03, sqrt(method.rtol)))
+    tolerance = max(10.0 * EPS / method.rtol, min(0.03, sqrt(method.rtol)))
     for s in range(3):
         for i in range(n):
             w[n * s + i] = (
@@ -183,12 +182,12 @@ def iterate(system: Equations, method: Radau, m: int, h: float) -> int:
             )
     before = -1.0
     rate = -1.0
-    for k in range(NEWTON_STEPS):
+    for k in range(MAX_NEWTON_STEPS):
         for s in range(3):
             for i in range(n):
                 at[i] = now[i] + z[n * s + i]
             at[n] = now[n] + NODES[s] * h
-            if evaluate(system, at, f[(n + 1) * s :]) != DONE:
+            if evaluate(system, at, f[(n + 1) * s :]) != Status.DONE:
                 return -1
         for i in range(n):
             f0 = f[i]
@@ -215,8 +214,8 @@ def iterate(system: Equations, method: Radau, m: int, h: float) -> int:
             return -1
         if before >= 0.0:
             rate = size / before
-            left = NEWTON_STEPS - 1 - k
-            if size >= SETTLED and (rate >= 1.0 or rate**left / (1.0 - rate) * size > tolerance):
+            left = MAX_NEWTON_STEPS - 1 - k
+            if size >= ROUND_OFF_CORRECTION and (rate >= 1.0 or rate**left / (1.0 - rate) * size > tolerance):
                 return -1
         for i in range(n):
             w[i] += change[i]
@@ -235,11 +234,11 @@ def iterate(system: Equations, method: Radau, m: int, h: float) -> int:
         if rate >= 1.0:
             return k + 1
         before = size
-    return NEWTON_STEPS if before < SETTLED else -1
+    return MAX_NEWTON_STEPS if before < ROUND_OFF_CORRECTION else -1
 
 
 @native
-def position_in(count: int, n: int, theta: float, now: Vector, terms: Vector, y: Vector) -> None:
+def interpolate_radau(count: int, n: int, theta: float, now: Vector, terms: Vector, y: Vector) -> None:
     """Interpolate the first `count` of the n elements of the state at a share of the step.
 
     Beyond the step the collocation polynomial predicts.
@@ -271,7 +270,10 @@ def error_of_step(n: int, m: int, h: float, method: Radau, slope: Vector) -> flo
     at = method.at
     change = method.change
     for i in range(n):
-        change[i] = slope[i] + (ERROR[0] * z[i] + ERROR[1] * z[n + i] + ERROR[2] * z[2 * n + i]) / h
+        change[i] = (
+            slope[i]
+            + (ERROR_WEIGHTS[0] * z[i] + ERROR_WEIGHTS[1] * z[n + i] + ERROR_WEIGHTS[2] * z[2 * n + i]) / h
+        )
     solve_real(n, m, method.real, method.pivots, change)
     for i in range(n):
         at[i] = max(abs(method.now[i]), abs(method.now[i] + z[2 * n + i]))
@@ -291,13 +293,13 @@ def error_within(n: int, h: float, before_h: float, method: Radau) -> float:
     for i in range(n):
         cubic = DENSE[6] * z[i] + DENSE[7] * z[n + i] + DENSE[8] * z[2 * n + i]
         fourth = 12.0 * (cubic / h**3.0 - method.terms[2 * n + i] / before_h**3.0) / (h + before_h)
-        share = WITHIN * h**4.0 * fourth / 24.0 / (method.atol + method.rtol * method.at[i])
+        share = INTERPOLATION_ERROR * h**4.0 * fourth / 24.0 / (method.atol + method.rtol * method.at[i])
         total += share * share
     return sqrt(total / n)
 
 
 @native
-def run_radau(system: Equations, table: Table, states: Vector, method: Radau) -> int:
+def run_radau(system: Equations, table: Table, states: Vector, method: Radau) -> Status:
     """Integrate `now` from the first time on and write the states at all times; returns a status."""
     n = system.n
     now = method.now
@@ -317,7 +319,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         at[i] = now[i]
         projected[i] = now[i]
     status = begin_adaptive(system, table, states, now, slope)
-    if status != DONE:
+    if status != Status.DONE:
         return status
     copy_flags(system.exchange, now, at)
     copy_flags(system.exchange, now, projected)
@@ -338,36 +340,36 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
     for i in range(3 * n):
         z[i] = 0.0
     while due < table.count:
-        status = before_step(system, table, method.most, h, now)
-        if status != DONE:
+        status = before_step(system, table, method.max_steps, h, now)
+        if status != Status.DONE:
             return status
         if now[n] + h > stop or stop - now[n] - h < 1e-3 * h:
             h = stop - now[n]
             factored = 0
         if factored == 0:
             m = zero_block(n, method.matrix)
-            if prepare(n, m, h, method) == 1:
-                counts[REJECTED] += 1.0
+            if factor_matrices(n, m, h, method) == 1:
+                counts[Count.REJECTED] += 1.0
                 h = 0.5 * h
                 continue
             factored = 1
         if before_h > 0.0:
             for s in range(3):
-                position_in(n, n, 1.0 + NODES[s] * h / before_h, method.before, terms, at)
+                interpolate_radau(n, n, 1.0 + NODES[s] * h / before_h, method.before, terms, at)
                 for i in range(n):
                     z[n * s + i] = at[i] - now[i]
         else:
             for i in range(3 * n):
                 z[i] = 0.0
-        taken = iterate(system, method, m, h)
+        taken = solve_stages(system, method, m, h)
         pivot_ratio = min(min(f[n], f[2 * n + 1]), f[3 * n + 2])
-        if taken >= 0 and pivot_ratio < UNSAFE and slope[n] >= UNSAFE:
-            counts[REJECTED] += 1.0
-            h = HOP * h
+        if taken >= 0 and pivot_ratio < UNSAFE_PIVOT_RATIO and slope[n] >= UNSAFE_PIVOT_RATIO:
+            counts[Count.REJECTED] += 1.0
+            h = UNSAFE_STEP_FACTOR * h
             factored = 0
             continue
         if taken < 0:
-            counts[REJECTED] += 1.0
+            counts[Count.REJECTED] += 1.0
             if fresh == 0:
                 method.jacobian(now, method.matrix)
                 fresh = 1
@@ -377,23 +379,23 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
             continue
         convergence = change[3 * n]
         error = error_of_step(n, m, h, method, slope)
-        if error > 1.0 and (rejected == 1 or counts[STEPS] == 0.0):
+        if error > 1.0 and (rejected == 1 or counts[Count.STEPS] == 0.0):
             for i in range(n):
                 at[i] = now[i] + change[i]
             at[n] = now[n]
-            if evaluate(system, at, f) == DONE:
+            if evaluate(system, at, f) == Status.DONE:
                 error = error_of_step(n, m, h, method, f)
         if before_h > 0.0 and times[due] < now[n] + h and error <= 1.0 and n > 0:
             error = max(error, error_within(n, h, before_h, method))
-        safety = 0.9 * (2.0 * NEWTON_STEPS + 1.0) / (2.0 * NEWTON_STEPS + taken)
-        factor = FASTEST
+        safety = 0.9 * (2.0 * MAX_NEWTON_STEPS + 1.0) / (2.0 * MAX_NEWTON_STEPS + taken)
+        factor = MAX_STEP_FACTOR
         if error > 0.0:
             factor = error**-0.25
             if before_h > 0.0 and before_error > 0.0 and error <= 1.0:
                 factor = min(factor, factor * h / before_h * (before_error / error) ** 0.25)
         if not error <= 1.0:
-            counts[REJECTED] += 1.0
-            h = h * max(SMALLEST, safety * factor) if error < HUGE else 0.2 * h
+            counts[Count.REJECTED] += 1.0
+            h = h * max(MIN_STEP_FACTOR, safety * factor) if error < HUGE else 0.2 * h
             factored = 0
             rejected = 1
             continue
@@ -402,31 +404,33 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         f[n] = now[n] + h
         status = project_end(system, 0, f, projected, unprojected)
         moved = 0.0
-        if status == DONE and system.projecting == 1:
+        if status == Status.DONE and system.projecting == 1:
             moved = change_by_projection(system, unprojected, projected, rtol, atol)
-        if status != DONE or is_error_of_step(moved, moved_before, moved_noise) == 1:
-            counts[REJECTED] += 1.0
-            if status != DONE and h < 1e-10 * (stop - times[0]):
+        if status != Status.DONE or is_error_of_step(moved, moved_before, moved_noise) == 1:
+            counts[Count.REJECTED] += 1.0
+            if status != Status.DONE and h < 1e-10 * (stop - times[0]):
                 return status
-            h = h * (max(SMALLEST, safety * moved**-0.25) if status == DONE else SMALLEST)
-            moved_before = moved if status == DONE else HUGE
+            h = h * (
+                max(MIN_STEP_FACTOR, safety * moved**-0.25) if status == Status.DONE else MIN_STEP_FACTOR
+            )
+            moved_before = moved if status == Status.DONE else HUGE
             factored = 0
             rejected = 1
             continue
         moved_before = HUGE
         moved_noise = moved if moved >= 1.0 else 0.0
-        counts[STEPS] += 1.0
+        counts[Count.STEPS] += 1.0
         rejected = 0
-        factor = min(FASTEST, max(SMALLEST, safety * factor))
+        factor = min(MAX_STEP_FACTOR, max(MIN_STEP_FACTOR, safety * factor))
         prepare_dense(n, z, terms)
         first = due
         while due < table.count and times[due] <= now[n] + h:
             state = states[n * due :]
-            position_in(table.kept, n, (times[due] - now[n]) / h, now, terms, state)
-            keep_norms(system, state, state)
+            interpolate_radau(table.output_state_size, n, (times[due] - now[n]) / h, now, terms, state)
+            normalize_quaternions(system, state, state)
             due += 1
         status = project_rows(system, table, states, first, due, 0, at)
-        if status != DONE:
+        if status != Status.DONE:
             return status
         for i in range(n):
             revolutions = unprojected[i] - (now[i] + z[2 * n + i])
@@ -434,9 +438,9 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
             now[i] = projected[i]
         now[n] = now[n] + h
         changed = exchange_rows(system.exchange, now)
-        if status == DONE:
+        if status == Status.DONE:
             status = evaluate(system, now, slope)
-        if status != DONE:
+        if status != Status.DONE:
             return status
         before_h = h
         before_error = max(error, 1e-2)
@@ -451,7 +455,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         if fresh == 1 or factor > 1.2 or factor < 1.0:
             h = h * factor
             factored = 0
-    return DONE
+    return Status.DONE
 
 
 @native
@@ -459,6 +463,6 @@ def integrate_radau(system: Equations, table: Table, method: Radau) -> None:
     """Make all runs of the table."""
     run = int(table.first[0])
     while run < table.runs:
-        take(system, table, run, method.now)
+        start_run(system, table, run, method.now)
         status = run_radau(system, table, table.states[system.n * table.count * run :], method)
-        run = finish(system, table, run, status, method.now)
+        run = finish_run(system, table, run, status, method.now)

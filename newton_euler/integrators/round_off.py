@@ -12,9 +12,10 @@ from __future__ import annotations
 
 from newton_euler.codegen.native import Shared, Vector, native
 from newton_euler.integrators.singular import evaluate
-from newton_euler.integrators.stepper import DONE, SPACING, Equations
+from newton_euler.integrators.status import Status
+from newton_euler.integrators.stepper import EPS, Equations
 
-ROUGH = 300.0
+ROUGH_ERROR_RATIO = 300.0
 """Ratio of the squared error estimates of orders 3 and 5 below which both may be round-off. Round-off alone
 gives 12, the squared ratio of the lengths of the two rows of coefficients, within a factor of 10. Errors of
 the method give more the shorter a step is."""
@@ -22,11 +23,11 @@ the method give more the shorter a step is."""
 ROUND_OFF_MARGIN = 3.0
 """Factor between a measured sample of the round-off of the rates and the round-off that a step may have."""
 
-UNMEASURED = 24.0
+STEPS_TO_NEXT_MEASUREMENT = 24.0
 """Steps that look like round-off, as those at the limit of stability do, until round-off is measured again
 after it was none: three evaluations in 24 steps are 1 % of all."""
 
-MEMORY = 0.97
+SAMPLE_DECAY = 0.97
 """Factor by which an earlier sample of the round-off counts at each new one: single samples may be small."""
 
 
@@ -40,7 +41,7 @@ def measure_round_off(
     rates: Vector,
     spare: Vector,
     round_off: Vector,
-) -> int:
+) -> Status:
     """Measure the round-off of the rates (n,) at the start of a step of size h; returns a status.
 
     The rates are evaluated again at two states that are changed by their own round-off, one up and one down.
@@ -61,25 +62,25 @@ def measure_round_off(
     moved = spare[2 * (n + 1) :]
     at[n] = now[n]
     for i in range(n):
-        change = SPACING * max(abs(now[i]), units[i])
+        change = EPS * max(abs(now[i]), units[i])
         at[i] = now[i] + change if i % 2 == 0 else now[i] - change
     status = evaluate(system, at, spare)
-    if status != DONE:
+    if status != Status.DONE:
         return status
     for i in range(n):
         at[i] = now[i] - (at[i] - now[i])
     status = evaluate(system, at, lower)
-    if status != DONE:
+    if status != Status.DONE:
         return status
     for i in range(n):
         spare[i] = 0.5 * ((spare[i] - rates[i]) + (lower[i] - rates[i]))
         at[i] = now[i] + h * spare[i]
     status = evaluate(system, at, moved)
-    if status != DONE:
+    if status != Status.DONE:
         return status
     for i in range(n):
         sample = abs(spare[i])
         if i < system.nq:
             sample = max(sample, abs(moved[i] - rates[i]))
-        round_off[i] = max(MEMORY * round_off[i], sample)
-    return DONE
+        round_off[i] = max(SAMPLE_DECAY * round_off[i], sample)
+    return Status.DONE

@@ -1,32 +1,34 @@
-"""Passing singular configurations, where constraints of a loop become dependent, without losing digits.
+"""Pass singular configurations, where constraints of a loop become dependent, without losing digits.
 
-There the sparse elimination divides by pivots that vanish. Their ratio to what they usually are, the *pivot
-ratio*, falls with the square of the distance to the singular configuration, and round-off in accelerations
-grows with the cube of the inverse of that distance. Without more, error control would shorten steps without
-end, and what passes may have gone over to another branch of the mechanism's motion. The algorithm:
+In a singular configuration the sparse elimination divides by pivots that vanish. The *pivot ratio* is the
+smallest pivot divided by its usual size. The ratio falls with the square of the distance to the singular
+configuration. Round-off in accelerations grows with the cube of the inverse distance. Without the measures
+below, error control would shorten steps without end, and the run could continue on another branch of the
+mechanism's motion.
 
-Masses that differ by large factors make pivots small too. A singular configuration is a property of the
-constraint Jacobian, so `evaluate` compares small pivots with those of the constraints alone
+Masses that differ by large factors make pivots small, too. A singular configuration is a property of the
+constraint Jacobian, so `evaluate` compares small pivots with the pivots of the constraints alone
 (`newton_euler.integrators.constraint_ratio`). An open chain without couplings has no singular configuration.
 
-1. `evaluate`: where the pivot ratio is not positive, accelerations come from the dense, rank-revealing form.
-2. A run may begin in a singular configuration if its velocities say which branch it takes, or if it stays at
-   rest (`leaving`).
-3. A step of DOP853 with a stage where accelerations are unsafe is shortened by the factor `HOP`: its stages
-   are elsewhere then. So is one of Radau.
-4. A step of DOP853 near a singular configuration is placed so that it passes in the widest gap between two of
-   its stages: `crossing` finds where from the pivot ratios of three stages, `crossing_factor` shortens the
-   step.
-5. No step can end in a singular configuration. Where the run does, the last one goes beyond its end, and is
-   interpolated.
-6. The error of a step near one is that of its projections
-   (`newton_euler.integrators.dop853.error_on_constraints`): what wrong multipliers add is normal to the
-   constraints, and projection in the metric of the mass matrix takes it off again
+1. `evaluate`: if the pivot ratio is not positive, accelerations come from the dense, rank-revealing form.
+2. A run may begin in a singular configuration if its velocities determine the branch, or if the mechanism
+   stays at rest (`check_singular_start`).
+3. If a stage of a step of DOP853 or Radau has unsafe accelerations, the step is shortened by the factor
+   `UNSAFE_STEP_FACTOR`, which moves the stages.
+4. A step of DOP853 near a singular configuration is placed so that the configuration lies in the widest gap
+   between two stages. `locate_crossing` finds the crossing from the pivot ratios of three stages, and
+   `crossing_factor` shortens the step.
+5. No step can end in a singular configuration. If the run ends there, the last step goes beyond the end of
+   the run, and the end is interpolated.
+6. The error of a step near a singular configuration is the error of its projections
+   (`newton_euler.integrators.dop853.error_on_constraints`). What wrong multipliers add is normal to the
+   constraints. Projection in the metric of the mass matrix removes this part
    (`newton_euler.integrators.dense_projection`), as far as constraints are strong enough.
-7. Steps of RK4 cannot be placed: a step whose stages contradict each other (`contradiction`) ends the run.
+7. Steps of RK4 cannot be placed. If the stages of a step contradict each other (`stage_contradiction`), the
+   run ends.
 
-Equations that Python evaluates have no sparse form, so 1 changes nothing; their pivot ratio is that of
-`newton_euler.compiled.evaluated`.
+Equations that Python evaluates have no sparse form, so step 1 changes nothing. Their pivot ratio is defined
+in `newton_euler.compiled.evaluated`.
 
 Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
 """
@@ -37,69 +39,59 @@ from math import sqrt
 
 from newton_euler.codegen.native import Vector, native
 from newton_euler.integrators.constraint_ratio import constraint_ratio
-from newton_euler.integrators.stepper import (
-    DENSE_CALLS,
-    DONE,
-    EVALUATIONS,
-    HUGE,
-    NOT_FINITE,
-    SINGULAR,
-    UNDETERMINED,
-    UNPROJECTED,
-    Equations,
-)
+from newton_euler.integrators.status import Status
+from newton_euler.integrators.stepper import HUGE, Count, Equations
 
-NEAR = 1e-3
+NEAR_PIVOT_RATIO = 1e-3
 """Pivot ratio below which a configuration is near a singular one."""
 
-FAR = 100.0 * NEAR
-"""Pivot ratio at both ends of a step above which Python does not look at its stages."""
+FAR_PIVOT_RATIO = 100.0 * NEAR_PIVOT_RATIO
+"""Pivot ratio above which a configuration is far from any singular one."""
 
-UNSAFE = 1e-8
+UNSAFE_PIVOT_RATIO = 1e-8
 """Pivot ratio below which accelerations may be so wrong that a run would leave on another branch. Only a run
-that starts there takes steps through it, until it has left."""
+that starts below this ratio takes such steps, until the run has left the singular configuration."""
 
 DENSE_PIVOT_RATIO = 1e-12
-"""Stands for the pivot ratio of what the dense form evaluated; a singular configuration has no more. Great
-mass ratios alone leave more."""
+"""Pivot ratio reported for accelerations of the dense form: a singular configuration has no larger one. Large
+mass ratios alone leave a larger one."""
 
-HOP = 0.8
+UNSAFE_STEP_FACTOR = 0.8
 """Factor for a step with a stage where accelerations are unsafe."""
 
-HOPS = 12
-"""Tries to place a step; after them its error alone decides."""
+MAX_PLACEMENT_TRIES = 12
+"""How often a step is shortened for its place; after that its error alone decides."""
 
-MIDDLE = 0.6
-"""Place in a step of the stage of DOP853 whose pivot ratio `crossing` looks at between the ends, its stage
-9."""
+MIDDLE_STAGE = 0.6
+"""Place in a step (0 to 1) of stage 9 of DOP853, the stage between the ends that `locate_crossing` uses."""
 
-GAP, LEAST, MOST = 0.4667, 0.38, 0.55
-"""Place in a step where a singular configuration is to be passed: half way between the two stages of DOP853
-that are farthest apart, at 1/3 and 3/5; and the earliest and the latest that will do."""
+CROSSING_TARGET, CROSSING_MIN, CROSSING_MAX = 0.4667, 0.38, 0.55
+"""Places in a step (0 to 1) at which a step should pass a singular configuration: best half way between the
+two stages of DOP853 that are farthest apart, at 1/3 and 3/5, and the earliest and the latest good place."""
 
-EARLY = 0.04
-"""Place before which a step passes a singular configuration farther from its second stage, at 0.053, than a
-step that is shortened for it would pass: with a start that is next to one, nothing is gained."""
+CROSSING_IGNORED_BEFORE = 0.04
+"""Place in a step (0 to 1). A singular configuration before it is farther from the second stage, at 0.053,
+than a shortened step would bring a stage: shortening the step gains nothing."""
 
-NOWHERE = 1e9
-"""Place of a singular configuration that a step does not come near to, in units of the step."""
+NO_CROSSING = 1e9
+"""Result of `locate_crossing` if the step comes near no singular configuration, in units of the step."""
 
-AT_END = 0.05
-"""Ratio of the distances after and before a step below which it ends in the singular configuration."""
+ENDS_SINGULAR_RATIO = 0.05
+"""Ratio of the distances after and before a step below which the step ends in the singular configuration."""
 
-LEAVING = 1e-4
-"""rad or m, within which accelerations are unsafe; what leaves slower than they would make it is at rest."""
+MIN_START_DISPLACEMENT = 1e-4
+"""rad or m, around a singular configuration, within which accelerations are unsafe. A mechanism that leaves
+more slowly than the accelerations would move it counts as at rest."""
 
-STAYS = 1e-9
-"""rad or m, by which a run may move from where it begins and still be said to stay there."""
+REST_DISPLACEMENT = 1e-9
+"""rad or m, by which a run may move from its start and still count as staying there."""
 
-CONTRADICTION = 1e-3
-"""Share of the velocities by which accelerations within a step of RK4 may contradict each other. Chosen from
-runs of a parallelogram of bars without projection: those that went over to another branch had k3 - k2 of 8e-3
-or more somewhere, good ones mostly less than 1e-3: some good ones are refused. Steps that pass with no stage
-near by
-are not looked at: without projection they open joints, and
-`newton_euler.integrators.projection.check_still_closed` refuses the run at its next output."""
+MAX_CONTRADICTION = 1e-3
+"""Largest contradiction between the accelerations within a step of RK4, as a fraction of the velocities.
+Chosen from runs of a parallelogram of bars without projection: runs that changed to another branch had 8e-3
+or more in some step, good ones mostly less than 1e-3, so that some good runs are refused. Steps that pass a
+singular configuration without a stage close to it are not examined: without projection such steps open
+joints, and `newton_euler.integrators.projection.check_still_closed` refuses the run at its next output."""
 
 
 @native
@@ -110,14 +102,14 @@ def ratio_for_steps(with_masses: float, alone: float) -> float:
     singular configuration, accelerations lose as many digits as the pivots with masses show.
 
     Args:
-        with_masses: pivot ratio of the equations of motion, below `NEAR`.
+        with_masses: pivot ratio of the equations of motion, below `NEAR_PIVOT_RATIO`.
         alone: pivot ratio of the constraints alone.
     """
-    return alone if alone >= NEAR else with_masses
+    return alone if alone >= NEAR_PIVOT_RATIO else with_masses
 
 
 @native
-def evaluate(system: Equations, x: Vector, y: Vector) -> int:
+def evaluate(system: Equations, x: Vector, y: Vector) -> Status:
     """Evaluate y = derivative(x); return a status.
 
     The dense form evaluates where the pivot ratio of the sparse form is not positive. If constraints cannot
@@ -125,99 +117,116 @@ def evaluate(system: Equations, x: Vector, y: Vector) -> int:
     placed, shortened or refused for it. Otherwise `ratio_for_steps` chooses.
     """
     system.derivative(x, y)
-    system.counts[EVALUATIONS] += 1.0
+    system.counts[Count.EVALUATIONS] += 1.0
     if not y[system.n] > 0.0:
         system.dense(x, y)
-        system.counts[DENSE_CALLS] += 1.0
+        system.counts[Count.DENSE_CALLS] += 1.0
         if not y[system.n] > 0.0:
-            return SINGULAR
+            return Status.SINGULAR
         y[system.n] = DENSE_PIVOT_RATIO
     if system.loses_rank == 0:
         y[system.n] = 1.0
-    elif y[system.n] < NEAR:
+    elif y[system.n] < NEAR_PIVOT_RATIO:
         alone = constraint_ratio(system.ratio, x)
         if alone < 0.0:
-            return SINGULAR
+            return Status.SINGULAR
         y[system.n] = ratio_for_steps(y[system.n], alone)
     size = 0.0
     for i in range(system.n):
         size += abs(y[i])
     if not size < HUGE:
-        return NOT_FINITE
-    return DONE
+        return Status.NOT_FINITE
+    return Status.DONE
 
 
 @native
-def leaving(system: Equations, span: float, projecting: int, now: Vector, rates: Vector) -> int:
-    """Check that a run of a span (s) may begin where it is singular, with its rates (n + 1) there; a status.
+def check_singular_start(
+    system: Equations, span: float, projecting: int, now: Vector, rates: Vector
+) -> Status:
+    """Check that a run may begin in a singular configuration.
 
-    Velocities say on which branch it goes on, and projection keeps it there. From rest the branch is not
-    determined, unless nothing pulls and it stays.
+    Velocities determine the branch, and projection keeps the run on it. From rest the branch is not
+    determined, unless nothing accelerates the mechanism and it stays.
+
+    Args:
+        span: duration of the run, s.
+        projecting: 1 if states are projected onto the constraints, else 0.
+        now: state at the start.
+        rates: (n + 1,) rates and pivot ratio at the start.
     """
     speed = 0.0
     push = 0.0
     for i in range(system.nq, system.n):
         speed += abs(now[i])
         push += abs(rates[i])
-    if push * span * span < STAYS and speed * span < STAYS:
-        return DONE
-    if speed * speed < LEAVING * push:
-        return UNDETERMINED
-    return DONE if projecting == 1 else UNPROJECTED
+    if push * span * span < REST_DISPLACEMENT and speed * span < REST_DISPLACEMENT:
+        return Status.DONE
+    if speed * speed < MIN_START_DISPLACEMENT * push:
+        return Status.UNDETERMINED
+    return Status.DONE if projecting == 1 else Status.UNPROJECTED
 
 
 @native
-def crossing(first: float, middle: float, last: float) -> float:
-    """Find where a step passes or will pass a singular configuration, in units of its length.
+def locate_crossing(first: float, middle: float, last: float) -> float:
+    """Locate the singular configuration that a step passes or will pass, in units of the step.
 
-    The root of the pivot ratio is a distance: what it is at both ends, 0 and 1, tells where it vanishes,
-    within the step or beyond it, and the stage at `MIDDLE` which of the two. `NOWHERE` if neither fits: far
-    away the pivot ratio is 1 at any distance. Of a step that ends there it does not matter.
+    The root of the pivot ratio is proportional to a distance. The distances at both ends, at 0 and 1, give
+    two candidates: one within the step and one beyond it. The stage at `MIDDLE_STAGE` decides between them.
+    The result is `NO_CROSSING` if neither fits: far from singular configurations the pivot ratio is 1 at any
+    distance.
 
     Args:
-        first, middle, last: pivot ratios.
+        first, middle, last: pivot ratios at the beginning, at `MIDDLE_STAGE` and at the end of the step.
     """
     first = sqrt(max(first, 0.0))
     last = sqrt(max(last, 0.0))
     middle = sqrt(max(middle, 0.0))
     within = first / (first + last)
-    residual_within = abs(abs(within - MIDDLE) * (first + last) - middle)
+    residual_within = abs(abs(within - MIDDLE_STAGE) * (first + last) - middle)
     if first <= last:
-        return within if residual_within < 0.2 * (first + last) else NOWHERE
+        return within if residual_within < 0.2 * (first + last) else NO_CROSSING
     beyond = first / (first - last)
-    residual_beyond = abs((beyond - MIDDLE) * (first - last) - middle)
+    residual_beyond = abs((beyond - MIDDLE_STAGE) * (first - last) - middle)
     if min(residual_within, residual_beyond) > 0.2 * (first + last):
-        return within if last < AT_END * first else NOWHERE
+        return within if last < ENDS_SINGULAR_RATIO * first else NO_CROSSING
     return within if residual_within < residual_beyond else beyond
 
 
 @native
 def crossing_factor(first: float, middle: float, last: float, shorter: float) -> float:
-    """Find the factor for a step that has it pass a singular configuration in the widest gap between stages.
+    """Compute the factor for a step so that it passes a singular configuration between two stages.
 
-    1 if it does, or if that configuration is no concern of a step that its error makes shorter anyway.
+    The factor is 1 if the step does so already, or if the step comes near no singular configuration once its
+    error has shortened it.
 
     Args:
-        first, middle, last: pivot ratios.
-        shorter: factor that the error of the step asks for, at most 1.
+        first, middle, last: pivot ratios, as of `locate_crossing`.
+        shorter: factor that the error of the step requires, at most 1.
     """
-    where = crossing(first, middle, last)
-    if where < EARLY:
+    where = locate_crossing(first, middle, last)
+    if where < CROSSING_IGNORED_BEFORE:
         return 1.0
-    if where < LEAST or (where <= MOST and shorter < 1.0 and where <= GAP * shorter):
-        return where / GAP
-    if where > MOST * shorter and where < 1.0 + GAP:
-        return where - GAP * shorter
+    if where < CROSSING_MIN or (
+        where <= CROSSING_MAX and shorter < 1.0 and where <= CROSSING_TARGET * shorter
+    ):
+        return where / CROSSING_TARGET
+    if where > CROSSING_MAX * shorter and where < 1.0 + CROSSING_TARGET:
+        return where - CROSSING_TARGET * shorter
     return 1.0
 
 
 @native
-def contradiction(system: Equations, h: float, now: Vector, k: Vector) -> float:
-    """Measure how far the stages k (4, n + 1) of a step of RK4 contradict each other, as a share of speeds.
+def stage_contradiction(system: Equations, h: float, now: Vector, k: Vector) -> float:
+    """Measure how far the stages of a step of RK4 contradict each other, as a fraction of the speeds.
 
-    Two combinations of accelerations are looked at that are of order h^2, h^3 in velocities, of a smooth
-    motion. Near a singular configuration, where multipliers lose their digits, they are noise, and where a
-    motion goes over to another branch they are as large as the velocities.
+    Two combinations of the accelerations of the stages are of order h^2 and h^3 in velocities if the motion
+    is smooth. Near a singular configuration, where multipliers lose their digits, the combinations are noise.
+    If a motion changes to another branch, they are as large as the velocities.
+
+    Args:
+        h: step, s.
+        now: state at the beginning.
+        k: (4, n + 1) rates of the stages.
     """
     row = system.n + 1
     residual = 0.0

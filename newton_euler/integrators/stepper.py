@@ -13,37 +13,56 @@ to singular to be trusted.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from math import pi, sqrt
 
 from newton_euler.codegen.native import Callback, Record, Shared, Vector, native
 from newton_euler.integrators.constraint_ratio import ConstraintRatio
 from newton_euler.integrators.dense_projection import Closing
 from newton_euler.integrators.row_exchange import RowExchange
+from newton_euler.integrators.status import Status
 from newton_euler.scalars import Array
 
-DONE, NOT_FINITE, SINGULAR, TOO_MANY_STEPS = 0, 1, 2, 3
-STEP_TOO_SMALL, OPEN, INTERRUPTED, STRAYING = 4, 5, 6, 7
-UNDETERMINED, UNPROJECTED = 8, 9
-"""Statuses: how an integration ended."""
 
-STEPS, EVALUATIONS, REJECTED, DENSE_CALLS = 0, 1, 2, 3
-REACHED, WISH, WRITTEN, SHORT, STATUS, EXCESS = 4, 5, 6, 7, 8, 9
-"""Places in the vector of counts; REACHED is the time, s, WISH is not 0 to stop, WRITTEN are rows of states,
-SHORT are steps in a row below the share `TINY` of the whole, STATUS is how the run ended, EXCESS is the
-largest error estimate, in units of the tolerance, of a step that was taken because round-off explains it."""
+class Count(IntEnum):
+    """Places in the vector of counts of a run.
 
-COUNTS = 10
+    Attributes:
+        STEPS, EVALUATIONS, REJECTED, DENSE_CALLS: numbers of accepted steps, of evaluated rates, of rejected
+            steps and of evaluations by the dense form.
+        TIME_REACHED: s.
+        STOP_REQUEST: 0, `STOP_ALL_RUNS` or `LEAVE_LANE`.
+        ROWS_WRITTEN: rows of the table of states.
+        SHORT_STEPS: consecutive steps below the fraction `SHORT_STEP_FRACTION` of the whole time.
+        STATUS: how the run ended, a `Status`.
+        ROUND_OFF_EXCESS: the largest error estimate, in units of the tolerance, of an accepted step whose
+            estimate is explained by round-off.
+    """
 
-STOP, LEAVE = 1.0, 2.0
-"""Wishes: that no more runs are made, and that this one is left, to be made by other code."""
+    STEPS = 0
+    EVALUATIONS = 1
+    REJECTED = 2
+    DENSE_CALLS = 3
+    TIME_REACHED = 4
+    STOP_REQUEST = 5
+    ROWS_WRITTEN = 6
+    SHORT_STEPS = 7
+    STATUS = 8
+    ROUND_OFF_EXCESS = 9
 
-PATIENCE = 64
+
+COUNTS = len(Count)
+
+STOP_ALL_RUNS, LEAVE_LANE = 1.0, 2.0
+"""Values of `Count.STOP_REQUEST`: no more runs are made, or this run is left to other code."""
+
+STEPS_PER_PAUSE = 64
 """Steps after which Python is given a chance to see that the user wants to stop."""
 
-SPACING = 2.3e-16
+EPS = 2.3e-16
 """Distance of doubles near 1."""
 
-TINY, PATIENT = 1e-10, 1000
+SHORT_STEP_FRACTION, MAX_SHORT_STEPS = 1e-10, 1000
 """An adaptive method gets nowhere if so many steps in a row are below this share of the whole."""
 
 HUGE = 1e300
@@ -76,7 +95,7 @@ class Equations(Record):
         position, velocity: projection.
         closing: projection by the dense form.
         exchange: constraint rows among which a run chooses.
-        beside: (inputs + n + 3, lanes) scratch.
+        projection_work: (inputs + n + 3, lanes) scratch.
         pause: asks whether the user wants to stop.
         marks: (n,) of angles and Euler parameters.
         groups: number of groups of coordinates and velocities that constraints connect.
@@ -99,7 +118,7 @@ class Equations(Record):
     velocity: Callback
     closing: Closing
     exchange: RowExchange
-    beside: Vector
+    projection_work: Vector
     pause: Callback
     marks: Shared
     groups: int
@@ -113,7 +132,7 @@ class Table(Record):
 
     Attributes:
         count: of output times.
-        kept: number of elements of a state that outputs need, nq or n; the others are anything.
+        output_state_size: number of elements of a state that outputs need, nq or n; the others are anything.
         runs: their number.
         stride: from a run to the next that is made after it: 1, or the number of lanes.
         first: (1,) number of the first run.
@@ -124,7 +143,7 @@ class Table(Record):
     """
 
     count: int
-    kept: int
+    output_state_size: int
     runs: int
     stride: int
     first: Vector
@@ -140,76 +159,83 @@ def counted(counts: Array) -> dict[str, float]:
     If round-off explains error estimates beyond the tolerance, "round_off" is the largest of them in units of
     the tolerance.
     """
-    names = {"steps": STEPS, "rejected": REJECTED, "evaluations": EVALUATIONS, "dense": DENSE_CALLS}
+    names = {
+        "steps": Count.STEPS,
+        "rejected": Count.REJECTED,
+        "evaluations": Count.EVALUATIONS,
+        "dense": Count.DENSE_CALLS,
+    }
     found: dict[str, float] = {name: int(counts[place]) for name, place in names.items()}
-    return found | ({"round_off": float(counts[EXCESS])} if counts[EXCESS] > 0.0 else {})
+    return found | (
+        {"round_off": float(counts[Count.ROUND_OFF_EXCESS])} if counts[Count.ROUND_OFF_EXCESS] > 0.0 else {}
+    )
 
 
 @native
-def interrupted(system: Equations) -> int:
-    """Return the wish to stop, 0 if there is none; the user's is asked for every `PATIENCE` steps."""
+def stop_request(system: Equations) -> int:
+    """Return the wish to stop, 0 if there is none; the user's is asked for every `STEPS_PER_PAUSE` steps."""
     counts = system.counts
-    if int(counts[STEPS] + counts[REJECTED]) % PATIENCE == PATIENCE - 1:
-        system.pause(counts, counts[WISH:])
-    return int(counts[WISH])
+    if int(counts[Count.STEPS] + counts[Count.REJECTED]) % STEPS_PER_PAUSE == STEPS_PER_PAUSE - 1:
+        system.pause(counts, counts[Count.STOP_REQUEST :])
+    return int(counts[Count.STOP_REQUEST])
 
 
 @native
-def before_step(system: Equations, table: Table, most: int, h: float, now: Vector) -> int:
-    """Check that an adaptive method may take a step of size h, of at most so many; returns a status."""
+def before_step(system: Equations, table: Table, max_steps: int, h: float, now: Vector) -> Status:
+    """Check that an adaptive method may take a step of size h, of at most `max_steps`."""
     counts = system.counts
-    counts[REACHED] = now[system.n]
-    if counts[STEPS] + counts[REJECTED] >= most:
-        return TOO_MANY_STEPS
-    if interrupted(system) > 0:
-        return INTERRUPTED
+    counts[Count.TIME_REACHED] = now[system.n]
+    if counts[Count.STEPS] + counts[Count.REJECTED] >= max_steps:
+        return Status.TOO_MANY_STEPS
+    if stop_request(system) > 0:
+        return Status.INTERRUPTED
     span = table.times[table.count - 1] - table.times[0]
-    counts[SHORT] = counts[SHORT] + 1.0 if h < TINY * span else 0.0
-    if counts[SHORT] > PATIENT or h < 10.0 * SPACING * max(abs(now[system.n]), h):
-        return STEP_TOO_SMALL
-    return DONE
+    counts[Count.SHORT_STEPS] = counts[Count.SHORT_STEPS] + 1.0 if h < SHORT_STEP_FRACTION * span else 0.0
+    if counts[Count.SHORT_STEPS] > MAX_SHORT_STEPS or h < 10.0 * EPS * max(abs(now[system.n]), h):
+        return Status.STEP_TOO_SMALL
+    return Status.DONE
 
 
 @native
-def take(system: Equations, table: Table, run: int, now: Vector) -> None:
+def start_run(system: Equations, table: Table, run: int, now: Vector) -> None:
     """Go to the start of a run."""
     start = table.ends[system.inputs * run :]
     for i in range(system.inputs):
         now[i] = start[i]
     for i in range(COUNTS):
         system.counts[i] = 0.0
-    system.counts[REACHED] = now[system.n]
+    system.counts[Count.TIME_REACHED] = now[system.n]
 
 
 @native
-def finish(system: Equations, table: Table, run: int, status: int, now: Vector) -> int:
+def finish_run(system: Equations, table: Table, run: int, status: int, now: Vector) -> int:
     """Write where and how a run ended; returns the number of the next one, if there is to be one."""
     end = table.ends[system.inputs * run :]
     tally = table.tallies[COUNTS * run :]
     counts = system.counts
-    counts[STATUS] = float(status)
-    if counts[WISH] > 0.0:
-        counts[STATUS] = float(INTERRUPTED)
-    elif status == DONE:
-        counts[REACHED] = now[system.n]
+    counts[Count.STATUS] = float(status)
+    if counts[Count.STOP_REQUEST] > 0.0:
+        counts[Count.STATUS] = float(Status.INTERRUPTED)
+    elif status == Status.DONE:
+        counts[Count.TIME_REACHED] = now[system.n]
     for i in range(system.inputs):
         end[i] = now[i]
     for i in range(COUNTS):
         tally[i] = counts[i]
-    return table.runs if counts[WISH] == STOP else run + table.stride
+    return table.runs if counts[Count.STOP_REQUEST] == STOP_ALL_RUNS else run + table.stride
 
 
 @native
-def record(system: Equations, states: Vector, row: int, state: Vector) -> None:
+def write_row(system: Equations, states: Vector, row: int, state: Vector) -> None:
     """Write a state into a row of those of a run."""
     here = states[system.n * row :]
     for i in range(system.n):
         here[i] = state[i]
-    system.counts[WRITTEN] = float(row + 1)
+    system.counts[Count.ROWS_WRITTEN] = float(row + 1)
 
 
 @native
-def unwind(system: Equations, x: Vector, before: Vector) -> None:
+def unwind_angles(system: Equations, x: Vector, before: Vector) -> None:
     """Take full revolutions off the marked angles; `before` moves along.
 
     An angle of many revolutions has fewer digits than its sine needs, and a tolerance relative to it would
@@ -223,7 +249,7 @@ def unwind(system: Equations, x: Vector, before: Vector) -> None:
 
 
 @native
-def keep_norms(system: Equations, x: Vector, before: Vector) -> None:
+def normalize_quaternions(system: Equations, x: Vector, before: Vector) -> None:
     """Give marked Euler parameters p norm 1, whatever a run does about its constraints.
 
     A norm n would scale rotations by n^2. It is one of coordinates, not of the mechanism: no drift that

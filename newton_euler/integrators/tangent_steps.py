@@ -22,36 +22,41 @@ from math import sqrt
 
 from newton_euler.codegen.native import Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.integrators.dop853 import EXPONENT, FAILED, LARGEST, SAFETY, SMALLEST
+from newton_euler.integrators.dop853 import (
+    ERROR_EXPONENT,
+    FAILED_STEP_ERROR,
+    MAX_STEP_FACTOR,
+    MIN_STEP_FACTOR,
+    SAFETY,
+)
 from newton_euler.integrators.dop853_tableau import ERROR_3, ERROR_5, SECOND_OF_STEP, STAGES
-from newton_euler.integrators.singular import NEAR
-from newton_euler.integrators.stepper import DONE, HUGE, INTERRUPTED, PATIENCE, SINGULAR, TOO_MANY_STEPS
+from newton_euler.integrators.singular import NEAR_PIVOT_RATIO
+from newton_euler.integrators.status import Status
+from newton_euler.integrators.stepper import HUGE, STEPS_PER_PAUSE
 from newton_euler.integrators.tangents import (
-    PARTS,
-    REACHED,
-    WISH,
+    TangentCount,
     Tangents,
+    copy_state,
     evaluate_along,
     interpolate_tangents,
     prepare_terms,
-    put,
-    settle,
+    project_tangents,
     tangent_stage,
 )
 
-TENTH = 0.1
+MAX_COMPARED_RATIO = 0.1
 """Ratio of the sizes of two parts that show of what order an error is."""
 
-HALF = 0.5
+CROSSING_DIP = 0.5
 """Ratio of pivot ratios in a step that is not just anywhere near a singular configuration, but passes one."""
 
-NOISY = 4.0
+NOISE_MARGIN = 4.0
 """Noise that is expected, in units of the one found."""
 
-SETTLING = 4
+STEPS_PER_PROJECTION = 4
 """Steps after which tangents are put on the linearized constraints, which they leave by errors of steps."""
 
-TINY = 1e-300
+SMALLEST_SCALE = 1e-300
 """Keeps ratios to nothing finite."""
 
 
@@ -95,14 +100,14 @@ def estimate_errors(tangents: Tangents, h: float) -> None:
             fifth_speed += fives[e] * fives[e]
             third_speed += threes[e] * threes[e]
         # of the tangents that pass through zero, or begin there, in one of the two alone
-        of_place = tangents.tolerance * max(place, h * speed) + TINY
-        of_speed = tangents.tolerance * max(speed, place) + TINY
+        of_place = tangents.tolerance * max(place, h * speed) + SMALLEST_SCALE
+        of_speed = tangents.tolerance * max(speed, place) + SMALLEST_SCALE
         fifth = fifth_place / of_place / of_place + fifth_speed / of_speed / of_speed
         third = third_place / of_place / of_place + third_speed / of_speed / of_speed
         error = 0.0
         if fifth > 0.0 or third > 0.0:
             error = h * fifth / sqrt((fifth + 0.01 * third) * tangents.n)
-        tangents.errors[lane] = error if error < FAILED else FAILED
+        tangents.errors[lane] = error if error < FAILED_STEP_ERROR else FAILED_STEP_ERROR
         whole = h * sqrt(fifth_place + fifth_speed)
         tangents.errors[lanes + lane] = whole if whole < HUGE else HUGE
 
@@ -124,11 +129,11 @@ def find_noise(tangents: Tangents, h: float) -> None:
     """
     lanes = tangents.lanes
     ratio = h / tangents.tried[lanes]
-    if ratio <= TENTH:
+    if ratio <= MAX_COMPARED_RATIO:
         for lane in range(lanes):
             error = tangents.errors[lanes + lane]
             if tangents.errors[lane] > 1.0 and error > ratio * ratio * ratio * tangents.tried[lane]:
-                tangents.noise[lane] = max(tangents.noise[lane], NOISY * error / h)
+                tangents.noise[lane] = max(tangents.noise[lane], NOISE_MARGIN * error / h)
         keep_tried(tangents, h)
 
 
@@ -156,7 +161,7 @@ def passes_singular(tangents: Tangents) -> int:
         ratio = tangents.k[row * s + 2 * size]
         least = min(least, ratio)
         most = max(most, ratio)
-    return 1 if least < NEAR and least < HALF * most else 0
+    return 1 if least < NEAR_PIVOT_RATIO and least < CROSSING_DIP * most else 0
 
 
 @native
@@ -173,7 +178,7 @@ def take_part(tangents: Tangents, t: float, h: float) -> float:
         find_noise(tangents, h)
         error = worst_error(tangents, h)
         if error > 1.0 and passes_singular(tangents) == 0:
-            h = h * max(SMALLEST, SAFETY * error**EXPONENT)
+            h = h * max(MIN_STEP_FACTOR, SAFETY * error**ERROR_EXPONENT)
             shorter = 1
         else:
             taken = 1
@@ -199,11 +204,11 @@ def write_tangents(tangents: Tangents, t: float, h: float, due: int, stop: float
 
 
 @native
-def follow(tangents: Tangents, last: Vector) -> int:
+def carry_tangents(tangents: Tangents, last: Vector) -> Status:
     """Carry the tangents through all steps, into the table, and to the state (n,) at the end of the last;
     returns a status."""
     counts = tangents.counts
-    counts[PARTS] = 0.0
+    counts[TangentCount.PARTS] = 0.0
     n = tangents.n
     known = tangents.known
     lanes = tangents.lanes
@@ -218,11 +223,11 @@ def follow(tangents: Tangents, last: Vector) -> int:
         t = step[n]
         stop = t + step[known]
         h = step[known]
-        put(known, lanes, step, x)
+        copy_state(known, lanes, step, x)
         for i in range(lanes * (n + 1), lanes * known):
             at[i] = x[i]
-        if number % SETTLING == 0 or passes_singular(tangents) == 1:
-            settle(tangents)
+        if number % STEPS_PER_PROJECTION == 0 or passes_singular(tangents) == 1:
+            project_tangents(tangents)
         if due == 0:
             for i in range(size):
                 tangents.table[i] = x[along + i]
@@ -230,17 +235,17 @@ def follow(tangents: Tangents, last: Vector) -> int:
                 tangents.flags[i] = step[n + 1 + i]
             due = 1
         while t < stop:
-            counts[PARTS] += 1.0
-            counts[REACHED] = t
-            if counts[PARTS] > tangents.most:
-                return TOO_MANY_STEPS
-            if int(counts[PARTS]) % PATIENCE == 0:
-                tangents.pause(counts, counts[WISH:])
-                if counts[WISH] > 0.0:
-                    return INTERRUPTED
+            counts[TangentCount.PARTS] += 1.0
+            counts[TangentCount.TIME_REACHED] = t
+            if counts[TangentCount.PARTS] > tangents.max_parts:
+                return Status.TOO_MANY_STEPS
+            if int(counts[TangentCount.PARTS]) % STEPS_PER_PAUSE == 0:
+                tangents.pause(counts, counts[TangentCount.STOP_REQUEST :])
+                if counts[TangentCount.STOP_REQUEST] > 0.0:
+                    return Status.INTERRUPTED
             taken = take_part(tangents, t, h)
             if tangents.least[0] < tangents.floor:
-                return SINGULAR
+                return Status.SINGULAR
             for i in range(size):
                 end[i] = at[along + i]
                 end[size + i] = at[i]
@@ -254,19 +259,19 @@ def follow(tangents: Tangents, last: Vector) -> int:
                     x[i] = end[size + i]
                 for lane in range(lanes):
                     x[size + lane] = t
-                settle(tangents)
+                project_tangents(tangents)
                 error = worst_error(tangents, taken)
-                growth = SAFETY * error**EXPONENT if error > 0.0 else LARGEST
-                h = min(taken * min(LARGEST, max(SMALLEST, growth)), stop - t)
+                growth = SAFETY * error**ERROR_EXPONENT if error > 0.0 else MAX_STEP_FACTOR
+                h = min(taken * min(MAX_STEP_FACTOR, max(MIN_STEP_FACTOR, growth)), stop - t)
             if t > tangents.times[tangents.rows - 1]:  # the run ends within its last step
                 for i in range(size):
                     x[along + i] = tangents.table[size * (tangents.rows - 1) + i]
-    put(known, lanes, last, x)
-    settle(tangents)
-    return DONE
+    copy_state(known, lanes, last, x)
+    project_tangents(tangents)
+    return Status.DONE
 
 
 @lru_cache
-def methods() -> NativeFunctions:
+def tangent_methods() -> NativeFunctions:
     """Compile the loops over steps and outputs, once."""
-    return NativeFunctions([follow, evaluate_along])
+    return NativeFunctions([carry_tangents, evaluate_along])

@@ -9,13 +9,19 @@ Written for native code, see `newton_euler.codegen.native`; it runs as plain Pyt
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 from newton_euler.codegen.native import Callback, Record, Vector, native
 from newton_euler.integrators.dop853 import advance, prepare_dense
 from newton_euler.integrators.dop853_tableau import NODES
 
-PARTS, WISH, REACHED = 0, 1, 2
-"""Places in the vector `counts`."""
+
+class TangentCount(IntEnum):
+    """Places in the vector `counts`: parts taken, the request to stop, and the time reached, s."""
+
+    PARTS = 0
+    STOP_REQUEST = 1
+    TIME_REACHED = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,22 +32,22 @@ class Tangents(Record):
         n, inputs: lengths of a state, and of one with time, flags and parameters.
         known: length of a state with time and flags, which steps have.
         lanes: number of directions.
-        wide: lanes of `settled` and of outputs, as many or more: these take several output times at once.
+        wide: lanes of `project` and of outputs, as many or more: these take several output times at once.
         count, rows: numbers of steps and of output times.
-        most: the largest number of parts that steps are taken in.
+        max_parts: the largest number of parts that steps are taken in.
         projecting: 1 if states are kept on the constraints, else 0.
         places, speeds: (q, v) are the elements up to `places` and from `speeds` on; between is work done,
             which nothing depends on, and whose error is not looked at.
         tolerance: of errors of a part of a step, in units of the largest of q and of v in each lane.
         floor: pivot ratio below which rates are not known well enough.
         rates: of a state and of a direction, with the pivot ratio behind them.
-        settled: directions on the linearized constraints.
+        project: directions on the linearized constraints.
         pause: lets Python stop the run: asked for every `PATIENCE` parts.
         steps: (count, known + 1) states, times, flags and sizes of steps.
         times, states: (rows,) s, and (rows, n) of the run.
         flags: (rows, known - n - 1) of the steps in which the output times are.
         x: (2 inputs, lanes) state with time and parameters, then the direction in each lane.
-        beside: (2 inputs, wide) the same, for `settled` and outputs.
+        wide_x: (2 inputs, wide) the same, for `project` and outputs.
         at: the same, of a stage.
         k: (17, 2 n + 1, lanes) rates of the stages, then scratch.
         table: (rows, n, lanes) tangents at the output times.
@@ -60,21 +66,21 @@ class Tangents(Record):
     wide: int
     count: int
     rows: int
-    most: int
+    max_parts: int
     projecting: int
     places: int
     speeds: int
     tolerance: float
     floor: float
     rates: Callback
-    settled: Callback
+    project: Callback
     pause: Callback
     steps: Vector
     times: Vector
     states: Vector
     flags: Vector
     x: Vector
-    beside: Vector
+    wide_x: Vector
     at: Vector
     k: Vector
     table: Vector
@@ -87,7 +93,7 @@ class Tangents(Record):
 
 
 @native
-def put(count: int, lanes: int, state: Vector, x: Vector) -> None:
+def copy_state(count: int, lanes: int, state: Vector, x: Vector) -> None:
     """Copy `count` elements of a state into all lanes of x."""
     for i in range(count):
         for lane in range(lanes):
@@ -95,7 +101,7 @@ def put(count: int, lanes: int, state: Vector, x: Vector) -> None:
 
 
 @native
-def settle(tangents: Tangents) -> None:
+def project_tangents(tangents: Tangents) -> None:
     """Put the tangents beside the state x on the linearized constraints."""
     if tangents.projecting == 1:
         lanes = tangents.lanes
@@ -103,10 +109,10 @@ def settle(tangents: Tangents) -> None:
         direction = tangents.x[tangents.inputs * lanes :]
         for i in range(2 * tangents.inputs):
             for lane in range(wide):
-                tangents.beside[wide * i + lane] = tangents.x[
+                tangents.wide_x[wide * i + lane] = tangents.x[
                     lanes * i + (lane if lane < lanes else lanes - 1)
                 ]
-        tangents.settled(tangents.beside, tangents.found)
+        tangents.project(tangents.wide_x, tangents.found)
         for i in range(tangents.n):
             for lane in range(lanes):
                 direction[lanes * i + lane] = tangents.found[wide * i + lane]
@@ -163,28 +169,28 @@ def interpolate_tangents(tangents: Tangents, share: float, y: Vector) -> None:
 
 
 @native
-def gather(tangents: Tangents, row: int, lane: int, used: int) -> None:
-    """Set `beside` to tangents at output times from one on, `used` of each; after the last to that again."""
+def gather_outputs(tangents: Tangents, row: int, lane: int, used: int) -> None:
+    """Set `wide_x` to tangents at output times from one on, `used` of each; after the last to that again."""
     n = tangents.n
     lanes = tangents.lanes
     wide = tangents.wide
     inputs = tangents.inputs
-    beside = tangents.beside
+    wide_x = tangents.wide_x
     for place in range(wide):
         state = tangents.states[n * row :]
         tangent = tangents.table[n * lanes * row :]
         for i in range(n):
-            beside[wide * i + place] = state[i]
-            beside[wide * (inputs + i) + place] = tangent[lanes * i + lane]
-        beside[wide * n + place] = tangents.times[row]
-        beside[wide * (inputs + n) + place] = 0.0
+            wide_x[wide * i + place] = state[i]
+            wide_x[wide * (inputs + i) + place] = tangent[lanes * i + lane]
+        wide_x[wide * n + place] = tangents.times[row]
+        wide_x[wide * (inputs + n) + place] = 0.0
         flags = tangents.flags[(tangents.known - n - 1) * row :]
         for i in range(tangents.known - n - 1):
-            beside[wide * (n + 1 + i) + place] = flags[i]
-            beside[wide * (inputs + n + 1 + i) + place] = 0.0
+            wide_x[wide * (n + 1 + i) + place] = flags[i]
+            wide_x[wide * (inputs + n + 1 + i) + place] = 0.0
         for i in range(tangents.known, inputs):
-            beside[wide * i + place] = tangents.x[lanes * i + lane]
-            beside[wide * (inputs + i) + place] = tangents.x[lanes * (inputs + i) + lane]
+            wide_x[wide * i + place] = tangents.x[lanes * i + lane]
+            wide_x[wide * (inputs + i) + place] = tangents.x[lanes * (inputs + i) + lane]
         if lane < used - 1:
             lane += 1
         elif row < tangents.rows - 1:
@@ -211,8 +217,8 @@ def evaluate_along(
     wide = tangents.wide
     lane = 0
     while row < tangents.rows:
-        gather(tangents, row, lane, used)
-        function(tangents.beside, tangents.found)
+        gather_outputs(tangents, row, lane, used)
+        function(tangents.wide_x, tangents.found)
         for place in range(wide):
             if row < tangents.rows:
                 result = results[outputs * columns * row + column + lane :]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.compiled.equations import Code
+from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.run import Projection
 from newton_euler.equations.dense import orthonormal_null, rank
 from newton_euler.equations.redundancy import constraint_rank
@@ -303,7 +303,7 @@ def random_states(scene: Scene, count: int, seed: int = 0) -> list[State]:
     Raises:
         AssemblyError: if the mechanism hardly ever closes from nearby.
     """
-    code = Code(scene, "relative")
+    code = CompiledEquations(scene, "relative")
     assert isinstance(code.system, Relative)
     system, project = code.system, Projection(code)
     tree, unit = system.tree, system.velocity_units

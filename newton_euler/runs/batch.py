@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 
 from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.compiled.equations import CACHED_SCENES
-from newton_euler.compiled.lanes import Runs, SideBySide, go_in_lanes, load_lanes
+from newton_euler.compiled.lanes import Runs, SideBySide, load_lanes, runs_in_lanes
 from newton_euler.compiled.outputs import named
-from newton_euler.compiled.run import PREPARING
+from newton_euler.compiled.run import COMPILATION_LOCK
 from newton_euler.equations.couplings import counted_angles
 from newton_euler.errors import (
     MechanismError,
@@ -233,7 +233,7 @@ def make_batch(
     workers = thread_count(threads)
     initial = initial_numbers(scene, parameters)
     names = tuple(name for name in parameters if name not in initial)
-    with PREPARING:
+    with COMPILATION_LOCK:
         compiled = _compiled(scene, formulation, stabilization, alpha, names)
         load_lanes(compiled, integrator)
     count = _count(states, parameters)
@@ -256,7 +256,7 @@ def make_batch(
 
 def _make(runs: Runs, compiled: CompiledScene, options: Options, workers: int) -> float:
     """Run all runs without an error on a number of threads; return the time taken, s."""
-    side_by_side = go_in_lanes(compiled, options.integrator)
+    side_by_side = runs_in_lanes(compiled, options.integrator)
     numbers = np.setdiff1d(np.arange(len(runs.starts)), list(runs.errors))
     most = len(numbers) // MIN_PIECE_RUNS if side_by_side else len(numbers)
     waiting: SimpleQueue[Array] = SimpleQueue()

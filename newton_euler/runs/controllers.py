@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from newton_euler.compiled.equations import CACHED_SCENES, Code
+from newton_euler.compiled.equations import CACHED_SCENES, CompiledEquations
 from newton_euler.compiled.inverse_dynamics import InverseDynamics
 from newton_euler.compiled.run import Projection
 from newton_euler.equations.driven import DrivenMechanism, driven
@@ -124,7 +124,11 @@ class ControllerModel:
 @lru_cache(maxsize=CACHED_SCENES)
 def _compiled(
     scene: Scene,
-) -> tuple[Roles, tuple[InverseDynamics | None, InverseDynamics | None], tuple[Code, DrivenMechanism] | None]:
+) -> tuple[
+    Roles,
+    tuple[InverseDynamics | None, InverseDynamics | None],
+    tuple[CompiledEquations, DrivenMechanism] | None,
+]:
     """Compile the models of a scene's digital control laws.
 
     Returns:
@@ -141,7 +145,7 @@ def _compiled(
     return found, (torque, holding), _driven(known)
 
 
-def _driven(scene: Scene) -> tuple[Code, DrivenMechanism] | None:
+def _driven(scene: Scene) -> tuple[CompiledEquations, DrivenMechanism] | None:
     """Drive the coordinates of all control laws by splines; None if they do not determine the pose."""
     keys = [law.key for law in scene.control]
     if len(keys) != mobility(scene).degrees_of_freedom:
@@ -149,7 +153,11 @@ def _driven(scene: Scene) -> tuple[Code, DrivenMechanism] | None:
     start = initial_state(scene)
     at = {key: measured_coordinate(scene, start, key)[0] for key in keys}
     found = driven(scene, {key: Spline((0.0, scene.duration), (x, x)) for key, x in at.items()})
-    return (Code(found.scene, "relative"), found) if mobility(found.scene).degrees_of_freedom == 0 else None
+    return (
+        (CompiledEquations(found.scene, "relative"), found)
+        if mobility(found.scene).degrees_of_freedom == 0
+        else None
+    )
 
 
 class Encoders:
@@ -159,7 +167,7 @@ class Encoders:
         system: equations whose coordinates are found.
     """
 
-    def __init__(self, code: Code, mechanism: DrivenMechanism, scene: Scene) -> None:
+    def __init__(self, code: CompiledEquations, mechanism: DrivenMechanism, scene: Scene) -> None:
         """Begin at the start of a scene.
 
         Args:

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 from newton_euler.codegen.native import Record, Vector, native
 from newton_euler.integrators.projection import project
-from newton_euler.integrators.stepper import DONE, OPEN, Equations
+from newton_euler.integrators.status import Status
+from newton_euler.integrators.stepper import Equations
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,7 @@ def assemble_all(system: Equations, paths: HomotopyRecord) -> None:
         own = paths.own[inputs * run :]
         target = paths.states[inputs * run :]
         steps = int(paths.steps[run])
-        status = DONE
+        status = Status.DONE
         # begin at the closed state of the scene
         for i in range(n + 1):
             x[i] = own[i]
@@ -60,10 +61,10 @@ def assemble_all(system: Equations, paths: HomotopyRecord) -> None:
             # close the loops; velocities only in the last step
             if system.projecting == 1:
                 status = project(system, last, x)
-            if status != DONE and (status != OPEN or paths.passing == 0):
+            if status != Status.DONE and (status != Status.OPEN or paths.passing == 0):
                 break
         # project again: velocities far below the first ones get their digits
-        if status == DONE and system.projecting == 1:
+        if status == Status.DONE and system.projecting == 1:
             status = project(system, 1, x)
         for i in range(n):
             target[i] = x[i]

@@ -13,13 +13,13 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from newton_euler.compiled.equations import Code
+from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.failures import singular_joint
 from newton_euler.compiled.run import Integrator
 from newton_euler.equations.parameters import pieces, with_values
 from newton_euler.integrators.options import Options
-from newton_euler.integrators.singular import UNSAFE
-from newton_euler.integrators.stepper import COUNTS, EXCESS
+from newton_euler.integrators.singular import UNSAFE_PIVOT_RATIO
+from newton_euler.integrators.stepper import COUNTS, Count
 from newton_euler.model.digital_control import HeldLaw
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError
@@ -135,7 +135,7 @@ class NativeRun(NamedTuple):
 
 
 def integrate_intervals(
-    code: Code,
+    code: CompiledEquations,
     x: Array,
     options: Options,
     stopped: Sequence[bool] = (),
@@ -184,9 +184,9 @@ def integrate_intervals(
             start = time.perf_counter()
         results, error = integrator.attempt(x)
         # 3. collect outputs and counts
-        excess = max(total[EXCESS], integrator.counts[EXCESS])
+        excess = max(total[Count.ROUND_OFF_EXCESS], integrator.counts[Count.ROUND_OFF_EXCESS])
         total += integrator.counts
-        total[EXCESS] = excess
+        total[Count.ROUND_OFF_EXCESS] = excess
         wanted = interval.wanted[: len(results)]
         parts.append(results if wanted.all() else results[wanted])
         if error:
@@ -195,7 +195,7 @@ def integrate_intervals(
             after_interval(integrator, x, interval)
         # 4. the next interval begins here, unless the configuration is singular: it could change the branch
         x[:] = integrator.x
-        if code.projects and x[code.size] < end and code.pivot_ratio(x) < UNSAFE:
+        if code.projects and x[code.size] < end and code.pivot_ratio(x) < UNSAFE_PIVOT_RATIO:
             where = f"a singular configuration, where joint {singular_joint(code, x)!r} loses rank"
             error = IntegrationError(float(x[code.size]), f"a knot or a controller sample falls on {where}")
             break

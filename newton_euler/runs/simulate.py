@@ -13,7 +13,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from newton_euler.arguments import caller_level, checked
-from newton_euler.compiled.equations import CACHED_SCENES, Code
+from newton_euler.compiled.equations import CACHED_SCENES, CompiledEquations
 from newton_euler.compiled.formulations import check_formulation
 from newton_euler.compiled.interpreted import integrate
 from newton_euler.compiled.outputs import named
@@ -128,7 +128,7 @@ def compile_scene(
     return compiled
 
 
-class CompiledScene(Code):
+class CompiledScene(CompiledEquations):
     """A scene in native code for many runs; see `compile_scene`."""
 
     @cached_property

@@ -29,7 +29,7 @@ from newton_euler.codegen.compile import NativeFunction, Traced
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.compiled.callbacks import raise_fatal
-from newton_euler.compiled.equations import CACHED_SCENES, NEUTRAL, Code
+from newton_euler.compiled.equations import CACHED_SCENES, NOT_COMPILED_FIELDS, CompiledEquations
 from newton_euler.compiled.formulations import formulate
 from newton_euler.compiled.outputs import at_rows
 from newton_euler.compiled.run import Fallback, equations, native_method
@@ -49,9 +49,9 @@ from newton_euler.equations.parameters import (
 )
 from newton_euler.equations.redundancy import loosely_closed, mobility
 from newton_euler.errors import MechanismError, listed
-from newton_euler.integrators import stepper as m
 from newton_euler.integrators.projection import worst_joint
-from newton_euler.integrators.stepper import DONE
+from newton_euler.integrators.status import Status
+from newton_euler.integrators.stepper import COUNTS
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
@@ -113,11 +113,11 @@ class Assembly:
         return driven(self.scene, functions, forces=carrying, initial_state=self._completed(start))
 
     @cached_property
-    def code(self) -> Code:
+    def code(self) -> CompiledEquations:
         """Equations of the constraints of the driven mechanism."""
         held = self._driven.scene
         parameters = (*self._names.values(), *self._driven.functions.values())
-        code = Code(held, "relative", parameters=parameters)
+        code = CompiledEquations(held, "relative", parameters=parameters)
         if not self._is_overdetermined(code):
             return code
         # choose rows by priority: all other constraints, then given rates, then the rest of the driving rows
@@ -131,13 +131,13 @@ class Assembly:
         used = selected(set(range(len(at.rows))) - set(moved))
         for row in moved:  # given rates come first
             used = max(used, selected({*used, row}), key=len)
-        return Code(held, "relative", parameters=parameters, independent=used)
+        return CompiledEquations(held, "relative", parameters=parameters, independent=used)
 
-    def _free_rows(self, code: Code) -> range:
+    def _free_rows(self, code: CompiledEquations) -> range:
         """Return the driving rows without a given rate, which have the lowest priority."""
         return self._driven.rows(code.system)[len(self._rates) :]
 
-    def _is_overdetermined(self, code: Code) -> bool:
+    def _is_overdetermined(self, code: CompiledEquations) -> bool:
         """True if some initial coordinates follow from the others: rates may contradict each other."""
         left = code.system.nv - code.rank
         return bool(self._keys) and left > mobility(self.scene).degrees_of_freedom - len(self._keys)
@@ -168,14 +168,14 @@ class Assembly:
         targets = self._targets(own, values)
         steps = self._steps(own, targets)
         found, statuses = self._assembled(own, targets, steps)
-        lost = np.flatnonzero(statuses != DONE)
+        lost = np.flatnonzero(statuses != Status.DONE)
         if lost.size:
             again = self._assembled(
                 own[lost], targets[lost], np.minimum(RETRY_FACTOR * steps[lost], MAX_STEPS)
             )
             found[lost], statuses[lost] = again
         # errors of runs that stay open or have contradictory rates
-        lost = np.flatnonzero(statuses != DONE)
+        lost = np.flatnonzero(statuses != Status.DONE)
         begun = "the scene's own start" if states is None else "the state given"
         errors = {run: self._error(run, found[run], values, begun) for run in lost.tolist()}
         given = {name: values[name] for name, number in self.initial.items() if number.order == 1}
@@ -271,7 +271,7 @@ class Assembly:
 
     def _assembled(self, own: Array, targets: Array, steps: Array) -> tuple[Array, Array]:
         """Follow the homotopy; return the states (n, inputs) reached, and statuses (n,)."""
-        code, python = self.code, Fallback(self.code, np.zeros(m.COUNTS))
+        code, python = self.code, Fallback(self.code, np.zeros(COUNTS))
         # the assembly never evaluates derivatives: their Python form saves the time of compilation
         system = equations(code, python, python.derivative, np.zeros(code.size))
         found, statuses, x = targets.copy(), np.zeros(len(own)), np.zeros(code.inputs)
@@ -323,7 +323,7 @@ class Assembly:
         system = self.code.float_system(x)
         return system.state(x[: system.nq], x[system.nq : self.code.size])
 
-    def starts(self, compiled: Code, x: Array) -> Array:
+    def starts(self, compiled: CompiledEquations, x: Array) -> Array:
         """Return the states (n, size) of a formulation of the scene at x (n, inputs)."""
         if compiled.formulation not in self._begin:
             self._begin[compiled.formulation] = self._native(compiled)
@@ -333,7 +333,7 @@ class Assembly:
             found[:, free] -= whole_revolutions(found[:, free])
         return found
 
-    def _native(self, compiled: Code) -> NativeFunction:
+    def _native(self, compiled: CompiledEquations) -> NativeFunction:
         """Return the function from x (inputs,) of the assembly to (q, v) of a formulation."""
 
         def computed(system: Formulation, values: Mapping[str, Any], q: Array, v: Array) -> list[Scalar]:
@@ -365,7 +365,7 @@ class Assembly:
         """
         code = self.code
         moving = code.scene.motions, parameter_layout(code.scene, code.parameters)
-        known = fingerprint(self.scene, *chosen, *moving, neutral=NEUTRAL | {"outputs"})
+        known = fingerprint(self.scene, *chosen, *moving, neutral=NOT_COMPILED_FIELDS | {"outputs"})
 
         def traced() -> Traced:
             graph = Graph()

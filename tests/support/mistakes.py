@@ -125,8 +125,8 @@ BREAKS = {
     ),
     "a projection that leaves joints open by 1e-6": (
         "newton_euler/integrators/dense_projection.py",
-        "ROUND_OFF = 16.0 * np.finfo(float).eps",
-        "ROUND_OFF = 1e-6",
+        "RESIDUAL_ROUND_OFF = 16.0 * np.finfo(float).eps",
+        "RESIDUAL_ROUND_OFF = 1e-6",
         "pendulum",
     ),
 }

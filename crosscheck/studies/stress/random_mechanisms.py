@@ -20,7 +20,7 @@ from crosscheck.studies.random_scenes import GRAVITY, random_scene
 from crosscheck.studies.stress.cases import Bound, Case, Measurement
 from crosscheck.studies.stress.runs import Setting
 from crosscheck.support.errors import CrosscheckError
-from newton_euler.compiled.equations import Code
+from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
@@ -137,7 +137,7 @@ def _system(engine: str, scene: Scene) -> System:
 def native_difference(scene: Scene, formulation: str) -> float | None:
     """Return the relative difference of native and float accelerations; None if native code falls back to
     those."""
-    code = Code(scene, formulation)
+    code = CompiledEquations(scene, formulation)
     system = code.system
     x = code.packed(*system.coordinates(initial_state(scene)))
     found = code.function("derivative")(x)

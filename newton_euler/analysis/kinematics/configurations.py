@@ -16,7 +16,7 @@ import numpy as np
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
-from newton_euler.compiled.equations import NEUTRAL
+from newton_euler.compiled.equations import NOT_COMPILED_FIELDS
 from newton_euler.compiled.outputs import at_rows
 from newton_euler.equations.couplings import couplings
 from newton_euler.equations.dense import RANK_TOLERANCE
@@ -185,7 +185,7 @@ class Chain:
     def function(self) -> NativeFunction:
         """Function of (q, step, 0): q moved by the step, phi, the axis, poses and nonzeros of Jacobians."""
         axis = self.axis and (self.axis.body, self.axis.axis)
-        known = fingerprint(self.driven, self.keys, axis, neutral=NEUTRAL)
+        known = fingerprint(self.driven, self.keys, axis, neutral=NOT_COMPILED_FIELDS)
         return NativeFunction(self._trace, known and f"{known} configurations")
 
     def _trace(self) -> Traced:

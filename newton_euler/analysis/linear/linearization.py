@@ -27,7 +27,7 @@ from newton_euler.arguments import checked
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, differentiate_along
 from newton_euler.codegen.fingerprint import fingerprint
-from newton_euler.compiled.equations import CACHED_SCENES, NEUTRAL
+from newton_euler.compiled.equations import CACHED_SCENES, NOT_COMPILED_FIELDS
 from newton_euler.compiled.outputs import at_rows
 from newton_euler.equations.dense import largest, singular_values
 from newton_euler.equations.model_control import share_model_control
@@ -211,7 +211,7 @@ class Linearization:
         begun = [float(motion.function.value(0.0)) for motion in self.scene.motions]
         inputs = parameter_layout(self.scene, self.values)
         chosen = tuple(label(freedom.name) for freedom in self.freedoms), self.measured, inputs, self.used
-        known = fingerprint(self.scene, *chosen, begun, neutral=NEUTRAL)
+        known = fingerprint(self.scene, *chosen, begun, neutral=NOT_COMPILED_FIELDS)
         return NativeFunction(self._trace, known and f"{known} linearization")
 
     def _trace(self) -> Traced:

@@ -16,7 +16,7 @@ from newton_euler.equations.parameters import places
 from newton_euler.equations.row_choice import dimensionless_rows
 from newton_euler.equations.sparse import RowsInUse, least_squares, solve_constrained, sparse_vector
 from newton_euler.integrators.options import FormulationName
-from newton_euler.integrators.singular import UNSAFE
+from newton_euler.integrators.singular import UNSAFE_PIVOT_RATIO
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.runs.initial_coordinates import initial_numbers
@@ -155,7 +155,7 @@ class TangentCode(CompiledScene):
             """Compute the shortest step (nv,) for the derivatives of residuals (k,) along the direction."""
             right = np.array(differentiated(residuals, x, moved)) / system.phi_units[self.rows.numbers]
             least, pivot_ratio = least_squares(rows, right, used_by(system))
-            known = minimum(pivot_ratio * (1.0 / UNSAFE), 1.0)
+            known = minimum(pivot_ratio * (1.0 / UNSAFE_PIVOT_RATIO), 1.0)
             share = known * known * (known * known)
             return np.array([share * units[k] * least.get(k, 0.0) for k in range(system.nv)])
 

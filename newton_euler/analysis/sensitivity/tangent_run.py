@@ -18,11 +18,12 @@ from newton_euler.compiled.outputs import at_rows
 from newton_euler.compiled.run import Integrator
 from newton_euler.equations.parameters import pieces_along
 from newton_euler.errors import OptionError, SensitivityError
-from newton_euler.integrators import stepper as m
 from newton_euler.integrators.options import Options, StepControl, most_steps
-from newton_euler.integrators.singular import FAR, NEAR, UNSAFE
-from newton_euler.integrators.tangent_steps import follow, methods
-from newton_euler.integrators.tangents import REACHED, Tangents, evaluate_along
+from newton_euler.integrators.singular import FAR_PIVOT_RATIO, NEAR_PIVOT_RATIO, UNSAFE_PIVOT_RATIO
+from newton_euler.integrators.status import Status
+from newton_euler.integrators.stepper import COUNTS, HUGE, Count, counted
+from newton_euler.integrators.tangent_steps import carry_tangents, tangent_methods
+from newton_euler.integrators.tangents import TangentCount, Tangents, evaluate_along
 from newton_euler.runs.intervals import Interval, integrate_intervals
 from newton_euler.scalars import Array
 
@@ -102,8 +103,8 @@ class _Path:
         ratios = self._pivot_ratios(self._ends if len(places) == len(self._ends) else self._states(places))
         least, most = ratios.min(), ratios.max()
         for _ in range(2):
-            small = ratios < FAR * most
-            if least < NEAR * most or not small.any():
+            small = ratios < FAR_PIVOT_RATIO * most
+            if least < NEAR_PIVOT_RATIO * most or not small.any():
                 break
             padded = np.pad(ratios, 1, constant_values=np.inf)
             (lowest,) = np.nonzero(small & (ratios <= padded[:-2]) & (ratios <= padded[2:]))
@@ -210,14 +211,14 @@ class FollowedRun:
         derivatives = {
             name: found[0] if len(found) == 1 else np.concatenate(found) for name, found in parts.items()
         }
-        return Followed(run.results, derivatives, m.counted(run.counts), run.wall_time)
+        return Followed(run.results, derivatives, counted(run.counts), run.wall_time)
 
     def _along(
         self, integrator: Integrator, begun: Array, interval: Interval, directions: Array
     ) -> dict[str, Array]:
         """Integrate directions (inputs, p) through an interval from x (inputs,); results by program."""
         code = self._code
-        steps = int(integrator.counts[m.STEPS])
+        steps = int(integrator.counts[Count.STEPS])
         if steps > len(integrator.steps):
             integrator = Integrator(code, interval.times, self._options, room=steps)
             integrator(begun)
@@ -228,13 +229,13 @@ class FollowedRun:
             found = self._carried(rates, integrator, begun, directions)
             if found is not None:
                 return found
-        near = code.loses_rank and path.least_pivot_ratio() < NEAR
+        near = code.loses_rank and path.least_pivot_ratio() < NEAR_PIVOT_RATIO
         raise SensitivityError(NEAR_SINGULAR if near else MASS_RATIO)
 
     def _check(self, path: _Path) -> None:
         """Raise `SensitivityError` for a run without derivatives, or without known derivatives."""
         code = self._code
-        if code.projects and code.moves_loops and path.least_pivot_ratio() < NEAR:
+        if code.projects and code.moves_loops and path.least_pivot_ratio() < NEAR_PIVOT_RATIO:
             raise SensitivityError(NEAR_SINGULAR)
         if any(force.may_jump for force in code.scene.forces) and (jump := path.jump()):
             raise SensitivityError(f"{jump}, a time that depends on parameters")
@@ -256,7 +257,7 @@ class FollowedRun:
         """
         # results, and the record of the native code
         code, most, rates = self._code, most_steps(self._options), self._code.function(program)
-        floor = UNSAFE if program == RATES else NEAR
+        floor = UNSAFE_PIVOT_RATIO if program == RATES else NEAR_PIVOT_RATIO
         settled = code.function(PROJECTED) if code.projects else None
         functions = {name: code.function(name + ALONG) for name in self._programs}
         n, inputs, lanes, rows = code.size, code.inputs, rates.lanes, len(integrator.times)
@@ -265,30 +266,30 @@ class FollowedRun:
             for name, function in functions.items()
         }
         x, wide = np.zeros((2 * inputs, lanes)), next(iter(functions.values())).lanes
-        python, ends = Callbacks(np.zeros(m.COUNTS)), directions[:n].copy()
+        python, ends = Callbacks(np.zeros(COUNTS)), directions[:n].copy()
         tangents = Tangents(
             n=n,
             inputs=inputs,
             known=code.flags.stop,
             lanes=lanes,
             wide=wide,
-            count=int(integrator.counts[m.STEPS]),
+            count=int(integrator.counts[Count.STEPS]),
             rows=rows,
-            most=most,
+            max_parts=most,
             projecting=int(code.projects),
             places=code.system.work.start,
             speeds=code.system.nq,
             tolerance=TOLERANCE_FACTOR * self._options.rtol,
-            floor=floor if code.projects else -m.HUGE,
+            floor=floor if code.projects else -HUGE,
             rates=rates,
-            settled=settled,
+            project=settled,
             pause=python.pause,
             steps=integrator.steps,
             times=integrator.times,
             states=integrator.table,
             flags=np.empty((rows, code.flags.stop - code.flags.start)),
             x=x,
-            beside=np.empty((2 * inputs, wide)),
+            wide_x=np.empty((2 * inputs, wide)),
             at=np.zeros_like(x),
             k=np.empty((17, 2 * n + 1, lanes)),
             table=np.empty((rows, n, lanes)),
@@ -296,7 +297,7 @@ class FollowedRun:
             errors=np.empty(2 * lanes),
             tried=np.empty(lanes + 1),
             noise=np.zeros(lanes),
-            counts=np.zeros(3),
+            counts=np.zeros(len(TangentCount)),
             found=np.empty((max(n, *(function.outputs for function in functions.values())), wide)),
         )
         # integrate groups of directions side by side
@@ -309,19 +310,20 @@ class FollowedRun:
             tangents.at[:] = x
             tangents.noise[:] = 0.0
             with python.interruptible():
-                status = methods()(follow, tangents, integrator.x)
-            if status == m.SINGULAR:
+                status = tangent_methods()(carry_tangents, tangents, integrator.x)
+            if status == Status.SINGULAR:
                 return None
-            if status == m.TOO_MANY_STEPS:
-                reached = f"more than {most} parts of steps at t = {tangents.counts[REACHED]:.6g} s"
-                raise SensitivityError(f"{reached}; derivatives vibrate much faster than the run moves")
+            if status == Status.TOO_MANY_STEPS:
+                reached = tangents.counts[TangentCount.TIME_REACHED]
+                limit = f"more than {most} parts of steps at t = {reached:.6g} s"
+                raise SensitivityError(f"{limit}; derivatives vibrate much faster than the run moves")
             ends[:, first : first + together] = x[inputs : inputs + n, :together]
             # project the directions at the outputs, and differentiate the results of all programs
             if settled:
-                methods()(evaluate_along, tangents, 1, together, settled, n, 0, lanes, tangents.table)
+                tangent_methods()(evaluate_along, tangents, 1, together, settled, n, 0, lanes, tangents.table)
             for name, function in functions.items():
                 into = function.outputs, first, directions.shape[1], found[name]
-                methods()(evaluate_along, tangents, 0, together, function, *into)
+                tangent_methods()(evaluate_along, tangents, 0, together, function, *into)
         directions[:n] = ends
         return found
 

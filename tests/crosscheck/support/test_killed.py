@@ -22,7 +22,7 @@ import newton_euler
 from crosscheck.library import load
 from crosscheck.regress.baseline import read
 from newton_euler.codegen.cache import CACHE_VARIABLE
-from newton_euler.compiled.equations import Code
+from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.run import needed
 from newton_euler.model.trajectory import load_arrays
 
@@ -142,7 +142,7 @@ def test_a_damaged_cache_is_not_used(
 def test_no_pickle_is_in_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Pickles run what they hold; rows are JSON, and the rest is object code."""
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
-    code = Code(load("pendulum"))
+    code = CompiledEquations(load("pendulum"))
     for name in needed(code, "Radau"):
         code.function(name)
     contents = [path.read_bytes()[32:] for path in tmp_path.glob("*.newton-euler")]

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from newton_euler.codegen.native import Callback, NativeError, Record, Signature
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.codegen.translate import text
 from newton_euler.codegen.trigonometry import REGISTER
-from newton_euler.compiled.equations import Code
+from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.run import load, native_method
 from newton_euler.errors import OptionError
 
@@ -338,7 +339,7 @@ def test_what_a_killed_run_left_is_removed_in_time(cache, monkeypatch):
 
 def test_another_integrator_is_compiled_before_its_run():
     native_method.cache_clear()
-    code = Code(pendulum())
+    code = CompiledEquations(pendulum())
     load(code, "DOP853")
     assert native_method.cache_info().currsize == 1
     load(code, "RK4")  # which needs nothing else of this scene
@@ -347,11 +348,11 @@ def test_another_integrator_is_compiled_before_its_run():
 
 def test_code_of_another_processor_is_another_and_says_the_same(cache, monkeypatch, tracker, tracker_states):
     """The plainest of its kind, which rounds products and sums apart where others fuse them."""
-    codes = [Code(tracker)]
+    codes = [CompiledEquations(tracker)]
     codes[0].function("derivative")
     monkeypatch.setattr("llvmlite.binding.get_host_cpu_name", lambda: "generic")
     monkeypatch.setattr("llvmlite.binding.get_host_cpu_features", FeatureMap)
-    codes.append(Code(tracker))
+    codes.append(CompiledEquations(tracker))
     assert not codes[1].function("derivative").module.from_cache
     for state in tracker_states[:5]:
         x = codes[0].packed(*codes[0].system.coordinates(state))
@@ -384,6 +385,11 @@ def test_sine_and_cosine_are_the_librarys():
 TABLE = (1.0, 2.5, -3.0)
 
 
+class Place(IntEnum):
+    FIRST = 1
+    LAST = 4
+
+
 @dataclass(frozen=True, eq=False)
 class Line(Record):
     n: int
@@ -411,11 +417,11 @@ def mixture(line: Line, x: Vector, y: Vector, f: Callback) -> float:
         if y[k] > 3.0 and x[k] != 2.0:
             k += 1
             continue
-        if not y[k] < 100.0 or k == 50:
+        if not y[k] < 100.0 or k == 50 or y[Place.LAST] > 1e3:
             break
         total += max(abs(y[k]), 1) * TABLE[k % 3] if k >= 1 else 0.5
         k += 1
-    for j in range(1, 3):
+    for j in range(Place.FIRST, 3):
         total -= float(j // 2) / 8 + x[j] * int(2.9)
     return total**2 if total > 0.0 else -total
 
@@ -473,6 +479,11 @@ def with_no_field(line: Line) -> float:
 
 
 @native
+def with_no_member(x: Vector) -> float:
+    return x[Place.MIDDLE]
+
+
+@native
 def with_a_new_record(line: Line, x: Vector) -> None:
     line = x  # noqa: F841
 
@@ -483,7 +494,8 @@ def with_a_changed_record(line: Line) -> None:
 
 
 @pytest.mark.parametrize(
-    "function", [with_a_list, with_a_chain, with_no_field, with_a_new_record, with_a_changed_record]
+    "function",
+    [with_a_list, with_a_chain, with_no_field, with_no_member, with_a_new_record, with_a_changed_record],
 )
 def test_other_python_is_refused_with_its_line(function):
     line = function.__code__.co_firstlineno + 2  # after the decorator and the def

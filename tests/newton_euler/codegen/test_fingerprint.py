@@ -16,7 +16,7 @@ import newton_euler.equations.relative
 from crosscheck.library import SCENES, load
 from newton_euler.codegen.cache import CACHE_VARIABLE
 from newton_euler.codegen.fingerprint import PACKAGE, fingerprint
-from newton_euler.compiled.equations import NEUTRAL, Code
+from newton_euler.compiled.equations import NOT_COMPILED_FIELDS, CompiledEquations
 from newton_euler.model.digital_control import Sampled
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import PrescribedMotion
@@ -38,7 +38,7 @@ def tracker():
 
 @pytest.mark.parametrize("name", SCENES)
 def test_every_scene_of_the_library_has_one(name):
-    assert fingerprint(load(name), neutral=NEUTRAL) is not None
+    assert fingerprint(load(name), neutral=NOT_COMPILED_FIELDS) is not None
 
 
 def test_it_is_the_same_in_every_process(tracker):
@@ -92,7 +92,7 @@ def test_what_is_known_of_a_mechanism_cannot_change(tracker):
 
 def test_what_no_equation_sees_does_not(tracker):
     same = replace(tracker, duration=1.0, output_period=0.1, description="another")
-    assert fingerprint(same, neutral=NEUTRAL) == fingerprint(tracker, neutral=NEUTRAL)
+    assert fingerprint(same, neutral=NOT_COMPILED_FIELDS) == fingerprint(tracker, neutral=NOT_COMPILED_FIELDS)
 
 
 def test_controllers_are_called_and_never_compiled(tracker):
@@ -100,7 +100,7 @@ def test_controllers_are_called_and_never_compiled(tracker):
         law = Sampled(tracker.control[0].joint, controller, 0.1)
         return replace(tracker, control=(law,))
 
-    one, other = (fingerprint(held(lambda *_, x=x: x), neutral=NEUTRAL) for x in (0.0, 1.0))
+    one, other = (fingerprint(held(lambda *_, x=x: x), neutral=NOT_COMPILED_FIELDS) for x in (0.0, 1.0))
     assert one == other is not None
 
 
@@ -125,7 +125,7 @@ def test_a_scene_known_from_another_run_is_not_traced(tmp_path, monkeypatch):
         raise AssertionError(name)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Code, "_trace", untraceable)
+        patch.setattr(CompiledEquations, "_trace", untraceable)
         again = newton_euler.simulate(replace(scene))
     for name, array in first.arrays().items():
         assert np.array_equal(array, again.arrays()[name]), name
@@ -134,7 +134,7 @@ def test_a_scene_known_from_another_run_is_not_traced(tmp_path, monkeypatch):
 def test_the_same_scene_simulated_again_is_not_loaded_again(monkeypatch):
     scene = replace(load("pendulum"), duration=0.05)
     first = newton_euler.simulate(scene)
-    monkeypatch.setattr(Code, "__init__", None)
+    monkeypatch.setattr(CompiledEquations, "__init__", None)
     again = newton_euler.simulate(scene)
     assert np.array_equal(again.position, first.position)
     fixed = newton_euler.simulate(scene, integrator="RK4", step=0.01)

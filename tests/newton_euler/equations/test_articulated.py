@@ -7,7 +7,7 @@ import pytest
 from random_chains import TREES
 
 from crosscheck.library.chain import AXES, X, Y, Z, chain, rod
-from newton_euler.compiled.equations import Code
+from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.formulations import cheaper_formulation
 from newton_euler.equations import articulated
 from newton_euler.equations.relative import Relative
@@ -51,7 +51,7 @@ def ladder(rungs: int) -> Mechanism:
 
 @pytest.mark.parametrize("build", [chain, arch])
 def test_operations_grow_with_the_number_of_joints(build) -> None:
-    counts = [Code(build(n), "relative").program("derivative").operations for n in (20, 30, 40)]
+    counts = [CompiledEquations(build(n), "relative").program("derivative").operations for n in (20, 30, 40)]
     # 1.4 where operations grow with the square; rods in some directions have a few zeros more
     assert counts[2] - counts[1] < 1.05 * (counts[1] - counts[0])
 

@@ -5,7 +5,7 @@ import pytest
 
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.compiled.callbacks import PythonCallback, vector_at
-from newton_euler.integrators.dense_projection import WEAK, close, closing_of
+from newton_euler.integrators.dense_projection import WEAK_CONSTRAINT_LENGTH, close, closing_of
 
 
 def closed(form, jacobian, b, mass, units, q, v):
@@ -60,7 +60,9 @@ def test_corrections_are_the_least_in_the_metric_of_the_mass_matrix(form, rank):
 
 
 @pytest.mark.parametrize("form", ["native", "plain"])
-@pytest.mark.parametrize(("angle", "moved"), [(0.1 * WEAK, False), (10.0 * WEAK, True)])
+@pytest.mark.parametrize(
+    ("angle", "moved"), [(0.1 * WEAK_CONSTRAINT_LENGTH, False), (10.0 * WEAK_CONSTRAINT_LENGTH, True)]
+)
 def test_weak_constraints_move_nothing(form, angle, moved):
     """Two rows at a small angle, and a residual of 1e-10 in one alone."""
     jacobian = np.array([[1.0, 0.0], [1.0, angle]])

@@ -136,7 +136,7 @@ def test_impossible_options_are_refused(options, message):
 
 
 def test_a_run_that_gets_nowhere_says_so():
-    with pytest.raises(IntegrationError, match="more than 5 steps of DOP853"):
+    with pytest.raises(IntegrationError, match="more than 5 steps"):
         run(Relative(pendulum()), "newton_euler", Options(most_steps=5), {})
     with pytest.raises(IntegrationError, match=r"more than 5 steps; .* at joint 'pivot'"):
         newton_euler.simulate(pendulum(), most_steps=5)

@@ -9,11 +9,11 @@ import pytest
 from hanging_chains import hanging_chain, lagrange
 
 from newton_euler.analysis.sensitivity.sensitivities import sensitivities
-from newton_euler.compiled.equations import Code
+from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.run import Integrator
 from newton_euler.errors import SensitivityError
 from newton_euler.integrators.options import Options
-from newton_euler.integrators.singular import NEAR
+from newton_euler.integrators.singular import NEAR_PIVOT_RATIO
 from newton_euler.model.couplings import Gear
 from newton_euler.model.digital_control import Sampled
 from newton_euler.model.joint_kinds import Revolute, Rod
@@ -107,20 +107,20 @@ def test_the_pivot_ratio_of_constrained_links_has_no_masses(how):
     """At any state of a run that is far from singular configurations, with any mass of the light links."""
     found = []
     for light in (1.0, 1e-4, 1e-9):
-        code = Code(closed_with_light_links(how, light), "cartesian")
+        code = CompiledEquations(closed_with_light_links(how, light), "cartesian")
         (state,) = random_states(code.scene, 1)
         x = code.packed(*code.system.coordinates(state))
         found.append((code.pivot_ratio(x), float(code.function("ratio")(x)[0])))
     ratios, alone = np.array(found).T
     np.testing.assert_allclose(alone, alone[0], rtol=1e-9)
-    assert (ratios >= np.minimum(alone, NEAR)).all()
+    assert (ratios >= np.minimum(alone, NEAR_PIVOT_RATIO)).all()
 
 
 def test_a_cable_with_a_heavy_load_needs_no_dense_projection():
     """Dense projection costs a thousand times as much; the function that it calls is not even compiled."""
     masses = [0.01] * 30 + [1000.0]
     scene = hanging_chain(masses, 0.03, 0.3, 0.02)
-    code, times = Code(scene, "cartesian"), scene.times
+    code, times = CompiledEquations(scene, "cartesian"), scene.times
     integrator = Integrator(code, times, Options())
     integrator(code.packed(*code.system.coordinates(State.initial(scene.mechanism))))
     assert "surface" not in code.functions

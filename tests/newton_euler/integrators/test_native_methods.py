@@ -11,7 +11,8 @@ from newton_euler.codegen.native import Record
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.compiled.run import METHODS, Integrator
 from newton_euler.integrators.options import FIXED, STABILIZATIONS, Options
-from newton_euler.integrators.stepper import DONE, STATUS
+from newton_euler.integrators.status import Status
+from newton_euler.integrators.stepper import Count
 from newton_euler.runs.simulate import CompiledScene
 
 OPTIONS = {name: {"step": 0.01} if name in FIXED else {"rtol": 1e-4} for name in METHODS}
@@ -66,7 +67,7 @@ def test_methods_stay_within_their_arrays(monkeypatch, integrator, scene, formul
     arguments = [each for function, each in taken if function is METHODS[integrator]][1]
     interpreted.x[:] = code.start
     METHODS[integrator](*(plain(each, interpreted._python.pause) for each in arguments))
-    assert interpreted.counts[STATUS] == DONE
+    assert interpreted.counts[Count.STATUS] == Status.DONE
     native(code.start)
     # the same operations, but for sums and products that are rounded once in native code: what that changes
     # grows by less than a thousand in ten outputs; adaptive steps are then others, good to the tolerance

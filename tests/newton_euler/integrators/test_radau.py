@@ -15,7 +15,8 @@ from newton_euler.integrators.constraint_ratio import no_ratio
 from newton_euler.integrators.lu import factor_complex, factor_real, solve_complex, solve_real, zero_block
 from newton_euler.integrators.radau import ALPHA, BETA, GAMMA, Radau, integrate_radau
 from newton_euler.integrators.row_exchange import no_exchange
-from newton_euler.integrators.stepper import COUNTS, DONE, STATUS, Equations, Table
+from newton_euler.integrators.status import Status
+from newton_euler.integrators.stepper import COUNTS, Count, Equations, Table
 from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
@@ -173,7 +174,7 @@ def test_outputs_between_steps_are_as_exact_as_the_steps():
         velocity=None,
         closing=None,
         exchange=no_exchange(2),
-        beside=np.zeros(0),
+        projection_work=np.zeros(0),
         pause=pause,
         marks=np.zeros(n),
         groups=0,
@@ -186,5 +187,5 @@ def test_outputs_between_steps_are_as_exact_as_the_steps():
         method = Radau(rtol, 1e-2 * rtol, 10**6, jacobian, *np.zeros((3, 2)), *scratch)
         runs = Table(len(times), n, 1, 1, np.zeros(1), times, np.zeros(2), table, np.zeros(COUNTS))
         integrate_radau(system, runs, method)
-        assert system.counts[STATUS] == DONE
+        assert system.counts[Count.STATUS] == Status.DONE
         assert np.abs(table - np.sin(times)).max() < rtol  # one tolerance: stiff errors do not add up

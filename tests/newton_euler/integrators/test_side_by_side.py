@@ -13,10 +13,11 @@ from newton_euler.codegen.trigonometry import REGISTER
 from newton_euler.compiled.lanes import Runs, SideBySide, load_lanes
 from newton_euler.compiled.run import Fallback, Integrator, Projection, equations
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators import stepper as m
-from newton_euler.integrators.dense_projection import ROUND_OFF
+from newton_euler.integrators.dense_projection import RESIDUAL_ROUND_OFF
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.projection import project_rows
+from newton_euler.integrators.status import Status
+from newton_euler.integrators.stepper import COUNTS, Count, Table, counted
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.reading.excitation import random_states
 from newton_euler.runs.simulate import CompiledScene
@@ -25,12 +26,12 @@ from newton_euler.runs.simulate import CompiledScene
 def recorded(code, times, table):
     """The rows after the first, and what came of it."""
     assert code.function("position").lanes == code.function("velocity").lanes == REGISTER > 1
-    counts, table = np.zeros(m.COUNTS), table.copy()
+    counts, table = np.zeros(COUNTS), table.copy()
     system = equations(code, Fallback(code, counts), code.function("derivative"), np.zeros(code.size))
     x = code.start.copy()
-    target = m.Table(len(table), code.size, 1, 1, np.zeros(1), times, x, table, counts)
+    target = Table(len(table), code.size, 1, 1, np.zeros(1), times, x, table, counts)
     status = NativeFunctions([project_rows])(project_rows, system, target, table, 1, len(table), 0, x)
-    return status, table, int(counts[m.WRITTEN])
+    return status, table, int(counts[Count.ROWS_WRITTEN])
 
 
 @pytest.mark.parametrize("far", [(), (3,), (1, 6)])
@@ -44,7 +45,7 @@ def test_rows_are_what_each_is_alone(scene, far):
     for row in far:
         table[row] += 3e-2 * rng.standard_normal(code.size)
     status, found, written = recorded(code, times, table)
-    assert (status, written) == (m.DONE, rows)
+    assert (status, written) == (Status.DONE, rows)
     assert np.array_equal(found[0], table[0])
     for row in range(1, rows):
         alone = start.copy()
@@ -53,7 +54,7 @@ def test_rows_are_what_each_is_alone(scene, far):
         assert np.array_equal(found[row], alone[: code.size])
         q = found[row, : code.system.nq]
         assert (
-            np.abs(code.system.phi(q)).max() < 10.0 * ROUND_OFF
+            np.abs(code.system.phi(q)).max() < 10.0 * RESIDUAL_ROUND_OFF
         )  # in m and rad, of mechanisms of some meters
 
 
@@ -63,7 +64,7 @@ def test_a_row_that_cannot_be_closed_ends_it_and_those_before_it_are_kept():
     times, table = np.linspace(0.0, 1.0, rows), np.tile(code.start[: code.size], (rows, 1))
     table[1 + REGISTER + 1] = np.nan
     status, found, written = recorded(code, times, table)
-    assert status != m.DONE
+    assert status != Status.DONE
     assert written == 1 + REGISTER + 1
     assert np.isfinite(found[:written]).all()
 
@@ -117,7 +118,7 @@ def one_by_one(code, x, options):
         except IntegrationError as error:
             results[k] = np.nan
             errors[k] = str(error)
-        counts.append(m.counted(integrator.counts))
+        counts.append(counted(integrator.counts))
     return results, counts, errors
 
 
@@ -127,13 +128,13 @@ def in_groups(code, x, options, groups):
     runs = Runs(
         x,
         np.empty((len(x), len(code.scene.times), code.function("output").outputs)),
-        np.zeros((len(x), m.COUNTS)),
+        np.zeros((len(x), COUNTS)),
         {},
     )
     for group in groups:
         make(runs, np.array(group))
     errors = {k: str(error) for k, error in sorted(runs.errors.items())}
-    return runs.results, [m.counted(counts) for counts in runs.counts], errors
+    return runs.results, [counted(counts) for counts in runs.counts], errors
 
 
 @pytest.mark.parametrize(

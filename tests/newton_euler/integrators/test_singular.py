@@ -21,10 +21,11 @@ from newton_euler.equations.parameters import parameter_values
 from newton_euler.equations.system import MassProperties
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.constraint_ratio import no_ratio
-from newton_euler.integrators.projection import NATIVE_STEPS, check_still_closed, project
+from newton_euler.integrators.projection import MAX_NATIVE_ITERATIONS, check_still_closed, project
 from newton_euler.integrators.row_exchange import no_exchange
-from newton_euler.integrators.singular import AT_END, GAP, crossing_factor
-from newton_euler.integrators.stepper import COUNTS, DONE, OPEN, Equations
+from newton_euler.integrators.singular import CROSSING_TARGET, ENDS_SINGULAR_RATIO, crossing_factor
+from newton_euler.integrators.status import Status
+from newton_euler.integrators.stepper import COUNTS, Equations
 from newton_euler.model.control import PD
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
@@ -212,10 +213,10 @@ def test_a_wheel_on_its_axle_is_as_long_as_its_mass_goes():
         check_still_closed(Scene("wheel", mechanism, 1.0, 1.0), np.arange(2.0), phi)
 
 
-@pytest.mark.parametrize(("steps", "status"), [(9.5, DONE), (10.5, OPEN)])
+@pytest.mark.parametrize(("steps", "status"), [(9.5, Status.DONE), (10.5, Status.OPEN)])
 def test_what_the_last_newton_step_leaves_counts(steps, status):
     """Steps that leave a fifth of the residual squared, of a start so many away from the tolerance."""
-    assert NATIVE_STEPS == 10
+    assert MAX_NATIVE_ITERATIONS == 10
 
     def position(x, scratch):
         scratch[:] = [0.2 * x[0], x[0], 1.0]  # the residual squared stands for the state
@@ -238,7 +239,7 @@ def test_what_the_last_newton_step_leaves_counts(steps, status):
         velocity=None,
         closing=None,
         exchange=no_exchange(2),
-        beside=np.zeros(5),
+        projection_work=np.zeros(5),
         pause=None,
         marks=np.zeros(1),
         groups=0,
@@ -252,7 +253,9 @@ def test_what_the_last_newton_step_leaves_counts(steps, status):
 @pytest.mark.parametrize("middle", [0.16, 0.4, 0.9])
 def test_a_step_that_would_end_in_a_singular_configuration_passes_it(middle):
     """However far away it begins, where the pivot ratio says nothing of the distance."""
-    assert crossing_factor(0.98, middle, 4e-6, 1.0) == pytest.approx(1.0 - GAP, abs=AT_END)
+    assert crossing_factor(0.98, middle, 4e-6, 1.0) == pytest.approx(
+        1.0 - CROSSING_TARGET, abs=ENDS_SINGULAR_RATIO
+    )
 
 
 FLAT = 0.756998197475393

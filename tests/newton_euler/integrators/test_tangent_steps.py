@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from newton_euler.integrators.stepper import SINGULAR, TOO_MANY_STEPS
-from newton_euler.integrators.tangent_steps import follow
-from newton_euler.integrators.tangents import Tangents
+from newton_euler.integrators.status import Status
+from newton_euler.integrators.tangent_steps import carry_tangents
+from newton_euler.integrators.tangents import TangentCount, Tangents
 
 
-def followed(rates_along, start, most=2000, floor=0.0, steps=1, settled=None):
+def followed(rates_along, start, most=2000, floor=0.0, steps=1, project=None):
     """Carry one tangent (q, v) from `start` through 1 s in equal steps, in `most` parts at most; the tangent,
     how often its rates were evaluated, and a status.
 
-    `rates_along` gives the rates (2,) of the tangent (2,); their pivot ratio is 1. `settled` puts x on
+    `rates_along` gives the rates (2,) of the tangent (2,); their pivot ratio is 1. `project` puts x on
     constraints, if there are any.
     """
     calls, h = [], 1.0 / steps
@@ -33,21 +33,21 @@ def followed(rates_along, start, most=2000, floor=0.0, steps=1, settled=None):
         wide=1,
         count=steps,
         rows=1,
-        most=most,
-        projecting=int(settled is not None),
+        max_parts=most,
+        projecting=int(project is not None),
         places=1,
         speeds=1,
         tolerance=1e-8,
         floor=floor,
         rates=rates,
-        settled=settled,
+        project=project,
         pause=None,
         steps=np.concatenate([[0.0, 0.0, k * h, h] for k in range(steps)]),
         times=np.array([steps * h]),
         states=np.zeros(2),
         flags=np.zeros(0),
         x=x,
-        beside=np.empty(6),
+        wide_x=np.empty(6),
         at=x.copy(),
         k=np.empty(17 * 5),
         table=np.empty(2),
@@ -55,10 +55,10 @@ def followed(rates_along, start, most=2000, floor=0.0, steps=1, settled=None):
         errors=np.empty(2),
         tried=np.empty(2),
         noise=np.zeros(1),
-        counts=np.zeros(3),
+        counts=np.zeros(len(TangentCount)),
         found=np.empty(2),
     )
-    status = follow(tangents, np.zeros(3))
+    status = carry_tangents(tangents, np.zeros(3))
     return x[3:5], len(calls), status
 
 
@@ -73,12 +73,12 @@ def test_tangents_are_put_on_the_linearized_constraints_every_few_steps():
     """Before steps 0, 4 and 8, and in the end."""
     calls = []
 
-    def settled(x, found):
+    def projected(x, found):
         calls.append(x)
         found[:] = x[3:5]
 
     found, evaluations, _ = followed(
-        lambda tangent: [tangent[1], -9.0 * tangent[0]], [1.0, 0.0], steps=10, settled=settled
+        lambda tangent: [tangent[1], -9.0 * tangent[0]], [1.0, 0.0], steps=10, project=projected
     )
     assert found == pytest.approx([np.cos(3.0), -3.0 * np.sin(3.0)], abs=1e-9)  # 0.3^8 / 8! / 3^8 a step
     assert len(calls) == 4
@@ -87,7 +87,7 @@ def test_tangents_are_put_on_the_linearized_constraints_every_few_steps():
 
 def test_parts_have_a_limit():
     _, evaluations, status = followed(lambda tangent: [tangent[1], -900.0 * tangent[0]], [1.0, 0.0], most=5)
-    assert status == TOO_MANY_STEPS
+    assert status == Status.TOO_MANY_STEPS
     # of five parts, and the tries to find the length of the first
     assert evaluations < 13 * 10
 
@@ -109,5 +109,5 @@ def test_what_is_not_finite_ends():
 
 def test_rates_whose_pivot_ratio_is_below_the_floor_end():
     _, evaluations, status = followed(lambda tangent: [tangent[1], 0.0], [1.0, 0.0], floor=2.0)
-    assert status == SINGULAR
+    assert status == Status.SINGULAR
     assert evaluations == 13  # of the stages of one part

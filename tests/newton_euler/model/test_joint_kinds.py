@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 import newton_euler
 from newton_euler import Body, Mechanism, Scene, State
-from newton_euler.compiled.equations import Code
+from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
@@ -226,14 +226,14 @@ def door(hinges: int) -> Scene:
     return Scene("door", Mechanism([Body.ground(), body], joints), 1.0, 0.1, GRAVITY)
 
 
-def unused(code: Code) -> set[str]:
+def unused(code: CompiledEquations) -> set[str]:
     """Joints with rows that are not in use."""
     return {name for k, name in enumerate(code.system.row_owners) if k not in set(code.rows.numbers)}
 
 
 def test_a_door_on_two_hinges_uses_the_rows_of_one(formulation):
-    assert not unused(Code(door(1), formulation))
-    found = unused(Code(door(2), formulation))
+    assert not unused(CompiledEquations(door(1), formulation))
+    found = unused(CompiledEquations(door(2), formulation))
     assert found
     assert found <= {"upper", "lower"}
     if formulation == "relative":
@@ -244,8 +244,8 @@ def test_a_door_on_two_hinges_uses_the_rows_of_one(formulation):
 
 def test_of_parallel_rods_one_is_redundant(formulation):
     plane = Planar("plane", "ground", "coupler", [0.5, 0.0, 0.0], axis=[0.0, 1.0, 0.0])
-    assert not unused(Code(hung(2, plane), formulation))
-    code = Code(hung(3, plane), formulation)
+    assert not unused(CompiledEquations(hung(2, plane), formulation))
+    code = CompiledEquations(hung(3, plane), formulation)
     (found,) = unused(code)
     assert found in ("rod_0", "rod_1", "rod_2")
     assert code.redundant

@@ -19,7 +19,7 @@ from crosscheck.compare.coverage import covered_by
 from crosscheck.compare.energy import energy_balance
 from crosscheck.library import load
 from crosscheck.library.scene_file import content, write_scene
-from newton_euler.compiled.equations import Code
+from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.errors import MechanismError, NewtonEulerError
 from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.digital_control import Digital, Sampled
@@ -224,14 +224,14 @@ def test_other_samples_have_the_same_code(tmp_path, monkeypatch):
         law = PD("rail", STIFFNESS, DAMPING, Spline(times, values), feedforward=Steps(times, values))
         return rail(law)
 
-    traced, own = [], Code._trace
+    traced, own = [], CompiledEquations._trace
 
     def watched(self, name):
         traced.append(name)
         return own(self, name)
 
     monkeypatch.setenv("NEWTON_EULER_CACHE", str(tmp_path))
-    monkeypatch.setattr(Code, "_trace", watched)
+    monkeypatch.setattr(CompiledEquations, "_trace", watched)
     newton_euler.simulate(scene(TIMES, WANTED))
     first = list(traced)
     newton_euler.simulate(scene(np.linspace(0.0, 3.0, 50), np.linspace(0.0, 1.0, 50)))

@@ -23,7 +23,7 @@ from newton_euler import (
     with_parameters,
 )
 from newton_euler.analysis.identification.fit import split
-from newton_euler.compiled.equations import Code
+from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.model.control import PD
 from newton_euler.model.motions import Steps
 
@@ -63,7 +63,7 @@ def test_a_scene_that_is_fitted_again_is_not_loaded_again(monkeypatch):
     given = measured(sprung(), "rail")
     wrong = with_parameters(sprung(), {"line.stiffness": 45.0})
     first = identify(wrong, ["line.stiffness"], given)
-    monkeypatch.setattr(Code, "__init__", None)
+    monkeypatch.setattr(CompiledEquations, "__init__", None)
     again = identify(wrong, ["line.stiffness"], given)
     assert np.array_equal(again.values, first.values)
 

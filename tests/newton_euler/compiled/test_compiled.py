@@ -17,7 +17,7 @@ from mechanisms import GRAVITY, REGULAR, bar, bolted, planar_four_bar
 import newton_euler
 from crosscheck.library import SCENES, load
 from newton_euler import compile_scene
-from newton_euler.compiled.equations import Code
+from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.formulations import FORMULATIONS, formulate
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import constraint_rate
@@ -70,7 +70,7 @@ CONDITION = {"slider_tree": 10.0, "andrews": 10.0}
 def test_accelerations_are_the_float_forms(name, formulation, count):
     scene = BUILDS[name]()
     system = formulate(scene, formulation)
-    compiled = Code(scene, formulation)
+    compiled = CompiledEquations(scene, formulation)
     tolerance = 1e-12 * CONDITION.get(name, 1.0)
     for state in random_states(scene, count):
         q, v = system.coordinates(state)
@@ -94,7 +94,7 @@ FORMS = [(name, "relative") for name in BEYOND] + [
 @pytest.mark.parametrize(("name", "formulation"), FORMS)
 def test_rates_powers_and_projections_are_the_float_forms(name, formulation):
     """At several times, in states that projection brings back to round-off."""
-    code = Code(BEYOND[name], formulation)
+    code = CompiledEquations(BEYOND[name], formulation)
     largest_error = 1e-11 if name in ("slider_tree", *BALLS) else 1e-12  # conditions of 1e4, and of 1e3
     for seed, t in enumerate((0.0, 0.1, 0.4)):
         now, q, v = moving(code.system, t, seed)
@@ -134,26 +134,28 @@ def test_runs_are_the_float_forms(tracker, formulation):
 
 def test_operations_of_the_tracker(tracker):
     """No more than the limit study's 1,867; and 6,043, with a step of refinement on top."""
-    assert Code(tracker).program("derivative").operations <= 1867
-    assert Code(tracker, "cartesian").program("derivative").operations <= 7450
+    assert CompiledEquations(tracker).program("derivative").operations <= 1867
+    assert CompiledEquations(tracker, "cartesian").program("derivative").operations <= 7450
 
 
 def test_gravity_costs_nothing_when_there_is_none(tracker):
     heavy = replace(tracker, gravity=(0.0, 0.0, -9.81), initial_state=None)
-    light, with_gravity = (Code(scene).program("derivative").operations for scene in (tracker, heavy))
+    light, with_gravity = (
+        CompiledEquations(scene).program("derivative").operations for scene in (tracker, heavy)
+    )
     assert light < with_gravity
 
 
 def test_outputs_that_are_not_asked_for_are_not_computed(tracker):
-    everything = Code(tracker).program("output").operations
-    poses = Code(replace(tracker, outputs=frozenset())).program("output").operations
+    everything = CompiledEquations(tracker).program("output").operations
+    poses = CompiledEquations(replace(tracker, outputs=frozenset())).program("output").operations
     assert poses < 0.25 * everything
 
 
 def test_a_singular_configuration_takes_the_dense_path():
     """Started flat, the planar loop has two freedoms in place of one; the float form knows how to go on."""
     scene = flat_four_bar()
-    compiled = Code(scene)
+    compiled = CompiledEquations(scene)
     system = compiled.system
     x = compiled.packed(*system.coordinates(initial_state(scene)))
     assert compiled.function("derivative")(x)[-1] <= 0.0

@@ -10,7 +10,7 @@ import pytest
 
 from crosscheck.library import load
 from newton_euler.compiled.callbacks import Callbacks
-from newton_euler.compiled.equations import Code
+from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.failures import STABILITY_LIMITS, fastest_rate, first_above
 from newton_euler.compiled.run import Integrator
 from newton_euler.integrators.options import Options
@@ -56,7 +56,7 @@ def stiff_windows():
 @pytest.mark.parametrize("make", [stiff_slides, stiff_windows])
 def test_the_fastest_rate_is_that_of_the_stiff_spring(make, formulation):
     scene, rate = make()
-    code = Code(scene, formulation)
+    code = CompiledEquations(scene, formulation)
     x = code.packed(*code.system.coordinates(scene.initial_state))
     assert fastest_rate(code, x) == pytest.approx(rate, rel=1e-3)
 
@@ -109,7 +109,7 @@ def test_few_states_are_examined_for_the_first_one_whose_rate_is_too_high(rates,
 def test_an_interrupt_reaches_a_run_that_is_repeated_to_explain_it(monkeypatch, how):
     """Most of the time of a failed run may be that of its explanation."""
     scene = replace(snapping_links(), output_period=0.5)
-    code, stopped, made = Code(scene), [], []
+    code, stopped, made = CompiledEquations(scene), [], []
     pause, make = Callbacks._pause, Integrator.__init__
 
     def interrupting(self, *arguments):

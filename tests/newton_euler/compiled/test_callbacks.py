@@ -9,9 +9,10 @@ from overconstrained import linkage
 from newton_euler import simulate, simulate_batch
 from newton_euler.compiled import run
 from newton_euler.compiled.callbacks import Callbacks
-from newton_euler.compiled.equations import Code
-from newton_euler.integrators import stepper as m
+from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.integrators.options import Options
+from newton_euler.integrators.status import Status
+from newton_euler.integrators.stepper import COUNTS, STOP_ALL_RUNS, Count
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.runs.assemble import initial_state
 
@@ -52,16 +53,16 @@ def test_a_mistake_of_the_program_is_raised_as_it_is(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("status", "quoted"), [(m.SINGULAR, True), (m.OPEN, False), (m.STEP_TOO_SMALL, False)]
+    ("status", "quoted"), [(Status.SINGULAR, True), (Status.OPEN, False), (Status.STEP_TOO_SMALL, False)]
 )
 def test_an_error_that_a_run_recovered_from_is_not_its_reason(monkeypatch, status, quoted):
     """Projection that fails long after the dense form did has a reason of its own."""
     scene = linkage("bennett")
-    code = Code(scene, "relative")
+    code = CompiledEquations(scene, "relative")
     integrator = run.Integrator(code, scene.times, Options())
 
     def ended():
-        integrator.counts[m.STATUS] = status
+        integrator.counts[Count.STATUS] = status
         integrator._python.error = np.linalg.LinAlgError("of a state before")
 
     monkeypatch.setattr(integrator, "_run", ended)
@@ -72,7 +73,7 @@ def test_an_error_that_a_run_recovered_from_is_not_its_reason(monkeypatch, statu
 
 def test_an_error_of_a_state_is_forgotten_at_the_next_one_that_has_an_answer():
     """The method has avoided it; what ends the run stays."""
-    callbacks, errors, marked = Callbacks(np.zeros(m.COUNTS)), [np.linalg.LinAlgError("a")], []
+    callbacks, errors, marked = Callbacks(np.zeros(COUNTS)), [np.linalg.LinAlgError("a")], []
 
     def function(x, y, on):
         if errors:
@@ -81,11 +82,11 @@ def test_an_error_of_a_state_is_forgotten_at_the_next_one_that_has_an_answer():
     callback = callbacks.guarded(function, lambda y, on: marked.append((y, on))).function
     callback(1, 2, 3)
     assert (str(callbacks.error), callbacks.fatal, marked) == ("a", None, [(2, 3)])
-    assert callbacks.counts[m.WISH] == 0.0
+    assert callbacks.counts[Count.STOP_REQUEST] == 0.0
     callback(1, 2, 3)
     assert callbacks.error is None
     errors.append(MemoryError("b"))
     callback(1, 2, 3)
     callback(1, 2, 3)
     assert (str(callbacks.fatal), len(marked)) == ("b", 2)
-    assert callbacks.counts[m.WISH] == m.STOP
+    assert callbacks.counts[Count.STOP_REQUEST] == STOP_ALL_RUNS
