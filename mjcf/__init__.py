@@ -1,4 +1,10 @@
-"""Scenes as MJCF, and MuJoCo as an engine for them. MuJoCo is imported only when it has to run."""
+"""MuJoCo as an engine for scenes, and reading and writing of MJCF files.
+
+`simulate` runs a scene by MuJoCo's time stepping, `write` writes a scene as MJCF, `read` imports an MJCF file
+as a scene with an import report. `mjcf.rigid` evaluates MuJoCo's equations under rigid constraints,
+`mjcf.soft` with MuJoCo's own soft constraints. MuJoCo is imported at its first use. Start reading at `write`
+and `reader`.
+"""
 
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +17,7 @@ if TYPE_CHECKING:
 else:
 
     def __getattr__(name: str) -> Any:
-        """Import the reader when it is asked for: it needs MuJoCo."""
+        """Import the reader, which needs MuJoCo, at its first use."""
         if name != "read":
             raise AttributeError(f"module 'mjcf' has no attribute {name!r}")
         from mjcf.reader import read

@@ -1,8 +1,8 @@
-"""The tightest loops around MuJoCo: whole runs, and many at once, with nothing but poses kept.
+"""Benchmark kernels of MuJoCo: single runs and batches of runs with as little Python as possible.
 
-Features that no scene has a use for are switched off. So is the warm start: the constraints are linear in
-the accelerations, so one Newton step from anywhere solves them. Constraints are as stiff as the step
-allows, with a time constant of two steps.
+The kernels store poses at output times only. Features that no scene uses are switched off. The warm start is
+switched off as well: the constraints are linear in the accelerations, so that one Newton step solves them.
+Constraints are as stiff as the step allows, with a time constant of two steps.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
-UNUSED = (
+UNUSED_FEATURES = (
     "CONTACT",
     "LIMIT",
     "FRICTIONLOSS",
@@ -35,37 +35,41 @@ UNUSED = (
     "WARMSTART",
     "AUTORESET",
 )
-"""Features that no scene has, or that cost more than they save."""
+"""Features of MuJoCo that no scene has, or that cost more time than they save."""
 
-PASSIVE = ("SPRING", "DAMPER")
-"""Features that scenes without springs and dampers do not have."""
+PASSIVE_FEATURES = ("SPRING", "DAMPER")
+"""Features of MuJoCo that scenes without springs and dampers do not need."""
 
-PORTION = 32_000_000
-"""Bytes of states that `mujoco.rollout` may fill at a time: it writes one a step."""
+MAX_ROLLOUT_BYTES = 32_000_000
+"""Largest size, bytes, of the states of one call of `mujoco.rollout`, which stores every step."""
 
 
 def compiled(scene: Scene) -> SoftMuJoCo:
-    """The scene in MuJoCo with everything off that it does not need.
+    """Compile a scene without the features that the scene does not need.
 
     Raises:
-        MjcfError: for a prescribed motion, a control law that is no PD, and wind.
+        MjcfError: for a prescribed motion, wind, or a control law other than PD.
     """
     for motion in scene.motions:
         raise MjcfError(
-            f"motion of joint {motion.joint!r}: MuJoCo has no equality that depends on time, "
-            "and benchmark kernels call no Python to make one"
+            f"motion of joint {motion.joint!r}: MuJoCo has no time-dependent equality, "
+            "and benchmark kernels call no Python"
         )
     system = SoftMuJoCo(scene)
     for each in (*system.evaluated.values(), *wind_loads(scene)):
-        raise MjcfError(f"{each.element}: no actuator of MuJoCo's, and benchmark kernels call no Python")
-    disabled = [*UNUSED, *(() if scene.forces else PASSIVE), *(() if np.any(scene.gravity) else ("GRAVITY",))]
+        raise MjcfError(f"{each.element}: MuJoCo has no such actuator, and benchmark kernels call no Python")
+    disabled = [
+        *UNUSED_FEATURES,
+        *(() if scene.forces else PASSIVE_FEATURES),
+        *(() if np.any(scene.gravity) else ("GRAVITY",)),
+    ]
     flags = (int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")) for name in disabled)
     system.model.opt.disableflags = sum(flags)
     return system
 
 
 def forward(scene: Scene) -> Any:
-    """A call of no arguments: one right-hand side at the initial state, `mj_forward`."""
+    """Return a function without arguments that evaluates `mj_forward` at the initial state."""
     system = compiled(scene)
     system.place(*system.coordinates(initial_state(scene)))
     model, data, call = system.model, system.data, mujoco.mj_forward
@@ -73,7 +77,7 @@ def forward(scene: Scene) -> Any:
 
 
 def steps(scene: Scene) -> Any:
-    """A call that makes so many steps by `mj_step` with Euler's method from the initial state."""
+    """Return a function that takes a number of Euler steps from the initial state by `mj_step`."""
     system = compiled(scene)
     system.place(*system.coordinates(initial_state(scene)))
     model, data = system.model, system.data
@@ -88,10 +92,11 @@ def steps(scene: Scene) -> Any:
 
 
 class Stepper:
-    """A run at `number` steps from one output to the next: `reset`, then `run`, then `poses`.
+    """Single run with a fixed number of steps per output interval: call `reset`, `run`, then `poses`.
 
     Attributes:
-        position, quaternion: (n, nbody, 3) m and (n, nbody, 4) of MuJoCo's bodies at outputs, after `run`.
+        position: (n, nbody, 3) m, positions of MuJoCo's bodies at outputs, filled by `run`.
+        quaternion: (n, nbody, 4) orientations of MuJoCo's bodies at outputs, filled by `run`.
     """
 
     def __init__(
@@ -102,7 +107,15 @@ class Stepper:
         number: int,
         damping_ratio: float,
     ) -> None:
-        """`intervals` are numbers of equal intervals, s, between outputs, one after the other."""
+        """Prepare a run.
+
+        Args:
+            system: compiled scene.
+            integrator: name of MuJoCo's integrator.
+            intervals: in order of time, number and length, s, of equal output intervals.
+            number: number of steps per output interval.
+            damping_ratio: damping ratio of the constraints.
+        """
         self._system, self._intervals, self._number, self._ratio = system, intervals, number, damping_ratio
         self._integrator = integrator
         outputs = 1 + sum(count for count, _ in intervals)
@@ -111,14 +124,14 @@ class Stepper:
         self._advance = _whole_steps if integrator == "RK4" else _split_steps
 
     def reset(self) -> None:
-        """Put everything back to the start."""
+        """Reset MuJoCo to the initial state."""
         system = self._system
         mujoco.mj_resetData(system.model, system.data)
         system.place(*system.coordinates(initial_state(system.scene)))
         system.use_integrator(self._integrator)
 
     def run(self) -> None:
-        """Fill `position` and `quaternion`."""
+        """Run the scene and fill `position` and `quaternion`."""
         model, data = self._system.model, self._system.data
         rows = zip(self.position, self.quaternion, strict=True)
         with heard_warnings(), self._system.following():
@@ -130,18 +143,18 @@ class Stepper:
         self.position[-1], self.quaternion[-1] = data.xpos, data.xquat
 
     def poses(self) -> tuple[Array, Array]:
-        """Positions (n, b, 3) and quaternions (n, b, 4) of the scene's bodies, ground first.
+        """Return positions (n, b, 3), m, and quaternions (n, b, 4) of the scene's bodies, ground first.
 
         Raises:
-            DivergenceError: for a run that is not finite.
+            DivergenceError: for a motion that is not finite.
         """
-        return _of_scene(self._system, self.position, self.quaternion)
+        return _scene_poses(self._system, self.position, self.quaternion)
 
 
 def _split_steps(model: Any, data: Any, rows: Iterator[Any], count: int, number: int) -> None:
-    """Poses at the beginnings of `count` intervals, and `number` steps after each.
+    """Store poses at the beginnings of `count` intervals, and take `number` steps after each.
 
-    Halfway through its first step MuJoCo has worked out where the bodies are before it.
+    The first half of a step computes the poses before the step.
     """
     first, second, step, rest = mujoco.mj_step1, mujoco.mj_step2, mujoco.mj_step, number - 1
     xpos, xquat = data.xpos, data.xquat
@@ -155,7 +168,7 @@ def _split_steps(model: Any, data: Any, rows: Iterator[Any], count: int, number:
 
 
 def _whole_steps(model: Any, data: Any, rows: Iterator[Any], count: int, number: int) -> None:
-    """The same for RK4, which has no halves of steps."""
+    """Store poses and take steps like `_split_steps`, for RK4, whose steps cannot be split."""
     step, kinematics = mujoco.mj_step, mujoco.mj_kinematics
     xpos, xquat = data.xpos, data.xquat
     for _ in repeat(None, count):
@@ -166,7 +179,7 @@ def _whole_steps(model: Any, data: Any, rows: Iterator[Any], count: int, number:
 
 
 def physics_states(system: SoftMuJoCo, q: Array, v: Array) -> Array:
-    """MuJoCo's full physics states (n, size) of coordinates (n, nq) and velocities (n, nv)."""
+    """Return MuJoCo's full physics states (n, size) for coordinates (n, nq) and velocities (n, nv)."""
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
     states = np.empty((len(q), mujoco.mj_stateSize(system.model, kind)))
     for row, at, moving in zip(states, q, v, strict=True):
@@ -176,15 +189,23 @@ def physics_states(system: SoftMuJoCo, q: Array, v: Array) -> Array:
 
 
 class Rollout:
-    """Many runs at once by `mujoco.rollout`, `number` steps from one output to the next.
+    """Batch of runs by `mujoco.rollout`, with a fixed number of steps per output interval.
 
-    It writes time, qpos and qvel after every step; of those, qpos at outputs is kept.
+    `mujoco.rollout` stores time, qpos and qvel of every step; this class keeps qpos at output times.
     """
 
     def __init__(
         self, system: SoftMuJoCo, integrator: str, number: int, damping_ratio: float, threads: int
     ) -> None:
-        """For a scene with equal intervals between outputs."""
+        """Prepare runs of a scene with equal output intervals.
+
+        Args:
+            system: compiled scene.
+            integrator: name of MuJoCo's integrator.
+            number: number of steps per output interval.
+            damping_ratio: damping ratio of the constraints.
+            threads: number of threads.
+        """
         self._system, self._number = system, number
         model, times = system.model, system.scene.times
         system.use_integrator(integrator)
@@ -194,12 +215,12 @@ class Rollout:
         self._pool = mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0)
         steps = number * (len(times) - 1)
         size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-        runs = max(10 * threads, PORTION // (8 * steps * size))
+        runs = max(10 * threads, MAX_ROLLOUT_BYTES // (8 * steps * size))
         self._states = np.empty((runs, steps, size))
         self._control = np.tile(_held(system.scene, steps, model.opt.timestep), (runs, 1, 1))
 
     def __call__(self, starts: Array) -> Array:
-        """qpos (runs, n, nq) at all outputs, of runs from full physics states (runs, size)."""
+        """Return qpos (runs, n, nq) at all outputs, for runs from full physics states (runs, size)."""
         model, number = self._system.model, self._number
         kept = np.empty((len(starts), len(self._system.scene.times), model.nq))
         kept[:, 0] = starts[:, 1 : 1 + model.nq]
@@ -223,10 +244,10 @@ class Rollout:
         return kept
 
     def poses(self, qpos: Array) -> tuple[Array, Array]:
-        """Positions (n, b, 3) and quaternions (n, b, 4) of the scene's bodies of one run's qpos (n, nq).
+        """Return positions (n, b, 3), m, and quaternions (n, b, 4) of the bodies, from qpos (n, nq) of a run.
 
         Raises:
-            DivergenceError: for a run that is not finite.
+            DivergenceError: for a motion that is not finite.
         """
         model, data = self._system.model, self._system.data
         position, quaternion = np.empty((len(qpos), model.nbody, 3)), np.empty((len(qpos), model.nbody, 4))
@@ -234,16 +255,16 @@ class Rollout:
             data.qpos[:] = row
             mujoco.mj_kinematics(model, data)
             position[k], quaternion[k] = data.xpos, data.xquat
-        return _of_scene(self._system, position, quaternion)
+        return _scene_poses(self._system, position, quaternion)
 
 
 def _held(scene: Scene, steps: int, step: float) -> Array:
-    """(steps, nu) controls in the middle of each step, s, which is of second order for driven laws."""
+    """Return controls (steps, nu) at the middle of each step, a second-order rule for driven laws."""
     return np.array([controls(scene, (n + 0.5) * step, {}) for n in range(steps)])
 
 
-def _of_scene(system: SoftMuJoCo, position: Array, quaternion: Array) -> tuple[Array, Array]:
-    """The poses of the scene's bodies out of those of MuJoCo's, which start with the world."""
+def _scene_poses(system: SoftMuJoCo, position: Array, quaternion: Array) -> tuple[Array, Array]:
+    """Select the poses of the scene's bodies from the poses of MuJoCo's bodies."""
     ground = system.mechanism.bodies[0]
     finite = np.all(np.isfinite(position), axis=(1, 2)) & np.all(np.isfinite(quaternion), axis=(1, 2))
     if not np.all(finite):

@@ -12,18 +12,17 @@ from newton_euler.model.joint import Pose
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.scalars import Array
 
-UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
-
 
 def clearances(mechanism: Mechanism, position: Array, quaternion: Array) -> Array:
-    """Compute the least distance, m, of shapes of bodies that no joint connects; negative where they overlap.
+    """Compute the smallest distance between shapes of bodies that no joint connects.
 
     Args:
-        mechanism: whose bodies have shapes; bodies without any count for nothing.
-        position, quaternion: (n, b, 3) and (n, b, 4) w-x-y-z of all bodies.
+        mechanism: mechanism with shapes; bodies without shapes are ignored.
+        position: (n, b, 3) m, centers of mass of all bodies, world frame.
+        quaternion: (n, b, 4) orientations (w, x, y, z) of all bodies.
 
     Returns:
-        (n,), infinite where there are no two such bodies.
+        (n,) m, negative if shapes overlap; infinite if there are no two such bodies.
     """
     import mujoco
 
@@ -35,7 +34,10 @@ def clearances(mechanism: Mechanism, position: Array, quaternion: Array) -> Arra
         element = world if k == 0 else ET.SubElement(world, "body", name=body.name, mocap="true")
         for shape in body.shapes:
             add_geom(
-                element, shape, GROUND_COLOR, *((body.pose, body.quaternion) if k else (in_world, UPRIGHT))
+                element,
+                shape,
+                GROUND_COLOR,
+                *((body.pose, body.quaternion) if k else (in_world, np.array([1.0, 0.0, 0.0, 0.0]))),
             )
             owners.append(k)
     joined = {frozenset((joint.first, joint.second)) for joint in mechanism.joints}
@@ -59,7 +61,7 @@ def clearances(mechanism: Mechanism, position: Array, quaternion: Array) -> Arra
         bounds = np.linalg.norm(data.geom_xpos[first] - data.geom_xpos[second], axis=1) - radii
         for k in np.argsort(bounds):
             if bounds[k] >= found[n]:
-                break  # no pair of those left is nearer
+                break  # all other pairs are farther apart
             limit = 2.0 * (bounds[k] + radii[k]) + radii[k]
             distance = mujoco.mj_geomDistance(model, data, int(first[k]), int(second[k]), limit, None)
             found[n] = min(found[n], distance)

@@ -1,4 +1,4 @@
-"""Errors of MuJoCo's side, all under `MjcfError`, and MuJoCo's own warnings."""
+"""Errors of the package, all subclasses of `MjcfError`, and a collector of MuJoCo's warnings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from newton_euler.model.trajectory import StoppedError
 
 
 class MjcfError(NewtonEulerError):
-    """Base of the errors of models, files and runs of MuJoCo; reads as one line.
+    """Base of all errors of MuJoCo models, MJCF files and runs. The message is one line.
 
     Examples:
         >>> try:
@@ -24,16 +24,16 @@ class MjcfError(NewtonEulerError):
 
 
 class ModelError(MjcfError):
-    """A mechanism that MuJoCo cannot be given: MuJoCo's own reason, or the name that is taken."""
+    """Scene that MuJoCo cannot compile, with MuJoCo's reason or the element at fault."""
 
     def __init__(self, scene: str, reason: str) -> None:
         self.scene = scene
         self.reason = reason
-        super().__init__(f"scene {scene!r} makes no MuJoCo model: {reason}")
+        super().__init__(f"scene {scene!r} cannot be compiled by MuJoCo: {reason}")
 
 
 class DivergenceError(MjcfError, StoppedError):
-    """A run that MuJoCo could not carry on: the time it had reached, and MuJoCo's warning."""
+    """Run that diverged in MuJoCo, with the time reached and MuJoCo's warning."""
 
     def __init__(self, time: float, reason: str) -> None:
         super().__init__(time, reason, f"MuJoCo diverged at t = {time:.6g} s: {reason}")
@@ -41,7 +41,7 @@ class DivergenceError(MjcfError, StoppedError):
 
 @contextmanager
 def heard_warnings(data: Any = None) -> Iterator[dict[str, float]]:
-    """Collect MuJoCo's warnings, not in its log file or terminal, with `data.time` at the first of each."""
+    """Collect MuJoCo's warnings instead of logging them, each with the first `data.time` of the warning."""
     import mujoco
 
     heard: dict[str, float] = {}

@@ -1,4 +1,4 @@
-"""MuJoCo's evaluation of a state, once accelerations and multipliers are known."""
+"""Evaluate a state in MuJoCo for given accelerations and constraint forces."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from newton_euler.scalars import Array, cross
 
 
 def mass_and_force(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
-    """M (nv, nv) and f (nv,) of M qacc = f + J^T lambda, with positions and velocities worked out."""
+    """Return M (nv, nv) and f (nv,) of M qacc = f + J^T lambda, after `mj_fwdVelocity`."""
     mujoco.mj_fwdActuation(model, data)
     mass = np.empty((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
@@ -24,7 +24,7 @@ def mass_and_force(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, A
 
 
 def constraint_jacobian(model: Any, data: Any) -> Array:
-    """(nefc, nv) MuJoCo's efc_J, for velocities qvel, whether it is stored dense or sparse."""
+    """Return MuJoCo's constraint Jacobian efc_J (nefc, nv), from dense or sparse storage."""
     columns = np.zeros((model.nv, data.nefc))
     for column, unit in zip(columns, np.eye(model.nv), strict=True):
         mujoco.mj_mulJacVec(model, data, column, unit)
@@ -32,23 +32,23 @@ def constraint_jacobian(model: Any, data: Any) -> Array:
 
 
 class EvaluatedScene(CompiledScene):
-    """A compiled scene with reactions, the same of rigid and soft constraints from either's accelerations."""
+    """Compiled scene with joint reactions, which rigid and soft constraints share."""
 
     @cached_property
     def _reactions(self) -> Reactions:
         return Reactions(self)
 
     def evaluation(self, acceleration: Array, multipliers: Array) -> Evaluation:
-        """Everything about the state that `data` holds, with positions, velocities and actuation worked out.
+        """Evaluate the state in `data`, after `mj_fwdActuation`.
 
         Args:
-            acceleration: (nv,) MuJoCo's qacc.
+            acceleration: (nv,) accelerations qacc of MuJoCo's coordinates.
             multipliers: (nefc,) forces of MuJoCo's constraint rows.
         """
         data = self.data
         data.qacc[:] = acceleration
         data.efc_force[:] = multipliers
-        data.xfrc_applied[:] = self._motor_wrenches()  # MuJoCo would leave them out of its balances
+        data.xfrc_applied[:] = self._motor_wrenches()  # MuJoCo omits motors on sites from its balances
         mujoco.mj_rnePostConstraint(self.model, data)
         data.xfrc_applied[:] = 0.0
         linear, angular = self._body_accelerations()
@@ -63,7 +63,7 @@ class EvaluatedScene(CompiledScene):
         )
 
     def _body_accelerations(self) -> tuple[Array, Array]:
-        """(b, 3) of the centers of mass and (b, 3) angular, once they are known."""
+        """Return accelerations (b, 3) of the centers of mass and angular accelerations (b, 3)."""
         count = len(self.mechanism.bodies)
         linear, angular = np.zeros((2, count, 3))
         for k, index in enumerate(self.body_id[1:count], start=1):
@@ -71,7 +71,7 @@ class EvaluatedScene(CompiledScene):
         return linear, angular
 
     def _motor_wrenches(self) -> Array:
-        """(nbody, 6) force, and torque about the center of mass, by motors on sites; world frame."""
+        """Return forces and torques (nbody, 6) of motors on sites about the centers of mass, world frame."""
         model, data = self.model, self.data
         wrenches = np.zeros((model.nbody, 6))
         for motor in range(len(self.scene.control), model.nu):

@@ -1,11 +1,15 @@
-"""The forces of a scene as MJCF.
+"""Write forces of a scene as MJCF elements.
 
-Springs of joints are attributes of MuJoCo's joints. Those of balls have no attribute for where they rest,
-which is qpos0. MuJoCo can move it while it runs: it does for a spring that yields, and then a key says where
-it is. Springs between points are spatial tendons, and wrenches are motors on sites whose control is 1: MuJoCo
-turns a motor's force with its site, or not if a site of the world is its `refsite`. Wind on a plate is three
-motors on a site with the plate's axes, whose controls `mjcf.model` works out: the force along its normal and
-the moments about its sides. Names hold a space, which no name of a scene does, so that none clash.
+- Springs of hinges and slides are attributes of MuJoCo's joints.
+- Springs of balls rest at qpos0 in MuJoCo. If a spring rests elsewhere, it is declared as a yielding spring
+  that never yields; a keyframe holds its rest.
+- Springs between points are spatial tendons.
+- Wrenches are motors on sites with control 1. A motor turns with its site unless its `refsite` is a site of
+  the world.
+- Wind on a plate is three motors on a site with the axes of the plate: the force along the normal and the
+  moments about the sides. `mjcf.model` computes the controls.
+
+Names contain a space, so that they cannot clash with names of the scene.
 """
 
 from __future__ import annotations
@@ -26,23 +30,23 @@ from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array
 
 WORLD_SITE = "world frame"
-"""Name of the site against which motors of wrenches that keep their direction are turned."""
+"""Name of the world site, the frame of wrenches with constant direction."""
 
 SITE_SIZE = 0.01
 """Radius of a site, in sizes of the mechanism."""
 
-NEVER = 4.0
-"""rad, beyond which a spring yields that never does: no ball turns more than half a turn."""
+UNREACHED_YIELD_ANGLE = 4.0
+"""Yield angle, rad, of springs that must not yield: balls turn by at most pi."""
 
 WIND_MOTORS = {"force": 2, "first moment": 3, "second moment": 4}
-"""Of a wind load, each by its place among forces and torques along the axes of its site."""
+"""Motors of a wind load, with their place among the forces and torques along the axes of the site."""
 
 TENDON_WIDTH = 0.003
 """Radius of a tendon, in sizes of the mechanism."""
 
 
 def joint_attributes(scene: Scene) -> dict[str, dict[str, str]]:
-    """Attributes of MuJoCo's joints, by their names, that make up the springs and armatures of joints."""
+    """Map names of MuJoCo's joints to the attributes of their springs and armatures."""
     found: dict[str, dict[str, str]] = {}
     for armature in scene.armatures:
         found[_motion_name(scene.mechanism, armature)] = {"armature": number(armature.inertia)}
@@ -58,7 +62,7 @@ def joint_attributes(scene: Scene) -> dict[str, dict[str, str]]:
             if isinstance(spring, JointSpring):
                 found[name]["springref"] = number(spring.rest)
             elif _is_turned(spring):
-                found[name]["springyield"] = number(NEVER)
+                found[name]["springyield"] = number(UNREACHED_YIELD_ANGLE)
         else:
             assert_never(spring)
     return found
@@ -70,7 +74,7 @@ def _motion_name(mechanism: Mechanism, on: OnCoordinate | OnBall) -> str:
 
 
 def rests(scene: Scene, tree: SpanningTree, layout: Layout) -> Array:
-    """(4 n,) quaternions of MuJoCo's balls where the springs rest that do so elsewhere than in qpos0."""
+    """Return rest quaternions (4 n,) of MuJoCo's ball springs that do not rest at qpos0."""
     mechanism = scene.mechanism
     turned = {mechanism.joint_index(force.joint): force.rest for force in scene.forces if _is_turned(force)}
     found, place = [np.zeros(0)], 0
@@ -90,7 +94,7 @@ def _is_turned(force: Force) -> TypeGuard[BallSpring]:
 
 
 def add_sites(elements: dict[int, ET.Element], scene: Scene) -> None:
-    """Give bodies, by their number, the sites of springs between points, of wrenches and of wind."""
+    """Add the sites of point springs, wrenches and wind loads to the elements of bodies, by body number."""
     mechanism = scene.mechanism
     for force in scene.forces:
         if isinstance(force, PointSpring):
@@ -112,7 +116,7 @@ def add_sites(elements: dict[int, ET.Element], scene: Scene) -> None:
 def add_site(
     elements: dict[int, ET.Element], mechanism: Mechanism, name: str, body: str, point: Array
 ) -> ET.Element:
-    """A point (3,) of a body, given in the world at the initial pose."""
+    """Add a site to a body at a point (3,), m, world frame at the initial pose."""
     index = mechanism.body_index(body)
     local = mechanism.bodies[index].pose.point_to_body(point) if index else point
     size = number(SITE_SIZE * mechanism.size)
@@ -120,7 +124,7 @@ def add_site(
 
 
 def add_springs(tendons: ET.Element, scene: Scene) -> None:
-    """Springs between points."""
+    """Add the tendons of springs between points."""
     for spring in scene.forces:
         if isinstance(spring, PointSpring):
             more = {
@@ -134,7 +138,7 @@ def add_springs(tendons: ET.Element, scene: Scene) -> None:
 def add_tendon(
     tendons: ET.Element, mechanism: Mechanism, name: str, bodies: tuple[str, str], more: dict[str, str]
 ) -> None:
-    """A straight tendon between the sites that bear its name on two bodies."""
+    """Add a straight tendon between the two sites of its name on two bodies."""
     width = number(TENDON_WIDTH * mechanism.size)
     element = ET.SubElement(tendons, "spatial", {"name": name, "width": width, **more})
     for body in bodies:
@@ -142,22 +146,22 @@ def add_tendon(
 
 
 def wrenches(scene: Scene) -> list[Wrench]:
-    """The wrenches of a scene, in the order of their motors, which come after those of control laws."""
+    """Return the wrenches of a scene; their motors follow the actuators of control laws in this order."""
     return [force for force in scene.forces if isinstance(force, Wrench)]
 
 
 def wind_loads(scene: Scene) -> list[WindLoad]:
-    """The wind loads of a scene, in the order of their motors, which come last, three for each."""
+    """Return the wind loads of a scene; their motors, three for each, are the last ones."""
     return [force for force in scene.forces if isinstance(force, WindLoad)]
 
 
 def wind_site(load: WindLoad) -> str:
-    """Name of the site at the center of a plate, with its axes."""
+    """Return the name of the site at the center of a plate, with the axes of the plate."""
     return f"wind {load.name}"
 
 
 def add_wrenches(actuators: ET.Element, scene: Scene) -> None:
-    """Motors on the sites of wrenches."""
+    """Add motors on the sites of wrenches."""
     mechanism = scene.mechanism
     for wrench in wrenches(scene):
         pose = mechanism.body(wrench.body).pose
@@ -172,7 +176,7 @@ def add_wrenches(actuators: ET.Element, scene: Scene) -> None:
 
 
 def add_winds(actuators: ET.Element, scene: Scene) -> None:
-    """Motors on the sites of wind loads, see `wind_loads`."""
+    """Add motors on the sites of wind loads, see `wind_loads`."""
     for load in wind_loads(scene):
         site = wind_site(load)
         for what, place in WIND_MOTORS.items():

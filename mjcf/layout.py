@@ -1,9 +1,11 @@
-"""Layout: numbers, names and measures that MuJoCo has for what a spanning tree knows.
+"""Layout of a spanning tree in MuJoCo: numbers of bodies, coordinates and velocities.
 
-Hinges and slides are the same numbers in both. Two things differ. MuJoCo numbers bodies, and with
-them coordinates, depth first. And a ball turns in the child's own body frame, while the tree turns
-it in a frame parallel to the world at the initial pose; with A0 the orientation of the child at
-the initial pose, R(qpos) = A0^T R(q) A0, so vector parts and angular velocities differ by A0^T.
+Hinges and slides have the same coordinates in both. Two things differ:
+
+- MuJoCo numbers bodies and coordinates depth first.
+- A ball turns in the body frame of the child. In the tree a ball turns in a frame that is parallel to the
+  world at the initial pose. With the orientation A0 of the child at the initial pose,
+  R(qpos) = A0^T R(q) A0, so that vector parts and angular velocities differ by A0^T.
 """
 
 from __future__ import annotations
@@ -18,17 +20,17 @@ from newton_euler.model.spanning_tree import SpanningTree, TreeJoint, motion_nam
 
 
 def ball_name(joint: Joint) -> str:
-    """MJCF name of a joint's ball."""
+    """Return the MJCF name of the ball of a joint."""
     names = zip(motion_names(joint), joint.motions, strict=True)
     return next(name for name, motion in names if motion.kind == "ball")
 
 
 class Layout:
-    """Indices and maps between a tree and its MuJoCo model.
+    """Numbers and linear maps between a spanning tree and its MuJoCo model.
 
     Attributes:
-        order: the tree's joints, depth first; child number k of this list is MuJoCo body k + 1.
-        body_id: MuJoCo body of each of the tree's bodies; the ground is the world body 0.
+        order: joints of the tree, depth first; the child of joint k is MuJoCo's body k + 1.
+        body_id: number of MuJoCo's body for each body of the tree; the ground is the world body 0.
         to_qpos: (nq, nq) orthogonal: qpos = to_qpos @ q.
         to_qvel: (nv, nv) orthogonal: qvel = to_qvel @ v.
     """
@@ -61,20 +63,20 @@ class Layout:
                     qpos, qvel, q, v = qpos + 1, qvel + 1, q + 1, v + 1
 
     def children(self, body: int) -> list[TreeJoint]:
-        """The tree's joints that hang on a body, in the order of its MJCF."""
+        """Return the joints whose parent is a body, in the order of the MJCF file."""
         return self._children.get(body, [])
 
 
 def number(value: float) -> str:
-    """The shortest text that reads back as the same float."""
+    """Return the shortest text that parses to the same float."""
     return repr(float(value) + 0.0).removesuffix(".0")  # + 0.0 turns -0.0 into 0.0
 
 
 def numbers(values: Iterable[float]) -> str:
-    """Several, with spaces between."""
+    """Return the texts of several numbers, separated by spaces."""
     return " ".join(number(value) for value in values)
 
 
 def element_name(model: Any, kind: str, index: int) -> str:
-    """Name of an element of a compiled model in reports: of its kind, and by its number if it has no name."""
+    """Return the kind and name of an element of a compiled model; unnamed elements have their number."""
     return f"{kind} {getattr(model, kind)(index).name or index!r}"

@@ -1,4 +1,4 @@
-"""Closed loops of MuJoCo's models, and motions of their bodies, at the states that `data` holds."""
+"""Loop closures of a MuJoCo model, and motions of its bodies, at the state in `data`."""
 
 from __future__ import annotations
 
@@ -13,32 +13,38 @@ from newton_euler.scalars import Array, cross
 
 
 def body_velocity(model: Any, data: Any, body: int) -> tuple[Array, Array]:
-    """(3,) of the center of mass, m/s, and (3,) angular, rad/s, after `mj_fwdVelocity`."""
+    """Return the velocity (3,) of the center of mass, m/s, and the angular velocity (3,), rad/s.
+
+    Call `mj_fwdVelocity` first.
+    """
     out = np.zeros(6)
     mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, body, out, 0)
     return out[3:], out[:3]
 
 
 def body_acceleration(model: Any, data: Any, body: int) -> tuple[Array, Array]:
-    """(3,) of the center of mass, m/s^2, and (3,) angular, rad/s^2, after `mj_rnePostConstraint`."""
+    """Return the acceleration (3,) of the center of mass, m/s^2, and the angular one (3,), rad/s^2.
+
+    Call `mj_rnePostConstraint` first.
+    """
     out = np.zeros(6)
     mujoco.mj_objectAcceleration(model, data, mujoco.mjtObj.mjOBJ_BODY, body, out, 0)
-    return out[3:] + model.opt.gravity, out[:3]  # without gravity it is what an accelerometer reads
+    return out[3:] + model.opt.gravity, out[:3]  # MuJoCo reports what an accelerometer measures
 
 
 class Loop:
-    """One equality constraint of a model that closes a loop, at the state that `data` holds.
+    """Equality constraint that closes a loop, at the state in `data`.
 
-    MuJoCo gives a constraint's rows efc_J; what a hard constraint needs beside them is Jdot v, the second
-    rate of the residuals at qacc = 0. It follows from the residuals of MuJoCo's documentation
-    (Computation, section Equality). With bodies 1 and 2 of a constraint,
+    MuJoCo computes the rows efc_J of a constraint. A hard constraint also needs Jdot v, the second rate of
+    the residuals at qacc = 0, which follows from the residuals of MuJoCo's documentation (Computation,
+    section Equality). With bodies 1 and 2 of a constraint,
 
         connect:  p1 - p2                                             (world frame)
         weld:     p1 - p2,  vec(conj(q2) q1)                          (halves share their frame)
         tendon:   |p2 - p1| - its length at the initial pose          (of a rod)
 
-    where vec is the vector part of a quaternion. d/dt vec(conj(q2) q1) = 1/2 vec(conj(q2) w q1) with
-    w = omega1 - omega2, and once more,
+    where vec is the vector part of a quaternion. With w = omega1 - omega2, the first rate is
+    d/dt vec(conj(q2) q1) = 1/2 vec(conj(q2) w q1), and the second rate is
 
         d2/dt2 = 1/2 vec(conj(q2) (alpha1 - alpha2) q1) + 1/4 vec(conj(q2) (w omega1 - omega2 w) q1).
 
@@ -46,11 +52,11 @@ class Loop:
 
     Attributes:
         index: MuJoCo's number of the equality.
-        name: the cut joint's.
+        name: name of the joint that closes the loop.
         kind: `mjtEq`.
-        rows: which rows of MuJoCo's constraints are its own.
+        rows: numbers of the constraint rows.
         bodies: MuJoCo's numbers of bodies 1 and 2.
-        points: the constrained point as each of them has it, (3,) world, m.
+        points: constrained points (3,) on bodies 1 and 2, m, world frame.
     """
 
     def __init__(self, model: Any, data: Any, index: int) -> None:
@@ -80,7 +86,7 @@ class Loop:
         return tuple(int(body) for body in model.site_bodyid[sites]), tuple(data.site_xpos[sites])
 
     def force_on_second(self) -> Array:
-        """(3,) N, what a ball or a rod does to its second body, once multipliers are known."""
+        """Return the force (3,), N, of a ball or rod on its second body, for the multipliers in `data`."""
         multipliers = np.asarray(self.data.efc_force[self.rows])
         if self.kind == mujoco.mjtEq.mjEQ_TENDON:
             d = self.points[1] - self.points[0]
@@ -88,9 +94,9 @@ class Loop:
         return -multipliers
 
     def velocity_product(self) -> Array:
-        """Jdot v, one element for each row, from the accelerations that `data` holds for qacc = 0.
+        """Return Jdot v, one element for each row, from the accelerations in `data` for qacc = 0.
 
-        Not by `mj_jacDot`: it is wrong for a ball whose body has slides after it.
+        `mj_jacDot` is not used because it is wrong for a ball on a body with slides after the ball.
         """
         velocity, linear, angular, spin = [], [], [], []
         for body, point in zip(self.bodies, self.points, strict=True):
@@ -117,14 +123,14 @@ class Loop:
 
 
 def ends(model: Any, data: Any, index: int) -> tuple[tuple[int, ...], tuple[Array, ...]]:
-    """MuJoCo's bodies of a connect or weld, and its point as each of them has it, (3,) world."""
+    """Return the two bodies of a connect or weld, and its point (3,) on each of them, m, world frame."""
     first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
     if model.eq_objtype[index] == mujoco.mjtObj.mjOBJ_SITE:
         bodies = int(model.site_bodyid[first]), int(model.site_bodyid[second])
         return bodies, (data.site_xpos[first].copy(), data.site_xpos[second].copy())
     anchors = model.eq_data[index][:3], model.eq_data[index][3:6]
     if model.eq_type[index] == mujoco.mjtEq.mjEQ_WELD:
-        anchors = anchors[::-1]  # the anchor is in the second body's frame, its place in the first's next
+        anchors = anchors[::-1]  # a weld stores the anchor in the frame of the second body first
     p, q = (
         data.xpos[body] + data.xmat[body].reshape(3, 3) @ anchor
         for body, anchor in zip((first, second), anchors, strict=True)
@@ -133,7 +139,7 @@ def ends(model: Any, data: Any, index: int) -> tuple[tuple[int, ...], tuple[Arra
 
 
 def closes(model: Any, index: int) -> bool:
-    """True if an equality closes a loop; others couple joint coordinates, through a tendon if several."""
+    """True if an equality closes a loop; all other equalities couple joint coordinates."""
     kind = model.eq_type[index]
     if kind == mujoco.mjtEq.mjEQ_TENDON:
         first = model.wrap_type[model.tendon_adr[model.eq_obj1id[index]]]
@@ -142,11 +148,14 @@ def closes(model: Any, index: int) -> bool:
 
 
 def all_loops(model: Any, data: Any) -> list[Loop]:
-    """All active loops at the state that `data` holds, whether MuJoCo has rows for them or not."""
+    """Return all active loops at the state in `data`, with or without constraint rows."""
     closing = [index for index in np.flatnonzero(data.eq_active).tolist() if closes(model, index)]
     return [Loop(model, data, index) for index in closing]
 
 
 def loops(model: Any, data: Any) -> list[Loop]:
-    """Those with rows: MuJoCo drops what cannot open, such as a ball on the axis of the only hinge."""
+    """Return the active loops with constraint rows.
+
+    MuJoCo drops loops that cannot open, such as a ball on the axis of the only hinge.
+    """
     return [loop for loop in all_loops(model, data) if len(loop.rows)]

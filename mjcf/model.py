@@ -1,4 +1,4 @@
-"""A scene compiled by MuJoCo, and the way between tree coordinates and MuJoCo's own."""
+"""Scene compiled by MuJoCo, with the maps between tree coordinates and MuJoCo's coordinates."""
 
 from __future__ import annotations
 
@@ -26,37 +26,39 @@ from newton_euler.model.state import State
 from newton_euler.reading.wrenches import wind_on_plate
 from newton_euler.scalars import Array, Scalar
 
-LIGHTEST = 1e-14
-"""kg, and kg m^2 of principal moments: MuJoCo's compiler takes more alone."""
+MIN_MUJOCO_MASS = 1e-14
+"""Mass, kg, and principal moment, kg m^2, that MuJoCo's compiler refuses; larger values compile."""
 
 
 def _reason(mechanism: Mechanism, error: ValueError) -> str:
-    """Word why MuJoCo refuses a mechanism: the body that is too light, or its own reason."""
+    """Return the reason why MuJoCo refuses a mechanism: a body that is too light, or MuJoCo's message."""
     for body in mechanism.bodies[1:]:
         least = float(np.linalg.eigvalsh(body.inertia)[0])
-        if min(body.mass, least) <= LIGHTEST:
+        if min(body.mass, least) <= MIN_MUJOCO_MASS:
             found = f"body {body.name!r}: mass {body.mass:g} kg, least principal moment {least:g} kg m^2"
-            return f"{found}; needed: more than {LIGHTEST:g} of both"
+            return f"{found}; needed: more than {MIN_MUJOCO_MASS:g} of both"
     return " ".join(str(error).split())
 
 
 class CompiledScene:
-    """A scene's `MjModel` and `MjData`.
+    """Scene with its `MjModel` and `MjData`.
 
-    Coordinates q (nq,) and velocities v (nv,) are those of the spanning tree of the welded
-    mechanism; MuJoCo's qpos and qvel stay inside this class.
+    Coordinates q (nq,) and velocities v (nv,) belong to the spanning tree of the welded mechanism. MuJoCo's
+    qpos and qvel stay inside this class.
 
     Attributes:
-        scene, mechanism: as given; results are for this mechanism's bodies and joints.
-        welded: the mechanism with its loops cut, which MuJoCo models.
-        model, data: `MjModel` and `MjData`; data is scratch that every call may overwrite.
-        body_id: MuJoCo's body of each body of `welded.mechanism`, originals first.
-        couplings: gears, screws and prescribed motions; MuJoCo's last equalities, in the same order.
-        time: s, at which prescribed motions, control laws and wind are looked at.
+        scene: the scene; results are for the bodies and joints of its mechanism.
+        mechanism: mechanism of the scene.
+        welded: mechanism with cut loops, which MuJoCo models.
+        model: `MjModel`.
+        data: `MjData`, which every call may overwrite.
+        body_id: MuJoCo's body of each body of `welded.mechanism`; halves of cut bodies are last.
+        couplings: gears, screws and prescribed motions, in the order of MuJoCo's last equalities.
+        time: s, at which prescribed motions, control laws and wind are evaluated.
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Compile; raises `ModelError` with MuJoCo's reason if it refuses."""
+        """Compile a scene; raises `ModelError` with MuJoCo's reason."""
         self.scene = scene
         self.mechanism = scene.mechanism
         self.welded = weld_loops(scene.mechanism, loaded=scene.loaded_balls)
@@ -89,17 +91,18 @@ class CompiledScene:
         self.actuate()
 
     def _restore_inertias(self) -> None:
-        """Put back moments and products of inertia that were raised, rounded or dropped on the way in."""
+        """Restore moments and products of inertia that the MJCF file or MuJoCo's compiler changed."""
         for body, index in zip(self.welded.mechanism.bodies[1:], self.body_id[1:], strict=True):
             axes = rotation(self.model.body_iquat[index])
             self.model.body_inertia[index] = np.diag(axes.T @ body.inertia @ axes)
-        # MuJoCo keeps constant parts of the mass matrix
+        # update the constant parts of the mass matrix
         mujoco.mj_setConst(self.model, self.data)
-        # frames that are nearly the body's own would be taken for it, and products of inertia with them
+        # otherwise MuJoCo replaces inertial frames that are nearly the body frame, and drops products of
+        # inertia
         self.model.body_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
 
     def _turn_springs(self) -> None:
-        """Let springs of balls rest where the key has them, whatever `data` is reset to."""
+        """Set the rests of ball springs to the keyframe's, for every later reset of `data`."""
         model = self.model
         for joint in np.flatnonzero(model.jnt_plasticadr >= 0):
             spring, key = model.jnt_qposadr[joint], model.jnt_plasticadr[joint]
@@ -107,7 +110,7 @@ class CompiledScene:
         mujoco.mj_resetData(model, self.data)
 
     def mass_properties(self) -> MassProperties:
-        """Return masses and inertias in the compiled model; halves of a body are put together."""
+        """Return masses and inertias of the compiled model, with the halves of cut bodies combined."""
         model, data = self.model, self.data
         data.qpos[:] = model.qpos0
         mujoco.mj_kinematics(model, data)
@@ -123,29 +126,29 @@ class CompiledScene:
         return MassProperties(mass, center, inertia)
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
-        """q and v of a state."""
+        """Return coordinates q (nq,) and velocities v (nv,) of a state."""
         q, v = self.tree.coordinates(self.welded.state(state))
         return self.couplings.turned(q, state, self.time), v
 
     def place(self, q: Array, v: Array) -> None:
-        """Give MuJoCo a state, and what its actuators are to do in it."""
+        """Set MuJoCo's state and the controls of its actuators."""
         self.data.qpos[:] = self.layout.to_qpos @ q
         self.data.qvel[:] = self.layout.to_qvel @ v
         self.data.time = self.time
         self.actuate()
 
     def actuate(self) -> None:
-        """Give MuJoCo's actuators the controls of the scene's laws at `time`."""
+        """Set the controls of MuJoCo's actuators from the scene's control laws at `time`."""
         readings = self.readings(self.data)
         found = controls(self.scene, self.time, readings, self.model_forces(self.data, readings))
         self.data.ctrl[: len(found)] = found
 
     def engine_control(self, scene: Scene) -> EngineControl:
-        """Return the inverse dynamics of control laws that know the mechanism, by rigid constraints."""
+        """Return the inverse dynamics for control laws that use a model of the mechanism."""
         raise NotImplementedError
 
     def model_forces(self, data: Any, readings: Readings) -> Mapping[Key, float]:
-        """Forces (N or N m) that control laws get of a model of the mechanism at MuJoCo's state."""
+        """Return model-based forces, N or N m, of control laws at the state in `data`."""
         if self._control is None:
             return NO_FORCES
         q, v = self.layout.to_qpos.T @ data.qpos, self.layout.to_qvel.T @ data.qvel
@@ -153,7 +156,7 @@ class CompiledScene:
         return self._control.forces(q, v, data.time, wanted)
 
     def blow(self, data: Any) -> None:
-        """Give MuJoCo's motors of wind their controls where bodies are, as it has worked out last."""
+        """Set the controls of wind motors for the poses and velocities in `data`."""
         if not self._winds:
             return
         velocity = np.zeros(6)
@@ -163,38 +166,38 @@ class CompiledScene:
             data.ctrl[motors] = wind_on_plate(load, axes.T @ load.velocity(data.time) - velocity[3:])
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
-        """Coordinates (m or rad) and rates of `Scene.sensed`, where MuJoCo's actuators have theirs."""
+        """Return coordinates, m or rad, and rates of `Scene.sensed` at a state."""
         self.place(q, v)
         return list(self.readings(self.data).values())
 
     def readings(self, data: Any) -> dict[Key, tuple[float, float]]:
-        """Coordinates (m or rad) and rates of `Scene.sensed` at MuJoCo's state."""
+        """Return coordinates, m or rad, and rates of `Scene.sensed` at the state in `data`."""
         x, x_rate = data.qpos[self._sensed_q], data.qvel[self._sensed_v]
         return dict(zip(self._sensed, zip(x, x_rate, strict=True), strict=True))
 
     def move(self, q: Array, v: Array) -> None:
-        """Have MuJoCo work out positions and velocities of a state, and the wind there."""
+        """Compute positions, velocities and wind of a state in MuJoCo."""
         self.place(q, v)
         mujoco.mj_fwdPosition(self.model, self.data)
         mujoco.mj_fwdVelocity(self.model, self.data)
         self.blow(self.data)
 
     def state(self, q: Array, v: Array) -> State:
-        """Body poses and velocities by MuJoCo's kinematics."""
+        """Return body poses and velocities by MuJoCo's kinematics."""
         self.move(q, v)
         return self.read_state()
 
     def coupling_phi(self, q: Array) -> Array:
-        """Residuals (c,) of the couplings, m or rad."""
+        """Return residuals (c,) of the couplings, m or rad."""
         return self.couplings.phi(q, self.time)
 
     def observe(self, q: Array, v: Array) -> Observation:
-        """Poses, velocities and energies by MuJoCo's kinematics."""
+        """Return poses, velocities and energies of a state by MuJoCo."""
         self.move(q, v)
         return self.observation()
 
     def observation(self) -> Observation:
-        """The same at the state that MuJoCo has worked out last."""
+        """Return poses, velocities and energies of the state in `data`."""
         mujoco.mj_energyPos(self.model, self.data)
         mujoco.mj_energyVel(self.model, self.data)
         potential, kinetic = self.data.energy
@@ -203,7 +206,7 @@ class CompiledScene:
         )
 
     def read_state(self) -> State:
-        """Body poses and velocities that MuJoCo has worked out last."""
+        """Return body poses and velocities of the state in `data`."""
         ground = self.mechanism.bodies[0]
         bodies = self.body_id[1 : len(self.mechanism.bodies)]
         linear, angular = np.zeros((2, len(bodies) + 1, 3))

@@ -1,4 +1,4 @@
-"""Joint reactions out of the balances of bodies that MuJoCo has worked out."""
+"""Compute joint reactions from MuJoCo's balances of forces on bodies."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from newton_euler.scalars import Array
 
 
 class Reactions:
-    """Reactions of a scene's joints at the states that MuJoCo's `data` holds, once forces are known.
+    """Reactions of a scene's joints at the state in MuJoCo's `data`, after `mj_rnePostConstraint`.
 
-    A joint in the tree carries cfrc_int of its child less what its actuators, springs and rotors do; a cut
-    ball or rod carries its multipliers. Welds hold no joint of the original mechanism.
+    A joint of the tree carries cfrc_int of its child minus the forces of its actuators, springs and rotors. A
+    ball or rod that closes a loop carries its multipliers. Welds belong to no joint of the mechanism.
     """
 
     def __init__(self, compiled: CompiledScene) -> None:
@@ -27,14 +27,14 @@ class Reactions:
             for index in range(model.neq)
             if closes(model, index) and model.eq_type[index] != mujoco.mjtEq.mjEQ_WELD
         }
-        # others are of bodies that only rods hold
+        # other tree joints belong to bodies that only rods hold
         kept = [kept for kept in compiled.tree.joints if kept.joint < len(mechanism.joints)]
         self._kept = np.array([each.joint for each in kept], dtype=int)
         self._signs = np.array([1.0 if each.forward else -1.0 for each in kept])[:, None]
         self._children = np.array([compiled.body_id[each.child] for each in kept], dtype=int)
         seconds = [mechanism.equations[joint].second for joint in self._kept]
         self._seconds = np.array([compiled.body_id[second] for second in seconds], dtype=int)
-        # the origin of the world body is not the ground's center of mass
+        # the origin of the world body differs from the ground's center of mass
         arms = [
             mechanism.reaction_arms[joint] if second else mechanism.joints[joint].reaction_point
             for joint, second in zip(self._kept, seconds, strict=True)
@@ -60,7 +60,7 @@ class Reactions:
                 self._beyond_slides.append((number, hinges))
 
     def now(self) -> tuple[Array, Array]:
-        """(j, 3) forces and torques on the second bodies at the joint points."""
+        """Return forces (j, 3), N, and torques (j, 3), N m, on the second bodies at the joint points."""
         compiled, model, data = self._compiled, self._compiled.model, self._compiled.data
         forces, torques = np.zeros((2, len(compiled.welded.mechanism.joints), 3))
         for loop in loops(model, data):
@@ -76,35 +76,38 @@ class Reactions:
         return forces[: self._count], torques[: self._count]
 
     def _points(self) -> Array:
-        """(k, 3) the points, in the world now, that reactions of joints in the tree are reduced to."""
+        """Return the joint points (k, 3) of the reactions of tree joints, m, world frame."""
         data = self._compiled.data
         turned = data.xmat[self._seconds].reshape(-1, 3, 3) @ self._arms
         return np.asarray(data.xpos[self._seconds] + turned[:, :, 0])
 
     def _drives(self, points: Array) -> Array:
-        """(nbody, 6) force and torque on each of MuJoCo's bodies by what drives the joint above it.
+        """Return forces and torques (nbody, 6) of actuators, springs and rotors of the joint above each body.
 
-        That is its actuators, springs and rotors. Of several hinges or slides, each is driven so that no work
-        is done on the others: what pushes a slide has no torque about the joint point where all hinges meet.
+        The force on one of several hinges or slides does no work on the others. The force on a slide has no
+        torque about the joint point, where all hinges meet.
         """
         model, data = self._compiled.model, self._compiled.data
         places, velocities = model.jnt_qposadr, model.jnt_dofadr
+        # generalized force of each hinge and slide
         stretch = data.qpos[places] - model.qpos_spring[places]
         forces = -model.jnt_stiffness * stretch - model.dof_damping[velocities] * data.qvel[velocities]
-        # MuJoCo's balances of bodies know nothing of armatures
+        # MuJoCo's balances of bodies do not include armatures
         forces -= model.dof_armature[velocities] * data.qacc[velocities]
         laws = self._laws
         np.add.at(forces, model.actuator_trnid[:laws, 0], data.actuator_force[:laws])
+        # wrenches of balls, then of slides and hinges along the dual axes of their row
         wrenches = np.zeros((model.nbody, 6))
         for ball in self._balls:
             turn = data.xmat[model.jnt_bodyid[ball]].reshape(3, 3)
             wrenches[model.jnt_bodyid[ball], 3:] += turn @ self._ball_torque(ball)
-        duals = np.array(data.xaxis)  # one alone of its kind is of length 1, and its own
+        duals = np.array(data.xaxis)  # a single hinge or slide is its own dual
         for row in self._in_row:
             duals[row] = dual_axes(duals[row])
         pushes = forces[:, None] * duals
         np.add.at(wrenches[:, :3], model.jnt_bodyid[self._slides], pushes[self._slides])
         np.add.at(wrenches[:, 3:], model.jnt_bodyid[self._hinges], pushes[self._hinges])
+        # hinges of a joint with slides: cancel the work of the slides' forces on the hinges
         for number, hinges in self._beyond_slides:
             axes, arms, child = (
                 data.xaxis[hinges],
@@ -120,7 +123,7 @@ class Reactions:
         return wrenches
 
     def _ball_torque(self, ball: int) -> Array:
-        """(3,) N m on the child of a ball by its spring, damper and rotor, in the child's frame."""
+        """Return the torque (3,), N m, of a ball's spring, damper and rotor on the child, child frame."""
         model, data = self._compiled.model, self._compiled.data
         on_q = slice(model.jnt_qposadr[ball], model.jnt_qposadr[ball] + 4)
         on_v = slice(model.jnt_dofadr[ball], model.jnt_dofadr[ball] + 3)

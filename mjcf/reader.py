@@ -1,14 +1,12 @@
-"""MJCF -> scene, with a report of what became of every element.
+"""Read an MJCF file as a scene, with an import report on every element.
 
-MuJoCo compiles the file, so that its defaults, includes, angles and inertias are MuJoCo's own reading, and
-the scene is made from the compiled model at the pose that it starts from: a keyframe or qpos0, with the
-loops closed. Bodies that are fixed to each other are one body.
+MuJoCo compiles the file and resolves its defaults, includes, angles and inertias. The scene is made from the
+compiled model at its start: a keyframe or qpos0, with closed loops. Bodies that are fixed to each other
+become one body.
 
-What was read is verified against MuJoCo's own model of the file, see `newton_euler.reading` and
-`mjcf.reference`. The reading is a function of the model and of the controls, and so that actuators show it is
-made and verified once more, with all controls at random.
-
-An excited reading is one with controls that swing, and with start velocities; see `mjcf.reading.laws`.
+The scene is verified against the compiled model, see `newton_euler.reading` and `mjcf.reference`. A model
+with actuators is read and verified a second time, with random controls, so that wrong actuators show.
+Excitation adds sines to controls and start velocities to joints, see `mjcf.reading.laws`.
 """
 
 from __future__ import annotations
@@ -47,36 +45,34 @@ from newton_euler.model.source_file import ReadOptions, Request, path_text
 from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.model.state import State
 from newton_euler.reading import plausibility
-from newton_euler.reading.excitation import HIGHEST, LOWEST, moving
+from newton_euler.reading.activity import REST_SPEED
+from newton_euler.reading.excitation import MAX_FREQUENCY, MIN_FREQUENCY, with_start_velocities
 from newton_euler.reading.import_report import ChangedVelocities, ImportReport, unique_name
 from newton_euler.reading.reference import ReferenceModel
-from newton_euler.reading.verify import check
+from newton_euler.reading.verify import verify_report
 from newton_euler.runs.assemble import assemble
 from newton_euler.scalars import Array
 
-MOST_NAMES = 5
-"""Of actuators in one line of a report."""
-
-AT_REST = 1e-12
-"""m/s and rad/s, below which velocities are round-off."""
+MAX_LISTED_NAMES = 5
+"""Largest number of names of actuators in one line of a report."""
 
 DEFAULT_SOLIMP = (0.9, 0.95, 0.001)
-"""MuJoCo's default of the first three numbers of `solimp`."""
+"""MuJoCo's default for the first three numbers of `solimp`."""
 
 
 MujocoModel: TypeAlias = mujoco.MjSpec | mujoco.MjModel
-"""A model that is not in a file."""
+"""Model in memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """A scene read from a file.
+    """Scene imported from an MJCF file.
 
     Attributes:
-        scene: what was read.
-        report: what became of every element.
+        scene: imported scene.
+        report: fate of every element.
         start: MuJoCo's model at the start, without contacts, limits and dry friction.
-        drives: actuators that can be driven, by number.
+        drives: actuators that excitation can drive, by number.
     """
 
     scene: Scene
@@ -95,14 +91,15 @@ def read(
     """Read an MJCF file, or a model that MuJoCo has in memory.
 
     Args:
-        model: path of the file, or an `MjSpec` or an `MjModel`, with what was changed since it was compiled.
-        key: name of the keyframe to start from, or "qpos0"; the first keyframe if None, if there is one.
-        root: folder that all files have to be in that a file refers to, see `mjcf.reading.source`.
+        model: path of the file, or an `MjSpec` or `MjModel` in its present state.
+        key: name of the keyframe to start from, or "qpos0". None means the first keyframe, or "qpos0" if the
+            model has no keyframe.
+        root: folder that must contain all files that the file refers to, see `mjcf.reading.source`.
         options: see `newton_euler.model.source_file.Request`.
 
     Raises:
-        MjcfError: naming the file or model and the element at fault, one that was not read right among them.
-        OptionError: for the root of a model in memory.
+        MjcfError: for a model that cannot be read or verified, with file or model name and element.
+        OptionError: for a `root` with a model in memory.
 
     Examples:
         >>> found = mjcf.read("examples/linkage.xml", key="go", duration=2.0)
@@ -117,7 +114,7 @@ def read(
         else:
             where, made, sizes = given(model)
             if root is not None:
-                raise OptionError("root", root, "none, as a model in memory refers to no files")
+                raise OptionError("root", root, "no root for a model in memory, which refers to no files")
         check_memory(where, made)
         found_of_file = [*mesh_findings(made), *key_findings(made, sizes)]
         found = _reading(where, copy.copy(made), key, request)
@@ -125,14 +122,14 @@ def read(
             references = [_reference(copy.copy(made), key, found)]
             if made.nu:
                 references.append(_driven(where, made, key, request))
-            if request.excitation:  # the last use of the model, which takes no copy
+            if request.excitation:  # the last use of the model, so no copy is needed
                 found = _excited(where, made, key, request, found)
             report = found.report
             report.references.extend(references)
             report.findings.extend(plausibility.findings(found.scene.mechanism))
             report.findings.extend(plausibility.grouped(found_of_file))
             if request.verified:
-                report.start.append(check(report))
+                report.start.append(verify_report(report))
         except SourceError:
             raise
         except (NewtonEulerError, np.linalg.LinAlgError) as error:
@@ -141,38 +138,38 @@ def read(
     return found
 
 
-@np.errstate(all="ignore")  # what overflows is refused
+@np.errstate(all="ignore")  # numbers that overflow are refused later
 def _reference(
     model: Any, key: str | None, found: Reading, controls: tuple[Array, Array] | None = None
 ) -> tuple[ReferenceModel, Scene]:
-    """Pair a reading with the reference that it is verified against."""
+    """Make the reference model of an imported scene."""
     return MjcfReference(model, key, found.report, found.scene, controls), found.scene
 
 
-@np.errstate(all="ignore")  # what overflows is refused
+@np.errstate(all="ignore")  # numbers that overflow are refused later
 def _driven(where: str, model: Any, key: str | None, request: Request) -> tuple[ReferenceModel, Scene]:
-    """The reading with all controls at random, and what it is verified against."""
+    """Read the model with random controls, and make its reference model."""
     control = _random_control(model)
     driven = _reading(where, copy.copy(model), key, request, control)
     return _reference(copy.copy(model), key, driven, (control, np.array(driven.start.data.act)))
 
 
 def _random_control(model: Any) -> Array:
-    """(nu,) controls at random within their ranges, which are between -1 and 1 where there are none."""
+    """Draw random controls (nu,) within their ranges, or between -1 and 1 for controls without range."""
     low, high = np.full((2, model.nu), [[-1.0], [1.0]])
     limited = model.actuator_ctrllimited.astype(bool)
     for k in np.flatnonzero(limited):
         places = slice(model.actuator_ctrladr[k], model.actuator_ctrladr[k] + model.actuator_ctrlnum[k])
         low[places], high[places] = model.actuator_ctrlrange[k].reshape(-1, 2).T
-    most = mujoco.mjMAXVAL  # beyond which MuJoCo takes a control for a mistake
+    most = mujoco.mjMAXVAL  # MuJoCo refuses larger controls
     low, high = np.clip([low, high], -most, most)
     share = np.random.default_rng(0).uniform(0.1, 0.9, model.nu)
     return np.asarray(low + share * (high - low))
 
 
-@np.errstate(all="ignore")  # what overflows is refused
+@np.errstate(all="ignore")  # numbers that overflow are refused later
 def _excited(where: str, model: Any, key: str | None, request: Request, found: Reading) -> Reading:
-    """Drive actuators, and let joints move at the start unless the file does. The model is changed."""
+    """Add sines to controls, and start velocities unless the file has some. Changes the model."""
     start = found.start
     control, places = np.array(start.data.ctrl), start.model.actuator_ctrladr
     plan = excite(found.scene, found.drives, control, places, found.report.bounds)
@@ -180,7 +177,7 @@ def _excited(where: str, model: Any, key: str | None, request: Request, found: R
     names = [model.actuator(k).name or repr(k) for k in range(model.nactuator)]
     said = []
     if plan.swings:
-        said.append(f"{_count(plan.swings, 'actuator')} driven at {LOWEST:g} to {HIGHEST:g} Hz")
+        said.append(f"{_count(plan.swings, 'actuator')} driven at {MIN_FREQUENCY:g} to {MAX_FREQUENCY:g} Hz")
     if plan.moved:
         moves = [f"{names[k]} from {old:g} to {new:g}" for k, (old, new) in plan.moved.items()]
         said.append(
@@ -189,7 +186,7 @@ def _excited(where: str, model: Any, key: str | None, request: Request, found: R
     if kept := [names[k] for k in range(model.nactuator) if k not in plan.swings]:
         said.append(f"{_count(kept, 'actuator')} with the controls of the file ({_first(kept)})")
     if not np.any(start.data.qvel):
-        moved, fastest = moving(driven.scene, driven.report.bounds)
+        moved, fastest = with_start_velocities(driven.scene, driven.report.bounds)
         driven = replace(driven, scene=moved)
         said.append(fastest)
     words = ", ".join(said) or "the velocities of the start are enough"
@@ -198,8 +195,8 @@ def _excited(where: str, model: Any, key: str | None, request: Request, found: R
 
 
 def _first(texts: Sequence[str]) -> str:
-    """The first of some texts, with dots for more."""
-    return ", ".join(texts[:MOST_NAMES]) + (", ..." if texts[MOST_NAMES:] else "")
+    """Join the first `MAX_LISTED_NAMES` texts, with dots if there are more."""
+    return ", ".join(texts[:MAX_LISTED_NAMES]) + (", ..." if texts[MAX_LISTED_NAMES:] else "")
 
 
 def _count(elements: Sized, noun: str) -> str:
@@ -228,9 +225,9 @@ def _reading(
 
 
 def _own_settings(model: Any) -> str:
-    """Word how MuJoCo would simulate a model by itself: integrator, time step, softness of its loops.
+    """Describe the file's own simulation settings: integrator, time step, `solref` of equalities.
 
-    The solver and `solimp` are named if they are not MuJoCo's defaults.
+    The solver and `solimp` are included if they are not MuJoCo's defaults.
     """
     integrator = mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_").lower()
     words = [f"{integrator} {1e3 * model.opt.timestep:g} ms"]
@@ -261,6 +258,7 @@ def _scene(
     for key, inertia in actuators.armatures.items():
         rotors[key] = rotors.get(key, 0.0) + inertia
     report_leftovers(start, bodies, joints, report)
+    # the model's name, or the file's, as the name of the scene
     own = model_name(model)
     name = unique_name(Path(path).stem if own in ("", UNNAMED) else own, "model", ())
     scene = Scene(
@@ -283,7 +281,7 @@ def _scene(
 
 
 def _moving(scene: Scene, start: Start, bodies: Bodies, report: ImportReport) -> Scene:
-    """The scene with the start's velocities, made to fit its constraints."""
+    """Set the initial state to the velocities of the start, adjusted to the constraints."""
     if not np.any(start.data.qvel):
         return scene
     mechanism = scene.mechanism
@@ -292,6 +290,7 @@ def _moving(scene: Scene, start: Start, bodies: Bodies, report: ImportReport) ->
         linear[k], angular[k] = bodies.velocity(bodies.root(body.name), body.center_of_mass)
     rest = State.initial(mechanism)
     state = assemble(scene, replace(rest, linear_velocity=linear, angular_velocity=angular))
+    # report the adjustment
     pairs = ((state.linear_velocity, linear), (state.angular_velocity, angular))
     changes = [float(np.max(np.abs(found - given))) for found, given in pairs]
     sizes = [float(np.max(np.abs(given))) for _, given in pairs]
@@ -301,6 +300,6 @@ def _moving(scene: Scene, start: Start, bodies: Bodies, report: ImportReport) ->
         f"velocities of {start.key}, changed by at most {changes[0]:.2e} m/s and {changes[1]:.2e} rad/s "
         "to fit"
     )
-    if max(np.max(np.abs(state.linear_velocity)), np.max(np.abs(state.angular_velocity))) < AT_REST:
+    if max(np.max(np.abs(state.linear_velocity)), np.max(np.abs(state.angular_velocity))) < REST_SPEED:
         return scene
     return replace(scene, initial_state=state)

@@ -1,8 +1,8 @@
-"""An MJCF file as MuJoCo holds it, to verify a scene that was read from it.
+"""MJCF file as MuJoCo compiles it: the reference model of an imported scene.
 
-See `newton_euler.reading`. Shares nothing with `mjcf.reading` but the compiled model and the names of
-elements: where loops close, what is rigid and what acts is worked out here with MuJoCo's own functions. What
-the report of a reading says was left out is switched off in a copy, by the names of elements alone.
+See `newton_euler.reading`. The module shares only the compiled model and the names of elements with
+`mjcf.reading`. Loop closure, rigid groups and acting elements are found here by MuJoCo's own functions.
+Elements that the import report leaves out are switched off in a copy of the model, by their names.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from newton_euler.model.scene import Scene
 from newton_euler.reading.activity import Bounds
 from newton_euler.reading.import_report import ImportReport, left_out, unique_name
 from newton_euler.reading.quantities import Constraints, ForceLimit, Forces, Kinematics
-from newton_euler.reading.reference import SEVERAL_HINGES, ReferenceModel, Sample, wholes
+from newton_euler.reading.reference import MAX_HINGE_ROW_ANGLE, ReferenceModel, Sample, names_of_wholes
 from newton_euler.scalars import Array, cross
 
-ROUND_OFF = 1e-14
-"""Relative, of what is left of MuJoCo's sum of passive forces without its parts."""
+PASSIVE_ROUND_OFF = 1e-14
+"""Relative round-off of MuJoCo's sum of passive forces minus its parts."""
 
-DISABLED = ("CONTACT", "LIMIT", "FRICTIONLOSS")
-"""No bilateral constraints: held against the report instead."""
+UNSIMULATED_FEATURES = ("CONTACT", "LIMIT", "FRICTIONLOSS")
+"""Features that scenes do not simulate; the import report lists their elements instead."""
 
-OFF = {
+FORCE_ARRAYS = {
     "jnt": ("stiffness", "stiffnesspoly"),
     "dof": ("damping", "dampingpoly"),
     "tendon": ("stiffness", "stiffnesspoly", "damping", "dampingpoly"),
     "actuator": ("gainprm", "biasprm", "damping", "dampingpoly"),
     "body": ("gravcomp",),
 }
-"""Arrays that forces are made of, all zero where nothing acts."""
+"""Arrays of the model that forces depend on, by kind of element; zeros mean no force."""
 
 
 class MjcfReference(ReferenceModel):
-    """A compiled MJCF file."""
+    """Reference model of a compiled MJCF file."""
 
     def __init__(
         self,
@@ -53,17 +53,17 @@ class MjcfReference(ReferenceModel):
         """Take a compiled model, which is changed.
 
         Args:
-            model: as MuJoCo compiled it.
-            key: as of `mjcf.read`.
-            report: of the reading.
-            scene: what was read; its initial pose says which of the closed ones is the start.
-            controls: (nu,) controls and (na,) activations; those of the key if None.
+            model: model compiled by MuJoCo.
+            key: keyframe, see `mjcf.read`.
+            report: import report.
+            scene: imported scene; its initial pose selects the start among the closed configurations.
+            controls: controls (nu,) and activations (na,); None for the controls of the keyframe.
         """
         self._model: Any = model
         self._model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-        for name in DISABLED:
+        for name in UNSIMULATED_FEATURES:
             self._model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
-        self._model.actuator_actearly[:] = 0  # which are of the next time step
+        self._model.actuator_actearly[:] = 0  # early activations belong to the next time step
         self._model.body_sameframe[self._model.body_simple == 0] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         self._data = mujoco.MjData(self._model)
         self._place(key)
@@ -91,7 +91,7 @@ class MjcfReference(ReferenceModel):
             mujoco.mj_resetDataKeyframe(model, self._data, names.index(key))
 
     def _group(self, scene: Scene) -> None:
-        """Bodies that no joint is between."""
+        """Group bodies that are fixed to each other."""
         model = self._model
         root = [0] * model.nbody
         for k, parent in enumerate(model.body_parentid.tolist()):
@@ -101,10 +101,10 @@ class MjcfReference(ReferenceModel):
         taken = ["ground"]
         for k in self._roots:
             taken.append(unique_name(model.body(k).name, f"body_{k}", taken))
-        self.names = wholes(taken[1:], scene.mechanism.body_names)
+        self.names = names_of_wholes(taken[1:], scene.mechanism.body_names)
 
     def _measure(self, scene: Scene) -> None:
-        """Names, units and ranges of velocities."""
+        """Set names, units and ranges of velocities."""
         model = self._model
         slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
         hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
@@ -116,11 +116,11 @@ class MjcfReference(ReferenceModel):
             if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE and dof < model.jnt_dofadr[joint] + 3:
                 self.lengths[dof] = True
             if np.sum(hinges & (model.jnt_bodyid == model.jnt_bodyid[joint])) > 1:
-                self.ranges[dof] = SEVERAL_HINGES
+                self.ranges[dof] = MAX_HINGE_ROW_ANGLE
         self.units = np.where(self.lengths, self.size, 1.0)
 
     def _force_watches(self, report: ImportReport) -> Iterator[tuple[str, str, int, Bounds]]:
-        """Element, its kind and number, and watch of each limit of a force that the scene never reaches."""
+        """Yield element, kind, number and watch of each limited force in the report."""
         model = self._model
         for topic, kind, count in (
             ("limit of the force", "actuator", model.nactuator),
@@ -134,18 +134,21 @@ class MjcfReference(ReferenceModel):
                         yield entry.element, kind, numbers[entry.element], watch
 
     def _changing(self, report: ImportReport, kept: Array) -> Iterator[str]:
-        """Actuators in the scene whose activations change, those apart that are not `kept` (na,)."""
+        """Yield actuators of the scene whose activations change at the start.
+
+        `kept` (na,) is False for activations that differ from the keyframe's.
+        """
         model, data, without = self._model, self._data, without_force(report)
         self._go(self.start, self._velocity)
         for k in np.flatnonzero(model.actuator_actnum).tolist():
             first, name = int(model.actuator_actadr[k]), element_name(model, "actuator", k)
             rows = slice(first, first + int(model.actuator_actnum[k]))
-            # MuJoCo's rates of what rests are differences of equal numbers
+            # rates of resting activations are exactly 0: differences of equal numbers
             if name not in without and np.any(data.act_dot[rows][kept[rows]]):
-                yield f"{name}: its activation, which does not rest"
+                yield f"{name}: its activation changes"
 
     def _leave_out(self, report: ImportReport) -> None:
-        """Switch off what a report says is not in the scene, at the start."""
+        """Switch off the elements and topics that the report leaves out."""
         model, without = self._model, left_out(report)
         counts = {
             "joint": model.njnt,
@@ -162,7 +165,7 @@ class MjcfReference(ReferenceModel):
                 else:
                     switch_off(model, kind, k, topic)
 
-    # What MuJoCo says
+    # Quantities by MuJoCo
 
     def _go(self, q: Array, v: Array) -> None:
         model, data = self._model, self._data
@@ -200,7 +203,7 @@ class MjcfReference(ReferenceModel):
         return MassProperties(np.array(masses), np.array(centers), np.array(inertias))
 
     def _centers(self) -> Array:
-        """(b, 3) of mass, after `_go`."""
+        """Return centers of mass (b, 3) of the groups, m, after `_go`."""
         mass, places = self._model.body_mass, self._data.xipos
         return np.array([mass[k] @ places[k] / max(mass[k].sum(), 1e-300) for k in self._members])
 
@@ -209,7 +212,7 @@ class MjcfReference(ReferenceModel):
         self._go(q, v)
         centers = self._centers()
         rows, drift, found = np.zeros((len(centers), 6, model.nv)), np.zeros((len(centers), 6)), np.zeros(6)
-        # MuJoCo's mj_jacDot is another's for a slide above a ball or hinge of one body
+        # mj_jacDot is not used: it is wrong for a slide above a ball or hinge of the same body
         data.qacc[:] = 0.0
         mujoco.mj_rnePostConstraint(model, data)
         weight = data.cacc[0, 3:]
@@ -235,7 +238,7 @@ class MjcfReference(ReferenceModel):
         return bare - joints, joints + (self._full(q, "tendon", "actuator") - bare if others else 0.0)
 
     def _full(self, q: Array, *kinds: str) -> Array:
-        """MuJoCo's mass matrix with the armatures of joints, and of these kinds of elements."""
+        """Return MuJoCo's mass matrix (nv, nv) with armatures of joints and of these kinds of elements."""
         model, mass = self._model, np.zeros((self._model.nv, self._model.nv))
         kept = {kind: getattr(model, f"{kind}_armature").copy() for kind in ("tendon", "actuator")}
         for kind in kept:
@@ -255,7 +258,9 @@ class MjcfReference(ReferenceModel):
         self._go(q, v)
         springs, dampers = data.qfrc_spring.copy(), data.qfrc_damper.copy()
         others = data.qfrc_passive - springs - dampers
-        others[np.abs(others) <= ROUND_OFF * np.abs(springs) + ROUND_OFF * np.abs(dampers)] = 0.0
+        others[
+            np.abs(others) <= PASSIVE_ROUND_OFF * np.abs(springs) + PASSIVE_ROUND_OFF * np.abs(dampers)
+        ] = 0.0
         return Forces(weight, springs, dampers, data.qfrc_actuator + others, data.qfrc_bias + weight)
 
     def force_limits(self, q: Array, v: Array) -> list[ForceLimit]:
@@ -281,7 +286,7 @@ class MjcfReference(ReferenceModel):
 
     def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
         model = self._model
-        whole = {f"{kind}_{field}" for kind, fields in OFF.items() for field in fields}
+        whole = {f"{kind}_{field}" for kind, fields in FORCE_ARRAYS.items() for field in fields}
         kept = {name: getattr(model, name).copy() for name in whole}
         gravity = model.opt.gravity.copy()
         for name in whole:
@@ -295,7 +300,7 @@ class MjcfReference(ReferenceModel):
             along.append(weights)
         yield "gravity", along
         model.opt.gravity[:] = 0.0
-        for kind, fields in OFF.items():
+        for kind, fields in FORCE_ARRAYS.items():
             count = model.njnt if kind == "dof" else len(kept[f"{kind}_{fields[0]}"])
             for k in range(count):
                 rows = model.dof_jntid == k if kind == "dof" else np.arange(count) == k
@@ -315,9 +320,9 @@ class MjcfReference(ReferenceModel):
         model.opt.gravity[:] = gravity
 
     def _ways(self, kind: str, k: int, samples: Sequence[Sample], gravity: Array) -> list[list[Array]]:
-        """Forces of an element alone, and of its parts that faults may have each for itself."""
+        """Return the forces of an element alone, for each way in which a fault may change them."""
         model = self._model
-        if kind == "body":  # its compensation of gravity, without its weight
+        if kind == "body":  # gravity compensation without weight
             model.opt.gravity[:] = gravity
             found = self._alone(samples)
             model.opt.gravity[:] = 0.0

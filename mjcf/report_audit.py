@@ -1,8 +1,9 @@
-"""A compiled MJCF file held to the report of its reading, element by element.
+"""Check the import report against the compiled model.
 
-For `mjcf.reference`: names of elements are all that is shared with the reading. What a report leaves out is
-switched off in MuJoCo's model, and equalities are rows of constraints by MuJoCo's own functions, made
-dimensionless, with the offsets that are left at the start.
+The module belongs to `mjcf.reference` and shares only the names of elements with the reader. It lists
+elements that the report does not mention, switches off what the report leaves out, and computes the
+constraint rows of equalities by MuJoCo's own functions. Rows are dimensionless and keep the offsets of loops
+at the start.
 """
 
 from __future__ import annotations
@@ -18,17 +19,17 @@ from newton_euler.reading.import_report import ImportReport
 from newton_euler.reading.quantities import Constraints
 from newton_euler.scalars import Array
 
-TORQUE_SCALE = 10
-"""Place in `eq_data` of a weld's factor on its angles."""
+TORQUE_SCALE_PLACE = 10
+"""Index of the factor of angles, `torquescale`, in `eq_data` of a weld."""
 
 
 def unaccounted(model: Any, roots: Sequence[int], report: ImportReport) -> Iterator[str]:
-    """Elements that act and that a report says nothing of.
+    """Yield the names of acting elements that a report does not mention.
 
     Args:
-        model: as MuJoCo compiled it.
-        roots: bodies with joints of their own.
-        report: of a reading.
+        model: compiled model.
+        roots: numbers of bodies that have joints.
+        report: report to check.
     """
     known = {entry.element for entry in report.entries}
     acting = model.tendon_stiffness != 0.0
@@ -45,12 +46,12 @@ def unaccounted(model: Any, roots: Sequence[int], report: ImportReport) -> Itera
 
 
 def without_force(report: ImportReport) -> set[str]:
-    """Elements that a report says are left out with all that they do."""
+    """Return the elements that a report leaves out entirely."""
     return {entry.element for entry in report.of("left out") if not entry.topic}
 
 
 def switch_off(model: Any, kind: str, k: int, topic: str) -> None:
-    """Switch off what a report says is left out of element number k of a kind other than equalities."""
+    """Switch off one topic of element number `k`, which the report leaves out; not for equalities."""
     match kind, topic:
         case "joint", "not linear":
             model.jnt_stiffnesspoly[k] = 0.0
@@ -65,7 +66,7 @@ def switch_off(model: Any, kind: str, k: int, topic: str) -> None:
             model.tendon_stiffness[k] = model.tendon_damping[k] = 0.0
             model.tendon_stiffnesspoly[k] = model.tendon_dampingpoly[k] = 0.0
         case "actuator", "":
-            # motors divide by their parameters, so these cannot all be zero without another type
+            # types are changed too, because motors divide by their parameters
             model.actuator_gaintype[k] = mujoco.mjtGain.mjGAIN_FIXED
             model.actuator_biastype[k] = mujoco.mjtBias.mjBIAS_NONE
             model.actuator_gainprm[k] = model.actuator_biasprm[k] = model.actuator_gear[k] = 0.0
@@ -89,37 +90,38 @@ def switch_off(model: Any, kind: str, k: int, topic: str) -> None:
 
 
 class Equalities:
-    """All equalities of a compiled file.
+    """Equality constraints of a compiled model.
 
     Attributes:
-        active: (neq,) 0 for those that hold nothing.
+        active: (neq,) 0 for equalities that are switched off.
     """
 
     def __init__(self, model: Any, data: Any, units: Array, size: float) -> None:
-        """Take a compiled model and its data, which are changed.
+        """Take a compiled model and its data. Both are changed later.
 
         Args:
-            model, data: of MuJoCo.
-            units: (nv,) of velocities.
-            size: of the scene, m.
+            model: `MjModel`.
+            data: `MjData`.
+            units: (nv,) units of velocities.
+            size: size of the mechanism, m.
         """
         self._model, self._data, self._units, self._size = model, data, units, size
         self.active = model.eq_active0.copy()
         rows = [self._units_of(k) for k in range(model.neq)]
-        # (k,) number of the equality that each row is of, and units of the rows, m or 1
+        # (k,) number of the equality and unit, m or 1, of each row
         self._owners = np.repeat(np.arange(len(rows)), [len(unit) for unit in rows])
         self._row_units = np.concatenate([np.ones(0), *rows])
 
     def constraints(self, q: Array) -> Constraints:
-        """Rows of the equalities that are not left out."""
+        """Return the rows of all active equalities at a configuration."""
         model, data = self._model, self._data
         data.qpos[:] = q
         data.eq_active[:] = self.active
         mujoco.mj_fwdPosition(model, data)
         equalities = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-        equalities &= np.isin(data.efc_id, self._owners)  # those of flexes are left out
+        equalities &= np.isin(data.efc_id, self._owners)  # rows of flexes are left out
         residual, jacobian = np.zeros(len(self._row_units)), np.zeros((len(self._row_units), model.nv))
-        there = np.isin(self._owners, data.efc_id[equalities])  # MuJoCo drops those of zeros
+        there = np.isin(self._owners, data.efc_id[equalities])  # MuJoCo drops rows of zeros
         residual[there] = data.efc_pos[equalities]
         jacobian[there] = data.efc_J.reshape(-1, model.nv)[equalities]
         names = [element_name(self._model, "equality", int(k)) for k in self._owners]
@@ -128,24 +130,24 @@ class Equalities:
         )
 
     def _units_of(self, equality: int) -> Array:
-        """Units of the rows of an equality; those of welds have a `torquescale` too."""
+        """Return the units of the rows of an equality; angles of welds are scaled by `torquescale`."""
         model, size = self._model, self._size
         first = int(model.eq_obj1id[equality])
         match mujoco.mjtEq(model.eq_type[equality]):
             case mujoco.mjtEq.mjEQ_CONNECT:
                 return np.full(3, size)
             case mujoco.mjtEq.mjEQ_WELD:
-                scale = float(model.eq_data[equality, TORQUE_SCALE]) or 1.0
+                scale = float(model.eq_data[equality, TORQUE_SCALE_PLACE]) or 1.0
                 return np.array([size] * 3 + [scale] * 3)
             case mujoco.mjtEq.mjEQ_JOINT:
                 return self._units[model.jnt_dofadr[first], None]
             case mujoco.mjtEq.mjEQ_TENDON:
                 sums = model.wrap_type[model.tendon_adr[first]] == mujoco.mjtWrap.mjWRAP_JOINT
                 return np.ones(1) if sums else np.full(1, size)
-        return np.ones(0)  # flexes have no joints
+        return np.ones(0)  # equalities of flexes have no rows here
 
     def keep_offsets(self, start: Array) -> None:
-        """Let each equality be closed where it is at a start (nq,), its second end put to the first."""
+        """Define each equality as closed at a start (nq,): move its second end to the first."""
         model, data, residuals = self._model, self._data, self.constraints(start).residual
         residuals = residuals * self._row_units
         for k in np.flatnonzero(self.active).tolist():
@@ -164,10 +166,10 @@ class Equalities:
                 back, turn = np.zeros(4), np.zeros(4)
                 mujoco.mju_negQuat(back, data.xquat[ends[0]])
                 mujoco.mju_mulQuat(turn, back, data.xquat[ends[1]])
-                values[:TORQUE_SCALE] = [*second, *first, *turn]
+                values[:TORQUE_SCALE_PLACE] = [*second, *first, *turn]
 
     def _bodies_of(self, equality: int) -> tuple[int, int]:
-        """MuJoCo's bodies of a connect or weld."""
+        """Return the two bodies of a connect or weld."""
         model = self._model
         ends = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
         if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
@@ -175,7 +177,7 @@ class Equalities:
         return ends
 
     def _first_end(self, equality: int) -> Array:
-        """(3,) the point of a connect or weld on its first body, world frame."""
+        """Return the point (3,) of a connect or weld on its first body, m, world frame."""
         model, data, first = self._model, self._data, int(self._model.eq_obj1id[equality])
         if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
             return np.array(data.site_xpos[first])

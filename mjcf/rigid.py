@@ -1,13 +1,13 @@
 """MuJoCo's model under rigid constraints.
 
-MuJoCo's equality constraints are soft, so its own accelerations are a little off whatever the
-model. Here its mass matrix, bias and actuator forces and its constraint Jacobian, as it made them
-from the MJCF, go into the equations of motion with hard constraints,
+MuJoCo's equality constraints are soft, so that its own accelerations have an error for any model. This module
+takes MuJoCo's mass matrix, bias, actuator forces and constraint Jacobian of the compiled MJCF. They enter the
+equations of motion with hard constraints,
 
     M qacc = qfrc_passive + qfrc_actuator - qfrc_bias + J^T lambda
     J qacc = -Jdot qvel + f''(t)                 (f of prescribed motions)
 
-which tells errors of a model from softness of a solver.
+so that errors of the model can be distinguished from the softness of the solver.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class RigidMuJoCo(EvaluatedScene):
     name = "mujoco_rigid"
 
     def __init__(self, scene: Scene) -> None:
-        """Compile; raises `ModelError` with MuJoCo's reason if it refuses."""
+        """Compile a scene; raises `ModelError` with MuJoCo's reason."""
         super().__init__(scene)
         of_weld = np.repeat([self.welded.mechanism.size, 1.0], 3)
         closing = {
@@ -55,51 +55,51 @@ class RigidMuJoCo(EvaluatedScene):
         return EngineControl(scene, RigidMuJoCo)
 
     def rate(self, q: Array, v: Array) -> Array:
-        """qdot (nq,)."""
+        """Return qdot (nq,)."""
         return self.tree.rate(q, v)
 
     def retract(self, q: Array, step: Array) -> Array:
-        """q moved by a small step (nv,); quaternions come out with norm 1."""
+        """Move q by a small step (nv,); quaternions keep norm 1."""
         return self.tree.retract(q, step)
 
     def _present(self) -> Array:
-        """(k,) which rows MuJoCo has at this state: it drops constraints whose rows are all zero."""
+        """Mark the rows (k,) that MuJoCo has at this state; MuJoCo drops constraints with zero rows."""
         if self.data.nefc == len(self._constraint):
             return np.ones(self.data.nefc, dtype=bool)
         return np.isin(self._constraint, self.data.efc_id)
 
     def phi(self, q: Array) -> Array:
-        """Residuals (k,) of MuJoCo's equality constraints."""
+        """Return the residuals (k,) of MuJoCo's equality constraints."""
         self.move(q, np.zeros(self.nv))
         residuals = np.zeros(len(self._constraint))
         residuals[self._present()] = self.data.efc_pos
-        # MuJoCo has equalities of joints as they are at t = 0
+        # MuJoCo's equalities of joints hold the values at t = 0
         residuals[self._coupled] += self.couplings.value(0.0) - self.couplings.value(self.time)
         return residuals
 
     def phi_t(self) -> Array:
-        """Partial derivative (k,) of `phi` by time."""
+        """Return the partial derivative (k,) of `phi` with respect to time."""
         rates = np.zeros(len(self._constraint))
         rates[self._coupled] = -self.couplings.rate(self.time)
         return rates
 
     def phi_jacobian(self, q: Array) -> Array:
-        """(k, nv): derivative of `phi` along `retract`, and of its rate by v."""
+        """Return the derivative (k, nv) of `phi` along `retract`, also of its rate with respect to v."""
         self.move(q, np.zeros(self.nv))
         return self._jacobian()
 
     def _jacobian(self) -> Array:
-        """(k, nv) efc_J for tree velocities at the state that `data` holds."""
+        """Return efc_J (k, nv) for tree velocities at the state in `data`."""
         jacobian = np.zeros((len(self._constraint), self.nv))
         jacobian[self._present()] = constraint_jacobian(self.model, self.data) @ self.layout.to_qvel
         return jacobian
 
     def velocity_product(self, q: Array, v: Array) -> Array:
-        """(k,) Jdot v, the part of the constraints' second rate that holds no acceleration."""
+        """Return Jdot v (k,), the second rate of the constraints at zero acceleration."""
         self.move(q, v)
         self.data.qacc[:] = 0.0
         mujoco.mj_rnePostConstraint(self.model, self.data)
-        product = np.zeros(len(self._constraint))  # and so it stays for sums of joints, whose J is constant
+        product = np.zeros(len(self._constraint))  # stays 0 for sums of joint coordinates
         for index in np.flatnonzero(self.model.eq_type == mujoco.mjtEq.mjEQ_JOINT).tolist():
             product[self._constraint == index] = self._polynomial_product(index)
         for loop in loops(self.model, self.data):
@@ -107,7 +107,7 @@ class RigidMuJoCo(EvaluatedScene):
         return product
 
     def _polynomial_product(self, equality: int) -> float:
-        """Jdot v of an equality of joints, y - y0 - p(x - x0): -p''(x - x0) (dx/dt)^2."""
+        """Return Jdot v = -p''(x - x0) (dx/dt)^2 of an equality of joints y - y0 = p(x - x0)."""
         model, data = self.model, self.data
         driver = int(model.eq_obj2id[equality])
         if driver < 0:
@@ -118,11 +118,11 @@ class RigidMuJoCo(EvaluatedScene):
         return float(-bend(x) * data.qvel[model.jnt_dofadr[driver]] ** 2)
 
     def acceleration(self, q: Array, v: Array) -> Array:
-        """vdot (nv,)."""
+        """Return vdot (nv,)."""
         return self._solve(q, v)[0]
 
     def velocity_transformation(self, q: Array) -> Array:
-        """(6 b, nv): v and omega of body 0, 1, ... for each velocity, by MuJoCo's Jacobians."""
+        """Return velocities (6 b, nv) of bodies 0, 1, ... per velocity v, by MuJoCo's Jacobians."""
         self.move(q, np.zeros(self.nv))
         count = len(self.mechanism.bodies)
         rows = np.zeros((2 * count, 3, self.model.nv))
@@ -153,12 +153,12 @@ class RigidMuJoCo(EvaluatedScene):
         return found
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
-        """Accelerations, reactions and energies at a state."""
+        """Compute accelerations, reactions and energies at a state."""
         acceleration, multipliers = self._solve(q, v)
         return self.evaluation(self.layout.to_qvel @ acceleration, multipliers[self._present()])
 
     def _solve(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """vdot (nv,) and the multipliers (k,) of MuJoCo's constraint rows."""
+        """Solve for vdot (nv,) and the multipliers (k,) of MuJoCo's constraint rows."""
         unused = rows_left_out(self)
         gamma = self._gamma(q, v)
         mass, force = self._mass_and_force()
@@ -167,30 +167,30 @@ class RigidMuJoCo(EvaluatedScene):
         return solve_constrained(mass, force, rows, gamma, *units, constraint_rank(self))
 
     def servo_forces(self, q: Array, v: Array, keys: Sequence[Key], accelerations: Array) -> Array:
-        """Forces on joint coordinates, N or N m, for their accelerations, by MuJoCo's own matrices."""
+        """Compute the forces on joint coordinates, N or N m, for accelerations, by MuJoCo's matrices."""
         gamma = self._gamma(q, v)
         terms, jacobian = self._mass_and_force(), self._jacobian()
         return servo_forces(self, self.tree, terms, (jacobian, gamma), keys, accelerations)
 
     def _gamma(self, q: Array, v: Array) -> Array:
-        """(k,) J vdot of MuJoCo's constraint rows."""
+        """Return J vdot (k,) of MuJoCo's constraint rows."""
         gamma = -self.velocity_product(q, v)
         gamma[self._coupled] += self.couplings.acceleration(self.time)
         return gamma
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Compute M (nv, nv) and f (nv,) of M vdot = f + J^T lambda, by MuJoCo."""
+        """Compute M (nv, nv) and f (nv,) of M vdot = f + J^T lambda at a state, by MuJoCo."""
         self.move(q, v)
         return self._mass_and_force()
 
     def _mass_and_force(self) -> tuple[Array, Array]:
-        """The same at the state that MuJoCo has."""
+        """Compute M (nv, nv) and f (nv,) at the state in `data`."""
         mass, force = mass_and_force(self.model, self.data)
         to_qvel = self.layout.to_qvel
         return to_qvel.T @ mass @ to_qvel, to_qvel.T @ force
 
     def move_anchor(self, joint: str, shift: Array) -> None:
-        """Move the point of a closure on its second body, in a compiled model, by `shift` (3,), m, world."""
+        """Move the point of a loop closure on its second body by `shift` (3,), m, world frame."""
         model, data = self.model, self.data
         data.qpos[:] = model.qpos0
         mujoco.mj_kinematics(model, data)
@@ -201,7 +201,7 @@ class RigidMuJoCo(EvaluatedScene):
         model.eq_data[loop, anchor] += turn.T @ shift
 
     def _closure(self, joint: str) -> str:
-        """Name the equality of a joint that a loop is cut at: its own, or that of the weld of its halves."""
+        """Return the name of the equality that closes the loop of a joint: its own, or a weld of halves."""
         mechanism, welded = self.mechanism, self.welded.mechanism
         cut = welded.joints[mechanism.joint_index(joint)]
         for weld in welded.joints[len(mechanism.joints) :]:

@@ -1,4 +1,4 @@
-"""Scene in, Trajectory out, by MuJoCo's own time stepping."""
+"""Simulate a scene by MuJoCo's own time stepping."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from newton_euler.scalars import Array
 if TYPE_CHECKING:
     from mjcf.soft import SoftMuJoCo
 
-LEAST_TIMESTEP = 1e-6
-"""s, below which no step is made for the sake of periods that hardly divide each other."""
+MIN_TIMESTEP = 1e-6
+"""Smallest time step, s, that is chosen to divide several periods."""
 
 IntegratorName = Literal["RK4", "Euler", "implicit", "implicitfast"]
-"""MuJoCo's integrators by the names that MJCF gives them."""
+"""Names of MuJoCo's integrators in MJCF."""
 
 INTEGRATORS: tuple[IntegratorName, ...] = get_args(IntegratorName)
 
@@ -45,24 +45,23 @@ def simulate(
     integrator: IntegratorName = "RK4",
     solref: Sequence[float] | None = None,
 ) -> Trajectory:
-    """Run a scene in MuJoCo, with soft constraints and native actuators, springs and tendons.
+    """Simulate a scene in MuJoCo, with soft constraints and native actuators, springs and tendons.
 
-    Reactions at an output are those of MuJoCo's forward dynamics in that state. Work, if the scene tracks
-    it, is that of the forces that the steps apply, see `mjcf.soft`.
+    Reactions at an output come from MuJoCo's forward dynamics at that state. If the scene tracks work, the
+    work is done by the forces that the steps apply, see `mjcf.soft`.
 
     Args:
-        scene: what to run.
-        timestep: s; must divide the time between outputs and the periods of sampled controllers. If
-            not given, the largest of at most 1 ms that does, and for a last output out of period the
-            largest of at most that.
+        scene: scene to simulate.
+        timestep: s, a divisor of the output period and of the periods of sampled controllers. None means the
+            largest divisor up to 1 ms; a shorter last output interval has shorter steps.
         integrator: one of `INTEGRATORS`.
-        solref: of loop closures, couplings and prescribed motions: time constant (s) and damping
-            ratio, (2 timestep, 1) if not given, which is as stiff as MuJoCo allows; or stiffness and
-            damping, both negative.
+        solref: stiffness of loop closures, couplings and prescribed motions: time constant (s) and damping
+            ratio, or stiffness and damping as negative numbers. None means (2 timestep, 1), the stiffest
+            constraints that MuJoCo allows.
 
     Raises:
-        NewtonEulerError: for an unknown name, an impossible option or a controller that fails;
-            `MjcfError` for a scene that MuJoCo refuses, or a run that diverges.
+        NewtonEulerError: for an unknown integrator, an impossible option or a controller that fails.
+        MjcfError: for a scene that MuJoCo refuses, or a run that diverges.
 
     Examples:
         >>> mjcf.simulate(load("pendulum"), timestep=0.001)
@@ -107,22 +106,22 @@ def simulate(
 
 
 class Steps(NamedTuple):
-    """Equal steps from one time to the next."""
+    """Number and size of the equal steps of one interval."""
 
     number: int
     size: float
-    """s"""
+    """Step, s."""
 
 
 def _fitting(interval: float, largest: float) -> Steps:
-    """The fewest steps of at most `largest` that make up an interval; of just that if it divides it."""
+    """Divide an interval into the fewest equal steps of at most `largest`, s."""
     number = max(1, int(np.ceil(interval / largest * (1.0 - 1e-9))))
     divides = abs(number * largest - interval) <= 1e-9 * interval
     return Steps(number, largest if divides else interval / number)
 
 
 def _common_divisor(first: float, second: float) -> float:
-    """The largest that divides both, by Euclid's algorithm; far below both if there is none."""
+    """Return the largest common divisor by Euclid's algorithm; round-off if there is none."""
     round_off = 1e-9 * max(first, second)
     while second > round_off:
         first, second = second, abs(math.remainder(first, second))
@@ -130,22 +129,23 @@ def _common_divisor(first: float, second: float) -> float:
 
 
 def default_timestep(scene: Scene) -> float:
-    """The step, s, that `simulate` takes if none is given."""
+    """Return the default time step of `simulate` for a scene, s."""
     return _step(scene, None)
 
 
 def _step(scene: Scene, timestep: float | None) -> float:
-    """The step, s, between outputs and between samples; an explicit `timestep` is taken or refused."""
+    """Return the time step, s: the given `timestep` if it divides all intervals, or the default."""
     repeated = [law for law in scene.sampled if law.period < scene.duration]
     lengths = [scene.output_period] if scene.output_period < scene.duration else []
     lengths += [law.period for law in repeated]
     common = lengths[0] if lengths else scene.duration
     for law in repeated:
         common = _common_divisor(common, law.period)
-        if common < min(LEAST_TIMESTEP, *lengths) * (1.0 - 1e-9):
-            needed = f"one that has a time step of {LEAST_TIMESTEP:g} s or more in common with "
-            needed += f"the {scene.output_period:.9g} s between outputs and other periods"
+        if common < min(MIN_TIMESTEP, *lengths) * (1.0 - 1e-9):
+            needed = f"a common divisor of at least {MIN_TIMESTEP:g} s with "
+            needed += f"the output period of {scene.output_period:.9g} s and other periods"
             raise OptionError(f"period of joint {law.joint!r}", law.period, needed)
+    # the default, or checks of a given step
     if timestep is None:
         return _fitting(common, TIMESTEP).size
     is_number = isinstance(timestep, Real) and not isinstance(timestep, bool)
@@ -174,7 +174,7 @@ def _checked_solref(solref: Sequence[float], timestep: float) -> tuple[float, fl
         first, second = (float(value) for value in solref)
     except (TypeError, ValueError) as error:
         raise OptionError("solref", solref, needed) from error
-    # MuJoCo would raise a shorter time constant to two time steps without a word
+    # MuJoCo silently raises a shorter time constant to two time steps
     lowest = 2.0 * timestep * (1.0 - 1e-12)
     standard = lowest <= first < np.inf and 0.0 < second < np.inf
     direct = -np.inf < first < 0.0 and -np.inf < second < 0.0
@@ -184,13 +184,14 @@ def _checked_solref(solref: Sequence[float], timestep: float) -> tuple[float, fl
 
 
 class Output(NamedTuple):
-    """A state at an output time.
+    """State at an output time.
 
     Attributes:
-        system: as it is controlled from here on.
-        q, v: tree coordinates and velocities.
-        step: s, the size of the steps before.
-        work: J, since the start; None if the scene does not track it.
+        system: scene with the controls after the output time.
+        q: (nq,) tree coordinates.
+        v: (nv,) tree velocities.
+        step: s, time step before the output.
+        work: J, since the start; None if the scene does not track work.
     """
 
     system: SoftMuJoCo
@@ -203,7 +204,7 @@ class Output(NamedTuple):
 def _run(
     system: SoftMuJoCo, plan: list[tuple[Interval, list[Steps]]], solref: tuple[float, float] | None
 ) -> tuple[list[Output], StoppedError | None]:
-    """The states at all outputs, or at those that were reached and what ended the run."""
+    """Run the plan; return the states at the outputs reached, and the error that stopped the run, if any."""
     import mujoco
 
     model, data, layout = system.model, system.data, system.layout
@@ -239,10 +240,10 @@ def _run(
                         mujoco.mj_step(model, data, number)
                     else:
                         work += system.step_with_work(number, warnings)
-                    # a step checks the state that it starts from
+                    # each step checks the state before the step
                     mujoco.mj_checkPos(model, data)
                     mujoco.mj_checkVel(model, data)
-                    if warnings:  # after one MuJoCo starts again from its initial state
+                    if warnings:  # MuJoCo resets a diverged run to its initial state
                         return rows, _divergence(*next(iter(warnings.items())), rows)
                     if wanted:
                         record()
@@ -250,9 +251,9 @@ def _run(
 
 
 def _divergence(warning: str, time: float, rows: Sequence[Output]) -> DivergenceError:
-    """MuJoCo's warning, with the joint that was fastest and the force that was largest at the last output.
+    """Make the error of a diverged run, with the fastest joint and the largest force at the last output.
 
-    Its sentences after the first say that this is unstable, and when.
+    Only the first sentence of MuJoCo's warning is kept.
     """
     system, q, v = rows[-1][:3]
     state = system.state(q, v)

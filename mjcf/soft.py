@@ -1,18 +1,18 @@
-"""MuJoCo as it is, with its soft constraints, at single states, and the work that its steps do.
+"""MuJoCo's soft constraints at single states, and the work of MuJoCo's time steps.
 
-A step h from v0 to v1 gives a mechanism the momentum h F, where F is a mean of what its stages find, and the
-work of that is h F (v0 + v1) / 2: exact for constant masses, whose kinetic energy is half of them times v^2.
-Powers at the steps' ends are no substitute where forces differ between stages or are not of the state that a
-step starts from:
+A step h changes velocities from v0 to v1 by the impulse h F, where F is a mean of the forces of the stages.
+The work of the impulse is h F (v0 + v1) / 2. This is exact for constant masses, because the kinetic energy is
+quadratic in v. Powers at the ends of steps are no substitute in two cases:
 
-- The multiplier of a prescribed motion. Its constraint is a spring with a time constant of some steps, which
-  stages of RK4 leave by parts of h^2 times the acceleration, so that it is off by some 0.1 % in each stage,
-  however small the step, and right in their weighted mean.
-- What implicit integrators take at the end of a step (MuJoCo's documentation, Computation, section Numerical
-  integration): dampers in all of them, actuators in implicit and implicitfast. Stiff ones do nearly opposite
-  work there, of which little is left.
+- Multipliers of prescribed motions. The constraint is a spring with a time constant of a few steps. The
+  stages
+  of RK4 leave it by about h^2 times the acceleration, which is an error of 0.1 % in each stage for any step.
+  The weighted mean of the stages is accurate.
+- Implicit integrators, which change forces at the end of a step (MuJoCo's documentation, Computation, section
+  Numerical integration): dampers in all of them, actuators in implicit and implicitfast. Stiff dampers and
+  actuators do nearly opposite work, so that powers lose most digits.
 
-Smooth forces in RK4 are integrated by Simpson's rule, which is of its order.
+Smooth forces in RK4 are integrated by Simpson's rule, which has the order of RK4.
 """
 
 from __future__ import annotations
@@ -44,18 +44,18 @@ RK4_WEIGHTS = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
 
 
 class SoftMuJoCo(EvaluatedScene):
-    """Equations by `mj_forward`: accelerations and constraint forces of soft constraints.
+    """Equations of motion by `mj_forward`, with accelerations and forces of soft constraints.
 
     Attributes:
-        moved: (m,) places in MuJoCo's velocities of the joint coordinates that follow prescribed motions.
-        driven: the PD laws that depend on time; those that jump are held by the scene.
-        evaluated: declared laws that are more than an actuator of MuJoCo's, by their numbers.
+        moved: (m,) numbers of MuJoCo's velocities that follow prescribed motions.
+        driven: PD laws that depend on time continuously; the scene holds laws that jump.
+        evaluated: declared laws without an equivalent actuator of MuJoCo, by number.
     """
 
     name = "mujoco"
 
     def __init__(self, scene: Scene) -> None:
-        """Compile; raises `ModelError` with MuJoCo's reason if it refuses."""
+        """Compile a scene; raises `ModelError` with MuJoCo's reason."""
         super().__init__(scene)
         first = self.model.neq - len(self.couplings.couplings)
         self._motions = np.arange(first, first + len(scene.motions))  # the first of the couplings
@@ -63,7 +63,7 @@ class SoftMuJoCo(EvaluatedScene):
         self.driven = DrivenLaws(scene.control)
         declared = [(k, law) for k, law in enumerate(scene.control) if isinstance(law, DeclaredLaw)]
         self.evaluated = {k: law for k, law in declared if law.uses_model or not isinstance(law, PD)}
-        # of the evaluations in a step; shared by copies of this object, one of which MuJoCo calls
+        # stages of a step, shared by copies of this object, because MuJoCo calls one of the copies
         self._asked: list[tuple[Array, Array]] = []
         self._stages: list[Array] = []
 
@@ -71,35 +71,35 @@ class SoftMuJoCo(EvaluatedScene):
         return EngineControl(scene, RigidMuJoCo)
 
     def use_integrator(self, name: str) -> None:
-        """Have MuJoCo integrate by the method that MJCF calls so."""
+        """Set MuJoCo's integrator by its name in MJCF."""
         self.model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{name.upper()}")
 
     def use_step(self, step: float, solref: tuple[float, float] | None = None) -> None:
-        """Have MuJoCo make steps, s, with the stiffest constraints that they allow if no solref is given."""
+        """Set the time step, s, and solref; without solref, the stiffest constraints for the step."""
         self.model.opt.timestep = step
         self.model.eq_solref[:] = solref or stiffest(step)
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
-        """Accelerations, reactions and energies at a state."""
+        """Compute accelerations, reactions and energies at a state."""
         self.place(q, v)
-        self.data.qacc_warmstart[:] = 0.0  # so that the answer does not depend on the state before
+        self.data.qacc_warmstart[:] = 0.0  # the result must not depend on the previous state
         with self.following():
             mujoco.mj_forward(self.model, self.data)
         return self.evaluation(np.array(self.data.qacc), np.array(self.data.efc_force))
 
     @contextmanager
     def following(self) -> Iterator[None]:
-        """Within it MuJoCo's actuators follow the scene's laws and wind, and joints its functions of time.
+        """Return a context in which MuJoCo follows the scene's control laws, wind and prescribed motions.
 
-        Each of MuJoCo's evaluations, those of the stages of RK4 too, gets the controls at its own time. What
-        is held for a step instead would be of second order at best, and its power would jump.
+        Each evaluation of MuJoCo, including the stages of RK4, uses the controls at its own time. Controls
+        that are held during a step would be of second order at best, and their power would jump.
 
-        MuJoCo's equalities do not depend on time. But all that a constraint row knows of its residual r
-        is the acceleration that it asks for (its documentation, Computation, section Reference),
+        MuJoCo's equalities do not depend on time. A constraint row uses its residual r only in the reference
+        acceleration (MuJoCo's documentation, Computation, section Reference),
 
-            a_ref = -b dr/dt - k d r,
+            a_ref = -b dr/dt - k d r.
 
-        which is changed here, before each of MuJoCo's solves, to that of r = x - f(t),
+        Before each solve, this is changed to the reference acceleration of r = x - f(t),
 
             a_ref = f'' - b (dx/dt - f') - k d (x - f).
         """
@@ -114,22 +114,22 @@ class SoftMuJoCo(EvaluatedScene):
             mujoco.set_mjcb_control(before)
 
     def _act(self, model: Any, data: Any) -> None:
-        """Callback of MuJoCo in each evaluation."""
-        if len(self.driven.places):  # of the others those that are sampled have changed since
+        """Set time-dependent controls, wind and motions; MuJoCo calls this in each evaluation."""
+        if len(self.driven.places):  # driven laws only; other controls are already set
             data.ctrl[self.driven.places] = self.driven.at(self.scene.control, data.time)
         if self.evaluated:
             readings = self.readings(data)
             model = self.model_forces(data, readings)
-            for k in self.evaluated:  # as the scene has them at present
+            for k in self.evaluated:  # the scene of this copy has the present laws
                 data.ctrl[k] = control(self.scene.control[k], data.time, readings, model)
         self.blow(data)
         if len(self.moved):
             self._follow(data)
 
     def _follow(self, data: Any) -> None:
-        """Change a_ref of the rows of prescribed motions at MuJoCo's time."""
+        """Change a_ref of the rows of prescribed motions to MuJoCo's time."""
         rows, functions = self._rows_of_motions(data), slice(len(self.moved))
-        if self._asked:  # accelerations are still those of the stage before
+        if self._asked:  # qacc still has the accelerations of the previous stage
             asked, stiffness = self._asked.pop()
             self._stages.append(stiffness * (asked - data.qacc[self.moved]))
         ahead = self.couplings.value(data.time)[functions] - self.couplings.value(0.0)[functions]
@@ -142,13 +142,15 @@ class SoftMuJoCo(EvaluatedScene):
         self._asked.append((np.array(data.efc_aref[rows]), np.array(data.efc_D[rows])))
 
     def _rows_of_motions(self, data: Any) -> Array:
-        """(m,) the rows of prescribed motions, which are never dropped: each moves a joint."""
+        """Return the rows (m,) of prescribed motions, which MuJoCo never drops."""
         return np.flatnonzero(np.isin(data.efc_id, self._motions))
 
     def step_with_work(self, number: int, warnings: Collection[str]) -> float:
-        """Make a number of steps from the state that `data` holds; the work, J, of what has no potential.
+        """Take steps from the state in `data`; return the work, J, of forces without potential.
 
-        No more after a step of which MuJoCo has warned: it has started again from its initial state.
+        Args:
+            number: number of steps.
+            warnings: MuJoCo's warnings. A warning ends the steps, because MuJoCo then resets the state.
         """
         model, data, size = self.model, self.data, self.model.opt.timestep
         runge_kutta = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
@@ -169,7 +171,7 @@ class SoftMuJoCo(EvaluatedScene):
                 continue
             mean = 0.5 * size * (start + data.qvel)
             if len(self.moved):
-                # a soft constraint's force is D (a_ref - a) with the acceleration a that comes about
+                # the force of a soft constraint is D (a_ref - a), with the resulting acceleration a
                 multipliers = np.array([*self._stages, data.efc_force[self._rows_of_motions(data)]])
                 weights = RK4_WEIGHTS if runge_kutta else np.ones(1)
                 work += float(weights @ multipliers @ mean[self.moved])
@@ -181,7 +183,7 @@ class SoftMuJoCo(EvaluatedScene):
         return work
 
     def _runge_kutta_step(self) -> float:
-        """Make a step of RK4 as `mj_step` does; the power, W, of actuators and dampers before it."""
+        """Take a step of RK4 like `mj_step`; return the power, W, of actuators and dampers before it."""
         model, data = self.model, self.data
         mujoco.mj_checkPos(model, data)
         mujoco.mj_checkVel(model, data)
@@ -192,27 +194,27 @@ class SoftMuJoCo(EvaluatedScene):
         return power
 
     def _power(self) -> float:
-        """Power, W, of actuators and dampers, worked out for the state that `data` holds."""
+        """Return the power, W, of actuators and dampers at the state in `data`."""
         data = self.data
         return float(data.actuator_force @ data.actuator_velocity + data.qfrc_damper @ data.qvel)
 
     def _applied(self, start: Array) -> Array:
-        """(nv,) generalized forces of actuators and dampers in the step just made from velocities `start`."""
+        """Return forces (nv,) of actuators and dampers in the last step, from velocities `start`."""
         model, data = self.model, self.data
         if model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER:  # only dampers at joints are implicit
             implicit = -model.dof_damping * (data.qvel - start)
             return np.asarray(data.qfrc_actuator + data.qfrc_damper + implicit)
-        # positions are those that the step started from until the next one; velocities are new
+        # data has positions before the step and velocities after the step
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fwdActuation(model, data)
         return np.asarray(data.qfrc_actuator + data.qfrc_damper)
 
 
 def simpson(values: Array, step: float) -> float:
-    """Integrate a function by Simpson's rule, whose values (n + 1,) at the ends of n equal steps are given.
+    """Integrate values (n + 1,) at the ends of n equal steps by Simpson's rule.
 
-    If n is odd, the last step is integrated by the parabola through the last three values, a single step by
-    the trapezoidal rule.
+    If n is odd, the last step is integrated by the parabola through the last three values. A single step is
+    integrated by the trapezoidal rule.
     """
     last = len(values) - 1
     if last == 1:

@@ -1,14 +1,19 @@
-"""Scene -> MJCF.
+"""Write a scene as MJCF.
 
-Body frames are the mechanism's own: origin at the center of mass, orientation `Body.quaternion`.
-The mechanism's ground is MuJoCo's world body. Loops close at `<connect>` and `<weld>` equality
-constraints, rods are tendons that an equality holds at their length, gears and screws are equalities of
-joints. MuJoCo has no equality that depends on time: where a motion is prescribed, the file holds the
-joint where it begins, and `mjcf.simulate` moves it. PD laws become native `<position>` actuators,
-all other control laws `<motor>`s, whose control is the force. The control of a PD law that depends on time
-is all of its force that no gain makes. `mjcf.soft` changes both. For springs and wrenches see `mjcf.forces`.
-The keyframe `start` holds the initial state with targets and held forces, so a stock viewer runs the
-scene once it loads the key.
+- Body frames have their origin at the center of mass and the orientation `Body.quaternion`. The ground of the
+  mechanism is MuJoCo's world body.
+- Loops close by `<connect>` and `<weld>` equalities. Rods are tendons whose length an equality holds. Gears
+  and
+  screws are equalities of joints.
+- MuJoCo has no time-dependent equality: the file holds a joint with prescribed motion at its start, and
+  `mjcf.simulate` moves it.
+- PD laws are `<position>` actuators. If a PD law depends on time, the control is the part of its force that
+  depends on time. All other control laws are `<motor>` elements whose control is the force; `mjcf.soft` sets
+  both kinds of controls.
+- Springs, wrenches and wind: see `mjcf.forces`.
+
+The keyframe `start` has the initial state, targets and held forces. A stock viewer runs the scene after the
+key is loaded.
 """
 
 from __future__ import annotations
@@ -62,18 +67,18 @@ TIMESTEP = 0.001
 """Time step of a written model, s."""
 
 SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""Constraint impedance; MuJoCo caps it at 0.9999, so constraints cannot be made rigid."""
+"""Constraint impedance: 0.9999 is MuJoCo's largest value, so that constraints are never rigid."""
 
-KEY = "start"
-"""Name of the keyframe that holds the initial state."""
+START_KEY = "start"
+"""Name of the keyframe with the initial state."""
 
 REALISABLE_SLACK = 1e-12
-"""Relative slack of A + B >= C that a written inertia keeps, for the round-off of MuJoCo."""
+"""Relative slack of A + B >= C in written inertias, for the round-off of MuJoCo."""
 
-SMALL_TURN = 1e-5
-"""rad, between axes of a body and principal ones, below which inertias are written in the latter."""
+MAX_PRINCIPAL_TILT = 1e-5
+"""Angle between body axes and principal axes, rad, below which inertias are written in principal axes."""
 
-COLORS = (
+BODY_COLORS = (
     "0.12 0.47 0.71 1",
     "1 0.5 0.05 1",
     "0.17 0.63 0.17 1",
@@ -83,17 +88,17 @@ COLORS = (
     "0.89 0.47 0.76 1",
     "0.09 0.75 0.81 1",
 )
-"""Colors of the moving bodies, in turn."""
+"""Colors of moving bodies, used cyclically."""
 
-DEEPEST = 490
-"""Bodies that hang from each other: MuJoCo's parser takes 500 nested elements."""
+MAX_NESTED_BODIES = 490
+"""Largest depth of the tree of bodies: MuJoCo's parser allows 500 nested elements."""
 
 GROUND_COLOR = "0.6 0.6 0.6 1"
 
 
 @checked
 def write(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write the scene's MJCF; the file appears whole or not at all. Raises `MjcfError`.
+    """Write a scene as an MJCF file; a failed write leaves no partial file. Raises `MjcfError`.
 
     Examples:
         >>> mjcf.write(load("four_bar"), "output/four_bar.xml")
@@ -108,7 +113,7 @@ def write(scene: Scene, path: str | os.PathLike[str]) -> None:
 
 @checked
 def to_xml(scene: Scene) -> str:
-    """The scene as an MJCF document; numbers keep all their digits. Raises `MjcfError`.
+    """Return a scene as an MJCF document; numbers keep all digits. Raises `MjcfError`.
 
     Examples:
         >>> mjcf.to_xml(load("pendulum"))[:7]
@@ -118,15 +123,17 @@ def to_xml(scene: Scene) -> str:
 
 
 def welded_to_xml(scene: Scene, welded: WeldedMechanism) -> str:
-    """`to_xml` for loops that are cut already."""
+    """Return the MJCF document of a scene whose loops are already cut."""
     for body in welded.mechanism.bodies[1:]:
         if body.name == "world":
-            raise ModelError(scene.name, "a moving body is named 'world', as MuJoCo's ground is")
+            raise ModelError(
+                scene.name, "a moving body is named 'world', the name of MuJoCo's ground; rename the body"
+            )
     depth = [0] * len(welded.mechanism.bodies)
     for joint in welded.tree.joints:
         depth[joint.child] = depth[joint.parent] + 1
-    if max(depth) > DEEPEST:
-        reason = f"{max(depth)} bodies hang from each other, at most {DEEPEST} in its XML"
+    if max(depth) > MAX_NESTED_BODIES:
+        reason = f"{max(depth)} bodies in one branch; MuJoCo's XML allows at most {MAX_NESTED_BODIES}"
         raise ModelError(scene.name, reason)
     root = ET.Element("mujoco", model=scene.name)
     _settings(root, scene)
@@ -158,7 +165,7 @@ def _settings(root: ET.Element, scene: Scene) -> None:
 
 
 def _look(root: ET.Element, scene: Scene) -> None:
-    """The part of the world that viewers show at first, fitted to the mechanism."""
+    """Set the initial camera of viewers to the mechanism."""
     mechanism = scene.mechanism
     points = [body.center_of_mass for body in mechanism.bodies[1:]]
     points += [joint.point for joint in mechanism.joints]
@@ -171,7 +178,7 @@ def _look(root: ET.Element, scene: Scene) -> None:
 
 
 def _world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
-    """The tree of bodies, each nested in its parent."""
+    """Add the tree of bodies with their shapes and sites."""
     _look(root, scene)
     world = ET.SubElement(root, "worldbody")
     in_world = Pose(np.zeros(3), np.eye(3))
@@ -184,7 +191,7 @@ def _world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
         elements[kept.child] = element
         if kept.child < len(scene.mechanism.bodies):
             body = scene.mechanism.bodies[kept.child]
-            color = COLORS[(kept.child - 1) % len(COLORS)]
+            color = BODY_COLORS[(kept.child - 1) % len(BODY_COLORS)]
             for shape in scene.mechanism.shapes(kept.child):
                 add_geom(element, shape, color, body.pose, body.quaternion)
     add_sites(elements, scene)
@@ -199,7 +206,7 @@ def _body(
     welded: WeldedMechanism,
     springs: dict[str, dict[str, str]],
 ) -> ET.Element:
-    """One body without its shapes, sites and children."""
+    """Add a body with its inertia and joints, without shapes, sites and children."""
     mechanism = welded.mechanism
     body, parent = mechanism.bodies[kept.child], mechanism.bodies[kept.parent]
     position, quaternion = body.center_of_mass, body.quaternion
@@ -222,12 +229,12 @@ def _body(
 
 
 def _inertial(element: ET.Element, body: Body) -> None:
-    """Mass and inertia. MuJoCo takes no inertia that breaks A + B >= C, not even by round-off."""
+    """Add mass and inertia. MuJoCo refuses an inertia that violates A + B >= C, even by round-off."""
     inertia = body.inertia
     a, b, c = np.linalg.eigvalsh(inertia)
     lacking = c - a - b + REALISABLE_SLACK * c
     if lacking > 0.0:
-        # all three moments grow alike: that keeps the principal axes, and it is enough
+        # an equal increase of all three moments keeps the principal axes
         inertia = inertia + lacking * np.eye(3)
         note = f"moments of inertia raised by {lacking:.3g} kg m^2 so that A + B >= C holds"
         element.append(ET.Comment(f" {note} "))
@@ -236,30 +243,30 @@ def _inertial(element: ET.Element, body: Body) -> None:
         moments, axes = principal(inertia)
         inertial.set("quat", numbers(from_rotation(axes)))
         inertial.set("diaginertia", numbers(moments))
-        element.set("simple", "false")  # else MuJoCo would take the axes for the body's
+        element.set("simple", "false")  # otherwise MuJoCo uses the body axes
         return
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia
     inertial.set("fullinertia", numbers([xx, yy, zz, xy, xz, yz]))
 
 
 def _nearly_principal(inertia: Array) -> bool:
-    """True if MuJoCo would drop products of inertia: its principal axes take no turn of 1e-6 rad."""
+    """True if MuJoCo would drop products of inertia: its principal axes ignore turns of about 1e-6 rad."""
     rows, columns = np.triu_indices(3, 1)
     products = np.abs(inertia[rows, columns])
     moments = np.diag(inertia)
-    turns = products < SMALL_TURN * np.abs(moments[rows] - moments[columns])
+    turns = products < MAX_PRINCIPAL_TILT * np.abs(moments[rows] - moments[columns])
     return bool(np.any(turns & (products > np.finfo(float).eps * moments.max())))
 
 
 def principal(inertia: Array) -> tuple[Array, Array]:
-    """Principal moments (3,) of an inertia (3, 3), and its axes, the columns of a rotation matrix."""
+    """Return principal moments (3,) of an inertia (3, 3), and its axes as columns of a rotation matrix."""
     moments, axes = np.linalg.eigh(inertia)
     axes[:, 0] *= np.linalg.det(axes)
     return moments, axes
 
 
 def add_geom(element: ET.Element, shape: Shape, color: str, pose: Pose, quaternion: Array) -> None:
-    """A shape in the frame of its body."""
+    """Add a shape in the frame of its body."""
     geom = ET.SubElement(element, "geom")
     geom.set("type", type(shape).__name__.lower())
     if isinstance(shape, Box):
@@ -278,7 +285,7 @@ def add_geom(element: ET.Element, shape: Shape, color: str, pose: Pose, quaterni
 
 
 def rods(welded: WeldedMechanism) -> list[Rod]:
-    """The rods among the joints."""
+    """Return the rods among the joints."""
     return [joint for joint in welded.mechanism.joints if isinstance(joint, Rod)]
 
 
@@ -297,7 +304,7 @@ def _tendons(root: ET.Element, scene: Scene, welded: WeldedMechanism) -> None:
 
 
 def _equalities(root: ET.Element, scene: Scene, welded: WeldedMechanism) -> None:
-    """Cuts, then couplings."""
+    """Add equalities of loop closures, then of couplings."""
     equality = ET.Element("equality")
     _add_cuts(equality, welded)
     for coupling in couplings(scene):
@@ -307,7 +314,7 @@ def _equalities(root: ET.Element, scene: Scene, welded: WeldedMechanism) -> None
 
 
 def _add_coupling(equality: ET.Element, scene: Scene, coupling: Coupling) -> None:
-    """x_1 = constant + p(x_2); the constant is where a prescribed motion begins."""
+    """Add x_1 = constant + p(x_2); the constant is the first value of a prescribed motion."""
     names = [_coordinate(scene, key) for key in coupling.factors]
     if len(names) > 2:
         attributes = {"name": f"coupling {coupling.name}", "tendon1": f"coupling {coupling.name}"}
@@ -315,10 +322,10 @@ def _add_coupling(equality: ET.Element, scene: Scene, coupling: Coupling) -> Non
         return
     first, *second = coupling.factors.values()
     constant = coupling.function.value(0.0) / first if coupling.function else 0.0
-    higher = [factor for powers in coupling.powers.values() for factor in powers]  # of the driver alone
+    higher = [factor for powers in coupling.powers.values() for factor in powers]  # powers of the driver
     coefficients = [constant, *(-factor / first for factor in (*second, *higher)), 0.0, 0.0, 0.0, 0.0]
     attributes = {f"joint{k}": name for k, name in enumerate(names, start=1)}
-    # a joint may have a motion for each of its coordinates
+    # the coordinate makes names of several motions of one joint unique
     attributes["name"] = f"{coupling.what} {coupling.name if second else names[0]}"
     attributes["polycoef"] = numbers(coefficients[:5])
     ET.SubElement(equality, "joint", attributes)
@@ -330,7 +337,7 @@ def _coordinate(scene: Scene, key: Key) -> str:
 
 
 def _add_cuts(equality: ET.Element, welded: WeldedMechanism) -> None:
-    """Cuts at balls, rods and welds."""
+    """Add equalities of balls, rods and welds that close loops."""
     mechanism = welded.mechanism
     ground = mechanism.body_names[0]
     for index in welded.tree.cuts:
@@ -341,7 +348,7 @@ def _add_cuts(equality: ET.Element, welded: WeldedMechanism) -> None:
             length = {"tendon1": f"rod {joint.name}", "polycoef": "0 0 0 0 0"}
             ET.SubElement(equality, "tendon", name=joint.name, attrib=length)
             continue
-        # MuJoCo's world body is not at the pose of the ground
+        # MuJoCo's world body is at the origin, not at the pose of the ground
         (p1, q1), (p2, q2) = (
             (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
             if body is mechanism.bodies[0]
@@ -353,7 +360,7 @@ def _add_cuts(equality: ET.Element, welded: WeldedMechanism) -> None:
             ET.SubElement(equality, "connect", attributes, anchor=numbers(anchor))
         else:
             anchor = rotation(q2).T @ (joint.reaction_point - p2)
-            # MuJoCo takes the position of relpose for that of the anchor, not of the body
+            # the position of relpose is the anchor's, not the body's
             place = rotation(q1).T @ (joint.reaction_point - p1)
             relative = np.concatenate([place, product(conjugate(q1), q2)])
             ET.SubElement(equality, "weld", attributes, anchor=numbers(anchor), relpose=numbers(relative))
@@ -368,13 +375,13 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
             ET.SubElement(actuator, "motor", name=name, joint=name)
             continue
         if law.damping < 0.0:
-            reason = f"damping of joint {law.joint!r} is {law.damping:g}; MuJoCo takes none below 0"
+            reason = f"damping of joint {law.joint!r} is {law.damping:g}; MuJoCo needs 0 or more"
             raise ModelError(scene.name, reason)
         element = ET.SubElement(actuator, "position", name=name, joint=name)
         gains = {"kp": number(law.stiffness), "kv": number(law.damping)}
         changes = law.is_driven or law.uses_model
         if law.feedforward or changes:
-            # what a position actuator is made of, and a constant or the control
+            # a position actuator written as general, with a constant or a control in addition
             element.tag = "general"
             gain, constant = (1.0, 0.0) if changes else (law.stiffness, law.feedforward_at(0.0))
             bias = numbers([constant, -law.stiffness, -law.damping])
@@ -389,14 +396,16 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
 def controls(
     scene: Scene, time: float, readings: Readings, model: Mapping[Key, float] = NO_FORCES
 ) -> list[float]:
-    """Return the ctrl of MuJoCo's actuators at a time in s, see `control`; 1 for wrenches, none for wind."""
+    """Return the controls of MuJoCo's actuators at a time, s: of control laws, and 1 for wrenches."""
     return [control(law, time, readings, model) for law in scene.control] + [1.0] * len(wrenches(scene))
 
 
 def control(law: Law, time: float, readings: Readings, model: Mapping[Key, float]) -> float:
-    """A force (N or N m), the part of a PD law that changes and no gain makes, or a target (m or rad).
+    """Return the control of a law's actuator at a time, s.
 
-    `model` has the forces that laws get of a model of the mechanism.
+    The control of a PD law is its target, m or rad, or its time-dependent force, N or N m, if the law depends
+    on time or on a model. The control of other laws is their force. `model` has the model-based forces of
+    laws.
     """
     if isinstance(law, HeldLaw):
         return law.held
@@ -415,7 +424,7 @@ def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
     state = initial_state(scene)
     q, v = welded.tree.coordinates(welded.state(state))
     q = TreeCouplings(scene, welded.tree).turned(q, state, 0.0)
-    attributes = {"name": KEY}
+    attributes = {"name": START_KEY}
     if len(q):
         attributes["qpos"] = numbers(layout.to_qpos @ q)
         attributes["qvel"] = numbers(layout.to_qvel @ v)

@@ -34,7 +34,7 @@ from newton_euler.model.source_file import ReadOptions, Request, path_text, read
 from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.reading import plausibility
 from newton_euler.reading.activity import Bounds, Rest, Watch
-from newton_euler.reading.excitation import moving
+from newton_euler.reading.excitation import with_start_velocities
 from newton_euler.reading.import_report import (
     CONTACTS,
     FRICTION,
@@ -45,7 +45,7 @@ from newton_euler.reading.import_report import (
     unique_name,
 )
 from newton_euler.reading.reference import ReferenceModel
-from newton_euler.reading.verify import check
+from newton_euler.reading.verify import verify_report
 from newton_euler.scalars import Array
 from urdf.errors import UrdfError
 from urdf.extensions import Extensions, PointSpringElement
@@ -292,10 +292,10 @@ def _reading(
     with np.errstate(all="ignore"), overheard([]):
         report.references.append((reference(report, scene), scene))
     if request.verified:
-        report.start.append(check(report))
+        report.start.append(verify_report(report))
     report.findings.extend(plausibility.findings(scene.mechanism))
     if request.excitation:
-        scene, fastest = moving(scene, report.bounds)
+        scene, fastest = with_start_velocities(scene, report.bounds)
         report.start.append(f"excited: {fastest}")
     return Reading(scene, report)
 

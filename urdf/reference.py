@@ -18,7 +18,7 @@ from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.model.scene import Scene
 from newton_euler.reading.import_report import ImportReport, left_out, unique_name
 from newton_euler.reading.quantities import Constraints, Forces, Kinematics
-from newton_euler.reading.reference import SEVERAL_HINGES, ReferenceModel, Sample, wholes
+from newton_euler.reading.reference import MAX_HINGE_ROW_ANGLE, ReferenceModel, Sample, names_of_wholes
 from newton_euler.scalars import Array, cross, tilde
 from urdf.constraints import power_sums
 from urdf.extensions import Extensions
@@ -88,7 +88,7 @@ class PinocchioOriginal(ReferenceModel):
         for k in self._joints:
             bodies = (f.name for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == k)
             taken.append(unique_name(str(next(bodies, model.names[k])), f"body_{k}", taken))
-        self.names = wholes(taken[1:], scene.mechanism.body_names)
+        self.names = names_of_wholes(taken[1:], scene.mechanism.body_names)
         massless = {k for k in range(1, model.njoints) if k not in self._joints}
         self.ranges = np.full(model.nv, 3.0)
         names = [""] * model.nv
@@ -98,7 +98,7 @@ class PinocchioOriginal(ReferenceModel):
             place = slice(model.joints[k].idx_v, model.joints[k].idx_v + model.joints[k].nv)
             names[place] = [f"joint {self._of[k]!r}"] * model.joints[k].nv
             if k in massless or model.parents[k] in massless:
-                self.ranges[place] = SEVERAL_HINGES
+                self.ranges[place] = MAX_HINGE_ROW_ANGLE
         self.motions = tuple(names)
         self.lengths = ~np.any(columns[3:] != 0.0, axis=0)
         self.units = np.where(self.lengths, self.size, 1.0)

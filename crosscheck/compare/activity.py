@@ -9,7 +9,7 @@ from crosscheck.engines.engine import native_method
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory
-from newton_euler.reading.activity import Course
+from newton_euler.reading.activity import SampledMotion
 from newton_euler.reading.import_report import CONTACTS, ImportedElement, ImportReport
 from newton_euler.runs.simulate import simulate
 
@@ -32,7 +32,7 @@ def watched(scene: Scene, mapping: ImportReport, run: Trajectory) -> ImportRepor
         mapping: what became of the elements of the file.
         run: of the scene, with velocities.
     """
-    found = mapping.after(Course(scene, run))
+    found = mapping.after(SampledMotion(scene, run))
     for factor in CLOSER_OUTPUTS:
         if not found.unsettled:
             break
@@ -45,7 +45,7 @@ def watched(scene: Scene, mapping: ImportReport, run: Trajectory) -> ImportRepor
             finer = error.partial
         except NewtonEulerError:
             break
-        found = found.after(Course(closer, finer))
+        found = found.after(SampledMotion(closer, finer))
     return found
 
 

@@ -15,7 +15,7 @@ from newton_euler.model.motions import Sum
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.reading.activity import Bounds
-from newton_euler.reading.excitation import HIGHEST, swings
+from newton_euler.reading.excitation import MAX_FREQUENCY, swings
 from newton_euler.scalars import Array
 
 
@@ -137,7 +137,7 @@ def control_for(model: Any, actuator: int) -> float:
     act = A sin(w t) takes A w cos(w t) of an integrator, and A sin(w t) + A w tau cos(w t) of a filter
     (MuJoCo's documentation, Modeling, Actuator, attribute dyntype). 1 without dynamics.
     """
-    fastest, kind = 2.0 * np.pi * HIGHEST, mujoco.mjtDyn(model.actuator_dyntype[actuator])
+    fastest, kind = 2.0 * np.pi * MAX_FREQUENCY, mujoco.mjtDyn(model.actuator_dyntype[actuator])
     if kind == mujoco.mjtDyn.mjDYN_NONE:
         return 1.0
     if kind == mujoco.mjtDyn.mjDYN_INTEGRATOR:

@@ -19,7 +19,15 @@ from mjcf.reading.joints import Joints
 from mjcf.reading.loops import fixed
 from mjcf.reading.start import Start
 from newton_euler.model.euler_parameters import rotations
-from newton_euler.reading.activity import PARTS, UNSETTLED, Bounds, Course, Judged, Rest, Watch
+from newton_euler.reading.activity import (
+    POINTS_PER_INTERVAL,
+    UNSETTLED,
+    Activity,
+    Bounds,
+    Rest,
+    SampledMotion,
+    Watch,
+)
 from newton_euler.reading.import_report import CONTACTS, FRICTION, LIMITS, ImportReport
 from newton_euler.scalars import Array
 
@@ -188,12 +196,12 @@ class Poses:
             model.opt.disableflags &= ~int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{bit}"))
         return model
 
-    def along(self, course: Course) -> Iterator[tuple[float, Any]]:
+    def along(self, motion: SampledMotion) -> Iterator[tuple[float, Any]]:
         """Go through the moments of a run with MuJoCo's data there, collisions and tendons not worked out."""
         data = mujoco.MjData(self.model)
-        all_centers, quaternions = course.poses
+        all_centers, quaternions = motion.poses
         for time, centers, turns in zip(
-            course.time.tolist(), all_centers, rotations(quaternions), strict=True
+            motion.time.tolist(), all_centers, rotations(quaternions), strict=True
         ):
             for points, axes in CARRIED:
                 owners, (arms, local) = self._owners[points], self._local[points]
@@ -208,10 +216,10 @@ class Touching:
     def __init__(self, poses: Poses) -> None:
         self._poses = poses
 
-    def judge(self, course: Course) -> Judged:
+    def judge(self, motion: SampledMotion) -> Activity:
         model, count = self._poses.model, 0
         pairs: dict[tuple[int, int], tuple[float, float]] = {}  # first time, s, and depth, m
-        for time, data in self._poses.along(course):
+        for time, data in self._poses.along(motion):
             mujoco.mj_collision(model, data)
             depths = np.where(data.contact.exclude == 0, data.contact.includemargin - data.contact.dist, 0.0)
             if not np.any(depths > PENETRATION):
@@ -221,18 +229,18 @@ class Touching:
                 one, two = map(int, data.contact.geom[number])
                 pairs.setdefault((one, two), (time, float(depths[number])))
         if pairs:
-            words = f"active at {count} of {len(course.time)} moments"
+            words = f"active at {count} of {len(motion.time)} moments"
             for pair, (time, depth) in list(pairs.items())[:MOST_PAIRS]:
                 order = "then" if "first" in words else "first"
                 names = " and ".join(map(self._name, pair))
                 words += f", {order} at {time:.4g} s: {names}, {depth:.3g} m nearer than their margin"
             if len(pairs) > MOST_PAIRS:
                 words += f", and {len(pairs) - MOST_PAIRS} more pairs"
-            return Judged(words, next(iter(pairs.values()))[0], settled=course.is_fine)
-        if not course.is_fine:
-            return Judged(UNSETTLED, 0.0, settled=False)
-        between = f"and at {PARTS - 1} moments between each two"
-        return Judged(f"inactive at all {len(course.run.time)} output times {between}")
+            return Activity(words, next(iter(pairs.values()))[0], settled=motion.is_fine)
+        if not motion.is_fine:
+            return Activity(UNSETTLED, 0.0, settled=False)
+        between = f"and at {POINTS_PER_INTERVAL - 1} moments between each two"
+        return Activity(f"inactive at all {len(motion.run.time)} output times {between}")
 
     def _name(self, geom: int) -> str:
         if geom < 0:
@@ -248,12 +256,14 @@ class Stretched:
     def __init__(self, poses: Poses, tendon: int) -> None:
         self._poses, self._tendon = poses, tendon
 
-    def judge(self, course: Course) -> Judged:
+    def judge(self, motion: SampledMotion) -> Activity:
         model, lengths = self._poses.model, []
         margin = float(model.tendon_margin[self._tendon])
         low, high = (float(x) for x in model.tendon_range[self._tendon])
-        for _, data in self._poses.along(course):
+        for _, data in self._poses.along(motion):
             mujoco.mj_tendon(model, data)
             lengths.append(float(data.ten_length[self._tendon]))
-        doubt = np.full(len(course.run.time) - 1, 0.0 if course.is_fine else np.inf)
-        return Bounds((), low + margin, high - margin, "m").judged(course.time, np.array(lengths), doubt)
+        doubt = np.full(len(motion.run.time) - 1, 0.0 if motion.is_fine else np.inf)
+        return Bounds((), low + margin, high - margin, "m").judge_values(
+            motion.time, np.array(lengths), doubt
+        )

@@ -8,7 +8,7 @@ import numpy as np
 from mjcf.loops import ends
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.joints import Joints
-from mjcf.reading.start import TORQUE_SCALE, Start
+from mjcf.reading.start import TORQUE_SCALE_PLACE, Start
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling, PolynomialCoupling
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Fixed, Rod, Spherical
@@ -17,7 +17,7 @@ from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.reading.import_report import ImportReport, unique_name
 from newton_euler.scalars import Array
 
-RIGID = "held rigidly, where MuJoCo's solref and solimp let it give way"
+HELD_RIGIDLY = "held rigidly, where MuJoCo's solref and solimp let it give way"
 
 
 class Loops:
@@ -76,12 +76,12 @@ class Loops:
             self._leave(index, f"both its bodies are parts of {first!r}", inert=True)
             return
         turns = self._model.eq_type[index] == mujoco.mjtEq.mjEQ_WELD
-        weld = turns and self._model.eq_data[index, TORQUE_SCALE] != 0.0
+        weld = turns and self._model.eq_data[index, TORQUE_SCALE_PLACE] != 0.0
         kind = Fixed if weld else Spherical
         name = self._name(index)
         # one point for both, so that the loop keeps what the file's digits leave it open by
         self.joints.append(kind(name, first, second, p))
-        self._report.exactly(self._start.equality(index), f"{kind.kind} joint {name!r}, {RIGID}")
+        self._report.exactly(self._start.equality(index), f"{kind.kind} joint {name!r}, {HELD_RIGIDLY}")
 
     def _add_joint(self, index: int) -> None:
         model = self._model
@@ -92,19 +92,19 @@ class Loops:
         polynomial = model.eq_data[index][:5]
         follower = self._joints.keys[first]
         if second < 0:
-            self._couple(index, follower, None, 0.0, RIGID)
+            self._couple(index, follower, None, 0.0, HELD_RIGIDLY)
             return
         driver = self._joints.keys[second]
         place = int(model.jnt_qposadr[second])
         x = float(self._data.qpos[place] - model.qpos0[place])
         if not np.any(polynomial[2:]):
-            self._couple(index, follower, driver, float(polynomial[1]), RIGID)
+            self._couple(index, follower, driver, float(polynomial[1]), HELD_RIGIDLY)
             return
         coefficients = tuple(np.trim_zeros(polynomial[1:], "b").tolist())
         name = self._name(index)
         file = PolynomialCoupling(name, driver[0], follower[0], coefficients, driver[1], follower[1])
         self.gears.append(file.from_zero(x))
-        self._report.exactly(self._start.equality(index), f"polynomial coupling {name!r}, {RIGID}")
+        self._report.exactly(self._start.equality(index), f"polynomial coupling {name!r}, {HELD_RIGIDLY}")
 
     def _couple(self, index: int, follower: Key, driver: Key | None, ratio: float, how: str) -> None:
         """Add a gear or a held joint."""
@@ -131,7 +131,7 @@ class Loops:
                 return
             name = self._name(index)
             self.joints.append(Rod(name, *names, p, point_on_second=q))
-            self._report.exactly(self._start.equality(index), f"rod {name!r}, {RIGID}")
+            self._report.exactly(self._start.equality(index), f"rod {name!r}, {HELD_RIGIDLY}")
             return
         weights = fixed(self._start, tendons[0])
         others = fixed(self._start, tendons[1]) if len(tendons) == 2 else {}
@@ -146,14 +146,14 @@ class Loops:
             total[joint] = total.get(joint, 0.0) - polynomial[1] * weight
         terms = [(self._joints.keys[k], w) for k, w in total.items() if w != 0.0]
         if len(terms) == 1:
-            self._couple(index, terms[0][0], None, 0.0, RIGID)
+            self._couple(index, terms[0][0], None, 0.0, HELD_RIGIDLY)
         elif len(terms) == 2:
             (follower, own), (driver, other) = terms
-            self._couple(index, follower, driver, -other / own, RIGID)
+            self._couple(index, follower, driver, -other / own, HELD_RIGIDLY)
         elif terms:
             name = self._name(index)
             self.gears.append(LinearCoupling(name, tuple((*key, weight) for key, weight in terms)))
-            how_kept = f"coupling {name!r} of {len(terms)} joint coordinates, {RIGID}"
+            how_kept = f"coupling {name!r} of {len(terms)} joint coordinates, {HELD_RIGIDLY}"
             self._report.exactly(self._start.equality(index), how_kept)
         else:
             self._leave(index, "couples nothing", inert=True)

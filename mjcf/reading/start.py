@@ -17,10 +17,10 @@ from newton_euler.model.mechanism import spread
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Array
 
-TORQUE_SCALE = 10
+TORQUE_SCALE_PLACE = 10
 """Where `eq_data` of a weld has the factor on its last three residuals, the vector part of a quaternion."""
 
-DISABLED = ("CONTACT", "LIMIT", "FRICTIONLOSS", "WARMSTART")
+SWITCHED_OFF_FEATURES = ("CONTACT", "LIMIT", "FRICTIONLOSS", "WARMSTART")
 """What is outside of rigid dynamics with bilateral constraints."""
 
 
@@ -55,7 +55,9 @@ class Start(FileStart):
         self.path, self.model = path, model
         self.data: Any = mujoco.MjData(model)
         self._disabled = int(model.opt.disableflags)
-        model.opt.disableflags |= sum(int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{n}")) for n in DISABLED)
+        model.opt.disableflags |= sum(
+            int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{n}")) for n in SWITCHED_OFF_FEATURES
+        )
         # frames that are nearly a body's own would be taken for it, as they are in the mass of simple bodies
         model.body_sameframe[model.body_simple == 0] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         if self.disabled("GRAVITY"):
@@ -112,7 +114,7 @@ class Start(FileStart):
         scales = np.ones(len(numbers))
         for weld in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_WELD):
             turning = np.flatnonzero(numbers == weld)[3:]
-            scales[turning] = model.eq_data[weld, TORQUE_SCALE] or 1.0  # rows of zeros are none
+            scales[turning] = model.eq_data[weld, TORQUE_SCALE_PLACE] or 1.0  # rows of zeros are none
         return scales
 
     def units(self) -> Units:

@@ -1,9 +1,10 @@
-"""Activity in a run of elements that a scene leaves out.
+"""Find the elements of a file, such as limits and contacts, that would have acted in a run.
 
-Limits, contacts and dry friction are no bilateral constraints, and scenes have none. If no limit is reached
-and nothing touches, the run is that of the file all the same. Between output times the motion is taken from
-cubics through values and rates. The error of the cubics is estimated from cubics across each output. If this
-error hides whether an element acts, the judgment is not settled: a run with closer outputs settles it.
+Joint limits, contacts and dry friction are one-sided, and scenes do not simulate them. If no limit is reached
+and nothing touches, the run is nevertheless the run of the file. Between output times the motion is
+interpolated by cubics through values and rates. The error of the cubics is estimated from cubics across each
+output. If the error hides whether an element acts, the result is not settled; closer outputs settle the
+result.
 """
 
 from __future__ import annotations
@@ -22,20 +23,37 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
-AT_REST = 1e-12  # m/s and rad/s, below which velocities are round-off
-PARTS = 16  # of the time between outputs, at whose ends elements are looked at
-FINE = 1e-2  # rad, and m per m of the longest body, by which poses between outputs may be off
-TOUCH = 1e-9  # rad, m, or share of a limit of a force, by which a limit may be passed and carry no force
-ROUNDED = 1e-6  # the same at the start: files that MuJoCo saves have six digits
-SETTLED_SHARE = 1e-3  # of the most by which a limit is passed: error of motion that tells when it first is
+REST_SPEED = 1e-12
+"""Speed, m/s or rad/s, below which velocities are round-off."""
+
+POINTS_PER_INTERVAL = 16
+"""Number of equal parts of each output interval; elements are checked at the ends of the parts."""
+
+MAX_POSE_ERROR = 1e-2
+"""Largest error of interpolated poses: rad, and m per m of the longest body."""
+
+LIMIT_TOLERANCE = 1e-9
+"""Overshoot of a limit that carries no force: rad, m, or a fraction of the limit of a force."""
+
+START_LIMIT_TOLERANCE = 1e-6
+"""Overshoot of a limit at the start that carries no force: files that MuJoCo saves have six digits."""
+
+SETTLED_SHARE = 1e-3
+"""Largest interpolation error, as a fraction of the overshoot, that settles when a limit is first passed."""
+
 UNSETTLED = "may act between output times"
+"""Words of a result that closer outputs have to settle."""
 
 
-def missed(time: Array, x: Array, rate: Array) -> Array:
-    """Bound by how much cubics miss values (n, ...) between outputs, (n - 1, ...).
+def cubic_error(time: Array, x: Array, rate: Array) -> Array:
+    """Estimate the error of cubics through values (n, ...) and rates between outputs.
 
-    The larger, of the outputs at both ends, of what the cubic across that output misses there: of the value,
-    and of the rate times the step. Infinite if there are too few outputs to tell.
+    For each output, a cubic through its two neighbors predicts the value and the rate. The error at the
+    output is the error of the value plus the error of the rate times the step.
+
+    Returns:
+        (n - 1, ...) the larger error of the two outputs that bound each interval; infinite for fewer than
+        three outputs.
     """
     if len(time) < 3:
         return np.full((len(time) - 1, *x.shape[1:]), np.inf)
@@ -51,17 +69,18 @@ def missed(time: Array, x: Array, rate: Array) -> Array:
     return np.maximum(miss[:-1], miss[1:])
 
 
-class Course:
-    """A scene's bodies and joint coordinates along a run with velocities.
+class SampledMotion:
+    """Bodies and joint coordinates of a scene at the output times of a run and between them.
 
     Attributes:
-        scene, run: the two.
-        time: (m,) s: output times, and between each two of them the ends of `PARTS` equal parts.
+        scene: the scene of the run.
+        run: a trajectory with velocities.
+        time: (m,) s, output times and `POINTS_PER_INTERVAL` - 1 times between each two of them.
     """
 
     def __init__(self, scene: Scene, run: Trajectory) -> None:
         self.scene, self.run = scene, run
-        shares = np.arange(PARTS) / PARTS
+        shares = np.arange(POINTS_PER_INTERVAL) / POINTS_PER_INTERVAL
         between = run.time[:-1, None] + np.diff(run.time)[:, None] * shares
         self.time: Array = np.append(between.ravel(), run.time[-1])
         self._found: dict[Key, tuple[Array, Array, Array]] = {}
@@ -77,38 +96,40 @@ class Course:
 
     @cached_property
     def is_fine(self) -> bool:
-        """True if outputs are close enough to tell poses between them to within `FINE`."""
+        """True if the interpolated poses are accurate to `MAX_POSE_ERROR`."""
         run = self.run
         assert run.linear_velocity is not None
-        moved = np.linalg.norm(missed(run.time, run.position, run.linear_velocity), axis=2)
-        turned = 2.0 * np.linalg.norm(missed(run.time, run.quaternion, self._spins), axis=2)
+        moved = np.linalg.norm(cubic_error(run.time, run.position, run.linear_velocity), axis=2)
+        turned = 2.0 * np.linalg.norm(cubic_error(run.time, run.quaternion, self._spins), axis=2)
         longest = self.scene.mechanism.longest
-        return bool(np.all(moved <= FINE * longest) and np.all(turned <= FINE))
+        return bool(np.all(moved <= MAX_POSE_ERROR * longest) and np.all(turned <= MAX_POSE_ERROR))
 
     @cached_property
     def poses(self) -> tuple[Array, Array]:
-        """Centers of mass (m, b, 3) and quaternions (m, b, 4) at all times."""
+        """Centers of mass (m, b, 3), m, and quaternions (m, b, 4) at all times, world frame."""
         turned = _curve(self.run.time, self.run.quaternion, self._spins)(self.time)
         assert self.run.linear_velocity is not None
         centers = _curve(self.run.time, self.run.position, self.run.linear_velocity)(self.time)
         return centers, turned / np.linalg.norm(turned, axis=2, keepdims=True)
 
-    @np.errstate(invalid="ignore")  # of hinges in a row, which do not reach every orientation
+    @np.errstate(
+        invalid="ignore"
+    )  # angles of several hinges in a row are NaN for orientations out of their reach
     def coordinate(self, key: Key) -> tuple[Array, Array, Array]:
-        """Compute a joint coordinate, m or rad from the initial pose, turns counted.
+        """Compute a joint coordinate, m or rad from the initial pose, revolutions counted.
 
         Returns:
-            The coordinate (m,), its rate (m,), and by how much it may be off between outputs (n - 1,). NaN
-            where poses do not tell it at all output times.
+            The coordinate (m,), its rate (m,), and its interpolation error between outputs (n - 1,). All are
+            NaN if the poses do not determine the coordinate at every output time.
         """
         if key not in self._found:
             (joint, number), time = key, self.run.time
-            motion = replace(self.run, mechanism=self.scene.mechanism).joint(joint)
-            assert motion.rates is not None
-            x, rate = motion.coordinates[:, number], motion.rates[:, number]
+            measured = replace(self.run, mechanism=self.scene.mechanism).joint(joint)
+            assert measured.rates is not None
+            x, rate = measured.coordinates[:, number], measured.rates[:, number]
             if np.all(np.isfinite([x, rate])):
                 curve = _curve(time, x, rate)
-                self._found[key] = curve(self.time), curve(self.time, 1), missed(time, x, rate)
+                self._found[key] = curve(self.time), curve(self.time, 1), cubic_error(time, x, rate)
             else:
                 unknown = np.full(self.time.shape, np.nan)
                 self._found[key] = unknown, unknown, unknown[1 : len(time)]
@@ -116,7 +137,7 @@ class Course:
 
 
 def _curve(time: Array, x: Array, rate: Array) -> Any:
-    """Interpolate values (n, ...) by Hermite's cubics: a function of times, s, and the order 0 or 1."""
+    """Interpolate (n, ...) by cubic Hermite polynomials, as a function of time, s, and derivative order."""
 
     def curve(at: Array | float, order: int = 0) -> Array:
         if len(time) == 1:
@@ -133,13 +154,13 @@ def _curve(time: Array, x: Array, rate: Array) -> Any:
     return curve
 
 
-class Judged(NamedTuple):
-    """Observation of an element in a run.
+class Activity(NamedTuple):
+    """Activity of an element in a run.
 
     Attributes:
-        words: what was seen.
-        since: s, the first time at which the element acts; None if it does not.
-        settled: False if outputs are too far apart to tell whether and when the element acts.
+        words: the observation, for the report.
+        since: s, the first time at which the element acts; None if the element does not act.
+        settled: False if only closer outputs can show whether and when the element acts.
     """
 
     words: str
@@ -153,26 +174,29 @@ class Judged(NamedTuple):
 
 
 class Watch(Protocol):
-    """Watch that tells whether an element is active."""
+    """Test of one condition under which an element acts."""
 
-    def judge(self, course: Course) -> Judged:
-        """Look at all moments of a run."""
+    def judge(self, motion: SampledMotion) -> Activity:
+        """Report whether the element acts at any time of a motion."""
 
 
 LENGTHS_AND_ANGLES = ("m", "rad", "m or rad", "m/s", "rad/s")
-"""Units in which `TOUCH` and `ROUNDED` are absolute."""
+"""Units whose tolerances are absolute; tolerances of other units are relative to the limit."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """A limit: constant + by_value * x + by_rate * dx/dt stays within low and high, x a sum of coordinates.
+    """Limit of a joint coordinate or force: low <= constant + by_value * x + by_rate * dx/dt <= high.
 
-    The constant may be a function of time.
+    x is a weighted sum of joint coordinates.
 
     Attributes:
-        terms: joint coordinates with what they count in x.
-        low, high: may be infinite.
-        unit: of the quantity.
+        terms: joint coordinates with their weights in x.
+        low, high: limits, may be infinite.
+        unit: unit of the limits.
+        constant: number, or function of time.
+        by_value: factor of x.
+        by_rate: factor of dx/dt, s.
     """
 
     terms: tuple[tuple[Key, float], ...]
@@ -183,50 +207,57 @@ class Bounds:
     by_value: float = 1.0
     by_rate: float = 0.0
 
-    def judge(self, course: Course) -> Judged:
-        x, rate = np.zeros((2, len(course.time)))
-        steps = np.diff(course.run.time)
+    def judge(self, motion: SampledMotion) -> Activity:
+        x, rate = np.zeros((2, len(motion.time)))
+        steps = np.diff(motion.run.time)
         doubt = np.zeros(steps.shape)
         for key, factor in self.terms:
-            value, slope, miss = course.coordinate(key)
+            value, slope, miss = motion.coordinate(key)
             x, rate = x + factor * value, rate + factor * slope
             doubt += abs(factor) * (abs(self.by_value) + abs(self.by_rate) / steps) * miss
         if not np.all(np.isfinite(x)):
-            return Judged("not judged: the poses do not determine its coordinate", 0.0)
+            return Activity("not judged: the poses do not determine its coordinate", 0.0)
         constant: Any = self.constant
         if isinstance(constant, TimeFunction):
-            constant = np.array([constant.value(time) for time in course.time.tolist()])
-        return self.judged(course.time, constant + self.by_value * x + self.by_rate * rate, doubt)
+            constant = np.array([constant.value(time) for time in motion.time.tolist()])
+        return self.judge_values(motion.time, constant + self.by_value * x + self.by_rate * rate, doubt)
 
-    def judged(self, times: Array, found: Array, doubt: Array) -> Judged:
-        """Judge values (m,) at times (m,), s, whose error between outputs is at most `doubt` (n - 1,).
+    def judge_values(self, times: Array, found: Array, doubt: Array) -> Activity:
+        """Find the first time at which values pass the limits.
 
-        A limit acts where the values pass it. A coordinate that starts at its limit and moves inwards needs
-        no force, even if digits of the file put it outside by up to `ROUNDED`.
+        A coordinate that starts at its limit and moves inwards needs no force, even if the rounded digits of
+        the file place the start up to `START_LIMIT_TOLERANCE` outside.
+
+        Args:
+            times: (m,) s.
+            found: (m,) values of the limited quantity.
+            doubt: (n - 1,) largest error of the values in each output interval.
         """
         room = np.minimum(found - self.low, self.high - found)
         least = int(np.argmin(room))
         if np.isinf(room[least]):
-            return Judged("no limit")
+            return Activity("no limit")
         ends = [abs(limit) for limit in (self.low, self.high) if np.isfinite(limit)]
         scale = 1.0 if self.unit in LENGTHS_AND_ANGLES else max(ends)
-        passed = room < -TOUCH * scale
-        outside, inwards = _way_inwards(room, ROUNDED * scale)
+        # times at which the limit is passed, without a start that moves inwards
+        passed = room < -LIMIT_TOLERANCE * scale
+        outside, inwards = _way_inwards(room, START_LIMIT_TOLERANCE * scale)
         passed[:outside] = False
-        nearest = np.min(np.minimum(room[1:], room[:-1]).reshape(-1, PARTS), axis=1)
-        nearest[: inwards // PARTS] = np.inf
-        unseen = (nearest < doubt) & (doubt > TOUCH * scale)
-        starts = times[:-1:PARTS]
+        # output intervals in which the interpolation error may hide that the limit is passed
+        nearest = np.min(np.minimum(room[1:], room[:-1]).reshape(-1, POINTS_PER_INTERVAL), axis=1)
+        nearest[: inwards // POINTS_PER_INTERVAL] = np.inf
+        unseen = (nearest < doubt) & (doubt > LIMIT_TOLERANCE * scale)
+        starts = times[:-1:POINTS_PER_INTERVAL]
         if np.any(passed):
             first = int(np.argmax(passed))
-            within = max(0, first - 1) // PARTS  # the number of the interval between outputs
+            within = max(0, first - 1) // POINTS_PER_INTERVAL  # the number of the interval between outputs
             is_exact = first == 0 or doubt[within] <= SETTLED_SHARE * -room[least]
             settled = is_exact and not np.any(unseen[:within])
             words = f"passed from {times[first]:.4g} s on, by up to {-room[least]:.3g} {self.unit}"
-            return Judged(words, float(times[first]), bool(settled))
+            return Activity(words, float(times[first]), bool(settled))
         if np.any(unseen):
-            return Judged(UNSETTLED, float(starts[int(np.argmax(unseen))]), settled=False)
-        return Judged(f"closest {max(0.0, room[least]):.3g} {self.unit} at {times[least]:.4g} s")
+            return Activity(UNSETTLED, float(starts[int(np.argmax(unseen))]), settled=False)
+        return Activity(f"closest {max(0.0, room[least]):.3g} {self.unit} at {times[least]:.4g} s")
 
 
 def _way_inwards(room: Array, rounded: float) -> tuple[int, int]:
@@ -234,11 +265,11 @@ def _way_inwards(room: Array, rounded: float) -> tuple[int, int]:
 
     Args:
         room: (m,) distances from the limit, negative outside.
-        rounded: how far from the limit a start at the limit may be.
+        rounded: largest distance from the limit at which a value starts "at" the limit.
 
     Returns:
-        The number of moments until the value is inside, and until it turns back. Both are 0 for a value that
-        starts elsewhere or moves outwards.
+        The number of time points until the value is inside, and until the value turns back. Both are 0 for a
+        value that starts elsewhere or moves outwards.
     """
     rises = np.diff(room) > 0.0
     inwards = len(rises) if np.all(rises) else int(np.argmin(rises))
@@ -250,22 +281,22 @@ def _way_inwards(room: Array, rounded: float) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Rest:
-    """Dry friction, which does nothing as long as its joint coordinates stay where they are by themselves."""
+    """Test of dry friction, which cannot act while its joint coordinates stay at rest without friction."""
 
     keys: tuple[Key, ...]
 
-    def judge(self, course: Course) -> Judged:
-        seen = (course.coordinate(key) for key in self.keys)
+    def judge(self, motion: SampledMotion) -> Activity:
+        seen = (motion.coordinate(key) for key in self.keys)
         moves = np.max([np.maximum(np.abs(x - x[0]), np.abs(rate)) for x, rate, _ in seen], axis=0)
-        if np.max(moves) <= AT_REST:
-            return Judged("it stays where it is")
-        first = float(course.time[int(np.argmax(moves > AT_REST))])
-        return Judged(f"moves from {first:.4g} s on", first)
+        if np.max(moves) <= REST_SPEED:
+            return Activity("at rest")
+        first = float(motion.time[int(np.argmax(moves > REST_SPEED))])
+        return Activity(f"moves from {first:.4g} s on", first)
 
 
-def judged(watches: Sequence[Watch], course: Course) -> Judged:
-    """Judge an element by all its watches: it acts from the first time on at which any of them does."""
-    found = [watch.judge(course) for watch in watches]
+def judge_all(watches: Sequence[Watch], motion: SampledMotion) -> Activity:
+    """Combine the watches of an element, which acts from the first time at which any of them acts."""
+    found = [watch.judge(motion) for watch in watches]
     times = [each.since for each in found if each.since is not None]
     words = "; ".join(each.words for each in found if each.active == bool(times))
-    return Judged(words, min(times, default=None), all(each.settled for each in found))
+    return Activity(words, min(times, default=None), all(each.settled for each in found))

@@ -1,8 +1,9 @@
-"""Poses, energies and accelerations of a system against those of a file's own model.
+"""Compare poses, energies and accelerations of equations of motion with the file's reference model.
 
-Accelerations are put into the file's own equations, M a = f + J^T lambda and J a = -dJ/dt v: what is left of
-the first along motions that are free in the file, and of the second. No solution of these equations is
-compared, so that no decision on a rank is.
+Accelerations are substituted into the equations of the reference model, M a = f + J^T lambda and
+J a = -dJ/dt v. The checks are the residual of the first equation along the free motions of the file, and the
+residual of the second equation. Solutions of the two models are not compared, because a solution depends on a
+decision on the rank of J.
 """
 
 from __future__ import annotations
@@ -14,32 +15,35 @@ import numpy as np
 from newton_euler.equations.dense import least_squares, singular_values
 from newton_euler.equations.system import Evaluation
 from newton_euler.model.euler_parameters import angle_between
-from newton_euler.reading.figure import Figure, figure, worst
-from newton_euler.reading.forces import largest, row_figure
-from newton_euler.reading.placed import Place, Placed
-from newton_euler.reading.quantities import DOUBT, FREE, KINDS
-from newton_euler.reading.reference import ROUND_OFF, Sample
+from newton_euler.reading.checks import ReadingCheck, closest_to_failing, worst_entry
+from newton_euler.reading.forces import row_check, row_scales
+from newton_euler.reading.placement import SamplePlacement, ScenePlacement
+from newton_euler.reading.quantities import FORCE_KINDS, FREE_SINGULAR_VALUE, HELD_SINGULAR_VALUE
+from newton_euler.reading.reference import READING_ROUND_OFF, Sample
 from newton_euler.scalars import Array
 
-RATE = 1.0  # rad/s and sizes per s, of the samples' velocities: what mechanisms do at least
-LOSS = 100.0  # times as large as round-off accelerations are that went through those of bodies
-ROW_LOSS = (
-    1000.0  # the same of rows whose bodies have 1e-9 of the inertia of others: an elimination mixes them
-)
+SAMPLE_RATE = 1.0
+"""Typical speed of the samples, rad/s and sizes/s: the smallest scale of rates."""
+
+ACCELERATION_LOSS = 100.0
+"""Error of accelerations that are computed from accelerations of bodies, as a multiple of round-off."""
+
+LIGHT_BODY_LOSS = 1000.0
+"""The same multiple for bodies with 1e-9 of the inertia of other bodies, which an elimination mixes."""
 
 
-def system_figures(placed: Placed) -> Iterator[Figure]:
-    """Poses, energies and accelerations of a system at the samples."""
+def system_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
+    """Check poses, energies and accelerations of equations of motion at the samples."""
     coordinates = [placed.system.coordinates(place.state) for place in placed.places]
     found = [placed.system.evaluate(q, v) for q, v in coordinates]
     reach = placed.reference.size
     reach += max(float(np.max(np.abs(place.state.position))) for place in placed.places)
-    yield from _pose_figures(placed, found, reach)
-    yield from _energy_figures(placed, found, reach)
-    yield from _acceleration_figures(placed, found)
+    yield from _pose_checks(placed, found, reach)
+    yield from _energy_checks(placed, found, reach)
+    yield from _acceleration_checks(placed, found)
 
 
-def _pose_figures(placed: Placed, found: Sequence[Evaluation], reach: float) -> Iterator[Figure]:
+def _pose_checks(placed: ScenePlacement, found: Sequence[Evaluation], reach: float) -> Iterator[ReadingCheck]:
     shift, turn, speed = [], [], []
     for each, place in zip(found, placed.places, strict=True):
         state, wanted = each.state, place.state
@@ -50,18 +54,23 @@ def _pose_figures(placed: Placed, found: Sequence[Evaluation], reach: float) -> 
         speed.append(np.maximum(linear, angular))
     limits = np.array([place.sample.tolerance_of_motion for place in placed.places])[:, None]
     names = placed.mechanism.body_names
-    yield figure("positions, rel", np.array(shift), limits, names)
-    yield figure("orientations, rad", np.array(turn), limits, names)
-    yield figure("velocities, rel", np.array(speed), limits, names)
+    yield worst_entry("positions, rel", np.array(shift), limits, names)
+    yield worst_entry("orientations, rad", np.array(turn), limits, names)
+    yield worst_entry("velocities, rel", np.array(speed), limits, names)
 
 
-def _energy_figures(placed: Placed, found: Sequence[Evaluation], reach: float) -> Iterator[Figure]:
-    """Potential energies are compared less those at the start: files and scenes have different zeros."""
+def _energy_checks(
+    placed: ScenePlacement, found: Sequence[Evaluation], reach: float
+) -> Iterator[ReadingCheck]:
+    """Check kinetic energies, and potential energies relative to the start.
+
+    Files and scenes have different zeros of the potential energy.
+    """
     samples = placed.reference.samples
     wanted = np.array([sample.energies for sample in samples])
     energies = np.array([[each.kinetic_energy, each.potential_energy] for each in found])
     mass = sum(body.mass for body in placed.mechanism.bodies)
-    usual = 0.5 * mass * (placed.reference.size * RATE) ** 2
+    usual = 0.5 * mass * (placed.reference.size * SAMPLE_RATE) ** 2
     weight = mass * float(np.linalg.norm(placed.scene.gravity)) * reach
     limits = np.array([sample.tolerance_of_motion for sample in samples])
     names = [f"state {k}" for k in range(len(found))]
@@ -69,68 +78,77 @@ def _energy_figures(placed: Placed, found: Sequence[Evaluation], reach: float) -
     gaps = energies - wanted
     gaps[:, 1] -= gaps[0, 1]
     for k, quantity in enumerate(("kinetic energy, rel", "potential energy, rel")):
-        yield figure(quantity, np.abs(gaps[:, k]) / scales[k], limits, names)
+        yield worst_entry(quantity, np.abs(gaps[:, k]) / scales[k], limits, names)
 
 
-def _acceleration_figures(placed: Placed, found: Sequence[Evaluation]) -> Iterator[Figure]:
-    """Accelerations of bodies in the file's own equations of motion and of constraints."""
+def _acceleration_checks(placed: ScenePlacement, found: Sequence[Evaluation]) -> Iterator[ReadingCheck]:
+    """Check accelerations of bodies by the equations of motion and of constraints of the reference model."""
     reference, across, loops, left, scales = placed.reference, [], [], [], []
     for place, each in zip(placed.places, found, strict=True):
         accelerations = np.hstack([each.linear_acceleration, each.angular_acceleration]).ravel()
         own, strange = _own_acceleration(placed, place, accelerations)
         across.append(strange)
-        loops += _loop_figures(place.sample, own, reference.units)
+        loops += _loop_check(place.sample, own, reference.units)
+        # residual of M a = f along the motions that are certainly free, in independent velocities
         basis, a = place.sample.freedom.basis, reference.units * own
         mass, forces = np.sum(place.sample.mass_matrices, axis=0), np.array(place.sample.forces)
-        push = forces[: len(KINDS)].sum(axis=0) - forces[-1]
+        push = forces[: len(FORCE_KINDS)].sum(axis=0) - forces[-1]
         certain = place.sample.freedom.certain
         onto = certain @ np.linalg.pinv(certain)
         left.append(onto.T @ (basis.T @ (mass @ a - push)))
-        usual = np.abs(a) + RATE**2 * reference.units  # where nothing pushes, the rest is round-off
+        usual = np.abs(a) + SAMPLE_RATE**2 * reference.units  # the scale where no force acts
         scales.append(np.abs(basis).T @ (np.abs(mass) @ usual + np.abs(forces).sum(axis=0)))
-    yield worst(across)
+    yield closest_to_failing(across)
     if loops:
-        yield worst(loops)
-    # multipliers of rows in doubt are large, and what round-off lets them do to free motions is too
-    doubts = [sample.freedom.doubt for sample in reference.samples if sample.freedom.doubt > FREE]
-    spread = max((np.finfo(float).eps / (ROUND_OFF * doubt) for doubt in doubts), default=0.0)
-    scale = (LOSS + spread) * largest(reference, scales)
+        yield closest_to_failing(loops)
+    # constraint rows in doubt have large multipliers, whose round-off shows along the free motions
+    doubts = [
+        sample.freedom.doubt for sample in reference.samples if sample.freedom.doubt > FREE_SINGULAR_VALUE
+    ]
+    spread = max((np.finfo(float).eps / (READING_ROUND_OFF * doubt) for doubt in doubts), default=0.0)
+    scale = (ACCELERATION_LOSS + spread) * row_scales(reference, scales)
     limits = [sample.tolerance_of_motion for sample in reference.samples]
-    yield row_figure(reference, "accelerations, as forces, rel", left, scale, limits)
+    yield row_check(reference, "accelerations, as forces, rel", left, scale, limits)
 
 
-def _own_acceleration(placed: Placed, place: Place, accelerations: Array) -> tuple[Array, Figure]:
-    """(nv,) of the file's coordinates, dimensionless, and the part of those of bodies across its joints."""
+def _own_acceleration(
+    placed: ScenePlacement, place: SamplePlacement, accelerations: Array
+) -> tuple[Array, ReadingCheck]:
+    """Fit dimensionless accelerations (nv,) of the file's coordinates to accelerations of the bodies.
+
+    The check is the part of the body accelerations that no joint of the file allows.
+    """
     rows = place.of_parts / placed.part_units[:, None] * placed.reference.units
     reached, drift = placed.of_parts(accelerations), place.drift / placed.part_units
     own = least_squares(rows, reached - drift)
-    scale = max(RATE**2, float(np.max(np.abs([reached, drift]))))
+    scale = max(SAMPLE_RATE**2, float(np.max(np.abs([reached, drift]))))
     gaps = np.abs(rows @ own - (reached - drift)).reshape(-1, 6).max(axis=1) / scale
     limit, names = place.sample.tolerance_of_motion, placed.reference.names
-    return own, figure("accelerations across joints, rel", gaps, limit, names)
+    return own, worst_entry("accelerations across joints, rel", gaps, limit, names)
 
 
-def _loop_figures(sample: Sample, own: Array, units: Array) -> list[Figure]:
-    """Rates at which accelerations (nv,) open the file's constraints that hold; none without any.
+def _loop_check(sample: Sample, own: Array, units: Array) -> list[ReadingCheck]:
+    """Check the second rates of the file's constraints at accelerations (nv,); no check without constraints.
 
-    Accelerations are known to the round-off of M a = f by component (N. J. Higham, Accuracy and Stability of
-    Numerical Algorithms, 2002, section 7.2). This counts for light bodies at the end of a heavy chain.
+    Accelerations have the componentwise round-off of M a = f (N. J. Higham, Accuracy and Stability of
+    Numerical Algorithms, 2002, section 7.2). The componentwise bound matters for light bodies at the end of a
+    heavy chain.
     """
     _, jacobian, owners = sample.constraints
     if not len(owners):
         return []
     fine, coarse = sample.velocity_products
-    scale = float(np.max(np.abs(jacobian))) * max(RATE**2, float(np.max(np.abs(own))))
-    # no acceleration changes what lies outside the range of the rows: of those that are redundant, in doubt,
-    # of loops that keep an offset, and of those that lose rank in a singular configuration
+    scale = float(np.max(np.abs(jacobian))) * max(SAMPLE_RATE**2, float(np.max(np.abs(own))))
+    # Only the range of rows that certainly hold is judged. No acceleration changes the rest: redundant rows,
+    # rows in doubt, loops that keep an offset, rows that lose rank in a singular configuration.
     u, s, _ = singular_values(jacobian)
-    held = u[:, s > DOUBT * max(1.0, float(s[0]))]
+    held = u[:, s > HELD_SINGULAR_VALUE * max(1.0, float(s[0]))]
     opened, unsure = (held @ (held.T @ each) for each in (jacobian @ own + fine, coarse - fine))
-    scale = max(scale, RATE**2)
+    scale = max(scale, SAMPLE_RATE**2)
     mass, forces = np.abs(np.sum(sample.mass_matrices, axis=0)), np.abs(np.array(sample.forces)).sum(axis=0)
     inverse = np.abs(np.linalg.inv(np.sum(sample.mass_matrices, axis=0)))
-    unknown = inverse @ (mass @ (units * (np.abs(own) + RATE**2)) + forces) / units
-    lost = ROW_LOSS * np.finfo(float).eps * float(np.max(np.abs(jacobian) @ unknown))
+    unknown = inverse @ (mass @ (units * (np.abs(own) + SAMPLE_RATE**2)) + forces) / units
+    lost = LIGHT_BODY_LOSS * np.finfo(float).eps * float(np.max(np.abs(jacobian) @ unknown))
     gaps = np.maximum(np.abs(opened) - np.abs(unsure) - lost, 0.0) / scale
     limit = sample.tolerance_of_motion
-    return [figure("accelerations across loops, rel", gaps, limit, owners)]
+    return [worst_entry("accelerations across loops, rel", gaps, limit, owners)]

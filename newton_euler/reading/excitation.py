@@ -1,7 +1,7 @@
-"""Excitation: states at random, and small motions that make a run depend on as much of a scene as it can.
+"""Excitation of a scene: small start velocities, sines for actuators, and random consistent states.
 
-Models stand still or fall freely as their files have them, and engines that agree on such runs show little.
-Everything here is a function of the scene alone, the same in every process.
+Most models stand still or fall freely at their initial state, and a run without motion tests little. All
+results are functions of the scene alone and the same in every process.
 """
 
 from __future__ import annotations
@@ -31,70 +31,97 @@ from newton_euler.reading.activity import Bounds
 from newton_euler.runs.assemble import assemble, initial_state, measured_coordinate
 from newton_euler.scalars import Array
 
-SPIN, SPEED = 0.5, 0.1  # rad/s and sizes/s, at most, of joints at the start
-SWING, SHIFT = 0.2, 0.05  # rad and sizes, about as far as a driven joint moves
-LEAST_SHARE = 0.05  # of these that a joint keeps however little room its limits leave, so that loops move
-ROOM_SHARE = 0.5  # of the room that limits leave, at most, that start velocities use; the rest is for swings
-LOWEST, HIGHEST = 0.7, 1.9  # Hz, between which frequencies are spread
-GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # its multiples, less whole numbers, are spread evenly
-SEED = 0  # of the directions of start velocities
-RANDOM_AMPLITUDE = 0.2  # rad, and sizes, that `random_states` moves joints by before it closes the loops
-STRAY = 3.0  # how many times as far as that a joint may end up from where it started
-ATTEMPTS = 50
-ROUND_OFF = 1e-9  # relative, of velocities
-AT_REST = 1e-9  # rad/s and sizes/s, below which a mechanism that is given velocities cannot move
+MAX_START_SPIN, MAX_START_SPEED = 0.5, 0.1
+"""Largest start velocities of joints, rad/s and sizes/s."""
+
+SWING_ANGLE, SWING_LENGTH = 0.2, 0.05
+"""Approximate amplitudes of driven joints, rad and sizes."""
+
+MIN_KEPT_SHARE = 0.05
+"""Smallest fraction of these speeds and amplitudes that limits leave, so that closed loops can move."""
+
+START_ROOM_SHARE = 0.5
+"""Largest fraction of the distance to a limit that start velocities use; sines use the rest."""
+
+MIN_FREQUENCY, MAX_FREQUENCY = 0.7, 1.9
+"""Range of the frequencies of sines, Hz."""
+
+RANDOM_AMPLITUDE = 0.2
+"""Amplitude of random joint displacements before loops are closed, rad and sizes."""
+
+MAX_STRAY_FACTOR = 3.0
+"""Largest displacement of a joint after its loops are closed, as a multiple of the random amplitude."""
+
+MAX_TRIES_PER_STATE = 50
+"""Number of random displacements per requested state before the search is given up."""
+
+ROUND_OFF_SPEED = 1e-9
+"""Relative size of velocities that are round-off."""
+
+MIN_START_SPEED = 1e-9
+"""Speed, rad/s and sizes/s, below which constraints leave a mechanism no start velocities."""
 
 
-def moving(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[Scene, str]:
+def with_start_velocities(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[Scene, str]:
     """Give a scene consistent start velocities of all its joints.
 
+    The velocities use at most `START_ROOM_SHARE` of the distance to each limit; for a joint coordinate during
+    the whole run. A joint moves towards the side with more room. If a closed loop decides the direction, all
+    joints that constraints connect with the loop move in the direction that allows the higher speed. Joints
+    that share no constraint do not slow each other down.
+
     Args:
-        scene: at its start.
-        bounds: limits of what the velocities change at once, such as the force of a servo with damping, and
-            of joint coordinates. The velocities use at most `ROOM_SHARE` of the room that each limit leaves,
-            for coordinates in the whole duration. A joint moves to the side where its limits leave more room.
-            If a closed loop decides its direction, all joints that constraints connect with that loop move
-            the way that allows the higher speed. Joints that share no constraint do not slow each other down.
+        scene: scene at rest, at its initial state.
+        bounds: limits of joint coordinates, and of forces that depend on velocities, such as the force of a
+            servo with damping.
 
     Returns:
-        The scene, and how fast joints turn and slide, in words. A start where constraints lose rank stays at
-        rest: most velocities that are free there begin no motion.
+        The scene with start velocities, and the largest speeds in words. A singular initial configuration
+        stays at rest: most velocities that are free in such a configuration begin no motion.
 
     Raises:
-        AssemblyError: where velocities cannot be made to fit the constraints.
+        AssemblyError: if no velocities satisfy the constraints.
     """
     system = Relative(scene)
     q, _ = system.coordinates(initial_state(scene))
     jacobian = dimensionless_jacobian(system, q)
     if rank(jacobian) < constraint_rank(system):
         return scene, "no start velocities, as the start is a singular configuration"
+    # 1. largest speed of each joint, from its kind and from limits of forces
     lengths = system.tree.is_length
-    limits = np.where(lengths, SPEED * scene.mechanism.size, SPIN)
+    limits = np.where(lengths, MAX_START_SPEED * scene.mechanism.size, MAX_START_SPIN)
     bounds = list(bounds)
     rows = _rate_rows(system, q, bounds)
     for row in rows:
         acting = row != 0.0
         limits[acting] = np.minimum(limits[acting], 1.0 / (np.sum(acting) * np.abs(row[acting])))
-    rng = np.random.default_rng(SEED)
+    # 2. direction of each joint, and its largest speed, from limits of its coordinate
+    rng = np.random.default_rng(0)
     signs = rng.choice([-1.0, 1.0], system.nv)
     rooms, fastest = list(_rooms(system, bounds)), limits.copy()
     for room in rooms:
         k, (down, up) = room.place, (room.down, room.up)
         if k is not None:
             signs[k] = signs[k] if down == up else np.sign(up - down)
-            limits[k] *= np.clip(ROOM_SHARE * max(down, up) / (scene.duration * limits[k]), LEAST_SHARE, 1.0)
+            limits[k] *= np.clip(
+                START_ROOM_SHARE * max(down, up) / (scene.duration * limits[k]), MIN_KEPT_SHARE, 1.0
+            )
+    # 3. random speeds, projected on the free motions
     wanted = limits * signs * rng.uniform(0.5, 1.0, system.nv)
     free = orthonormal_null(jacobian, constraint_rank(system))
     v = system.velocity_units * (free @ (free.T @ (wanted / system.velocity_units)))
+    # 4. groups of joints that constraints and limits connect
     turning = _turning(scene, system, q)
     turned = turning.reshape(-1, system.nv) * system.velocity_units
     parts = list(_parts([*jacobian, *turned, *(row / np.max(np.abs(row)) for row in rows if np.any(row))]))
     reaches = [_reach_of(v * part, limits, turning, rows) for part in parts]
-    if max(reaches, default=0.0) * SPIN < AT_REST:
+    if max(reaches, default=0.0) * MAX_START_SPIN < MIN_START_SPEED:
         return scene, "no start velocities, as constraints leave none"
-    # parts that share no constraint keep the proportions that they were drawn with
+    # 5. scale each group to its limits; the proportions between groups stay as drawn
     drawn = np.abs(wanted) / limits
-    moving_parts = [pair for pair in zip(parts, reaches, strict=True) if pair[1] * SPIN >= AT_REST]
+    moving_parts = [
+        pair for pair in zip(parts, reaches, strict=True) if pair[1] * MAX_START_SPIN >= MIN_START_SPEED
+    ]
     most = max(np.max(drawn[part]) for part, _ in moving_parts)
     found = np.zeros(system.nv)
     for part, reached in moving_parts:
@@ -106,14 +133,15 @@ def moving(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[Scene, str]:
         "rad/s": float(np.max(np.linalg.norm(turning @ v, axis=1), initial=0.0)),
         "m/s": float(np.max(np.abs(v[lengths]), initial=0.0)),
     }
-    said = " and ".join(f"{speed:.2g} {unit}" for unit, speed in speeds.items() if speed > AT_REST)
+    said = " and ".join(f"{speed:.2g} {unit}" for unit, speed in speeds.items() if speed > MIN_START_SPEED)
     return replace(scene, initial_state=state), f"start velocities up to {said}"
 
 
 def _rate_rows(system: Relative, q: Array, bounds: Iterable[Bounds]) -> list[Array]:
-    """Rows (nv,) of the start's velocities, each of which uses `ROOM_SHARE` of a limit's room where it is 1.
+    """Return rows (nv,) for limits that depend on velocities.
 
-    A limit that the start has reached already leaves no room, and has no row.
+    If row @ v is 1, velocities v use `START_ROOM_SHARE` of the distance to the limit. A limit that the start
+    has already reached has no row.
     """
     measured, rows = system.measured(q, np.zeros(system.nv)), list[Array]()
     for bound in bounds:
@@ -126,18 +154,19 @@ def _rate_rows(system: Relative, q: Array, bounds: Iterable[Bounds]) -> list[Arr
         row = np.zeros(system.nv)
         for key, factor in bound.terms:
             for k, x in measured[key].jacobian.items():
-                row[k] += factor * x * bound.by_rate / (ROOM_SHARE * room)
+                row[k] += factor * x * bound.by_rate / (START_ROOM_SHARE * room)
         rows.append(row)
     return rows
 
 
-class Room(NamedTuple):
-    """Room that the limits of a joint coordinate leave at the start.
+class LimitRoom(NamedTuple):
+    """Distances of a joint coordinate from its limits at the start.
 
     Attributes:
-        key: of the coordinate.
-        place: number of its velocity; None if the joint is cut.
-        down, up: distances to the limits, m or rad.
+        key: joint and number of the coordinate.
+        place: number of the coordinate's velocity; None for a joint that closes a loop.
+        down: distance to the lower limit, m or rad.
+        up: distance to the upper limit, m or rad.
     """
 
     key: Key
@@ -146,11 +175,11 @@ class Room(NamedTuple):
     up: float
 
 
-def _rooms(system: Relative, bounds: Iterable[Bounds]) -> Iterator[Room]:
-    """Yield the room that limits of each joint coordinate leave.
+def _rooms(system: Relative, bounds: Iterable[Bounds]) -> Iterator[LimitRoom]:
+    """Yield the distances of joint coordinates from their limits.
 
-    A coordinate that starts outside of its limits has no room on that side and may move inwards. A range of
-    no width, which exporters write for limits that they do not know, is none.
+    A coordinate that starts outside a limit has no room on that side and may move inwards. A range of zero
+    width does not limit: exporters write such ranges for unknown limits.
     """
     start = initial_state(system.scene)
     for bound in bounds:
@@ -164,16 +193,18 @@ def _rooms(system: Relative, bounds: Iterable[Bounds]) -> Iterator[Room]:
         sides = max(0.0, value - bound.low) / abs(slope), max(0.0, bound.high - value) / abs(slope)
         down, up = sides if slope > 0.0 else sides[::-1]
         place = system.tree.place(*key)
-        yield Room(key, None if place is None else place[1], down, up)
+        yield LimitRoom(key, None if place is None else place[1], down, up)
 
 
-def _within_rooms(system: Relative, rooms: Iterable[Room], fastest: Array, q: Array, v: Array) -> Array:
-    """Turn round and slow down velocities of joints that move together, for the room that limits leave them.
+def _within_rooms(system: Relative, rooms: Iterable[LimitRoom], fastest: Array, q: Array, v: Array) -> Array:
+    """Reverse or slow down the velocities of joints that move together, so that limits leave them room.
 
     Args:
-        system, rooms: of the scene at its start.
-        fastest: (nv,) rates that are allowed where there are no limits, m/s or rad/s.
-        q, v: coordinates and velocities of the tree.
+        system: equations of the scene.
+        rooms: distances from limits at the start.
+        fastest: (nv,) largest rates without limits, m/s or rad/s.
+        q: (nq,) coordinates of the tree.
+        v: (nv,) velocities of the tree.
     """
     scene, forth, back = system.scene, 0.0, 0.0
     frames = system.state(q, v).frames()
@@ -182,40 +213,44 @@ def _within_rooms(system: Relative, rooms: Iterable[Room], fastest: Array, q: Ar
         if room.place is not None:
             most = fastest[room.place]
         else:
-            most = SPEED * scene.mechanism.size if scene.mechanism.is_slide(*room.key) else SPIN
+            most = (
+                MAX_START_SPEED * scene.mechanism.size
+                if scene.mechanism.is_slide(*room.key)
+                else MAX_START_SPIN
+            )
         up, down = (
-            np.clip(ROOM_SHARE * side / scene.duration, LEAST_SHARE * most, most)
+            np.clip(START_ROOM_SHARE * side / scene.duration, MIN_KEPT_SHARE * most, most)
             for side in (room.up, room.down)
         )
         forth = max(forth, abs(rate) / (up if rate > 0.0 else down))
         back = max(back, abs(rate) / (down if rate > 0.0 else up))
-    if min(forth, back) > 1.0 + ROUND_OFF:
+    if min(forth, back) > 1.0 + ROUND_OFF_SPEED:
         v = v / min(forth, back)
-    return -v if forth > max(1.0, back) * (1.0 + ROUND_OFF) else v
+    return -v if forth > max(1.0, back) * (1.0 + ROUND_OFF_SPEED) else v
 
 
 def _turning(scene: Scene, system: Relative, q: Array) -> Array:
-    """(joints, 3, nv) angular velocity between the bodies of each joint for each velocity."""
+    """Return the Jacobian (joints, 3, nv) of the angular velocities between the bodies of each joint."""
     angular = system.velocity_transformation(q).reshape(-1, 6, system.nv)[:, 3:]
     equations = scene.mechanism.equations
     return angular[[each.second for each in equations]] - angular[[each.first for each in equations]]
 
 
 def _reach_of(v: Array, limits: Array, turning: Array, rows: Iterable[Array]) -> float:
-    """Compute the largest velocity, spin of a joint, or rate of a row (nv,), by what it may be at most."""
+    """Compute the largest ratio of velocities, spins of joints and values of rows (nv,) to their limits."""
     spins = np.linalg.norm(turning @ v, axis=1)
-    reached = np.max(np.abs(v) / limits, initial=0.0), np.max(spins, initial=0.0) / SPIN
+    reached = np.max(np.abs(v) / limits, initial=0.0), np.max(spins, initial=0.0) / MAX_START_SPIN
     return float(max(*reached, *(abs(row @ v) for row in rows)))
 
 
 def _parts(rows: Iterable[Array]) -> Iterator[Array]:
-    """Yield the velocities (nv,) that dimensionless rows (nv,) connect with each other, as masks.
+    """Yield masks (nv,) of the groups of velocities that dimensionless rows (nv,) connect.
 
-    Each row connects all velocities that it has entries for.
+    Each row connects all velocities of its nonzero entries.
     """
     rows = np.array([*rows])
     labels = np.arange(rows.shape[1])
-    for row in np.abs(rows) > ROUND_OFF:
+    for row in np.abs(rows) > ROUND_OFF_SPEED:
         connected = labels[row]
         labels[np.isin(labels, connected)] = min(connected, default=0)
     for label in np.unique(labels):
@@ -223,11 +258,11 @@ def _parts(rows: Iterable[Array]) -> Iterator[Array]:
 
 
 class Swing(NamedTuple):
-    """A sine of time.
+    """Sine that drives an actuator.
 
     Attributes:
-        amplitude: by which joints move as far as they would without limits.
-        within: amplitude by which they move as far as their limits leave from where they start.
+        amplitude: amplitude of the control without limits of joints.
+        within: amplitude that keeps joints within their limits.
         angular_frequency: rad/s.
     """
 
@@ -239,16 +274,16 @@ class Swing(NamedTuple):
 def swings(
     scene: Scene, forces: Sequence[Mapping[Key, float]], bounds: Iterable[Bounds] = ()
 ) -> Iterator[Swing]:
-    """Sines that drive joints so that each moves by about `SWING` or `SHIFT`, with and without its limits.
+    """Yield sines that move each driven joint by about `SWING_ANGLE` or `SWING_LENGTH`.
 
-    A force of amplitude F and frequency w moves a mass m that is at rest by up to F (w T + 1) / (m w^2) in a
-    time T, a spring by F / k and a damper by F / (d w). Constraints hold, and everything else may move.
+    A force of amplitude F and angular frequency w moves a mass m by up to F (w T + 1) / (m w^2) in a time T.
+    It moves a spring by F / k and a damper by F / (d w). Constraints hold; all other joints may move.
 
     Args:
-        scene: at its start.
-        forces: on joint coordinates that have control laws, N or N m, for each unit of what is to swing.
-        bounds: limits of joint coordinates. A joint swings by at most the share of their room that start
-            velocities leave, but by a `LEAST_SHARE` of what it would without them.
+        scene: scene at its initial state.
+        forces: for each sine, forces on joint coordinates per unit of the control, N or N m.
+        bounds: limits of joint coordinates. A joint swings by at most the room that start velocities leave,
+            and by at least `MIN_KEPT_SHARE` of its amplitude without limits.
     """
     system = Relative(scene)
     rooms = {room.key: min(room.down, room.up) for room in _rooms(system, bounds)}
@@ -259,12 +294,16 @@ def swings(
     free = system.velocity_units[:, None] * free
     inertia = free.T @ mass @ free
     for number, pushes in enumerate(forces):
-        w = 2.0 * np.pi * (LOWEST + (HIGHEST - LOWEST) * ((0.5 + number * GOLDEN) % 1.0))
+        # fractional parts of multiples of the golden ratio are spread evenly
+        golden = 0.5 * (np.sqrt(5.0) - 1.0)
+        w = 2.0 * np.pi * (MIN_FREQUENCY + (MAX_FREQUENCY - MIN_FREQUENCY) * ((0.5 + number * golden) % 1.0))
+        # accelerations of the free motions for one unit of the control
         push = np.zeros(system.nv)
         for key, force in pushes.items():
             for k, x in measured[key].jacobian.items():
                 push[k] += x * force
         answer = free @ np.linalg.solve(inertia, free.T @ push) if free.size else np.zeros(system.nv)
+        # smallest amplitude of the control over the driven joint coordinates
         amplitude = within = np.inf
         for key, force in pushes.items():
             acceleration = abs(float(sum(x * answer[k] for k, x in measured[key].jacobian.items())))
@@ -274,16 +313,16 @@ def swings(
             impedance = abs(force) * w**2 / (acceleration * (1.0 + w * scene.duration))
             impedance = servo or impedance + stiffness + damping * w
             reach = _reach(scene, key)
-            room = (1.0 - ROOM_SHARE) * rooms.get(key, np.inf)
+            room = (1.0 - START_ROOM_SHARE) * rooms.get(key, np.inf)
             amplitude = min(amplitude, reach * impedance / abs(force))
-            within = min(within, np.clip(room, LEAST_SHARE * reach, reach) * impedance / abs(force))
+            within = min(within, np.clip(room, MIN_KEPT_SHARE * reach, reach) * impedance / abs(force))
         if not np.isfinite(amplitude):
             amplitude = within = 0.0
         yield Swing(float(amplitude), float(within), float(w))
 
 
 def _at(scene: Scene, key: Key) -> tuple[float, float, float]:
-    """Stiffness and damping at a joint coordinate, SI, and the stiffness of the control law alone."""
+    """Return stiffness and damping at a joint coordinate, SI, and the stiffness of the control law alone."""
     found = [law for law in scene.joint_forces if law.key == key]
     gains = [law for law in found if isinstance(law, PD | JointSpring)]
     servo = sum(law.stiffness for law in gains if isinstance(law, PD))
@@ -291,17 +330,22 @@ def _at(scene: Scene, key: Key) -> tuple[float, float, float]:
 
 
 def _reach(scene: Scene, key: Key) -> float:
-    """Return the amplitude of a joint coordinate's motion, m or rad."""
-    return SHIFT * scene.mechanism.size if scene.mechanism.is_slide(*key) else SWING
+    """Return the intended amplitude of a joint coordinate, m or rad."""
+    return SWING_LENGTH * scene.mechanism.size if scene.mechanism.is_slide(*key) else SWING_ANGLE
 
 
 def random_states(scene: Scene, count: int, seed: int = 0) -> list[State]:
-    """Consistent states at random around the initial one, with random velocities; same seed, same states.
+    """Draw random consistent states around the initial state; the same seed gives the same states.
 
-    Joint velocities are of the order of 1 rad/s and of one size of the mechanism per second.
+    Joint velocities are about 1 rad/s and one size of the mechanism per second.
+
+    Args:
+        scene: scene at its initial state.
+        count: number of states.
+        seed: seed of the random numbers.
 
     Raises:
-        AssemblyError: if the mechanism hardly ever closes from nearby.
+        AssemblyError: if too few of the random displacements can be closed.
     """
     code = CompiledEquations(scene, "relative")
     assert isinstance(code.system, Relative)
@@ -313,7 +357,7 @@ def random_states(scene: Scene, count: int, seed: int = 0) -> list[State]:
     rng = np.random.default_rng(seed)
     states: list[State] = []
     x = code.packed(start, np.zeros(tree.nv))
-    for _ in range(ATTEMPTS * count):
+    for _ in range(MAX_TRIES_PER_STATE * count):
         if len(states) == count:
             break
         step = RANDOM_AMPLITUDE * unit * rng.uniform(-1.0, 1.0, tree.nv)
@@ -322,8 +366,11 @@ def random_states(scene: Scene, count: int, seed: int = 0) -> list[State]:
         if not project(x):
             continue
         q, v = x[: system.nq], x[system.nq : code.size]
-        if np.abs((q - start)[single_q] / unit[single_v]).max(initial=0.0) > STRAY * RANDOM_AMPLITUDE:
-            continue  # closed on another branch, perhaps folded flat
+        if (
+            np.abs((q - start)[single_q] / unit[single_v]).max(initial=0.0)
+            > MAX_STRAY_FACTOR * RANDOM_AMPLITUDE
+        ):
+            continue  # the loops closed on another branch of the motion
         states.append(system.state(q, v))
     if len(states) < count:
         joint, gap = worst_joint(system, system.state(x[: system.nq], x[system.nq : code.size]))

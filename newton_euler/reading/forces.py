@@ -1,6 +1,7 @@
-"""Forces and armatures of a scene against those of a file's own model, in the file's independent velocities.
+"""Compare forces and armatures of a scene with the file's reference model.
 
-Bodies are where the file has them.
+Bodies of the scene are placed at the poses of the file. Forces are compared in independent velocities of the
+file. A difference is attributed to the element of the file whose own force explains most of the difference.
 """
 
 from __future__ import annotations
@@ -17,35 +18,43 @@ from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.reading.activity import Bounds
-from newton_euler.reading.figure import SPREAD, Figure, figure, positive, worst
-from newton_euler.reading.placed import Place, Placed
-from newton_euler.reading.quantities import KINDS
+from newton_euler.reading.checks import (
+    MIN_SCALE_SHARE,
+    ReadingCheck,
+    closest_to_failing,
+    positive,
+    worst_entry,
+)
+from newton_euler.reading.placement import SamplePlacement, ScenePlacement
+from newton_euler.reading.quantities import FORCE_KINDS
 from newton_euler.reading.reference import ReferenceModel
 from newton_euler.reading.wrenches import Wrenches
 from newton_euler.scalars import Array
 
-ALIKE = 1e-3  # share of a difference (of squares) that what is blamed may leave unexplained
+MAX_UNEXPLAINED_SHARE = 1e-3
+"""Largest unexplained fraction (of squares) of a difference that is attributed to an element."""
 
-Alone = Iterator[tuple[str, list[list[Array]]]]
-"""Elements by name, and what each of them does at the samples, a list for each way in which it acts."""
+ElementForces = Iterator[tuple[str, list[list[Array]]]]
+"""Name of each element, and its forces at the samples: one list for each way in which the element can act."""
 
 
-def force_figures(placed: Placed) -> Iterator[Figure]:
-    """Forces of each of the `KINDS`, and armatures."""
+def force_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
+    """Check forces of each of the `FORCE_KINDS`, armatures, and limited forces."""
     scenes = _apart(placed.scene)
     acting = [_acting(placed, place, scenes) for place in placed.places]
     wanted = [place.sample.forces for place in placed.places]
-    for n in range(len(KINDS)):
-        yield _force_figure(placed, n, [each[n] for each in acting], [each[n] for each in wanted])
-    yield _armature_figure(placed)
+    for n in range(len(FORCE_KINDS)):
+        yield _force_check(placed, n, [each[n] for each in acting], [each[n] for each in wanted])
+    yield _armature_check(placed)
     if placed.reference.force_limits(placed.reference.start, placed.reference.stated[1]):
-        yield _limit_figure(placed)
+        yield _limit_check(placed)
 
 
-def _limit_figure(placed: Placed) -> Figure:
-    """Limits of forces, and the forces, as runs are watched for them: at the samples, relative to the forces.
+def _limit_check(placed: ScenePlacement) -> ReadingCheck:
+    """Check the limits that runs are watched for, and the limited forces at the samples.
 
-    The largest terms at any sample, or at 1 rad or a size times `SPREAD`, are what forces are relative to.
+    Differences are relative to the largest terms of a force at any sample. Coordinates count in the terms
+    with at least `MIN_SCALE_SHARE` times 1 rad or the size.
     """
     reference = placed.reference
     gaps, scales, names = [], [], list[str]()
@@ -63,26 +72,26 @@ def _limit_figure(placed: Placed) -> Figure:
             ]
         )
     relative = np.array(gaps) / positive(np.max(scales, axis=0))
-    return figure("limits of forces, rel", relative, np.array(placed.limits)[:, None], names)
+    return worst_entry("limits of forces, rel", relative, np.array(placed.limits)[:, None], names)
 
 
-def _watched(placed: Placed, place: Place, bounds: Bounds) -> tuple[float, float]:
-    """The quantity that is watched, and the sum of its terms' magnitudes."""
+def _watched(placed: ScenePlacement, place: SamplePlacement, bounds: Bounds) -> tuple[float, float]:
+    """Return the force that a run is watched for, and the sum of the magnitudes of its terms."""
     assert not isinstance(bounds.constant, TimeFunction)  # controls are held
     force, frames = bounds.constant, place.state.frames()
     scale = abs(force)
     for (joint, number), factor in bounds.terms:
         equations = placed.mechanism.joint_equations(joint)
-        least = SPREAD * (placed.reference.size if equations.coordinates[number].is_length else 1.0)
+        least = MIN_SCALE_SHARE * (placed.reference.size if equations.coordinates[number].is_length else 1.0)
         for gain, x in zip((bounds.by_value, bounds.by_rate), equations.measure(number, frames), strict=True):
             force += gain * factor * x
             scale += abs(gain * factor) * max(abs(x), least)
     return float(force), float(scale)
 
 
-def _force_figure(
-    placed: Placed, kind: int, acting: Sequence[tuple[Array, Array]], wanted: Sequence[Array]
-) -> Figure:
+def _force_check(
+    placed: ScenePlacement, kind: int, acting: Sequence[tuple[Array, Array]], wanted: Sequence[Array]
+) -> ReadingCheck:
     reference, left, scales = placed.reference, [], []
     for place, (wrench, magnitude), force in zip(placed.places, acting, wanted, strict=True):
         basis = place.sample.freedom.basis
@@ -90,12 +99,12 @@ def _force_figure(
         left.append(onto.T @ wrench.ravel() - basis.T @ force)
         scales.append(np.abs(onto).T @ magnitude.ravel() + np.abs(basis).T @ np.abs(force))
 
-    def alone() -> Alone:
+    def alone() -> ElementForces:
         for name, ways in reference.elements(reference.samples):
             yield name, [_reduced(reference, [forces[kind] for forces in each]) for each in ways]
 
-    def at_joints() -> Alone:
-        """Forces that joints might have: constant ones, springs and dampers."""
+    def at_joints() -> ElementForces:
+        """Yield constant forces, springs and dampers at each joint, for forces that no element explains."""
         moved = [reference.difference(reference.start, sample.q) for sample in reference.samples]
         for k, name in enumerate(reference.motions):
             unit = np.eye(len(reference.motions))[k]
@@ -103,12 +112,12 @@ def _force_figure(
             ways = ([unit] * len(moved), springs, dampers)
             yield name, [_reduced(reference, forces) for forces in ways]
 
-    scale = largest(reference, scales)
-    return row_figure(reference, f"{KINDS[kind]}, rel", left, scale, placed.limits, alone, at_joints)
+    scale = row_scales(reference, scales)
+    return row_check(reference, f"{FORCE_KINDS[kind]}, rel", left, scale, placed.limits, alone, at_joints)
 
 
-def _armature_figure(placed: Placed) -> Figure:
-    """Armatures as parts of the mass matrix that independent velocities see."""
+def _armature_check(placed: ScenePlacement) -> ReadingCheck:
+    """Check armatures as parts of the mass matrix of independent velocities."""
     reference = placed.reference
     wanted = _reduced(reference, [sample.mass_matrices[1] for sample in reference.samples])
     found = []
@@ -116,29 +125,29 @@ def _armature_figure(placed: Placed) -> Figure:
         onto = _spins(placed, place) @ place.transformation @ place.sample.freedom.basis
         found.append(onto.T @ onto)
     sums = [np.diag(one) + np.abs(np.diag(two)) for one, two in zip(found, wanted, strict=True)]
-    scale = np.sqrt(largest(reference, sums, 2))
+    scale = np.sqrt(row_scales(reference, sums, 2))
 
     def relative(masses: Sequence[Array]) -> list[Array]:
         units = (positive(scale[sample.freedom.rows]) for sample in reference.samples)
         return [mass / unit for mass, unit in zip(masses, units, strict=True)]
 
-    def alone() -> Alone:
+    def alone() -> ElementForces:
         for name, each in reference.rotors(reference.samples):
             yield name, [relative(_reduced(reference, each))]
 
-    def at_other_joints() -> Alone:
-        """Armatures that went to another joint."""
+    def at_other_joints() -> ElementForces:
+        """Yield armatures that were placed at another joint."""
         units = [np.diag(unit) for unit in np.eye(len(reference.motions))]
         others = [relative(_reduced(reference, [unit] * len(reference.samples))) for unit in units]
         for name, (own,) in alone():
             yield from ((name, [own, other]) for other in others)
 
     left = relative([one - two for one, two in zip(found, wanted, strict=True)])
-    return row_figure(reference, "armatures, rel", left, scale, placed.limits, alone, at_other_joints)
+    return row_check(reference, "armatures, rel", left, scale, placed.limits, alone, at_other_joints)
 
 
 def _reduced(reference: ReferenceModel, of_velocities: Sequence[Array]) -> list[Array]:
-    """Forces (nv,) or mass matrices (nv, nv) at the samples as their independent velocities see them."""
+    """Project forces (nv,) or mass matrices (nv, nv) at the samples on their independent velocities."""
     found = []
     for sample, whole in zip(reference.samples, of_velocities, strict=True):
         basis = sample.freedom.basis
@@ -146,27 +155,38 @@ def _reduced(reference: ReferenceModel, of_velocities: Sequence[Array]) -> list[
     return found
 
 
-def largest(reference: ReferenceModel, scales: Sequence[Array], power: int = 1) -> Array:
-    """(nv,) the largest of all samples, each in its independent velocities, and a floor of `SPREAD`."""
+def row_scales(reference: ReferenceModel, scales: Sequence[Array], power: int = 1) -> Array:
+    """Return (nv,) the largest scale of each velocity over all samples, and at least `MIN_SCALE_SHARE`.
+
+    Args:
+        reference: the model of the file.
+        scales: one array for each sample, in the independent velocities of the sample.
+        power: 1 for forces, 2 for masses.
+    """
     units = reference.units**power
     total = np.zeros(len(units))
     for sample, scale in zip(reference.samples, scales, strict=True):
         np.maximum.at(total, sample.freedom.rows, scale)
-    return np.maximum(total, SPREAD * np.max(total * units, initial=0.0) / units)
+    return np.maximum(total, MIN_SCALE_SHARE * np.max(total * units, initial=0.0) / units)
 
 
-def row_figure(
+def row_check(
     reference: ReferenceModel,
     quantity: str,
     left: Sequence[Array],
     scale: Array,
     limits: Sequence[float],
-    *alone: Callable[[], Alone],
-) -> Figure:
-    """Differences at each sample, (d,) or (d, d), relative to (nv,) the largest there is, and their limits.
+    *alone: Callable[[], ElementForces],
+) -> ReadingCheck:
+    """Check differences at all samples, and attribute a difference to an element.
 
-    If they are not round-off the element is named that explains most of them, of the first of the kinds
-    `alone` that has any.
+    Args:
+        reference: the model of the file.
+        quantity: name and unit.
+        left: (d,) or (d, d) differences at each sample, in independent velocities.
+        scale: (nv,) largest value of each velocity.
+        limits: relative tolerance at each sample.
+        alone: kinds of elements. The first kind that explains the difference names the element at fault.
     """
     found, weights = [], []
     for gap, sample, limit in zip(left, reference.samples, limits, strict=True):
@@ -174,20 +194,20 @@ def row_figure(
         shares = (np.abs(gap).T * weights[-1]).T
         shares = shares.max(axis=1, initial=0.0) if shares.ndim == 2 else shares
         names = [reference.motions[k] for k in sample.freedom.rows]
-        found.append(figure(quantity, shares, limit, names))
-    most = worst(found)
+        found.append(worst_entry(quantity, shares, limit, names))
+    most = closest_to_failing(found)
     named = (_most_alike(left, weights, elements()) for elements in alone)
     return most if most.agrees else most._replace(where=next(filter(None, named), most.where))
 
 
-def _most_alike(left: Sequence[Array], weights: Sequence[Array], alone: Alone) -> str:
-    """The element that explains differences at all states best by multiples of what it does; "" if none."""
+def _most_alike(left: Sequence[Array], weights: Sequence[Array], alone: ElementForces) -> str:
+    """Name the element whose forces, times constants, explain differences at all states best; "" if none."""
 
     def weighed(values: Sequence[Array]) -> Array:
         pairs = zip(values, weights, strict=True)
         return np.concatenate([(each.T * weight).T.ravel() for each, weight in pairs])
 
-    gap, best, name = weighed(left), ALIKE, ""
+    gap, best, name = weighed(left), MAX_UNEXPLAINED_SHARE, ""
     for element, ways in alone:
         columns = np.array([weighed(values) for values in ways]).T
         rest = gap - columns @ least_squares(columns, gap)
@@ -198,7 +218,7 @@ def _most_alike(left: Sequence[Array], weights: Sequence[Array], alone: Alone) -
 
 
 def _apart(scene: Scene) -> tuple[Scene, Scene, Scene]:
-    """The scene with its springs, its dampers, and what else acts beside gravity alone."""
+    """Split a scene into springs, dampers, and all other forces except gravity."""
     both = [force for force in scene.forces if isinstance(force, Spring)]
     others = tuple(force for force in scene.forces if not isinstance(force, Spring))
     springs = tuple(replace(force, damping=0.0) for force in both if force.stiffness)
@@ -207,8 +227,10 @@ def _apart(scene: Scene) -> tuple[Scene, Scene, Scene]:
     return sprung, replace(sprung, forces=dampers), replace(scene, forces=others)
 
 
-def _acting(placed: Placed, place: Place, scenes: tuple[Scene, Scene, Scene]) -> list[tuple[Array, Array]]:
-    """(b, 6) wrenches of each of the `KINDS` on the scene's bodies, and the sums of what there is."""
+def _acting(
+    placed: ScenePlacement, place: SamplePlacement, scenes: tuple[Scene, Scene, Scene]
+) -> list[tuple[Array, Array]]:
+    """Compute the wrenches (b, 6) of each of the `FORCE_KINDS` on the bodies, and the sums of magnitudes."""
     weight = np.zeros((len(placed.mechanism.bodies), 6))
     for wrench, body in zip(weight, placed.mechanism.bodies, strict=True):
         wrench[:3] = body.mass * placed.scene.gravity
@@ -222,14 +244,14 @@ def _acting(placed: Placed, place: Place, scenes: tuple[Scene, Scene, Scene]) ->
 
 
 def _wrenches(scene: Scene, state: State) -> tuple[Array, Array]:
-    """(b, 6) what all of a scene but gravity does to its bodies, and the sum of what there is."""
+    """Compute the wrenches (b, 6) of all forces of a scene except gravity, and the sums of magnitudes."""
     found = Wrenches(scene.mechanism, state)
     found.add_forces(scene)
     return found.total, found.magnitude
 
 
-def _spins(placed: Placed, place: Place) -> Array:
-    """(r, 6 b) what armatures see of the bodies' velocities, times the roots of their inertias."""
+def _spins(placed: ScenePlacement, place: SamplePlacement) -> Array:
+    """Return the Jacobian (r, 6 b) of rotor speeds for velocities of the bodies, times sqrt(inertia)."""
     mechanism, frames = placed.mechanism, place.rest.frames()
     found = [np.zeros((0, len(frames), 6))]
     for armature in placed.scene.armatures:

@@ -1,4 +1,4 @@
-"""Import report: what became of the elements of a model file on their way into a scene."""
+"""Import report: the fate of every element of a model file, and likely mistakes in the file."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from typing import Literal
 
 from newton_euler.equations.loop_closure import MovedStart
 from newton_euler.model.scene import Scene
-from newton_euler.reading.activity import Bounds, Course, Watch, judged
+from newton_euler.reading.activity import Bounds, SampledMotion, Watch, judge_all
 from newton_euler.reading.reference import ReferenceModel
 
 Fate = Literal["exactly", "inactive", "left out"]
 
 FATES: tuple[Fate, ...] = ("exactly", "inactive", "left out")
 CONTACTS, LIMITS, VELOCITY_LIMITS, FRICTION = "contacts", "limits", "limit of velocity", "dry friction"
-"""Topics of files."""
+"""Topics of elements that scenes do not simulate."""
 
 CONTROL_RANGE = "control range"
-"""Name of the range that the control of an actuator is clipped to."""
+"""Topic of the range that clips the control of an actuator."""
 
 CONTROL, FORCE, ROTOR = "control law", "force", "rotor"
-"""What elements became that not every format has; all have dampers along hinges and slides."""
+"""Kinds of imported elements that some file formats cannot represent; see `ImportedElement.became`."""
 
 ACTING = (("equality", "equalities"), ("actuator", "actuators"), ("tendon", "tendons"))
-"""First words of elements that act wherever a model is."""
+"""Kinds of elements, singular and plural, that act in every configuration of a model."""
 
 
 @dataclass(frozen=True)
@@ -34,18 +34,18 @@ class ImportedElement:
     """One element of a model file.
 
     Attributes:
-        element: its kind and name, such as "equality 'close'".
-        fate: carried over exactly, or left out; inactive if it is left out and a run has shown that it did
-            nothing there.
-        how: what it became, or why it was left out.
+        element: kind and name, such as "equality 'close'".
+        fate: "exactly" if imported exactly; "left out" if not simulated; "inactive" if not simulated and a
+            run has shown that the element would not have acted.
+        how: the element's counterpart in the scene, or the reason why the element is left out.
         became: `CONTROL`, `FORCE`, `ROTOR`, or "" for anything else.
-        topic: which of the things that a file can say of the element it is about, "" for all that it says.
-        inert: whether nothing would move otherwise with the element as the file has it.
-        seen: what a run shows of it.
-        is_off: True if the file itself switches the element off, so that nobody simulates it.
+        topic: the property of the element that the entry is about, such as "limits"; "" for all properties.
+        inert: True if the element moves nothing as the file has it.
+        seen: observation in a run.
+        is_off: True if the file itself switches the element off.
         is_understood: False for an element that no rule of the reader knows.
-        numbers: values in the file that are not simulated, by what they are, such as "limits"; SI units.
-        since: s, the first time of a run at which the element acts; None if it does not, and before a run.
+        numbers: name and values of numbers in the file that are not simulated, such as "limits"; SI units.
+        since: s, the first time of a run at which the element acts; None if inactive, and before a run.
         examined: False if neither the file nor a run shows whether the element acts.
     """
 
@@ -64,7 +64,7 @@ class ImportedElement:
 
     @property
     def is_unsimulated(self) -> bool:
-        """True if the element acted, or can act, and is not simulated as the file has it.
+        """True if the element acted or can act, and is not simulated.
 
         Elements that move nothing, that the file switches off, or that a run has shown to be inactive do not
         count.
@@ -73,7 +73,7 @@ class ImportedElement:
 
     @property
     def account(self) -> str:
-        """The fate in words, then what a run shows."""
+        """The reason for the fate, and the observation in a run."""
         return "; ".join(filter(None, [self.how, self.seen]))
 
     def __str__(self) -> str:
@@ -82,14 +82,14 @@ class ImportedElement:
 
 @dataclass(frozen=True)
 class Finding:
-    """A likely mistake in a model file, which every engine simulates as it stands.
+    """Likely mistake in a model file. Every engine simulates the mistake unchanged.
 
     Attributes:
-        name: the kind of the mistake, a word or two joined by hyphens.
-        element: the element at fault, such as "body 'hip'".
-        what: the number that is wrong and what it is compared with.
-        consequence: what the mistake does to the motion.
-        remedy: what to do about it.
+        name: kind of the mistake, such as "mass-too-large".
+        element: element at fault, such as "body 'hip'".
+        what: the wrong number and the number that it is compared with.
+        consequence: effect of the mistake on the motion.
+        remedy: next step for the author of the file.
     """
 
     name: str
@@ -104,12 +104,13 @@ class Finding:
 
 @dataclass(frozen=True)
 class ChangedVelocities:
-    """The change of a file's start velocities that makes them fit the constraints.
+    """Change of a file's start velocities that was needed to satisfy the constraints.
 
     Attributes:
         start: keyframe, or other name of the start in the file.
-        linear, angular: largest changes of a body's velocities, m/s and rad/s.
-        share: largest change, divided by the largest velocity of that kind in the file.
+        linear: largest change of a body's linear velocity, m/s.
+        angular: largest change of a body's angular velocity, rad/s.
+        share: largest change, divided by the largest velocity of the same kind in the file.
     """
 
     start: str
@@ -119,20 +120,20 @@ class ChangedVelocities:
 
 
 class ImportReport:
-    """Fate of every element, filled while a file is read.
+    """Fate of every element of a file. Readers fill the report.
 
     Attributes:
-        entries: in the order in which they were added.
+        entries: fates in the order of reading.
         findings: likely mistakes in the file.
-        start: lines about the pose and the velocities that the scene starts from.
-        references: what the scene, and others that are read from the file to verify the reading, are verified
-            against, see `newton_euler.reading.verify`; the scene's first.
-        watches: what tells of entries, by their numbers, whether they are active in a run.
-        unsettled: numbers of entries whose run had outputs too far apart to tell whether they act.
-        settings: how the file itself would be simulated: integrator, time step and softness, in words; empty
-            if the file does not say.
-        moved: what closing the loops changed of the file's start; None if there is nothing to close.
-        changed_velocities: how far the start's velocities are from the file's; None if the file has none.
+        start: lines about the initial pose and velocities of the scene.
+        references: pairs of a reference model and the scene to verify against the model, see
+            `newton_euler.reading.verify`. The first pair has the scene that the reader returns; other scenes
+            are read only for verification.
+        watches: by the number of an entry, tests that find out whether the element acts in a run.
+        unsettled: numbers of entries that only closer outputs can judge.
+        settings: integrator, time step and softness of the file, in words; "" if the file has none.
+        moved: change of the start by loop closure; None if the file has no loops.
+        changed_velocities: change of the start velocities; None if the file has no velocities.
     """
 
     def __init__(self) -> None:
@@ -154,7 +155,7 @@ class ImportReport:
         inert: bool = False,
         numbers: Mapping[str, Sequence[float]] | None = None,
     ) -> None:
-        """Report an element that is in the scene.
+        """Add an element that is imported exactly.
 
         Args:
             element, how, became, numbers: see `ImportedElement`.
@@ -174,14 +175,15 @@ class ImportReport:
         off: bool = False,
         numbers: Sequence[float] = (),
     ) -> None:
-        """Report an element that is not in the scene.
+        """Add an element, or one topic of an element, that is not simulated.
 
         Args:
-            element, why, topic, inert, examined: see `ImportedElement`.
-            watches: tell whether a limit and the like is active in a run; together they have to watch all of
-                the element. An element without watches acts from the start on.
+            element, topic, inert, examined: see `ImportedElement`.
+            why: reason.
+            watches: tests for activity in a run. Together they cover the whole element. An element without
+                watches acts from the start on.
             off: True if the file itself switches the element off.
-            numbers: values that the file has of the topic; SI units.
+            numbers: values of the topic in the file; SI units.
         """
         inert = inert or off
         if watches and not inert:
@@ -192,22 +194,22 @@ class ImportReport:
         self.entries.append(entry)
 
     def not_understood(self, element: str, why: str) -> None:
-        """Report an element that no rule knows: it may act, so it counts as one that is not simulated."""
+        """Add an element that no rule of the reader knows; the element counts as not simulated."""
         self.entries.append(ImportedElement(element, "left out", why, is_understood=False))
 
     @property
     def bounds(self) -> list[Bounds]:
-        """The limits of joint coordinates and forces among what tells whether entries are active."""
+        """All watched limits of joint coordinates and forces."""
         return [each for watches in self.watches.values() for each in watches if isinstance(each, Bounds)]
 
     def unsimulated(self) -> list[ImportedElement]:
-        """Return the entries of elements that acted, or can act, and are not simulated as they are."""
+        """Return the entries of elements that acted or can act, and are not simulated."""
         return [entry for entry in self.entries if entry.is_unsimulated]
 
-    def after(self, course: Course) -> ImportReport:
+    def after(self, motion: SampledMotion) -> ImportReport:
         """Return the report with what a run shows of elements that are left out.
 
-        After a report that is partly unsettled only the unsettled entries are judged again.
+        After a report that is partly unsettled only the unsettled entries are judge_all again.
         """
         found = copy(self)
         found.entries, unsettled = list(self.entries), set[int]()
@@ -215,7 +217,7 @@ class ImportReport:
             if self.unsettled and number not in self.unsettled:
                 continue
             if number in self.watches:
-                seen = judged(self.watches[number], course)
+                seen = judge_all(self.watches[number], motion)
                 if not seen.settled:
                     unsettled.add(number)
                 fate: Fate = "left out" if seen.active else "inactive"
@@ -226,7 +228,7 @@ class ImportReport:
         return found
 
     def unwatched(self) -> ImportReport:
-        """Return the report if no run shows anything: whatever can act counts as acting from the start on."""
+        """Return the report without a run: all elements that can act count as acting from the start."""
         found = copy(self)
         found.entries = [
             replace(entry, since=0.0, seen="not watched in a run")
@@ -237,28 +239,29 @@ class ImportReport:
         return found
 
     def unverified(self) -> ImportReport:
-        """Return the report for a scene with other parameter values, which the file cannot verify."""
+        """Return the report without reference models, for a scene with other parameter values."""
         found = copy(self)
         found.references = []
         return found
 
     @property
     def acting(self) -> list[ImportedElement]:
-        """Elements that act in the run and are not simulated as the file has them, the first to act first."""
+        """Elements that act in the run and are not simulated, sorted by the time at which they first act."""
         acting = ((entry.since, entry) for entry in self.entries if entry.since is not None)
         return [entry for _, entry in sorted(acting, key=lambda pair: pair[0])]
 
     def of(self, fate: Fate) -> list[ImportedElement]:
-        """The entries of one fate."""
+        """Return the entries with one fate."""
         return [entry for entry in self.entries if entry.fate == fate]
 
     def counts(self) -> str:
-        """Count the elements inactive and left out that could move something, in words.
+        """Count inactive elements, elements left out, and elements switched off, in words.
 
-        Each element counts once, as the worst that became of it; "" if there are none. Those of `ACTING` that
-        are left out are named: without them a model moves otherwise from the start. So is the number of
-        elements that no rule understands, and of those that the file itself switches off.
+        Elements that move nothing are not counted. Each element counts once, with its worst fate. The kinds
+        of `ACTING` are counted separately, because a model without them moves differently from the start. The
+        text is "" if there is nothing to count.
         """
+        # each element once, "left out" before "inactive"
         worst: dict[str, Fate] = {}
         for fate in FATES[1:]:
             worst.update((entry.element, fate) for entry in self.of(fate) if not entry.inert)
@@ -266,6 +269,7 @@ class ImportReport:
         for fate, count in sorted(Counter(worst.values()).items(), key=lambda item: FATES.index(item[0])):
             what = "element is" if count == 1 else "elements are"
             found.append(f"{count} {'' if found else what + ' '}{fate}")
+        # equalities, actuators and tendons left out, and elements that no rule knows
         whole = {entry.element for entry in self.of("left out") if not entry.inert and not entry.topic}
         acting = Counter(element.split()[0] for element in whole)
         named = [f"{acting[one]} {one if acting[one] == 1 else many}" for one, many in ACTING if acting[one]]
@@ -278,7 +282,7 @@ class ImportReport:
 
 
 def left_out(report: ImportReport) -> dict[str, set[str]]:
-    """Topics of what is not in the scene of each element; what moves nothing as the file has it stays on."""
+    """Map each element that is not simulated in full to its topics; elements that move nothing are absent."""
     found: dict[str, set[str]] = {}
     for entry in report.entries:
         if entry.fate != "exactly" and not entry.inert:
@@ -287,7 +291,7 @@ def left_out(report: ImportReport) -> dict[str, set[str]]:
 
 
 def unique_name(wanted: str, fallback: str, taken: Iterable[str]) -> str:
-    """A name of letters, digits, `_`, `.` and `-` that is not taken, as near to the wanted one as can be."""
+    """Make a free name of letters, digits, `_`, `.` and `-` from the wanted name."""
     name = "".join(c if c.isascii() and (c.isalnum() or c in "_.-") else "_" for c in wanted) or fallback
     known, candidate, number = set(taken), name, 2
     while candidate in known:

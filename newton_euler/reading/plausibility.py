@@ -1,8 +1,7 @@
-"""Likely mistakes in a model file, which every engine simulates as it stands.
+"""Find likely mistakes in a model file, such as an inertia in wrong units.
 
-Each rule compares numbers of a body with the body's own geometry, with the mechanism, or with the body's twin
-on the other side. The limits leave out all that robots of public collections have on purpose, as far as that
-can be told from the numbers.
+Each rule compares numbers of a body with the geometry of the body, with the mechanism, or with the twin of
+the body on the other side. The limits of the rules accept the intended values of public robot models.
 """
 
 from __future__ import annotations
@@ -22,42 +21,42 @@ from newton_euler.reading.import_report import Finding
 from newton_euler.scalars import Array
 
 MAX_GYRATION = 2.0
-"""Radius of gyration in extents of the body: at most 1 for a mass within it; geometry may be partial."""
+"""Largest radius of gyration in extents of the body: 1 for a mass inside; geometry may be partial."""
 
 MIN_GYRATION = 0.005
-"""Radius of gyration in extents of the geometry. A bar has 0.3; less is an inertia in other units."""
+"""Smallest radius of gyration in extents of the geometry; a bar has 0.3."""
 
 MAX_GYRATION_OF_MECHANISM = 2.0
-"""Radius of gyration in sizes of the mechanism, for bodies without geometry."""
+"""Largest radius of gyration in sizes of the mechanism, for bodies without geometry."""
 
 MAX_CENTER_DISTANCE = 3.0
-"""Distance of a center of mass from the box around geometry and joints, in diagonals of that box."""
+"""Largest distance of a center of mass from the box around geometry and joints, in diagonals of the box."""
 
 MAX_DENSITY = 30_000.0
-"""kg/m^3 in the box around the geometry: the densest metal has 22,600."""
+"""Largest density in the box around the geometry, kg/m^3; the densest metal has 22,600."""
 
 MIN_MASS_SHARE = 1e-6
-"""Mass as a share of the heaviest body's."""
+"""Smallest mass, as a fraction of the heaviest body."""
 
 MAX_TWIN_DIFFERENCE = 0.02
-"""Relative difference of masses, moments of inertia and places of twins."""
+"""Largest relative difference of masses, moments of inertia and places of twins."""
 
 UNIT_FACTORS = {1e-3: "g m^2 or kg m mm", 1e-6: "kg mm^2", 1e-9: "g mm^2", 1e3: "t m^2", 1e6: "kg km^2"}
-"""What an inertia may be in, by the factor that takes it to kg m^2."""
+"""Units of inertia, by their factor to kg m^2."""
 
 SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r"), ("L", "R"))
-"""Words for the two sides in names; letters alone count where nothing but letters of the word is replaced."""
+"""Words for the two sides in names. Single letters count only between underscores or at an end."""
 
-MOST_ALIKE = 3
-"""Findings with one name that are told one by one."""
+MAX_LISTED_FINDINGS = 3
+"""Largest number of findings of one name that are listed separately."""
 
 MIN_LENGTH = 0.02
-"""m, of geometry that tells of a volume; smaller geometry is a mark."""
+"""Smallest geometry that stands for a volume, m; smaller geometry is a marker."""
 
 
 def findings(mechanism: Mechanism) -> Iterator[Finding]:
-    """Likely mistakes in the bodies of a mechanism that was read from a file."""
-    bodies = [Measured.of(mechanism, k) for k in range(1, len(mechanism.bodies))]
+    """Yield likely mistakes in the bodies of an imported mechanism."""
+    bodies = [MeasuredBody.of(mechanism, k) for k in range(1, len(mechanism.bodies))]
     heaviest = max(bodies, key=lambda each: each.body.mass)
     found = [finding for each in bodies for rule in RULES for finding in rule(each, mechanism)]
     found += [finding for each in bodies for finding in light_body(each, heaviest)]
@@ -65,25 +64,25 @@ def findings(mechanism: Mechanism) -> Iterator[Finding]:
 
 
 def grouped(found: Sequence[Finding]) -> Iterator[Finding]:
-    """The same findings; of many with one name the first ones, and the others as one."""
+    """Merge findings of one name after the first `MAX_LISTED_FINDINGS` into one."""
     for name in dict.fromkeys(finding.name for finding in found):
         alike = [finding for finding in found if finding.name == name]
-        yield from alike[:MOST_ALIKE]
-        if more := alike[MOST_ALIKE:]:
-            element = f"{len(more)} more like {alike[MOST_ALIKE - 1].element}"
+        yield from alike[:MAX_LISTED_FINDINGS]
+        if more := alike[MAX_LISTED_FINDINGS:]:
+            element = f"{len(more)} more like {alike[MAX_LISTED_FINDINGS - 1].element}"
             yield replace(more[0], element=element, what=listed(finding.element for finding in more))
 
 
 @dataclass(frozen=True)
-class Measured:
-    """A body with the numbers that rules compare.
+class MeasuredBody:
+    """Body with the numbers that rules compare.
 
     Attributes:
-        body: as it was read.
-        gyration: root mean square distance of its mass from its center, m.
-        box: lowest and highest corner (2, 3) around its geometry, world; None if it has none.
-        extent: largest distance of its geometry and joints from its center of mass, m.
-        joints: (n, 3) points of its joints, world.
+        body: body of the scene.
+        gyration: radius of gyration, root mean square distance of the mass from its center, m.
+        box: lowest and highest corner (2, 3) around the geometry, m, world frame; None without geometry.
+        extent: largest distance of geometry and joints from the center of mass, m.
+        joints: (n, 3) points of the body's joints, m, world frame.
     """
 
     body: Body
@@ -93,7 +92,7 @@ class Measured:
     joints: Array
 
     @classmethod
-    def of(cls, mechanism: Mechanism, number: int) -> Measured:
+    def of(cls, mechanism: Mechanism, number: int) -> MeasuredBody:
         body = mechanism.bodies[number]
         gyration = (
             float(np.sqrt(max(0.0, 0.5 * np.trace(body.inertia)) / body.mass)) if body.mass > 0.0 else 0.0
@@ -122,7 +121,7 @@ class Measured:
 
 
 def corners_of(shape: Shape | Mesh) -> list[Array]:
-    """Points (3,) whose box is that around a shape."""
+    """Return points (3,) with the same bounding box as a shape."""
     if isinstance(shape, Mesh):
         return [np.min(shape.vertices, axis=0), np.max(shape.vertices, axis=0)]
     if isinstance(shape, Box):
@@ -136,21 +135,21 @@ def corners_of(shape: Shape | Mesh) -> list[Array]:
     return [end + sign * shape.radius for end in ends for sign in (-1.0, 1.0)]
 
 
-def impossible_inertia(each: Measured, mechanism: Mechanism) -> Iterator[Finding]:
-    """Principal moments of which two together are less than the third."""
+def impossible_inertia(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding]:
+    """Find principal moments that violate the triangle inequality."""
     a, b, c = each.moments
     if a + b < c * (1.0 - REALISABLE_TOLERANCE):
         yield Finding(
             "impossible-inertia",
             each.element,
             f"principal moments {a:.3g}, {b:.3g} and {c:.3g} kg m^2: {a:.3g} + {b:.3g} < {c:.3g}",
-            "no mass has this inertia, and its rotations are those of no body",
+            "no rigid body has this inertia, and its rotation is not physical",
             "recompute the inertia about the center of mass",
         )
 
 
-def large_inertia(each: Measured, mechanism: Mechanism) -> Iterator[Finding]:
-    """An inertia whose mass would have to be far outside of the body."""
+def large_inertia(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding]:
+    """Find an inertia that needs mass far outside the body."""
     has_geometry = each.box is not None
     extent = each.extent if has_geometry else max(mechanism.size, each.extent)
     limit = MAX_GYRATION if has_geometry else MAX_GYRATION_OF_MECHANISM
@@ -168,8 +167,8 @@ def large_inertia(each: Measured, mechanism: Mechanism) -> Iterator[Finding]:
         )
 
 
-def small_inertia(each: Measured, mechanism: Mechanism) -> Iterator[Finding]:
-    """An inertia whose mass would have to be in a point of the body."""
+def small_inertia(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding]:
+    """Find an inertia that needs all mass in one point of the body."""
     if each.box is None:
         return
     extent = 0.5 * float(np.max(each.box[1] - each.box[0]))
@@ -183,7 +182,7 @@ def small_inertia(each: Measured, mechanism: Mechanism) -> Iterator[Finding]:
         )
 
 
-def _units(each: Measured, extent: float) -> str:
+def _units(each: MeasuredBody, extent: float) -> str:
     """Propose units in which the inertia would be that of a bar or a ball of the body's extent."""
     wanted = (0.4 * extent / each.gyration) ** 2
     factor = min(UNIT_FACTORS, key=lambda one: abs(np.log(one / wanted)))
@@ -192,8 +191,8 @@ def _units(each: Measured, extent: float) -> str:
     return f"if the inertia is in {UNIT_FACTORS[factor]}, multiply it by {factor:g}"
 
 
-def distant_center(each: Measured, mechanism: Mechanism) -> Iterator[Finding]:
-    """A center of mass far outside of the box around geometry and joints."""
+def distant_center(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding]:
+    """Find a center of mass far outside the box around geometry and joints."""
     if each.box is None:
         return
     low, high = (f([*each.box, *each.joints], axis=0) for f in (np.min, np.max))
@@ -205,19 +204,19 @@ def distant_center(each: Measured, mechanism: Mechanism) -> Iterator[Finding]:
             "center-outside",
             each.element,
             f"its center of mass is {away:.3g} m from its geometry and joints, {diagonal:.3g} m large",
-            "gravity and inertia act far from where the body is",
+            "gravity and inertia act far from the body",
             "check the origin of its inertial and its units: m",
         )
 
 
-def dense_body(each: Measured, mechanism: Mechanism) -> Iterator[Finding]:
-    """A mass that no matter has in the volume of the geometry."""
+def dense_body(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding]:
+    """Find a mass that no material has in the volume of the geometry."""
     if each.box is None:
         return
     sides = each.box[1] - each.box[0]
     volume = float(np.prod(sides))
     reach = each.joints - 0.5 * (each.box[0] + each.box[1])
-    partial = np.any(np.abs(reach) > 2.0 * sides)  # geometry of a part of the body alone
+    partial = np.any(np.abs(reach) > 2.0 * sides)  # the geometry covers a part of the body only
     if (
         volume > 0.0
         and float(np.max(sides)) > MIN_LENGTH
@@ -234,8 +233,8 @@ def dense_body(each: Measured, mechanism: Mechanism) -> Iterator[Finding]:
         )
 
 
-def light_body(each: Measured, heaviest: Measured) -> Iterator[Finding]:
-    """A mass that is nothing beside the others."""
+def light_body(each: MeasuredBody, heaviest: MeasuredBody) -> Iterator[Finding]:
+    """Find a mass that is negligible compared with the heaviest body."""
     mass, most = each.body.mass, heaviest.body.mass
     if 0.0 < mass < MIN_MASS_SHARE * most:
         yield Finding(
@@ -253,7 +252,7 @@ RULES = (impossible_inertia, large_inertia, small_inertia, distant_center, dense
 
 
 def twin_name(name: str) -> str:
-    """The name of the body on the other side; "" if the name is of none, or of both sides."""
+    """Return the name of the body on the other side; "" if the name has no side, or both sides."""
     if len(re.findall("left|right", name, re.IGNORECASE)) > 1:
         return ""
     for one, other in SIDES:
@@ -268,7 +267,7 @@ def twin_name(name: str) -> str:
     return ""
 
 
-def unlike_twins(bodies: list[Measured]) -> Iterator[Finding]:
+def unlike_twins(bodies: list[MeasuredBody]) -> Iterator[Finding]:
     """Bodies on two sides, by their names, that differ in mass, moments or the place of the mass.
 
     Places and products of inertia are compared where the joints of both are mirrored in one plane.
@@ -292,8 +291,8 @@ def unlike_twins(bodies: list[Measured]) -> Iterator[Finding]:
             )
 
 
-def _mirror(pairs: list[tuple[Measured, Measured]]) -> tuple[Array, float]:
-    """The reflection (3, 3) that most pairs of joints have, and where its plane is along its normal, m."""
+def _mirror(pairs: list[tuple[MeasuredBody, MeasuredBody]]) -> tuple[Array, float]:
+    """Find the reflection (3, 3) of most pairs of joints, and the place of its plane along the normal, m."""
     best: tuple[int, Array, float] = (0, np.eye(3), 0.0)
     for axis in range(3):
         flip = np.eye(3)
@@ -314,8 +313,8 @@ def _is_mirrored(p: Array, q: Array, flip: Array, middle: float, axis: int) -> b
     return apart > 0.0 and float(np.linalg.norm(flip @ p + shift - q)) < MAX_TWIN_DIFFERENCE * apart
 
 
-def _difference(one: Measured, two: Measured, flip: Array, middle: float) -> str:
-    """Word what twins differ in; "" if nothing."""
+def _difference(one: MeasuredBody, two: MeasuredBody, flip: Array, middle: float) -> str:
+    """Describe the first difference of two twins; "" if they are equal."""
     masses = one.body.mass, two.body.mass
     if _unlike(*masses, max(masses)):
         return f"masses of {masses[0]:.4g} and {masses[1]:.4g} kg"
@@ -332,7 +331,7 @@ def _difference(one: Measured, two: Measured, flip: Array, middle: float) -> str
     ends = [*zip(one.joints, two.joints, strict=False)]
     mirrored = all(_is_mirrored(a, b, flip, middle, int(axes[0])) for a, b in ends)
     if len(one.joints) != len(two.joints) or not mirrored:
-        return ""  # their poses are not mirrored
+        return ""  # the poses of the twins are not mirrored
     arms = flip @ (one.body.center_of_mass - p), two.body.center_of_mass - q
     size = max(one.gyration, two.gyration, float(np.linalg.norm(arms[0])))
     gap = arms[1] - arms[0]
@@ -343,8 +342,8 @@ def _difference(one: Measured, two: Measured, flip: Array, middle: float) -> str
     return ""
 
 
-def _is_turned(one: Measured, two: Measured, size: float) -> bool:
-    """True if one body is the other one moved or turned by half a turn, as one part used on both sides is."""
+def _is_turned(one: MeasuredBody, two: MeasuredBody, size: float) -> bool:
+    """True if one body equals the other, moved or turned by half a turn: the same part on both sides."""
     first, second = (each.body.center_of_mass - each.joints[0] for each in (one, two))
     turns = [rotation(np.asarray(each.body.quaternion)) for each in (one, two)]
     inertias = [turn @ each.body.inertia @ turn.T for turn, each in zip(turns, (one, two), strict=True)]

@@ -1,11 +1,13 @@
-"""Quantities of a model file's own model at a state: motion of bodies, forces, and motions left free.
+"""Quantities of a reference model at one state: motion of bodies, forces, and free motions.
 
-Of a state at which the two are compared the one decision is which motions constraints leave free. Rows and
-velocities are made dimensionless with the model's size. A motion is *free* where a singular value of the
-constraint Jacobian is round-off (`FREE`), and *held* where it is beyond what the digits of a file leave open
-(`DOUBT`). In between it may be either, and a scene passes whichever it says: bodies and forces are compared
-where nothing holds them, to the singular value that is in doubt, accelerations along motions that are free
-for certain. What is free in the scene may open the file's constraints by no more than what is in doubt.
+The only decision at a state is which motions the constraints leave free. Rows and velocities are made
+dimensionless with the size of the model. A motion is *free* if its singular value of the constraint Jacobian
+is round-off (`FREE_SINGULAR_VALUE`). A motion is *held* if its singular value exceeds the rounding of the
+digits of a file (`HELD_SINGULAR_VALUE`). In between, the motion may be either, and a scene passes both ways:
+
+- bodies and forces are compared along all motions that are not held, to the singular value in doubt;
+- accelerations are compared along motions that are certainly free;
+- motions that the scene leaves free may violate the constraints of the file by the singular value in doubt.
 """
 
 from __future__ import annotations
@@ -19,94 +21,97 @@ from newton_euler.equations.dense import singular_values
 from newton_euler.reading.activity import Bounds
 from newton_euler.scalars import Array
 
-FREE = 1e-10  # largest singular value that is round-off, or as a share of the largest one
+FREE_SINGULAR_VALUE = 1e-10
+"""Largest singular value that is round-off, relative to 1 or to the largest singular value."""
 
-DOUBT = 1e-3
-"""Largest one that tilts and rounded points of a file may make of a redundant row, in whatever units of
-length its rows are: ten times what a scene takes as redundant."""
+HELD_SINGULAR_VALUE = 1e-3
+"""Largest singular value of a redundant row with rounded points and axes in the file.
+
+The value is ten times the limit below which scenes treat rows as redundant."""
 
 
 class Constraints(NamedTuple):
-    """Rows of constraints, made dimensionless with the model's size."""
+    """Constraint rows, dimensionless with the size of the model."""
 
     residual: Array
-    """(k,)"""
+    """(k,) constraint errors."""
     jacobian: Array
-    """(k, nv) for dimensionless velocities."""
+    """(k, nv) derivatives by dimensionless velocities."""
     owners: Sequence[str]
-    """Element, as reports name it, that each row belongs to."""
+    """(k,) the element of each row, as reports name it."""
 
 
 class Kinematics(NamedTuple):
-    """Rigid groups of bodies at a state; world frame, SI."""
+    """Motion of rigid groups of bodies at a state; world frame, SI."""
 
     position: Array
     """(b, 3) centers of mass."""
     rotation: Array
-    """(b, 3, 3) to world."""
+    """(b, 3, 3) rotations to the world frame."""
     transformation: Array
-    """(b, 6, nv): linear and angular velocity for each velocity."""
+    """(b, 6, nv) linear and angular velocities per velocity of the model."""
     drift: Array
-    """(b, 6) accelerations where those of the coordinates are zero."""
+    """(b, 6) accelerations for zero accelerations of the coordinates."""
 
 
 class Forces(NamedTuple):
-    """Generalized forces (nv,) of everything but constraints."""
+    """Generalized forces (nv,) without constraint forces."""
 
     gravity: Array
     springs: Array
-    """Of joints, balls and tendons."""
+    """Springs of joints, balls and tendons."""
     dampers: Array
     actuators: Array
-    """And all that is not among the others, such as gravity compensation."""
+    """Actuators and all other forces, such as gravity compensation."""
     bias: Array
-    """Of inertia in motion, to be moved to the other side of the equations."""
+    """Velocity-dependent inertia terms, on the left side of the equations of motion."""
 
 
-KINDS = Forces._fields[:4]  # of forces that are compared apart, so that small ones do not drown
+FORCE_KINDS = Forces._fields[:4]
+"""Kinds of forces that are compared separately, so that errors of small forces show."""
 
 
 class ForceLimit(NamedTuple):
-    """A limit of a force that a scene is without, watched in its runs."""
+    """Limit of a force that scenes do not simulate and runs are watched for."""
 
     element: str
     watched: Bounds
-    """The force and the limit as the reading has them."""
+    """Force and limit as the reader imported them."""
     force: float
-    """Without the limit, by the file's own model, N or N m."""
+    """Force without the limit by the reference model, N or N m."""
     low: float
     high: float
-    """By the file."""
+    """Upper limit in the file; `low` is the lower limit."""
 
 
 class Freedom(NamedTuple):
-    """Motions that constraints leave free at a configuration."""
+    """Free motions at a configuration."""
 
     basis: Array
-    """(nv, d) of velocities that are not held, SI, the identity in `rows`."""
+    """(nv, d) basis of the velocities that are not held, SI; the identity in `rows`."""
     rows: Array
-    """(d,) velocities that tell all others."""
+    """(d,) numbers of independent velocities."""
     certain: Array
-    """(d, c) of those, the ones that are free."""
+    """(d, c) basis of the motions that are certainly free, in the independent velocities."""
     condition: float
-    """Of the rows that hold."""
+    """Condition number of the rows that certainly hold."""
     doubt: float
-    """Largest singular value of those that do not, which may be a constraint's all the same."""
+    """Largest singular value of the other rows, which may belong to a constraint."""
 
 
 def freedom(jacobian: Array, units: Array) -> Freedom:
     """Find the motions that constraints do not hold.
 
     Args:
-        jacobian: (k, nv) for dimensionless velocities.
-        units: (nv,) of velocities.
+        jacobian: (k, nv) derivatives of constraint rows by dimensionless velocities.
+        units: (nv,) units of the velocities: the size of the model, or 1 for angles.
     """
     count = len(units)
     if not jacobian.size:
         return Freedom(np.eye(count), np.arange(count), np.eye(count), 1.0, 0.0)
     _, s, vt = singular_values(jacobian, full=True)
     s = s / max(1.0, float(s[0]))
-    held, unsure = int(np.sum(s > DOUBT)), int(np.sum(s > FREE))
+    held, unsure = int(np.sum(s > HELD_SINGULAR_VALUE)), int(np.sum(s > FREE_SINGULAR_VALUE))
     condition = float(s[0] / s[held - 1]) if held else 1.0
     basis, chosen = _localized(vt[held:].T)
     certain = vt[unsure:].T[chosen] / units[chosen, None]
@@ -115,7 +120,10 @@ def freedom(jacobian: Array, units: Array) -> Freedom:
 
 
 def _localized(null: Array) -> tuple[Array, Array]:
-    """The same space with the identity in as many rows, and those rows; independent loops stay apart."""
+    """Return a basis of the same space with the identity in some rows, and these rows.
+
+    The rows are chosen by pivoting, so that independent loops have separate columns.
+    """
     left, rows = null.copy(), []
     for _ in range(null.shape[1]):
         row = int(np.argmax(np.einsum("ij,ij->i", left, left)))

@@ -1,22 +1,21 @@
-"""Verification of a scene against the file that it was read from, as an independent reader holds that.
+"""Verify an imported scene against the same file as an independent parser compiles it.
 
-`verify` compares figure by figure, at the start and at closed states around it and far from it, all of them
-moving, with springs displaced and actuators on:
+`verify` compares the scene with a `ReferenceModel` at the start, and at closed moving states near the start
+and far from it. Springs are deflected and actuators act. The checks are, in this order:
 
-1. mass properties of each body; the start, where the file's own loops close next to what it states, and how
-   fast;
-2. the mass matrix with loops open, bodies placed at random;
-3. joints, gears and motions of the scene where the file's own equalities are closed, how fast they open where
-   the file lets bodies move, and how far what the scene leaves free opens the file's equalities;
-4. forces of gravity, springs, dampers and actuators apart, and armatures, as independent velocities see
-   them, and forces that runs are watched for, with their limits; a difference is blamed on the element of
-   the file whose own force, alone, is most like it;
-5. what a system makes of the scene: poses, energies, and accelerations.
+1. mass properties of each body;
+2. the start: loop closure, pose and velocities nearest to the file's;
+3. the mass matrix with open loops, at random configurations;
+4. joints, gears and motions: the scene's joints at motions of the file, and the file's constraints at motions
+   that the scene leaves free;
+5. gravity, springs, dampers, actuators and armatures separately, in independent velocities, and forces with
+   limits. A difference is attributed to the element of the file whose own force explains it best;
+6. the equations of motion: poses, energies and accelerations.
 
-Figures are relative to what the mechanism does at all of the states together, row by row, before anything
-cancels: never to what may be round-off. Tolerances are round-off of a hundred operations in a row, magnified
-by the condition of the constraints. Those of motions allow for loops that do not close, too: offsets that
-loops have at the start are no part of that, for scenes and files keep them.
+Differences are relative to the largest value at all states, row by row, before terms cancel. Tolerances are
+the round-off of about a hundred operations times the condition number of the constraints. Tolerances of
+motions include the remaining loop-closure error, but not the offsets of loops at the start, which scenes and
+files keep.
 """
 
 from __future__ import annotations
@@ -28,97 +27,109 @@ import numpy as np
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System
 from newton_euler.errors import NewtonEulerError, VerificationError, listed
-from newton_euler.reading.dynamics import system_figures
-from newton_euler.reading.figure import Figure, worst
-from newton_euler.reading.forces import force_figures
+from newton_euler.reading.checks import ReadingCheck, closest_to_failing
+from newton_euler.reading.dynamics import system_checks
+from newton_euler.reading.forces import force_checks
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.reading.model import (
-    PLACES,
-    body_figures,
-    joint_figures,
-    start_figures,
+    CENTER_CHECK,
+    body_checks,
+    joint_checks,
+    start_checks,
     starts_not_compared,
 )
-from newton_euler.reading.placed import Placed
-from newton_euler.reading.reference import LOOSEST, ReferenceModel
+from newton_euler.reading.placement import ScenePlacement
+from newton_euler.reading.reference import MAX_USEFUL_TOLERANCE, ReferenceModel
 
-NOT_IN_MOTION = "but for motions, which no state tells to better than {:.0e},"
-"""Words where loops are next to singular or in doubt at all states; forces are compared at round-off."""
-
-PARTS: tuple[Callable[[Placed], Iterator[Figure]], ...] = (
-    body_figures,
-    start_figures,
-    joint_figures,
-    force_figures,
-    system_figures,
+CHECK_GROUPS: tuple[Callable[[ScenePlacement], Iterator[ReadingCheck]], ...] = (
+    body_checks,
+    start_checks,
+    joint_checks,
+    force_checks,
+    system_checks,
 )
 
 
-def verify(reference: ReferenceModel, system: System) -> Iterator[Figure]:
-    """Compare equations of motion of a scene with the file's own.
+def verify(reference: ReferenceModel, system: System) -> Iterator[ReadingCheck]:
+    """Compare equations of motion of a scene with the reference model of its file.
 
-    The first figure that does not agree tells the most: what is after it may follow from it. Nothing is
-    compared after bodies that are not the file's, or that do not start where it has them.
+    The first check that fails is the most informative: later failures may follow from the first one. The
+    comparison ends early if the bodies differ or do not start at the places of the file.
+
+    Args:
+        reference: model of the file.
+        system: equations of motion of the scene.
+
+    Yields:
+        The checks in the order of the module's list.
 
     Raises:
         NewtonEulerError: for numbers that are not finite, and a scene that the system cannot evaluate.
     """
     unknown = sorted(set(system.mechanism.body_names[1:]) ^ set(reference.names))
     missing = [*unknown, *reference.unaccounted]
-    yield Figure("elements unaccounted for", len(missing), 0.5, ", ".join(missing[:5]))
+    yield ReadingCheck("elements unaccounted for", len(missing), 0.5, ", ".join(missing[:5]))
     if unknown:
         return
     try:
-        with np.errstate(all="ignore"):  # what overflows is not finite, and said
-            placed = Placed(reference, system)
-        for part in PARTS:
+        with np.errstate(all="ignore"):  # a check reports numbers that overflow
+            placed = ScenePlacement(reference, system)
+        for part in CHECK_GROUPS:
             with np.errstate(all="ignore"):
                 found = list(part(placed))
             yield from found
-            if any(each.quantity == PLACES and not each.agrees for each in found):
+            if any(each.quantity == CENTER_CHECK and not each.agrees for each in found):
                 return
     except np.linalg.LinAlgError as error:
-        raise NewtonEulerError(f"the scene cannot be compared with what the file says: {error}") from error
+        raise NewtonEulerError(f"the scene cannot be compared with its file: {error}") from error
 
 
-def check(report: ImportReport) -> str:
-    """Verify what was read from a file, by the joint-coordinate form of its equations.
+def verify_report(report: ImportReport) -> str:
+    """Verify all scenes of a report, with equations of motion in joint coordinates.
 
     Returns:
-        A line for the report.
+        A line for the report: number of checks, precision, and what could not be compared.
 
     Raises:
-        VerificationError: naming the quantity, and the element or body, of the first figure that fails.
+        VerificationError: for the first check that fails, with quantity and element.
     """
     found = []
     for reference, scene in report.references:
-        for figure in verify(reference, Relative(scene)):
-            if not figure.agrees:
-                raise VerificationError(*figure)
-            found.append(figure)
-    nearest = worst(found)
+        for check in verify(reference, Relative(scene)):
+            if not check.agrees:
+                raise VerificationError(*check)
+            found.append(check)
+    # precision of the checks at states that can show a wrong motion
+    nearest = closest_to_failing(found)
     references = [reference for reference, _ in report.references]
     samples = [sample for reference in references for sample in reference.samples]
     informative = [sample for sample in samples if sample.tells]
     moving = "moving " if any(np.any(sample.v) for sample in samples) else ""
-    loosest = max((sample.tolerance_of_motion for sample in informative or samples), default=LOOSEST)
+    loosest = max(
+        (sample.tolerance_of_motion for sample in informative or samples), default=MAX_USEFUL_TOLERANCE
+    )
     share = nearest.value / nearest.tolerance
     at = f"{len(informative)} {moving}state{'s' * (len(informative) != 1)}"
-    to = f"to {loosest:.0e} at {at}" if informative else NOT_IN_MOTION.format(loosest)
-    said = (
-        f"verified against the file's own model {to} in {len(found)} figures, the largest "
-        f"of them {share:.0e} of its tolerance: {nearest.quantity}"
+    to = (
+        f"to {loosest:.0e} at {at}"
+        if informative
+        else f"except for motions, known at no state to better than {loosest:.0e},"
     )
+    said = (
+        f"verified against the file's own model {to} in {len(found)} checks, the closest to "
+        f"failing at {100.0 * share:.2g} % of its tolerance: {nearest.quantity}"
+    )
+    # limits of the verification
     limits = []
     if blind := len(samples) - len(informative):
         limits.append(
-            f"at {blind} more, next to singular configurations or with noise in loops, little shows"
+            f"{blind} more states are next to singular configurations or have rounded loops, and test little"
         )
     if not moving:
         limits.append("nothing can move")
     elif any(len(reference.samples) == 1 for reference in references):
-        limits.append("loops close nowhere but at the start")
+        limits.append("loops close at the start alone")
     unknown = dict.fromkeys(name for reference in references for name in starts_not_compared(reference))
     if unknown:
-        limits.append(f"the start of {listed(unknown)} is not compared, as its loops do not close")
+        limits.append(f"the start of {listed(unknown)} is not compared, because its loops do not close")
     return "; ".join([said, *limits])

@@ -1,7 +1,7 @@
-"""Wrenches of a scene's forces and rotors on its bodies, by their numbers alone.
+"""Wrenches of a scene's forces and rotors on its bodies, computed from the fields of the elements.
 
-Apart from the methods of forces, which newton_euler's equations use: a mistake there is that engine's, not
-the reading's of a file nor another engine's.
+The module does not use the methods of force elements that newton_euler's equations use. A mistake in these
+methods is therefore not attributed to a file or to another engine.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class Wrenches:
     """Sums of wrenches on bodies.
 
     Attributes:
-        mechanism: of the bodies.
-        frames: of the bodies.
+        mechanism: mechanism of the bodies.
+        frames: poses and velocities of the bodies.
         total: (b, 6) forces and torques about the centers of mass, N and N m, world frame.
         magnitude: (b, 6) sums of the absolute values.
     """
@@ -50,9 +50,11 @@ class Wrenches:
         return np.asarray(self._turn(body) @ (point - self.mechanism.bodies[body].pose.position))
 
     def add_forces(self, scene: Scene, control: Sequence[float] | Array = ()) -> None:
-        """Add all forces of a scene but gravity, at time 0.
+        """Add all forces of a scene except gravity, at time 0.
 
-        `control` has those of all control laws, for laws that get theirs of a model of the mechanism.
+        Args:
+            scene: scene with the forces.
+            control: forces of all control laws, used for laws that evaluate a model of the mechanism.
         """
         for k, law in enumerate(scene.joint_forces):
             first, second, rows, x, rate = self._coordinate(*law.key)
@@ -112,7 +114,7 @@ class Wrenches:
         )
         line = other - place
         length = float(np.linalg.norm(line))
-        along = line / (length or 1.0)  # a spring without rest length and damping may be of no length
+        along = line / (length or 1.0)  # a spring without rest length and damping may have zero length
         stretch_rate = float(along @ (other_velocity - velocity))
         pull = (spring.stiffness * (length - spring.rest_length) + spring.damping * stretch_rate) * along
         for body, arm, force in zip(ends, arms, (pull, -pull), strict=True):
@@ -123,7 +125,7 @@ class Wrenches:
 
         equations = self.mechanism.joint_equations(spring.joint)
         first, second = equations.first, equations.second
-        rest = Rotation.from_rotvec(spring.rest.copy()).as_matrix()  # refuses read-only arrays
+        rest = Rotation.from_rotvec(spring.rest.copy()).as_matrix()  # SciPy refuses read-only arrays
         between = self._turn(first).T @ self._turn(second) @ rest.T
         theta = self._turn(first) @ Rotation.from_matrix(between).as_rotvec()
         omega = self.frames[second].angular_velocity - self.frames[first].angular_velocity
@@ -132,7 +134,7 @@ class Wrenches:
         self._add(second, np.zeros(3), torque)
 
     def wind(self, load: WindLoad) -> Array:
-        """Compute what wind does to a plate at time 0, see `wind_on_plate`."""
+        """Compute force and moments of the wind on a plate at time 0, see `wind_on_plate`."""
         body = self.mechanism.body_index(load.body)
         frame, axes = self.frames[body], self._turn(body) @ load.axes
         center = frame.velocity + np.cross(frame.angular_velocity, self._arm(body, load.point))
@@ -168,14 +170,14 @@ class Wrenches:
 
 
 def wind_on_plate(load: WindLoad, relative: Array) -> Array:
-    """Compute what wind does to a plate by its angle of attack, see `WindLoad`.
+    """Compute force and moments of the wind on a plate from its angle of attack, see `WindLoad`.
 
     Args:
         load: the plate.
-        relative: (3,) m/s, of the wind against the plate's center, along the plate's sides and normal.
+        relative: (3,) m/s, wind velocity relative to the plate's center, along the sides and the normal.
 
     Returns:
-        (3,) the force along the normal, N, and the moments about the sides through the center, N m.
+        (3,) force along the normal, N, and moments about the two sides through the center, N m.
     """
     x, y, z = relative
     along, across = np.hypot(np.hypot(x, y), CALM), np.hypot(z, CALM)

@@ -209,8 +209,8 @@ def test_the_loop_file_holds_rods_and_couplings() -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("motion of gears", "motion of joint 'axle': MuJoCo has no equality that depends on time"),
-        (WIND, "wind load 'wind': no actuator of MuJoCo's, and benchmark kernels call no Python"),
+        ("motion of gears", "motion of joint 'axle': MuJoCo has no time-dependent equality"),
+        (WIND, "wind load 'wind': MuJoCo has no such actuator, and benchmark kernels call no Python"),
     ],
 )
 def test_tight_mujoco_refuses_what_needs_python(name: str, message: str) -> None:

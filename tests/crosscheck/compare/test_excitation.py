@@ -23,8 +23,14 @@ from newton_euler.model.control import PD
 from newton_euler.model.motions import Sum
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine
-from newton_euler.reading.activity import Bounds, Course
-from newton_euler.reading.excitation import SHIFT, SPEED, SPIN, moving, swings
+from newton_euler.reading.activity import Bounds, SampledMotion
+from newton_euler.reading.excitation import (
+    MAX_START_SPEED,
+    MAX_START_SPIN,
+    SWING_LENGTH,
+    swings,
+    with_start_velocities,
+)
 from newton_euler.runs.assemble import initial_state
 
 ACTUATORS = (
@@ -54,36 +60,36 @@ def sines(scene: Scene) -> dict[tuple[str, int], list[Sine]]:
 
 def test_start_velocities_fit_the_constraints_and_move_all_joints() -> None:
     scene = planar_four_bar()
-    moved, words = moving(scene)
+    moved, words = with_start_velocities(scene)
     system = Relative(moved)
     q, v = system.coordinates(initial_state(moved))
-    assert np.abs(constraint_rate(system, q, v)).max() < 1e-12 * SPIN
+    assert np.abs(constraint_rate(system, q, v)).max() < 1e-12 * MAX_START_SPIN
     omega = initial_state(moved).angular_velocity
     turning = [np.linalg.norm(omega[e.second] - omega[e.first]) for e in moved.mechanism.equations]
-    assert min(turning) > 0.01 * SPIN
-    assert max(turning) == pytest.approx(SPIN)
+    assert min(turning) > 0.01 * MAX_START_SPIN
+    assert max(turning) == pytest.approx(MAX_START_SPIN)
     assert words == f"start velocities up to {max(turning):.2g} rad/s"
-    again, _ = moving(scene)
+    again, _ = with_start_velocities(scene)
     assert np.array_equal(initial_state(again).angular_velocity, omega)
 
 
 def test_a_mass_slides_at_most_so_fast_and_a_motor_moves_it_about_so_far() -> None:
     scene = mass_on_rail(duration=1.0, control=(PD("rail", 0.0, 0.0, 0.0),))
     size = scene.mechanism.size
-    speed = np.linalg.norm(initial_state(moving(scene)[0]).linear_velocity[1])
-    assert speed == pytest.approx(SPEED * size)
+    speed = np.linalg.norm(initial_state(with_start_velocities(scene)[0]).linear_velocity[1])
+    assert speed == pytest.approx(MAX_START_SPEED * size)
     (swing,) = swings(scene, [{("rail", 0): 3.0}])
     push = Sine(3.0 * swing.amplitude, swing.angular_frequency)
     driven = mass_on_rail(duration=1.0, control=(PD("rail", 0.0, 0.0, 0.0, feedforward=push),))
     way = np.abs(newton_euler.simulate(driven).position[:, 1, 2]).max()
-    assert 0.5 * SHIFT * size < way < 1.1 * SHIFT * size
+    assert 0.5 * SWING_LENGTH * size < way < 1.1 * SWING_LENGTH * size
 
 
 @pytest.mark.parametrize(("room", "share"), [(10.0, 1.0), (0.5, 0.25), (0.0, 0.05)])
 def test_a_motor_moves_a_joint_by_half_of_the_room_that_its_limits_leave(room: float, share: float) -> None:
     """Where the room is given in units of what the motor would move it by."""
     scene = mass_on_rail(control=(PD("rail", 0.0, 0.0, 0.0),))
-    reach = SHIFT * scene.mechanism.size
+    reach = SWING_LENGTH * scene.mechanism.size
     bounds = [Bounds(((("rail", 0), 1.0),), -room * reach, 20.0 * reach, "m")]
     (swing,) = swings(scene, [{("rail", 0): 3.0}], bounds)
     assert swing.within == pytest.approx(share * swing.amplitude)
@@ -98,7 +104,7 @@ def test_controls_swing_within_half_of_their_ranges(tmp_path: Path) -> None:
     assert 0.7 <= min(frequencies) <= max(frequencies) <= 1.9
     (servo,) = driven["two_joints", 0]
     size = found.scene.mechanism.size
-    assert servo.amplitude == pytest.approx(300.0 * min(SHIFT * size, 0.25))
+    assert servo.amplitude == pytest.approx(300.0 * min(SWING_LENGTH * size, 0.25))
     hows = {entry.element: entry.how for entry in found.report.entries}
     end = hows["actuator 'end'"]  # a quarter of the range off its end, half of that to and fro
     assert "its control 0.025 + 0.0125 sin(" in end
@@ -133,11 +139,11 @@ def test_start_velocities_leave_room_to_the_force_of_a_damped_servo(tmp_path: Pa
     found = reading(tmp_path, model(PAIR, f"<actuator>{servo}</actuator>", option), excitation=True)
     (bound,) = (each for each in found.report.bounds if each.by_rate)
     run = newton_euler.simulate(found.scene)
-    course = Course(found.scene, run)
-    rate = abs(course.coordinate(bound.terms[0][0])[1][0])
+    motion = SampledMotion(found.scene, run)
+    rate = abs(motion.coordinate(bound.terms[0][0])[1][0])
     largest = 0.5 * 50.0 / 400.0
     assert 0.5 * largest <= rate <= largest * (1.0 + 1e-12)  # drawn from the upper half
-    assert not bound.judge(course).active
+    assert not bound.judge(motion).active
 
 
 def test_start_velocities_stay_within_the_limits_of_joints(tmp_path: Path) -> None:
@@ -150,11 +156,11 @@ def test_start_velocities_stay_within_the_limits_of_joints(tmp_path: Path) -> No
     found = reading(tmp_path, model(bodies), excitation=True, duration=0.5)
     start = initial_state(found.scene)
     rates = {name: found.scene.mechanism.measure((name, 0), start.frames())[1] for name in ranges}
-    assert 0.0 < rates["low"] <= SPIN
-    assert -SPIN <= rates["high"] < 0.0
-    assert -SPIN <= rates["out"] < 0.0
-    course = Course(found.scene, newton_euler.simulate(found.scene))
-    acting = {entry.element for entry in found.report.after(course).acting}
+    assert 0.0 < rates["low"] <= MAX_START_SPIN
+    assert -MAX_START_SPIN <= rates["high"] < 0.0
+    assert -MAX_START_SPIN <= rates["out"] < 0.0
+    motion = SampledMotion(found.scene, newton_euler.simulate(found.scene))
+    acting = {entry.element for entry in found.report.after(motion).acting}
     assert acting == {"joint 'out'"}
 
 
@@ -182,9 +188,9 @@ def test_start_velocities_of_a_closed_loop_stay_within_the_limits_of_joints(
     start = initial_state(found.scene)
     rates = {name: found.scene.mechanism.measure((name, 0), start.frames())[1] for name in "abc"}
     assert rates[joint] * inwards > 0.0
-    assert 0.4 * SPIN < max(map(abs, rates.values())) <= SPIN
-    course = Course(found.scene, newton_euler.simulate(found.scene))
-    assert not found.report.after(course).acting
+    assert 0.4 * MAX_START_SPIN < max(map(abs, rates.values())) <= MAX_START_SPIN
+    motion = SampledMotion(found.scene, newton_euler.simulate(found.scene))
+    assert not found.report.after(motion).acting
 
 
 def test_start_velocities_of_loops_without_a_common_constraint_are_chosen_apart(tmp_path: Path) -> None:
@@ -211,7 +217,7 @@ def test_start_velocities_of_loops_without_a_common_constraint_are_chosen_apart(
     limited, free = rates
     assert limited[0] < 0.0 < limited[1]
     assert np.abs(limited) == pytest.approx(np.abs(free), rel=1e-9)
-    assert np.min(np.abs(limited)) > 0.5 * SPIN
+    assert np.min(np.abs(limited)) > 0.5 * MAX_START_SPIN
 
 
 @pytest.mark.parametrize("dynamics", ["filter", "filterexact", "integrator"])
@@ -303,10 +309,10 @@ def test_a_force_is_driven_within_its_limit(control: int, tmp_path: Path) -> Non
 def test_a_watched_limit_sees_a_force_that_swings() -> None:
     law = PD("rail", 0.0, 0.0, 0.0, feedforward=Sine(2.0, 7.0))
     scene = mass_on_rail(duration=1.0, control=(law,))
-    course = Course(scene, newton_euler.simulate(scene))
+    motion = SampledMotion(scene, newton_euler.simulate(scene))
     for high, active in ((1.9, True), (2.1, False)):
         watch = Bounds((), -2.5, high, "N", Sine(2.0, 7.0))
-        assert watch.judge(course).active == active
+        assert watch.judge(motion).active == active
 
 
 def test_a_urdf_moves_at_the_start(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from newton_euler import (
     simulate,
     start,
 )
-from newton_euler.reading.activity import Course
+from newton_euler.reading.activity import SampledMotion
 
 K, WOUND = 0.3, 20.0  # N m/rad and rad
 KEY = ("hinge", 0)
@@ -93,7 +93,7 @@ def test_activity_is_judged_by_the_angle_of_the_run() -> None:
     motion = PrescribedMotion("hinge", Sine(20.0, 3.0))
     scene = replace(swing(motions=[motion]), duration=3.0, output_period=0.5)
     run = simulate(scene)
-    x, rate, _ = Course(scene, run).coordinate(KEY)
-    shown = np.isin(Course(scene, run).time, run.time)
+    x, rate, _ = SampledMotion(scene, run).coordinate(KEY)
+    shown = np.isin(SampledMotion(scene, run).time, run.time)
     assert np.allclose(x[shown], 20.0 * np.sin(3.0 * run.time), rtol=0.0, atol=1e-10)
     assert np.allclose(rate[shown], 60.0 * np.cos(3.0 * run.time), rtol=0.0, atol=1e-9)

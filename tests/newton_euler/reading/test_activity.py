@@ -10,7 +10,7 @@ import pytest
 from crosscheck.compare.activity import watched
 from mjcf import read
 from newton_euler import simulate
-from newton_euler.reading.activity import UNSETTLED, Course
+from newton_euler.reading.activity import UNSETTLED, SampledMotion
 from newton_euler.reading.import_report import ImportReport
 from urdf import read as read_urdf
 
@@ -27,7 +27,7 @@ SWING = """<mujoco><option gravity="0 0 {gravity}"/><worldbody><site name="wall"
 
 def after(path: Path, duration: float) -> ImportReport:
     found = (read_urdf if path.suffix == ".urdf" else read)(path, duration=duration, output_period=0.01)
-    return found.report.after(Course(found.scene, simulate(found.scene)))
+    return found.report.after(SampledMotion(found.scene, simulate(found.scene)))
 
 
 def told(report: ImportReport, start: str) -> tuple[str, str]:

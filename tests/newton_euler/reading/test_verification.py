@@ -25,7 +25,7 @@ from newton_euler.equations.relative import Relative
 from newton_euler.errors import VerificationError
 from newton_euler.model.mechanism import Body
 from newton_euler.reading.import_report import ImportReport
-from newton_euler.reading.verify import check, verify
+from newton_euler.reading.verify import verify, verify_report
 
 ZOO = model(
     '<body name="crank"><joint name="a" axis="0 1 0" damping="0.02" armature="0.01"/>'
@@ -305,7 +305,7 @@ def test_an_error_keeps_its_values(tmp_path: Path) -> None:
     other = ImportReport()
     other.references = [(reference, replace(scene, gravity=np.array([0.0, 0.0, -9.8])))]
     with pytest.raises(VerificationError) as caught:
-        check(other)
+        verify_report(other)
     assert (caught.value.where, caught.value.quantity) == ("gravity", "gravity, rel")
     assert caught.value.value > caught.value.tolerance
 

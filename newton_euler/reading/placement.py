@@ -1,4 +1,4 @@
-"""The bodies of a scene where a file's own model has them."""
+"""Place the bodies of a scene at the poses of the file's reference model."""
 
 from __future__ import annotations
 
@@ -14,32 +14,33 @@ from newton_euler.reading.reference import ReferenceModel, Sample
 from newton_euler.scalars import Array, cross, tilde
 
 
-class Place(NamedTuple):
-    """The scene's bodies, ground first, where a sample of the file has them."""
+class SamplePlacement(NamedTuple):
+    """Bodies of the scene, ground first, at the poses and velocities of a sample of the file."""
 
     sample: Sample
     state: State
     rest: State
-    """The same without velocities."""
+    """The state without velocities."""
     transformation: Array
-    """(6 b, nv) of the bodies' centers of mass, for the file's velocities."""
+    """(6 b, nv) velocities of the bodies' centers of mass for velocities of the file."""
     of_parts: Array
-    """(6 g, nv) the same for each rigid group of the file that is a part of a body."""
+    """(6 g, nv) velocities at the same points for each rigid group of the file that is part of a body."""
     drift: Array
-    """(6 g,) accelerations of the groups where those of the file's coordinates are zero."""
+    """(6 g,) accelerations of the groups for zero accelerations of the file's coordinates."""
 
 
-class Placed:
-    """A file, equations of motion of a scene, and the scene's bodies where the file has them.
+class ScenePlacement:
+    """Bodies of a scene at the poses of a reference model, for all samples of the model.
 
-    A body moves from its initial pose as the file's group of its name moves from the start, so that frames of
-    neither side matter.
+    A body moves from its initial pose as the group of its name in the file moves from the start. The choice
+    of body frames therefore does not matter.
 
     Attributes:
-        reference, system: the two.
-        bodies: (g,) the scene's body of each rigid group.
-        parts: for each of these bodies its first group.
-        first: (g, 3) and (g, 3, 3), centers and rotations of the groups at the start.
+        reference: model of the file.
+        system: equations of motion of the scene.
+        bodies: (g,) number of the scene's body of each rigid group.
+        parts: for each of these bodies, the number of its first group.
+        first: centers (g, 3), m, and rotations (g, 3, 3) of the groups at the start.
     """
 
     def __init__(self, reference: ReferenceModel, system: System) -> None:
@@ -53,14 +54,15 @@ class Placed:
 
     @property
     def halved(self) -> bool:
-        """True if the file has halves of bodies, each posed by the first of them alone."""
+        """True if the file cuts bodies into halves; the first half gives the pose of the body."""
         return len(self.parts) < len(self.bodies)
 
     @property
     def limits(self) -> list[float]:
         """Tolerances of forces at the samples.
 
-        Halves, and springs and rotors that a scene has at the other end of a gear, see what is open.
+        The loop-closure error counts for halves of bodies, and for springs and rotors that the scene has on
+        the other side of a gear.
         """
         sees = self.halved or self.mechanism.couplings
         return [
@@ -68,22 +70,22 @@ class Placed:
         ]
 
     def of_parts(self, values: Array) -> Array:
-        """(6 g, ...) dimensionless velocities or accelerations of groups, of (6 b, ...) of bodies."""
+        """Return dimensionless velocities or accelerations (6 g, ...) of groups, from bodies (6 b, ...)."""
         rows = np.arange(len(values)).reshape(-1, 6)[self.bodies].ravel()
         return np.asarray((values[rows].T / self.part_units).T)
 
     @cached_property
-    def places(self) -> list[Place]:
-        """At the samples."""
+    def places(self) -> list[SamplePlacement]:
+        """Placements at the samples."""
         return [self._place(sample) for sample in self.reference.samples]
 
-    def _place(self, sample: Sample) -> Place:
+    def _place(self, sample: Sample) -> SamplePlacement:
         bodies = self.mechanism.bodies
         found = sample.kinematics
         parts, drift = found.transformation.copy(), found.drift.copy()
         rest = State.initial(self.mechanism)
         centers, turns = self.first
-        for k in reversed(range(len(parts))):  # of halves the first one tells the pose
+        for k in reversed(range(len(parts))):  # in reverse, so that the first half sets the pose
             body, turn = self.bodies[k], found.rotation[k] @ turns[k].T
             arm = turn @ (bodies[body].center_of_mass - centers[k])
             rest.position[body] = found.position[k] + arm
@@ -96,11 +98,11 @@ class Placed:
         linear, angular = np.split(rows @ sample.v, 2, axis=1)
         state = State(rest.position, rest.quaternion, linear, angular)
         whole, of_parts = (each.reshape(-1, len(sample.v)) for each in (rows, parts))
-        return Place(sample, state, rest, whole, of_parts, drift.ravel())
+        return SamplePlacement(sample, state, rest, whole, of_parts, drift.ravel())
 
 
 def shifted(rows: Array, arm: Array) -> Array:
-    """Velocities (6, nv) of a body at a point that lies `arm` (3,) from the one that they are of."""
+    """Move velocities (6, nv) of a body to a point at a distance `arm` (3,), m, from their own point."""
     moved = rows.copy()
     moved[:3] -= tilde(arm) @ rows[3:]
     return moved
