@@ -1,4 +1,9 @@
-"""URDF with loop closures: Mechanism -> URDF and loop file, and its dynamics by Pinocchio."""
+"""Pinocchio as an engine for scenes, and reading and writing of URDF files with loop files.
+
+`simulate` runs a scene with Pinocchio's accelerations, `write` writes a scene as URDF and loop file, `read`
+imports a URDF or a Pinocchio model as a scene with an import report. `urdf.dynamics` has the equations of
+motion. Pinocchio is imported at its first use. Start reading at `write`, `model` and `reader`.
+"""
 
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +16,7 @@ if TYPE_CHECKING:
 else:
 
     def __getattr__(name: str) -> Any:
-        """Import the reader when it is asked for: it needs Pinocchio."""
+        """Import the reader, which needs Pinocchio, at its first use."""
         if name != "read":
             raise AttributeError(f"module 'urdf' has no attribute {name!r}")
         from urdf.reader import read

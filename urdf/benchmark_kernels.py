@@ -1,7 +1,7 @@
-"""The tightest loops around Pinocchio: right-hand sides and whole runs, with nothing but poses kept.
+"""Benchmark kernels of Pinocchio: right-hand sides and runs with as little Python as possible.
 
-State y = (q, v) is in Pinocchio's own order, SI units, so that nothing is converted on the way, and what
-can be made before is.
+States y = (q, v) have Pinocchio's order, SI units, so that nothing is converted during a run. The kernels
+store poses at output times only.
 """
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ from newton_euler.scalars import Array
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import UrdfError
 
-PROXIMAL = ((0.0, 1), (1e-8, 1), (1e-8, 3), (1e-6, 3), (1e-6, 10), (1e-6, 30), (1e-4, 30))
-"""Regularizations (mu, iterations) of `constraintDynamics`, cheapest first; redundant closures need one."""
+REGULARIZATIONS = ((0.0, 1), (1e-8, 1), (1e-8, 3), (1e-6, 3), (1e-6, 10), (1e-6, 30), (1e-4, 30))
+"""Regularizations (mu, iterations) of `constraintDynamics`, cheapest first, for redundant closures."""
 
-ACCURATE = 1e-9
-"""Relative error of accelerations that a regularization may leave."""
+MAX_REGULARIZATION_ERROR = 1e-9
+"""Largest relative error of accelerations by a regularization."""
 
-MOST_STEPS = 1000
-"""Of LSODA from one output to the next."""
+MAX_LSODA_STEPS = 1000
+"""Largest number of steps of LSODA per output interval."""
 
 Rates = Callable[[float, Array], Array]
 
 
 class Equations(NamedTuple):
-    """The equations of motion, ready to be called over and over.
+    """Equations of motion for many calls.
 
     Attributes:
-        system: the scene with all its checks.
-        acceleration: of no arguments, at the initial state: one right-hand side and nothing else.
-        rates: ydot (nq + nv,) at t, y; always in the same array.
+        system: Pinocchio's system of the scene.
+        acceleration: function without arguments, one right-hand side at the initial state.
+        rates: function of t and y that returns ydot (nq + nv,), always in the same array.
         start: (nq + nv,) initial y.
-        nq: how much of y is q.
+        nq: number of coordinates q in y.
     """
 
     system: PinocchioSystem
@@ -59,20 +59,26 @@ class Equations(NamedTuple):
 
 
 def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) -> Equations:
-    """The equations of motion by `constraintDynamics`, or by `lcaba` with (mu, iterations).
+    """Make the equations of motion by `constraintDynamics` or `lcaba`.
+
+    Args:
+        scene: scene to simulate.
+        alpha: 1/s, of Baumgarte's gains.
+        lcaba: (mu, iterations) of `lcaba`; None for `constraintDynamics`.
 
     Raises:
-        UrdfError: for a scene with something that `lcaba` has no place for.
+        UrdfError: for a scene with elements that `lcaba` does not support.
     """
-    scene = replace(scene, outputs=frozenset())  # no work among the coordinates
+    scene = replace(scene, outputs=frozenset())  # no work in the coordinates
     system = PinocchioSystem(scene, alpha)
     outside = _outside(scene)
     if outside and lcaba:
         known = "gravity, forces on joint coordinates, and loops that balls or welds close"
-        raise UrdfError(f"{outside[0]}: Pinocchio's lcaba knows {known}")
+        raise UrdfError(f"{outside[0]}: Pinocchio's lcaba supports only {known}")
     if outside:
         return _checked_equations(system)
     model, constraints = system.closed.model, system.closed.constraints
+    # arrays that every call reuses
     data = model.createData()
     nq, nv = model.nq, model.nv
     gains, constant = _laws(scene, system)
@@ -91,6 +97,7 @@ def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) ->
     def accelerate(settings: Any) -> Array:
         return solve(model, data, start[:nq], start[nq:], tau, constraints, datas, settings)
 
+    # the regularization, and the places of balls and single coordinates
     proximal = _proximal(*lcaba) if lcaba else _chosen(system, accelerate)
     joints = list(model.joints)[1:]
     balls = [(joint.idx_q, joint.idx_v) for joint in joints if joint.nq == 4]
@@ -134,7 +141,7 @@ def articulated_bodies(scene: Scene) -> Callable[[], Array]:
 
 
 def _checked_equations(system: PinocchioSystem) -> Equations:
-    """Those of `PinocchioSystem` itself, for what is no part of `constraintDynamics`."""
+    """Make the equations from `PinocchioSystem`, for elements that `constraintDynamics` does not support."""
     to, nq = system.map, system.closed.model.nq
     rates = np.empty(nq + system.nv)
     q, v = system.coordinates(initial_state(system.scene))
@@ -150,7 +157,7 @@ def _checked_equations(system: PinocchioSystem) -> Equations:
 
 
 def _outside(scene: Scene) -> list[str]:
-    """Name what is not gravity, a closure of Pinocchio's or an affine law of joint coordinates."""
+    """List elements other than gravity, closures of Pinocchio and affine laws of joint coordinates."""
     found = [force.element for force in scene.forces if not isinstance(force, JointSpring)]
     found += [law.element for law in scene.control if not isinstance(law, PD) or law.is_driven]
     found += [f"joint {joint.name!r}" for joint in scene.mechanism.joints if isinstance(joint, Rod)]
@@ -158,14 +165,14 @@ def _outside(scene: Scene) -> list[str]:
 
 
 def _laws(scene: Scene, system: PinocchioSystem) -> tuple[Array, Array]:
-    """Actuation and springs of joints as an affine function of y: (nv, nq + nv) and (nv,)."""
+    """Return control laws and joint springs as an affine function of y: (nv, nq + nv) and (nv,)."""
     order_q = list(system.map.q_to_pinocchio(np.arange(system.nq)))
     order_v = list(system.map.v_to_pinocchio(np.arange(system.nv)))
     tree = weld_loops(scene.mechanism, loaded=scene.loaded_balls).tree
     gains, constant = np.zeros((tree.nv, tree.nq + tree.nv)), np.zeros(tree.nv)
     for law in scene.joint_forces:
         place = tree.place(law.joint, law.coordinate)
-        assert place is not None  # only balls are ever cut
+        assert place is not None  # only balls close loops
         assert isinstance(law, PD | JointSpring)
         row = order_v.index(place[1])
         gains[row, order_q.index(place[0])] -= law.stiffness
@@ -182,19 +189,19 @@ def _proximal(mu: float, iterations: int) -> Any:
 
 
 def _chosen(system: PinocchioSystem, accelerate: Callable[[Any], Array]) -> Any:
-    """Plain elimination for independent closures, else the cheapest regularization that is accurate."""
+    """Choose the cheapest accurate regularization; none for independent closures."""
     q, v = system.coordinates(initial_state(system.scene))
     exact = system.map.v_to_pinocchio(system.acceleration(q, v))
-    for mu, iterations in PROXIMAL:  # plain elimination makes NaN of redundant closures
+    for mu, iterations in REGULARIZATIONS:  # plain elimination returns NaN for redundant closures
         settings = _proximal(mu, iterations)
         error = np.max(np.abs(accelerate(settings) - exact))
-        if error <= ACCURATE * max(float(np.max(np.abs(exact))), 1e-6):
+        if error <= MAX_REGULARIZATION_ERROR * max(float(np.max(np.abs(exact))), 1e-6):
             break
     return settings
 
 
 def _turned(p: list[float], omega: list[float]) -> tuple[float, float, float, float]:
-    """Rate of a quaternion x-y-z-w at an angular velocity (rad/s) in its body's frame."""
+    """Return the rate of a quaternion (x, y, z, w) at an angular velocity, rad/s, in the body frame."""
     x, y, z, w = p
     a, b, c = omega
     return (
@@ -206,7 +213,10 @@ def _turned(p: list[float], omega: list[float]) -> tuple[float, float, float, fl
 
 
 def lsoda(equations: Equations, rtol: float, atol: float) -> tuple[Array, int]:
-    """Adams and BDF methods of variable order, compiled, with interpolated outputs.
+    """Integrate by LSODA, Adams and BDF methods of variable order, with interpolated outputs.
+
+    Returns:
+        y (n, nq + nv) at outputs, and the number of evaluations.
 
     Raises:
         IntegrationError: with LSODA's reason.
@@ -221,7 +231,7 @@ def lsoda(equations: Equations, rtol: float, atol: float) -> tuple[Array, int]:
         rtol=rtol,
         atol=atol,
         full_output=True,
-        mxstep=MOST_STEPS,
+        mxstep=MAX_LSODA_STEPS,
     )
     if info["message"] != "Integration successful.":
         raise IntegrationError(float(info["tcur"].max()), f"LSODA: {info['message']}")
@@ -229,9 +239,9 @@ def lsoda(equations: Equations, rtol: float, atol: float) -> tuple[Array, int]:
 
 
 class Kinematics:
-    """Poses of joints at every output, through a view of Pinocchio's placements that is kept.
+    """Poses of joints at every output, through a view of Pinocchio's placements.
 
-    A placement is 12 numbers: the columns of its rotation matrix and its translation, m, world frame.
+    A placement has 12 numbers: the columns of the rotation matrix and the translation, m, world frame.
     """
 
     def __init__(self, equations: Equations) -> None:
@@ -239,13 +249,13 @@ class Kinematics:
         self._model = equations.system.closed.model
         self._data = self._model.createData()
         first, size = self._data.oMi[1], pin.SE3.Identity().homogeneous[:3].nbytes
-        # Pinocchio keeps placements side by side, each as rotation and translation
+        # Pinocchio stores placements contiguously, each as rotation and translation
         self._placements = as_strided(first.rotation, (self._model.njoints - 1, 12), (size, 8))
         joints = list(self._model.joints)[1:]
         self._balls = [slice(joint.idx_q, joint.idx_q + 4) for joint in joints if joint.nq == 4]
 
     def __call__(self, rows: Array) -> Array:
-        """Placements (n, joints, 12) of all joints but the universe, of y (n, nq + nv) at n times."""
+        """Return placements (n, joints, 12) of all joints except the universe, for y (n, nq + nv)."""
         for ball in self._balls:
             rows[:, ball] /= np.linalg.norm(rows[:, ball], axis=1, keepdims=True)
         model, data, view, nq = self._model, self._data, self._placements, self._equations.nq
@@ -257,10 +267,10 @@ class Kinematics:
         return found
 
     def poses(self, placements: Array) -> tuple[Array, Array]:
-        """Positions (n, b, 3) and quaternions (n, b, 4) of the scene's bodies, ground first.
+        """Return positions (n, b, 3), m, and quaternions (n, b, 4) of the scene's bodies, ground first.
 
         Raises:
-            IntegrationError: for a run that is not finite.
+            IntegrationError: for a motion that is not finite.
         """
         finite = np.all(np.isfinite(placements), axis=(1, 2))
         if not np.all(finite):

@@ -1,12 +1,12 @@
-"""Residuals and Jacobians of constraints from Pinocchio's kinematics: closures, rods, couplings, motions.
+"""Constraint errors and Jacobians from Pinocchio's kinematics: closures, rods, couplings and motions.
 
-Closures are those that `constraintDynamics` knows. It does not know rods, couplings and prescribed motions.
-With points p1 and p2 of a rod, d = p2 - p1 and l = |d|,
+`constraintDynamics` supports closures, but not rods, couplings and prescribed motions. With points p1 and p2
+of a rod, d = p2 - p1 and l = |d|,
 
     Phi = l - L,    Phi_q = d^T (J2 - J1) / l
     Phi_q qddot + (d . (a2 - a1) + |dd/dt|^2 - (dl/dt)^2) / l = 0
 
-with a1 and a2 the accelerations of the points at qddot = 0. Motions are linear in q, couplings are sums of
+with accelerations a1 and a2 of the points at qddot = 0. Motions are linear in q. Couplings are sums of
 polynomials p(x) of joint coordinates,
 
     Phi = sum p(x),    Phi_x = p'(x),    Phi_q qddot + sum p''(x) (dx/dt)^2 = 0
@@ -26,14 +26,14 @@ from urdf.model import ClosedLoopModel, CoordinateMap
 
 
 class Closures:
-    """Residuals of the rigid constraints of a model, 3 rows of each or 6.
+    """Rigid constraints of a model, with 3 or 6 rows each.
 
-    Of each: first origin less second, world frame, m; for a weld also the rotation vector that takes the
-    first frame to the second, rad.
+    The rows are the first origin minus the second, m, world frame. A weld also has the rotation vector from
+    the first frame to the second, rad.
 
     Attributes:
-        units: (k,) what makes the rows dimensionless: `length` (m) for lengths, 1 for angles.
-        pairs: frames of each constraint, and whether it is a weld.
+        units: (k,) units of the rows: `length` (m) for lengths, 1 for angles.
+        pairs: frames of each constraint, and True for a weld.
     """
 
     def __init__(self, closed: ClosedLoopModel, map: CoordinateMap, length: float) -> None:
@@ -45,7 +45,7 @@ class Closures:
         self.units = np.concatenate([np.zeros(0), *units])
 
     def phi(self, data: Any) -> Array:
-        """Residuals (k,); of data with frame placements."""
+        """Return the constraint errors (k,); `data` needs frame placements."""
         rows = [np.zeros(0)]
         for (first, second), weld in self.pairs:
             a, b = data.oMf[first], data.oMf[second]
@@ -55,7 +55,7 @@ class Closures:
         return np.concatenate(rows)
 
     def jacobian(self, data: Any) -> Array:
-        """(k, nv) in tree velocities; of data with joint Jacobians and frame placements."""
+        """Return the Jacobian (k, nv) in tree velocities; `data` needs joint Jacobians and placements."""
         rows = [np.zeros((0, self._model.nv))]
         for (first, second), weld in self.pairs:
             difference = frame_jacobian(self._model, data, first) - frame_jacobian(self._model, data, second)
@@ -66,8 +66,10 @@ class Closures:
         return self._map.v_from_pinocchio(np.concatenate(rows))
 
     def gamma(self, data: Any) -> Array:
-        """(k,) right side of Phi_q qddot = gamma where they are closed; of data after `forwardKinematics` at
-        qddot = 0."""
+        """Return gamma (k,) of Phi_q qddot = gamma for closed loops.
+
+        `data` needs `forwardKinematics` at qddot = 0.
+        """
         rows = [np.zeros(0)]
         for (first, second), weld in self.pairs:
             of = (self._model, data)
@@ -80,7 +82,7 @@ class Closures:
         return np.concatenate(rows)
 
     def wrenches(self, data: Any, multipliers: Array) -> list[Any]:
-        """Wrenches of multipliers (k,) on second bodies about the world's origin; of data with placements."""
+        """Return the wrenches of multipliers (k,) on second bodies about the world's origin."""
         found, start = [], 0
         for (first, second), weld in self.pairs:
             b = data.oMf[second]
@@ -94,18 +96,18 @@ class Closures:
 
 
 def frame_jacobian(model: Any, data: Any, frame: int) -> Array:
-    """(6, nv) in Pinocchio's order: velocity of the frame's origin, angular velocity; world."""
+    """Return the Jacobian (6, nv) of a frame's linear and angular velocity, world axes, Pinocchio's order."""
     jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-    return np.reshape(jacobian, (6, model.nv))  # a single column comes as a vector
+    return np.reshape(jacobian, (6, model.nv))  # Pinocchio returns a single column as a vector
 
 
 def power_sums(powers: Array, x: Array, derivative: int) -> Array:
-    """Compute polynomials (c, n) of coordinates x (n,), or a derivative of them, by Horner's rule.
+    """Evaluate polynomials (c, n) of coordinates x (n,), or their derivatives, by Horner's rule.
 
     Args:
         powers: (c, d, n) factors of the powers 1 to d.
         x: coordinates, m or rad.
-        derivative: 0, 1 or 2.
+        derivative: order, 0, 1 or 2.
     """
     total = np.zeros((len(powers), len(x)))
     for k in range(powers.shape[1], max(derivative, 1) - 1, -1):
@@ -114,10 +116,10 @@ def power_sums(powers: Array, x: Array, derivative: int) -> Array:
 
 
 class Rows:
-    """The rows of a model: rods, prescribed motions, screws, gears.
+    """Constraint rows that `constraintDynamics` does not support: rods, prescribed motions, screws, gears.
 
     Attributes:
-        units: (r,) what makes them dimensionless: `length` (m) for lengths, 1 for angles.
+        units: (r,) units of the rows: `length` (m) for lengths, 1 for angles.
     """
 
     def __init__(
@@ -131,13 +133,13 @@ class Rows:
         data = self._model.createData()
         pin.framesForwardKinematics(self._model, data, pin.neutral(self._model))
         self._lengths = [float(np.linalg.norm(self._line(data, rod))) for rod in self._rods]
-        # the loop file knows what is coupled, and the scene what is moved
+        # couplings come from the loop file, motions from the scene
         self._motions = len(couplings.couplings) - len(closed.couplings)
         self._powers = map.v_from_pinocchio(closed.couplings)  # (c, d, nv)
         self.units = np.concatenate([np.full(len(self._rods), length), couplings.units])
 
     def phi(self, data: Any, q: Array, time: float) -> Array:
-        """Residuals (r,), m or rad; of data after `framesForwardKinematics` at tree coordinates q."""
+        """Return constraint errors (r,), m or rad; `data` needs `framesForwardKinematics` at q."""
         open_by = [
             float(np.linalg.norm(self._line(data, rod))) - length
             for rod, length in zip(self._rods, self._lengths, strict=True)
@@ -145,12 +147,14 @@ class Rows:
         return np.concatenate([open_by, self._couplings.phi(q, time)])
 
     def phi_t(self, time: float) -> Array:
-        """Partial derivative (r,) of `phi` by time."""
+        """Return the partial derivative (r,) of `phi` with respect to time."""
         return np.concatenate([np.zeros(len(self._rods)), -self._couplings.rate(time)])
 
     def jacobian(self, data: Any, q: Array) -> Array:
-        """(r, nv) in tree velocities; of data after `computeJointJacobians` and `updateFramePlacements` at
-        tree coordinates q."""
+        """Return the Jacobian (r, nv) in tree velocities.
+
+        `data` needs `computeJointJacobians` and `updateFramePlacements` at tree coordinates q.
+        """
         rows = []
         for rod in self._rods:
             first, second = (frame_jacobian(self._model, data, frame) for frame in rod)
@@ -161,7 +165,7 @@ class Rows:
         return np.concatenate([*rows, power_sums(self._powers, self._map.displacements(q), 1)])
 
     def gamma(self, data: Any, q: Array, v: Array, time: float) -> Array:
-        """(r,) right side of Phi_q qddot = gamma; of data after `forwardKinematics` at q, v and qddot = 0."""
+        """Return gamma (r,) of Phi_q qddot = gamma; `data` needs `forwardKinematics` at qddot = 0."""
         model, aligned = self._model, pin.LOCAL_WORLD_ALIGNED
         products = []
         for rod in self._rods:
@@ -183,11 +187,11 @@ class Rows:
         return wrenches
 
     def motion_power(self, multipliers: Array, time: float) -> float:
-        """Power of prescribed motions, W."""
+        """Return the power of prescribed motions, W."""
         return float(multipliers[len(self._rods) :] @ self._couplings.rate(time))
 
     def _line(self, data: Any, rod: tuple[int, int]) -> Array:
-        """(3,) m, from the first point to the second."""
+        """Return the vector (3,), m, from the first point to the second."""
         return np.asarray(data.oMf[rod[1]].translation - data.oMf[rod[0]].translation)
 
     def _direction(self, data: Any, rod: tuple[int, int]) -> Array:

@@ -1,11 +1,13 @@
-"""The equations of motion of a scene by Pinocchio, from its URDF and loop file.
+"""Equations of motion of a scene by Pinocchio, from its URDF and loop file.
 
-Accelerations are those of `pinocchio.constraintDynamics`: rigid closures by the sparse Cholesky
-factorization of Carpentier, Budhiraja and Mansard, "Proximal and Sparse Resolution of Constrained
-Dynamic Equations", RSS 2021. It knows no rods, couplings and prescribed motions. Its iterations for
-redundant closures take noise for constraints, cannot leave rows out, and lose digits if bodies of next to no
-inertia close a loop. In all these cases the constraints are eliminated with Pinocchio's own mass matrix,
-Jacobians and bias forces.
+Accelerations come from `pinocchio.constraintDynamics`: rigid closures by the sparse Cholesky factorization of
+Carpentier, Budhiraja and Mansard, "Proximal and Sparse Resolution of Constrained Dynamic Equations", RSS
+2021.
+The constraints are instead eliminated with Pinocchio's mass matrix, Jacobians and bias forces in these cases:
+
+- rods, couplings and prescribed motions, which `constraintDynamics` does not support;
+- nearly redundant closures, whose iterations treat noise as constraints and cannot omit rows;
+- bodies with almost no inertia that close a loop, for which the iterations lose digits.
 """
 
 from __future__ import annotations
@@ -51,26 +53,31 @@ from urdf.write import closures, to_loops, to_urdf
 
 
 class PinocchioSystem:
-    """A scene in Pinocchio: a `newton_euler.equations.system.System`.
+    """Equations of motion of a scene by Pinocchio, a `newton_euler.equations.system.System`.
 
-    q (nq,) and v (nv,) are coordinates of the spanning tree of the welded mechanism, as in
-    `newton_euler.model.spanning_tree`: zero at the initial pose, quaternions w-x-y-z. The work, if the scene
-    tracks it, comes last in q. What Pinocchio's closures leave out, see `urdf.constraints`.
+    q (nq,) and v (nv,) are coordinates of the spanning tree of the welded mechanism, see
+    `newton_euler.model.spanning_tree`: zero at the initial pose, quaternions (w, x, y, z). If the scene
+    tracks work, the work is the last element of q. For rods and couplings, see `urdf.constraints`.
 
     Attributes:
-        closed: the Pinocchio model and its closures, SI units.
-        map: between q, v and Pinocchio's.
+        closed: Pinocchio model with its closures, SI units.
+        map: map between q, v and Pinocchio's coordinates.
         couplings: gears, screws and prescribed motions.
-        time: s, at which prescribed motions are looked at.
+        time: s, at which prescribed motions are evaluated.
     """
 
     name = "pinocchio"
 
     def __init__(self, scene: Scene, alpha: float = 0.0) -> None:
-        """Baumgarte gains of the closures are K_D = 2 alpha, K_P = alpha^2; none for alpha = 0.
+        """Build Pinocchio's model.
+
+        Args:
+            scene: scene to evaluate.
+            alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2 of the closures; 0 for none.
 
         Raises:
             NameClashError: for a mechanism whose names clash in a URDF.
+            UrdfError: for a mechanism that cannot move.
         """
         self.scene = scene
         self.mechanism = scene.mechanism
@@ -81,8 +88,9 @@ class PinocchioSystem:
         self.time = 0.0
         self.nq, self.nv = self._tree.nq + int(scene.tracks_work), self._tree.nv
         self._work = slice(self._tree.nq, self.nq)
-        if self.nv == 0:  # its bindings crash on empty Jacobians
-            raise UrdfError(f"scene {scene.name!r}: no joint can move; needed by Pinocchio: one that can")
+        if self.nv == 0:  # Pinocchio's bindings crash on empty Jacobians
+            raise UrdfError(f"scene {scene.name!r}: no joint can move; Pinocchio needs a moving joint")
+        # the model, from the texts of URDF and loop file
         text, loops = to_urdf(scene), parse_loops(to_loops(scene), f"{scene.name}.loops.yaml")
         self.closed = build(text, loops, alpha, keeps_axes=True)
         self._model = self.closed.model
@@ -96,6 +104,7 @@ class PinocchioSystem:
         self._rotors = Rotors(scene, self._tree)
         self._model.armature = self.map.v_to_pinocchio(self._rotors.inertias)
         self._data, self._dynamic_data = self._model.createData(), self._model.createData()
+        # units, constraints and control laws
         self.velocity_units, length = self._tree.velocity_units, self._tree.mechanism.size
         q_units = np.ones(self.nq)
         for motion, on_q, _ in self._tree.motions:
@@ -108,14 +117,17 @@ class PinocchioSystem:
         acting = [law.key for law in scene.joint_forces]
         keys = acting + [key for key in scene.sensed if key not in acting]
         self._laws = JointLaws(scene.joint_forces, keys)
-        on = np.array([self._tree.place(*key) for key in keys], dtype=int).reshape(-1, 2)  # none is cut
+        on = np.array([self._tree.place(*key) for key in keys], dtype=int).reshape(
+            -1, 2
+        )  # no driven joint closes a loop
         self._measured_q, self._measured_v = on.T
         self._actuated_v = self._measured_v[: len(acting)]
         self._sensed = [keys.index(key) for key in scene.sensed]
         self._control = EngineControl(scene, PinocchioSystem) if roles(scene) else None
         self._alpha = alpha
         self._rank = constraint_rank(self)
-        # off the constraints such rows contradict each other, which Pinocchio's solver spreads over all
+        # choose between constraintDynamics and elimination: with drift, nearly redundant rows contradict each
+        # other
         decided = mobility(scene)
         exchanges = len(self._rows.units) > 0 or len(decided.exchangeable) > 0
         self._eliminates = exchanges or decided.residual > 0.0
@@ -129,7 +141,7 @@ class PinocchioSystem:
         self._moving = bool(self._forces) or self._eliminates
 
     def _add_body_frames(self) -> list[int]:
-        """Add the frames of the bodies: at the center of mass, turned by `Body.quaternion`."""
+        """Add a frame for each body, at the center of mass with orientation `Body.quaternion`."""
         data = self._model.createData()
         pin.framesForwardKinematics(self._model, data, pin.neutral(self._model))
         added = []
@@ -143,7 +155,7 @@ class PinocchioSystem:
         return added
 
     def mass_matrix(self, q: Array) -> Array:
-        """(nv, nv) by Pinocchio, with the scene's rotors."""
+        """Compute the mass matrix (nv, nv) with rotors."""
         return mass_matrix(self._model, self._dynamic_data, self.map, self.map.q_to_pinocchio(q))
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
@@ -152,21 +164,21 @@ class PinocchioSystem:
         bias = pin.nonLinearEffects(self._model, self._dynamic_data, pin_q, pin_v)
         return self.mass_matrix(q), self.generalized_force(q, v) - self.map.v_from_pinocchio(bias)
 
-    # What integrators, projection and assembly ask for
+    # The interface of integrators, projection and assembly
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
-        """q and v of a state."""
+        """Return coordinates q (nq,) and velocities v (nv,) of a state."""
         q, v = self._tree.coordinates(self._welded.state(state))
         q = self.couplings.turned(q, state, self.time)
         return np.concatenate([q, np.zeros(self.nq - len(q))]), v
 
     def rate(self, q: Array, v: Array) -> Array:
-        """qdot (nq,)."""
+        """Return qdot (nq,)."""
         rates = self._tree.rate(q, v)
         return np.append(rates, self.power(q, v)) if self.scene.tracks_work else rates
 
     def power(self, q: Array, v: Array) -> float:
-        """Power of what is not in the potential energy, W."""
+        """Compute the power of forces without potential, W."""
         power = self._laws.power(self.actuation(q, v), self._measured(q, v)[1])
         if self._balls:
             power += self._balls.power(v)
@@ -178,20 +190,20 @@ class PinocchioSystem:
         return power
 
     def retract(self, q: Array, step: Array) -> Array:
-        """q moved by a small step (nv,)."""
+        """Move q by a small step (nv,)."""
         return np.concatenate([self._tree.retract(q, step), q[self._work]])
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
-        """Coordinates (m or rad) and rates of `Scene.sensed`."""
+        """Return coordinates, m or rad, and rates of `Scene.sensed`."""
         x, rate = self._measured(q, v)
         return list(zip(x[self._sensed], rate[self._sensed], strict=True))
 
     def _measured(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Coordinates, m or rad, and rates of `Scene.joint_forces`, then of others that laws read."""
+        """Return coordinates, m or rad, and rates of `Scene.joint_forces`, then of others that laws read."""
         return q[self._measured_q], v[self._measured_v]
 
     def actuation(self, q: Array, v: Array) -> Array:
-        """Forces on joint coordinates, N or N m, in the order of `Scene.joint_forces`."""
+        """Compute the forces on joint coordinates, N or N m, in the order of `Scene.joint_forces`."""
         measured, model = self._measured(q, v), NO_FORCES
         if self._control:
             commands = self._laws.commands(self.scene.control, *measured, self.time)
@@ -199,7 +211,7 @@ class PinocchioSystem:
         return self._laws.force(self.scene.joint_forces, *measured, self.time, model)
 
     def servo_forces(self, q: Array, v: Array, keys: Sequence[Key], accelerations: Array) -> Array:
-        """Forces on joint coordinates, N or N m, for their accelerations, by Pinocchio's own matrices."""
+        """Compute the forces on joint coordinates, N or N m, for accelerations, by Pinocchio's matrices."""
         terms = self.mass_and_force(q, v)
         self._move(q, v)
         gamma = np.concatenate(
@@ -208,14 +220,14 @@ class PinocchioSystem:
         return servo_forces(self, self._tree, terms, (self._jacobian(q), gamma), keys, accelerations)
 
     def _move(self, q: Array, v: Array) -> None:
-        """Give Pinocchio's joints, Jacobians and frames a state, at accelerations of joints of zero."""
+        """Compute Pinocchio's joints, Jacobians and frames at a state, with zero joint accelerations."""
         pin_q, pin_v = self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
         pin.forwardKinematics(self._model, self._data, pin_q, pin_v, np.zeros(self.nv))
         pin.computeJointJacobians(self._model, self._data)
         pin.updateFramePlacements(self._model, self._data)
 
     def generalized_force(self, q: Array, v: Array) -> Array:
-        """(nv,) of all forces but gravity; moves Pinocchio's joints and frames there if `_moving`."""
+        """Compute the generalized forces (nv,) except gravity; calls `_move` if `_moving`."""
         force = np.zeros(self.nv)
         np.add.at(force, self._actuated_v, self.actuation(q, v))
         if self._balls:
@@ -230,22 +242,27 @@ class PinocchioSystem:
         return force
 
     def acceleration(self, q: Array, v: Array) -> Array:
-        """vdot (nv,); raises `SingularityError` where Pinocchio has no finite answer."""
+        """Compute vdot (nv,); raises `SingularityError` if Pinocchio's result is not finite."""
         return self._solve(q, v)[0]
 
     def _solve(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """vdot (nv,) and the multipliers of closures, unless they stay with Pinocchio, and of `Rows`."""
+        """Solve for vdot (nv,) and the multipliers of closures and of `Rows`.
+
+        The multipliers are empty with `constraintDynamics`, which keeps them.
+        """
         if not self._eliminates:
             force = self.generalized_force(q, v) * self.velocity_units / self._units.moment
             found = self._checked(self._proximal.acceleration(q, v, force))
             return self.velocity_units * found, np.zeros(0), np.zeros(0)
         state = self.scene, q.tobytes(), v.tobytes(), self.time
-        if self._solved is None or self._solved[0] != state:  # the power of prescribed motions asks as well
+        if (
+            self._solved is None or self._solved[0] != state
+        ):  # the power of prescribed motions needs the same solution
             self._solved = state, self._eliminated(q, v)
         return self._solved[1]
 
     def _eliminated(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Solve with all constraints eliminated; see `_solve`."""
+        """Solve with all constraints eliminated, see `_solve`."""
         mass, force = self.mass_and_force(q, v)
         data, jacobian = self._data, self._jacobian(q)
         drift = 2.0 * self._alpha * (jacobian @ v + self.phi_t()) + self._alpha**2 * self._phi(q)
@@ -275,7 +292,7 @@ class PinocchioSystem:
         return acceleration
 
     def _closure_wrenches(self, of_closures: Array, others: Array) -> list[Any]:
-        """Compute wrenches of cuts on their second bodies, about the world's origin, in the tree's order."""
+        """Compute the wrenches of loop closures on second bodies about the world's origin, in tree order."""
         if self._eliminates:
             wrenches = self._closures.wrenches(self._data, of_closures)
         else:
@@ -286,40 +303,40 @@ class PinocchioSystem:
         return [next(rods if isinstance(joint, Rod) else closures) for joint in joints]
 
     def phi(self, q: Array) -> Array:
-        """Residuals (k,) of the closures, then of `Rows`."""
+        """Return the constraint errors (k,) of closures, then of `Rows`."""
         pin.framesForwardKinematics(self._model, self._data, self.map.q_to_pinocchio(q))
         return self._phi(q)
 
     def _phi(self, q: Array) -> Array:
-        """The same where frames are placed."""
+        """Return the constraint errors (k,) for frames that are placed at q."""
         return np.concatenate([self._closures.phi(self._data), self._rows.phi(self._data, q, self.time)])
 
     def coupling_phi(self, q: Array) -> Array:
-        """Residuals (c,) of the couplings, m or rad."""
+        """Return the residuals (c,) of the couplings, m or rad."""
         return self.couplings.phi(q, self.time)
 
     def phi_t(self) -> Array:
-        """Partial derivative (k,) of `phi` by time."""
+        """Return the partial derivative (k,) of `phi` with respect to time."""
         return np.concatenate([np.zeros(len(self._closures.units)), self._rows.phi_t(self.time)])
 
     def phi_jacobian(self, q: Array) -> Array:
-        """Derivative (k, nv) of `phi` along `retract`, and of its rate by v."""
+        """Return the derivative (k, nv) of `phi` along `retract`, also of its rate with respect to v."""
         self._place(q)
         return self._jacobian(q)
 
     def _jacobian(self, q: Array) -> Array:
-        """The same where frames and Jacobians are at q."""
+        """Return the constraint Jacobian (k, nv) for frames and Jacobians at q."""
         return np.concatenate([self._closures.jacobian(self._data), self._rows.jacobian(self._data, q)])
 
     def _place(self, q: Array) -> None:
-        """Joint Jacobians and frame placements at q."""
+        """Compute joint Jacobians and frame placements at q."""
         pin.computeJointJacobians(self._model, self._data, self.map.q_to_pinocchio(q))
         pin.updateFramePlacements(self._model, self._data)
 
-    # Between Pinocchio and what everybody understands
+    # Results in the terms of a scene
 
     def mass_properties(self) -> MassProperties:
-        """Return masses and inertias in Pinocchio's model; halves of a body are put together."""
+        """Return masses and inertias of Pinocchio's model, with the halves of cut bodies combined."""
         return mass_properties(self.mechanism, self._model, self._welded)
 
     def joint_geometry(self) -> dict[str, JointGeometry]:
@@ -327,12 +344,12 @@ class PinocchioSystem:
         return joint_geometry(self.closed, self._welded)
 
     def state(self, q: Array, v: Array) -> State:
-        """Body poses and velocities by Pinocchio's forward kinematics."""
+        """Return body poses and velocities by Pinocchio's forward kinematics."""
         pin.forwardKinematics(self._model, self._data, self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v))
         return self._state(self._frames(), q)
 
     def _frames(self) -> list[Frame]:
-        """Of the bodies, as the last forward kinematics left them."""
+        """Return the frames of bodies after forward kinematics."""
         pin.updateFramePlacements(self._model, self._data)
         poses = [self._data.oMf[frame].copy() for frame in self._bodies]
         velocities = self._frame_motions(pin.getFrameVelocity)
@@ -342,23 +359,24 @@ class PinocchioSystem:
         ]
 
     def _frame_motions(self, of: Any) -> Array:
-        """(b, 6) linear and angular velocities or accelerations of the bodies, world frame."""
+        """Return linear and angular velocities or accelerations (b, 6) of bodies, world frame."""
         return np.array(
             [of(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED).vector for frame in self._bodies]
         )
 
     def velocity_transformation(self, q: Array) -> Array:
-        """(6 b, nv): v and omega of body 0, 1, ... for each velocity, by Pinocchio's Jacobians."""
+        """Return velocities (6 b, nv) of bodies 0, 1, ... per velocity v, by Pinocchio's Jacobians."""
         self._place(q)
         rows = np.concatenate([frame_jacobian(self._model, self._data, frame) for frame in self._bodies])
         return self.map.v_from_pinocchio(rows)
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
-        """Accelerations, reactions and energies at a state.
+        """Compute accelerations, reactions and energies at a state.
 
         Raises:
-            SingularityError: where Pinocchio has no finite accelerations.
+            SingularityError: if Pinocchio's accelerations are not finite.
         """
+        # accelerations, and wrenches of loop closures and forces
         qddot, *multipliers = self._solve(q, v)
         pin_q, pin_v = self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
         pin_a = self.map.v_to_pinocchio(qddot)
@@ -373,6 +391,7 @@ class PinocchioSystem:
         accelerations = self._frame_motions(pin.getFrameClassicalAcceleration)
         applied = self._applied(q, v)
         cut_wrenches += zip(self._links, applied, strict=True)
+        # inverse dynamics give the wrenches of tree joints
         external = external_forces(self._model, self._data, cut_wrenches)
         pin.rnea(self._model, self._data, pin_q, pin_v, pin_a, external)
         wrenches = joint_wrenches(
@@ -385,6 +404,7 @@ class PinocchioSystem:
             frames,
             accelerations,
         )
+        # reactions: wrenches without actuators, springs and rotors
         actuation = self.actuation(q, v)
         pin.computeJointJacobians(self._model, self._data, pin_q)
         columns = self.map.v_from_pinocchio(np.reshape(self._data.J, (6, self.nv)))
@@ -404,15 +424,17 @@ class PinocchioSystem:
         )
 
     def observe(self, q: Array, v: Array) -> Observation:
-        """Poses, velocities and energies by Pinocchio's forward kinematics."""
+        """Return poses, velocities and energies by Pinocchio's forward kinematics."""
         return self._observation(self.state(q, v), q, v)
 
     def _observation(self, state: State, q: Array, v: Array) -> Observation:
-        """The same where frames are placed."""
-        kinetic = float(0.5 * v @ self.mass_matrix(q) @ v)  # pin.computeKineticEnergy has rotors in part
+        """Return an observation of a state for frames that are placed."""
+        kinetic = float(0.5 * v @ self.mass_matrix(q) @ v)  # pin.computeKineticEnergy includes rotors in part
         potential = pin.computePotentialEnergy(self._model, self._data, self.map.q_to_pinocchio(q))
         root, (x, _) = self._model.inertias[0], self._measured(q, v)
-        fixed = -root.mass * float(self.scene.gravity @ root.lever)  # of bodies that Pinocchio leaves out
+        fixed = -root.mass * float(
+            self.scene.gravity @ root.lever
+        )  # bodies fixed to the ground, which Pinocchio omits
         springs = self._laws.energy(x) + self._balls.energy(q) + self._forces.energy(self._data)
         return Observation(
             state=state,
@@ -422,7 +444,7 @@ class PinocchioSystem:
         )
 
     def _applied(self, q: Array, v: Array) -> list[Any]:
-        """Sum the forces of balls and points on each body of the welded mechanism, about the origin."""
+        """Sum the wrenches of balls and points on each body of the welded mechanism, about the origin."""
         rotations = [self._data.oMf[link].rotation for link in self._links]
         found = [pin.Force.Zero() for _ in self._links]
         on_points = self._forces.wrenches(self._data, self.scene, self.time)

@@ -1,4 +1,4 @@
-"""Errors of URDF models, all under `UrdfError`."""
+"""Errors of the package, all subclasses of `UrdfError`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from newton_euler.errors import NewtonEulerError
 
 
 class UrdfError(NewtonEulerError):
-    """Base of the errors of URDF models and files; reads as one line.
+    """Base of all errors of URDF models and files. The message is one line.
 
     Examples:
         >>> try:
@@ -18,7 +18,7 @@ class UrdfError(NewtonEulerError):
 
 
 class NameClashError(UrdfError):
-    """Two links or two joints of a URDF that would have the same name."""
+    """Scene whose URDF would have two links or two joints of the same name."""
 
     def __init__(self, what: str, name: str) -> None:
         self.what = what
@@ -27,7 +27,7 @@ class NameClashError(UrdfError):
 
 
 class LoopFileError(UrdfError):
-    """A loop file with an entry that is missing or cannot be: names the file and the key."""
+    """Loop file with a missing or invalid entry; the message names file and key."""
 
     def __init__(self, source: str, key: str, problem: str) -> None:
         self.source = source

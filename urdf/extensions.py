@@ -1,7 +1,7 @@
-"""Loops, springs and rotors of a URDF beyond its links and joints, as plain numbers.
+"""Loops, springs and rotors of a URDF that tools add to links and joints, as plain numbers.
 
-`urdf.reading.extensions` reads them. The reader makes joints and forces of them, and `urdf.reference` rows
-and forces of Pinocchio's own model, each in its own way.
+`urdf.reading.extensions` reads them. The reader turns them into joints and forces of a scene. Independently,
+`urdf.reference` turns them into constraint rows and forces of Pinocchio's model.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from urdf.loops import Loops
 
 
 class PointSpringElement(NamedTuple):
-    """A spring and damper between two points: names of frames, N/m, m and N s/m."""
+    """Spring and damper between two points: names of frames, stiffness N/m, rest m, damping N s/m."""
 
     name: str
     frames: tuple[str, str]
@@ -28,11 +28,12 @@ class Extensions:
 
     Attributes:
         text: the URDF with a frame for each end of a loop and of a spring.
-        closed_loop, kinds: pairs of those frames, and what closes them: kinds of `urdf.loops`.
-        springs: stiffness, N m/rad or N/m, and rest, rad or m, by the name of a joint.
-        dampings: N m s/rad or N s/m beside those of `<dynamics>`, by the name of a joint.
-        armatures: kg m^2 or kg, by the name of a joint.
-        point_springs: between points of two links.
+        closed_loop: pairs of frames that a loop closure connects.
+        kinds: type of each loop closure, see `urdf.loops`.
+        springs: stiffness, N m/rad or N/m, and rest, rad or m, by joint name.
+        dampings: N m s/rad or N s/m in addition to `<dynamics>`, by joint name.
+        armatures: rotor inertias, kg m^2 or kg, by joint name.
+        point_springs: springs between points of two links.
     """
 
     text: str
@@ -44,7 +45,7 @@ class Extensions:
     point_springs: list[PointSpringElement] = field(default_factory=list)
 
     def added_to(self, loops: Loops) -> Loops:
-        """A loop file's loops, and those of the URDF after them."""
+        """Return the loops of a loop file with the loops of the URDF after them."""
         return replace(
             loops, closed_loop=(*loops.closed_loop, *self.closed_loop), type=(*loops.type, *self.kinds)
         )

@@ -1,7 +1,8 @@
-"""Forces of a scene as Pinocchio's side has them: laws of joint coordinates and springs of balls, by the
-coordinates of the tree; by Pinocchio's frames, springs between points, wrenches and wind; rotors.
+"""Forces of a scene for Pinocchio.
 
-All are worked out here from their numbers, so that a mistake in newton_euler's own laws is its own alone.
+Control laws and springs of joints and balls are functions of tree coordinates. Point springs, wrenches and
+wind act on frames of Pinocchio. All forces are computed here from the fields of the elements, so that a
+mistake in newton_euler's force laws shows as a difference.
 """
 
 from __future__ import annotations
@@ -30,13 +31,12 @@ ZERO = np.zeros(3)
 class JointLaws:
     """Springs and control laws on joint coordinates, in the order of `Scene.joint_forces`.
 
-    Springs and PD laws are f = u_0 - (K_p (x - x_0) + K_d dx/dt), eq. (23) with the sign that makes it
-    stable, and are evaluated together; u_0 of a spring is 0. Of laws that depend on time, u_0 has all that no
-    gain makes, and x_0 is 0.
+    Springs and PD laws are evaluated together as f = u_0 - (K_p (x - x_0) + K_d dx/dt), with u_0 = 0 for
+    springs. For laws that depend on time, x_0 is 0 and u_0 has the time-dependent part.
     """
 
     def __init__(self, laws: Sequence[Law | JointSpring], keys: Sequence[Key]) -> None:
-        """`keys` are the joint coordinates of these laws, in their order, then others that they read."""
+        """Prepare laws; `keys` are their joint coordinates, then other coordinates that laws read."""
         self._places = {key: keys.index(key) for key in keys}
         self._stiffness, self._damping, self._rest, self._constant = np.zeros((4, len(laws)))
         self._is_spring = np.array([isinstance(law, JointSpring) for law in laws], dtype=bool)
@@ -62,10 +62,11 @@ class JointLaws:
         """Compute forces (a,), N or N m.
 
         Args:
-            laws: with the forces that sampled controllers hold at present.
-            x, rate: joint coordinates of `keys`, m or rad, and their rates.
+            laws: laws with the present forces of sampled controllers.
+            x: joint coordinates of `keys`, m or rad.
+            rate: rates of these coordinates.
             time: s.
-            model: forces that laws get of a model of the mechanism, by coordinates.
+            model: model-based forces of laws, N or N m, by coordinate.
         """
         at, rates = x[: len(laws)], rate[: len(laws)]
         force = self._constant - (self._stiffness * (at - self._rest) + self._damping * rates)
@@ -91,7 +92,7 @@ class JointLaws:
         return force
 
     def commands(self, laws: Sequence[Law], x: Array, rate: Array, time: float) -> list[float]:
-        """Compute the accelerations (m/s^2 or rad/s^2) that laws of computed torque ask for, in order."""
+        """Compute the accelerations, m/s^2 or rad/s^2, that computed-torque laws command, in order."""
         found = []
         for law in laws:
             if isinstance(law, ComputedTorque):
@@ -101,7 +102,7 @@ class JointLaws:
         return found
 
     def power(self, force: Array, rate: Array) -> float:
-        """Compute the power, W, of control laws and dampers from what `force` has computed."""
+        """Compute the power, W, of control laws and dampers from the result of `force`."""
         rates = rate[: len(force)]
         return float(np.where(self._is_spring, -self._damping * rates, force) @ rates)
 
@@ -112,12 +113,13 @@ class JointLaws:
 
 
 class Push(NamedTuple):
-    """A force and a torque on a frame's body, at the frame's origin; world frame.
+    """Force and torque on a body at the origin of a frame, world axes.
 
     Attributes:
         body: number of the body.
         frame: Pinocchio's number of the frame.
-        force, torque: (3,) N and N m.
+        force: (3,) N.
+        torque: (3,) N m.
     """
 
     body: int
@@ -127,14 +129,13 @@ class Push(NamedTuple):
 
 
 class BallForces:
-    """The springs and dampers of balls, which are all in the tree.
+    """Springs and dampers of balls, all of which are tree joints.
 
-    With Q the ball's rotation, child's frame in the parent's, both zero at the initial pose, theta in the
-    child's frame is
+    Q is the rotation of the ball from the frame of the child to the parent, and the identity at the initial
+    pose. E is the rotation of the second body relative to the first at rest. The deflection in the frame of
+    the child is
 
-        Q^T log(Q E^T),  or  -log(Q^T E^T)  if the tree takes the joint from its second body to its first,
-
-    where E is the rotation of the second body against the first at rest.
+        theta = Q^T log(Q E^T),  or  -log(Q^T E^T)  if the second body of the joint is the parent.
     """
 
     def __init__(self, scene: Scene, tree: SpanningTree) -> None:
@@ -154,14 +155,14 @@ class BallForces:
         return bool(self._springs)
 
     def _theta(self, k: int, q: Array) -> Array:
-        """Rotation vector (3,) of ball number k from rest, child's frame."""
+        """Return the rotation vector (3,) of ball number k from its rest, frame of the child."""
         turned = pin.Quaternion(*q[self._on_q[k]]).toRotationMatrix()
         if self._kept[k].forward:
             return np.asarray(turned.T @ pin.log3(turned @ self._rests[k].T))
         return np.asarray(-pin.log3(turned.T @ self._rests[k].T))
 
     def torques(self, q: Array, v: Array) -> Array:
-        """Compute the torques (n, 3) on the children, in their frames: generalized forces at `on_v`."""
+        """Compute the torques (n, 3), N m, on the children, in their frames: generalized forces at `on_v`."""
         found = -self._damping[:, None] * v[self.on_v]
         for k, spring in enumerate(self._springs):
             if spring.stiffness:
@@ -178,7 +179,7 @@ class BallForces:
         return sum(0.5 * stiffness * float(theta @ theta) for stiffness, theta in thetas)
 
     def wrenches(self, q: Array, v: Array, rotations: Sequence[Array]) -> Iterator[tuple[int, Any]]:
-        """Compute the wrenches on bodies, world frame, at rotations (3, 3) of their tree frames."""
+        """Yield numbers of bodies and wrenches on them, world frame; `rotations` are those of tree frames."""
         for kept, torque in zip(self._kept, self.torques(q, v), strict=True):
             wrench = pin.Force(ZERO, rotations[kept.child] @ torque)
             yield kept.child, wrench
@@ -186,13 +187,13 @@ class BallForces:
 
 
 class PointForces:
-    """The springs between points, the wrenches and the wind loads of a scene.
+    """Point springs, wrenches and wind loads of a scene.
 
-    They are worked out from `data` as `pinocchio.updateFramePlacements` leaves it, velocities included.
+    Forces are computed from `data` after `pinocchio.updateFramePlacements`, with velocities.
     """
 
     def __init__(self, scene: Scene, model: Any, body_frames: list[int]) -> None:
-        """Add frames at their points to `model`, turned as the bodies, whose own are `body_frames`."""
+        """Add frames at the points of forces to `model`, parallel to the `body_frames`."""
         self._model = model
         self._springs: list[tuple[PointSpring, tuple[int, int], tuple[int, int]]] = []
         self._wrenches: list[tuple[Wrench, int, int, Array, Array]] = []
@@ -234,7 +235,7 @@ class PointForces:
         return bool(self._springs or self._wrenches or self._winds)
 
     def pushes(self, data: Any, scene: Scene, time: float) -> list[Push]:
-        """Compute the forces and torques on the bodies at a time in s, by wind as a scene has it then."""
+        """Compute the forces and torques on bodies at a time, s, with the present wind of the scene."""
         winds = self._wind_pushes(data, scene, time)
         return [*self._spring_pushes(data), *self._wrench_pushes(data), *winds]
 
@@ -244,7 +245,7 @@ class PointForces:
             d, rate = self._line(data, frames)
             length = float(np.linalg.norm(d))
             stretch = spring.stiffness * (length - spring.rest_length)
-            # a spring without rest length and damping may be of no length
+            # a spring without rest length and damping may have zero length
             tension = stretch + spring.damping * float(d @ rate) / (length or 1.0)
             pull = tension * d / (length or 1.0)
             found += [Push(bodies[0], frames[0], pull, ZERO), Push(bodies[1], frames[1], -pull, ZERO)]
@@ -272,7 +273,7 @@ class PointForces:
         return found
 
     def wrenches(self, data: Any, scene: Scene, time: float) -> Iterator[tuple[int, Any]]:
-        """Compute the wrenches on bodies, about the world's origin."""
+        """Yield numbers of bodies and wrenches on them about the world's origin."""
         for push in self.pushes(data, scene, time):
             origin = pin.SE3(np.eye(3), data.oMf[push.frame].translation)
             yield push.body, origin.act(pin.Force(push.force, push.torque))
@@ -285,7 +286,7 @@ class PointForces:
         )
 
     def power(self, data: Any, scene: Scene, time: float) -> float:
-        """Power of dampers, wrenches and wind, W."""
+        """Compute the power of dampers, wrenches and wind, W."""
         power = 0.0
         for spring, _, frames in self._springs:
             d, rate = self._line(data, frames)
@@ -296,7 +297,7 @@ class PointForces:
         return power
 
     def _line(self, data: Any, frames: tuple[int, int]) -> tuple[Array, Array]:
-        """(3,) m, from the first frame's origin to the second's, and its rate (3,)."""
+        """Return the vector (3,), m, from the first frame to the second, and its rate (3,), m/s."""
         first, second = (data.oMf[frame].translation for frame in frames)
         rates = [self._velocity(data, frame).linear for frame in frames]
         return second - first, rates[1] - rates[0]
@@ -306,11 +307,11 @@ class PointForces:
 
 
 class Rotors:
-    """Rotor inertias on velocities of a tree, which has all joints that bear some.
+    """Rotor inertias of tree joints.
 
     Attributes:
-        inertias: (nv,) kg m^2 or kg.
-        single: (nv,) the same but for balls, which have none.
+        inertias: (nv,) rotor inertias, kg m^2 or kg.
+        single: (nv,) rotor inertias of hinges and slides, 0 for balls.
     """
 
     def __init__(self, scene: Scene, tree: SpanningTree) -> None:
@@ -329,5 +330,5 @@ class Rotors:
         self.inertias = self.single + of_balls
 
     def torques(self, frames: list[Frame], angular: Array) -> list[tuple[int, Array]]:
-        """By joint (3,) N m of those of balls on its second body, at angular accelerations (b, 3)."""
+        """Return torques (3,), N m, of rotors of balls on second bodies, for angular accelerations (b, 3)."""
         return [(joint, -a * spin_rate(frames, angular, bodies)) for joint, bodies, a in self._balls]

@@ -1,4 +1,4 @@
-"""Bodies and joints of a Pinocchio model with closed loops, at its initial pose."""
+"""Return bodies and joints of a Pinocchio model with closed loops at its initial pose."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from urdf.model import ClosedLoopModel, link_inertia
 
 
 def mass_properties(mechanism: Mechanism, model: Any, welded: WeldedMechanism) -> MassProperties:
-    """Return masses and inertias in Pinocchio's model; halves of a body are put together."""
+    """Return masses and inertias of Pinocchio's model, with the halves of cut bodies combined."""
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
-    found = MassProperties.of(mechanism)  # of the ground, which has no inertia in a URDF
+    found = MassProperties.of(mechanism)  # keeps the values of the ground, which has no inertia in a URDF
     names = welded.mechanism.body_names
     for body in range(1, len(mechanism.bodies)):
         total = pin.Inertia.Zero()
@@ -34,7 +34,7 @@ def mass_properties(mechanism: Mechanism, model: Any, welded: WeldedMechanism) -
 
 
 def joint_geometry(closed: ClosedLoopModel, welded: WeldedMechanism) -> dict[str, JointGeometry]:
-    """Return the joints of the model."""
+    """Return geometry of the joints of the model, by name."""
     model, data = closed.model, closed.model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
     pin.updateFramePlacements(model, data)

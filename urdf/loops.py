@@ -1,7 +1,7 @@
-"""The loop file: what closes the loops of a URDF, and which of its joints are something else.
+"""Loop file of a URDF: loop closures, and joints whose type differs from the URDF.
 
-Its keys are those of Gepetto's example-parallel-robots (`robot.yaml`), read as its loader_tools.py does, and
-`coupled`.
+The keys are those of Gepetto's example-parallel-robots (`robot.yaml`), read like its loader_tools.py does,
+and `coupled`.
 """
 
 from __future__ import annotations
@@ -19,34 +19,33 @@ from newton_euler.reading.import_report import unique_name
 from urdf.errors import LoopFileError
 
 CLOSURE_TYPES = ("3d", "6d", "rod")
-"""In small or capital letters."""
+"""Types of loop closures in a loop file, in upper or lower case."""
 
 REVOLUTE = "revolute"
-"""A closure that elements of a URDF ask for and no loop file: a hinge along the x axes of both frames."""
+"""Type of a hinge about the x axes of both frames, which elements of a URDF use, and no loop file."""
 
 UNIVERSAL = {f"UJOINT_{a}{b}": a + b for a in "XYZ" for b in "XYZ" if a != b} | {"CARDAN": "XY"}
-"""Joint types of two hinges in a row, and about which axes of the joint's own frame they turn."""
+"""Joint types of two hinges in a row, with the axes of the hinges in the frame of the joint."""
 
 JOINT_TYPES = ("SPHERICAL", "FIXED", *UNIVERSAL)
 
-KEYS = ("closed_loop", "type", "name_mot", "joint_name", "joint_type", "coupled")
+LOOP_FILE_KEYS = ("closed_loop", "type", "name_mot", "joint_name", "joint_type", "coupled")
 
 
 @dataclass(frozen=True)
 class Loops:
-    """A loop file; `coupled` may be missing, and so may `joint_name` and `joint_type` together.
+    """Content of a loop file. `coupled`, and `joint_name` with `joint_type`, may be missing in the file.
 
     Attributes:
-        source: the file's name, for messages.
-        closed_loop: pairs of frames that coincide, by the names of links or joints.
-        type: for each pair one of `CLOSURE_TYPES`: the origins coincide, or the frames do, or the origins
-            keep their distance.
-        name_mot: joints with a motor.
-        joint_name: joints whose type is not the one in the URDF.
-        joint_type: for each of them one of `JOINT_TYPES`. FIXED ones are held at 0; what the URDF says of
-            the axis of the others does not matter.
-        coupled: for each coupling, names of joints and factors of the first, second, ... powers of their
-            coordinates; the products add up to zero.
+        source: name of the file, for messages.
+        closed_loop: pairs of names of links or joints whose frames a loop closure connects.
+        type: for each pair, one of `CLOSURE_TYPES`: equal origins, equal frames, or constant distance.
+        name_mot: names of joints with a motor.
+        joint_name: names of joints whose type differs from the URDF.
+        joint_type: for each of these joints, one of `JOINT_TYPES`. FIXED joints are held at 0; for the other
+            types, the axis in the URDF is ignored.
+        coupled: for each coupling, names of joints, and factors of the first, second, ... powers of their
+            coordinates. The sum of the products is zero.
     """
 
     source: str
@@ -59,11 +58,11 @@ class Loops:
 
 
 NO_LOOPS = Loops("", (), (), (), (), (), ())
-"""Of a URDF without a loop file."""
+"""Loops of a URDF without a loop file."""
 
 
 def closure_names(model: Any, constraints: Sequence[Any]) -> tuple[tuple[str, str], ...]:
-    """Name the two frames that each rigid constraint of a model in memory closes, as a loop file would."""
+    """Return names, as in a loop file, for the two frames of each rigid constraint of a model in memory."""
     pairs: list[tuple[str, str]] = []
     taken: list[str] = []
     for number, constraint in enumerate(constraints):
@@ -78,9 +77,8 @@ def parse_loops(text: str, source: str) -> Loops:
     """Read the text of a loop file named `source`.
 
     Raises:
-        LoopFileError: for text that is not plain YAML, see `newton_euler.model.yaml_source`, and for keys
-            that are missing, unknown, of the wrong form, of different lengths or with a type that is not
-            known.
+        LoopFileError: for text that is not plain YAML, see `newton_euler.model.yaml_source`. Also for missing
+            or unknown keys, wrong forms, different lengths, and unknown types.
     """
     try:
         document = parse_yaml(source, text)
@@ -88,13 +86,14 @@ def parse_loops(text: str, source: str) -> Loops:
         raise LoopFileError(source, "document", error.problem) from error
     if not isinstance(document, dict):
         raise LoopFileError(source, "document", "not a mapping from keys to lists")
+    # keys and forms of the values
     for key in document:
-        if key not in KEYS:
-            raise LoopFileError(source, f"{key!s:.100}", f"unknown key; {choices(key, KEYS)}")
+        if key not in LOOP_FILE_KEYS:
+            raise LoopFileError(source, f"{key!s:.100}", f"unknown key; {choices(key, LOOP_FILE_KEYS)}")
     if "joint_name" not in document and "joint_type" not in document:
         document |= {"joint_name": [], "joint_type": []}
     document.setdefault("coupled", [])
-    for key in KEYS:
+    for key in LOOP_FILE_KEYS:
         if key not in document:
             raise LoopFileError(source, key, "missing")
         if not isinstance(document[key], list):
@@ -107,6 +106,7 @@ def parse_loops(text: str, source: str) -> Loops:
             raise LoopFileError(source, "closed_loop", f"{pair!r:.200} is not a pair of frame names")
         if pair[0] == pair[1]:
             raise LoopFileError(source, "closed_loop", f"{pair!r:.200} is one frame; needed: two")
+    # lengths and types
     document["type"] = [kind.lower() for kind in document["type"]]
     for key, valid, of in (("type", CLOSURE_TYPES, "closed_loop"), ("joint_type", JOINT_TYPES, "joint_name")):
         if len(document[key]) != len(document[of]):
@@ -119,7 +119,7 @@ def parse_loops(text: str, source: str) -> Loops:
         raise LoopFileError(source, "joint_name", "names a joint twice")
     document["coupled"] = [_coupling(entry, source) for entry in document["coupled"]]
     document["closed_loop"] = [tuple(pair) for pair in document["closed_loop"]]
-    return Loops(source, **{key: tuple(document[key]) for key in KEYS})
+    return Loops(source, **{key: tuple(document[key]) for key in LOOP_FILE_KEYS})
 
 
 def _coupling(entry: Any, source: str) -> dict[str, tuple[float, ...]]:

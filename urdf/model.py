@@ -1,7 +1,7 @@
-"""URDF and loop file -> Pinocchio model with rigid constraints.
+"""Build a Pinocchio model with rigid constraints from a URDF and its loop file.
 
-Pinocchio orders joints by name along each branch and writes quaternions x-y-z-w; `CoordinateMap`
-is the one place where that meets the coordinates of `newton_euler`.
+Pinocchio orders joints by name along each branch and has quaternions (x, y, z, w). `CoordinateMap` converts
+to and from the coordinates of `newton_euler`.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from newton_euler.scalars import Array
 from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import REVOLUTE, UNIVERSAL, Loops
 
-HINGES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
+HINGE_MODELS = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 
 BaseName = Literal["fixed", "free"]
-"""What the root link of a URDF may be: the ground, or floating."""
+"""Root link of a URDF: fixed to the ground, or free."""
 
 BASES: tuple[BaseName, ...] = get_args(BaseName)
 
-ROUNDED = 1e-11
-"""Components of unit axes below which Pinocchio's parser may take them for 0; it does below 1e-12."""
+MAX_ROUNDED_COMPONENT = 1e-11
+"""Component of a unit axis that Pinocchio's parser may round to 0; the parser rounds below 1e-12."""
 
 GROUND = "universe"
-"""Pinocchio's name of the joint that everything hangs on."""
+"""Pinocchio's name of the root joint."""
 
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoopModel:
-    """A Pinocchio model and what closes its loops.
+    """Pinocchio model with its loop closures.
 
     Attributes:
         model: `pinocchio.Model`.
-        constraints: `pinocchio.StdVec_RigidConstraintModel`, one for each pair of `closed_loop` that is no
-            rod; two for a hinge, of which Pinocchio has none: points on its axis, 1 m apart.
-        frames: indices of the pairs of frames of the constraints.
-        rods: indices of the pairs of frames that are rods.
-        couplings: (c, d, nv) factors of the powers 1 to d of the coordinates of hinges and slides, by the
-            places of their velocities; the products add up to zero.
-        urdf_joints: the joint of the URDF that each of Pinocchio's is, or is a part of.
+        constraints: `pinocchio.StdVec_RigidConstraintModel`, one for each loop closure except rods. A hinge
+            has two: points on its axis, 1 m apart, because Pinocchio has no hinge constraint.
+        frames: numbers of the two frames of each constraint.
+        rods: numbers of the two frames of each rod.
+        couplings: (c, d, nv) factors of the powers 1 to d of the coordinates of hinges and slides, by number
+            of the velocity. The sum of the products is zero.
+        urdf_joints: name of the joint of the URDF for each joint of Pinocchio.
     """
 
     model: Any
@@ -67,23 +67,23 @@ def build(
 
     Args:
         urdf: URDF text, SI units.
-        loops: what the loop file says.
+        loops: content of the loop file.
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2 in every closure.
         base: one of `BASES`.
-        keeps_axes: True for axes as they are in the text; Pinocchio's parser takes those within 1e-12 of a
-            coordinate axis for that.
+        keeps_axes: True to keep axes within 1e-12 of a coordinate axis, which Pinocchio's parser rounds.
 
     Raises:
         UrdfError: for text that is not a URDF.
         LoopFileError: for a frame or joint that the URDF does not have.
     """
+    # parse the URDF, and replace joints by the types of the loop file
     try:
         root = () if base == "fixed" else (pin.JointModelFreeFlyer(),)
         placeholder = pin.buildModelFromXML(urdf, *root)
     except ValueError as error:
         raise UrdfError(f"not a URDF: {error}") from error
     if list(placeholder.names).count(GROUND) > 1:
-        raise UrdfError(f"a joint is named {GROUND!r}, which is Pinocchio's own name of the ground")
+        raise UrdfError(f"a joint is named {GROUND!r}, Pinocchio's name of the ground; rename the joint")
     _check_joints(loops, "joint_name", loops.joint_name, list(placeholder.names)[1:])
     types = dict(zip(loops.joint_name, loops.joint_type, strict=True))
     held = [placeholder.getJointId(name) for name, kind in types.items() if kind == "FIXED"]
@@ -92,6 +92,7 @@ def build(
     _check_joints(loops, "name_mot", loops.name_mot, list(placeholder.names)[1:])
     model, urdf_joints = _rebuilt(placeholder, types, _rounded_axes(urdf) if keeps_axes else {})
 
+    # loop closures
     constraints = pin.StdVec_RigidConstraintModel()
     frames, rods = [], []
     for pair, kind in zip(loops.closed_loop, loops.type, strict=True):
@@ -101,7 +102,7 @@ def build(
             continue
         pairs = [(first, second)]
         if kind == REVOLUTE:
-            pairs.append((_beside(model, first), _beside(model, second)))
+            pairs.append((_add_axis_frame(model, first), _add_axis_frame(model, second)))
         for one, two in pairs:
             constraint = pin.RigidConstraintModel(
                 pin.ContactType.CONTACT_6D if kind == "6d" else pin.ContactType.CONTACT_3D,
@@ -118,6 +119,7 @@ def build(
             )
             constraints.append(constraint)
             frames.append((one, two))
+    # couplings of hinges and slides
     single = {str(n): j.idx_v for n, j in zip(model.names, model.joints, strict=True) if j.nv == 1}
     degree = max((len(factors) for coupling in loops.coupled for factors in coupling.values()), default=1)
     couplings = np.zeros((len(loops.coupled), degree, model.nv))
@@ -135,7 +137,7 @@ def _check_joints(loops: Loops, key: str, names: Iterable[str], known: Container
 
 
 def _frame(model: Any, name: str, loops: Loops) -> int:
-    """Number of the frame of a link or joint of that name, as Pinocchio's `getFrameId` has it."""
+    """Return the number of the frame of a link or joint, like Pinocchio's `getFrameId`."""
     found = [number for number, frame in enumerate(model.frames) if frame.name == name]
     if not found:
         raise LoopFileError(loops.source, "closed_loop", f"the URDF has no link or joint {name!r}")
@@ -147,8 +149,8 @@ def _frame(model: Any, name: str, loops: Loops) -> int:
     return found[0]
 
 
-def _beside(model: Any, frame: int) -> int:
-    """Add a frame 1 m along the x axis of another one; return its number."""
+def _add_axis_frame(model: Any, frame: int) -> int:
+    """Add a frame at a distance of 1 m along the x axis of a frame; return its number."""
     beside = pin.Frame(model.frames[frame])
     beside.name, beside.inertia = f"axis of {beside.name}", pin.Inertia.Zero()
     beside.placement = beside.placement * pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
@@ -156,23 +158,23 @@ def _beside(model: Any, frame: int) -> int:
 
 
 def _rounded_axes(urdf: str) -> dict[str, Array]:
-    """Axes (3,) of a URDF that are next to a coordinate axis and not on it, by the names of joints."""
+    """Return axes (3,) of a URDF that Pinocchio's parser may round, by joint name."""
     found = {}
     for joint in ET.fromstring(urdf).findall("joint"):
         element = joint.find("axis")
         if element is not None:
             axis = np.array([float(x) for x in element.get("xyz", "").split()])
-            small = np.abs(axis) < ROUNDED
+            small = np.abs(axis) < MAX_ROUNDED_COMPONENT
             if np.sum(small) == 2 and np.any(axis[small]):
                 found[str(joint.get("name"))] = axis / np.linalg.norm(axis)
     return found
 
 
 def _rebuilt(placeholder: Any, types: dict[str, str], axes: dict[str, Array]) -> tuple[Any, tuple[str, ...]]:
-    """The same model with the named joints of other types, or about other axes.
+    """Rebuild a model with other types or axes of some joints.
 
     Returns:
-        It, and the joint of the placeholder that each of its joints is, or is a part of.
+        The model, and for each of its joints the name of the joint in the placeholder.
     """
     model = pin.Model()
     model.name = placeholder.name
@@ -190,24 +192,24 @@ def _rebuilt(placeholder: Any, types: dict[str, str], axes: dict[str, Array]) ->
             joint = pin.JointModelSpherical()
         elif kind in UNIVERSAL:
             first, second = UNIVERSAL[kind][0], UNIVERSAL[kind][1]
-            parent = model.addJoint(parent, HINGES[first](), placement, f"{owner}_{first}")
+            parent = model.addJoint(parent, HINGE_MODELS[first](), placement, f"{owner}_{first}")
             owners.append(owner)
-            joint, placement, name = HINGES[second](), pin.SE3.Identity(), f"{owner}_{second}"
+            joint, placement, name = HINGE_MODELS[second](), pin.SE3.Identity(), f"{owner}_{second}"
         added = model.addJoint(parent, joint, placement, name)
         model.appendBodyToJoint(added, placeholder.inertias[index], pin.SE3.Identity())
         numbers.append(added)
         owners.append(owner)
-    model.inertias[0] = placeholder.inertias[0]  # of links that are fixed to the root
+    model.inertias[0] = placeholder.inertias[0]  # inertia of links that are fixed to the root
     for frame in list(placeholder.frames)[1:]:
         frame.parentJoint = numbers[frame.parentJoint]
-        model.addFrame(frame, False)  # its inertia is in that of its joint already
+        model.addFrame(frame, False)  # the inertia of the joint already includes the frame
     return model, tuple(owners)
 
 
 def link_inertia(model: Any, index: int) -> Any:
-    """The `pinocchio.Inertia` of the link with frame number `index`, in that frame.
+    """Return the `pinocchio.Inertia` of the link with frame number `index`, in the frame.
 
-    Pinocchio adds up what fixed joints hold together and keeps the parts with the fixed joints.
+    Pinocchio adds the inertias of links that fixed joints connect, and keeps the parts at the fixed joints.
     """
     link = model.frames[index]
     leading = model.frames[link.parentFrame]
@@ -223,16 +225,16 @@ def link_inertia(model: Any, index: int) -> Any:
 
 def mass_matrix(model: Any, data: Any, map: CoordinateMap, q: Array) -> Array:
     """Compute the mass matrix (nv, nv) in tree velocities, armature included, at Pinocchio's q (nq,)."""
-    upper = np.array(pin.crba(model, data, q))  # Pinocchio fills only the upper half
+    upper = np.array(pin.crba(model, data, q))  # Pinocchio fills the upper triangle only
     mass = np.where(map.below, upper.T, upper)
     return map.v_from_pinocchio(map.v_from_pinocchio(mass).T)
 
 
 class CoordinateMap:
-    """Between coordinates of a mechanism's spanning tree and those of its Pinocchio model.
+    """Map between coordinates of a mechanism's spanning tree and its Pinocchio model.
 
-    Both measure the same motions and count the same way; Pinocchio's stand in another order, and
-    its quaternions are x-y-z-w. Angular velocities of balls are in the child's frame in both.
+    Both have the same coordinates and signs. Pinocchio has another order, and quaternions (x, y, z, w).
+    Angular velocities of balls are in the frame of the child in both.
 
     Attributes:
         below: (nv, nv) True below the diagonal of a mass matrix.
@@ -257,23 +259,23 @@ class CoordinateMap:
         self.below = np.tri(model.nv, k=-1, dtype=bool)
 
     def displacements(self, q: Array) -> Array:
-        """Coordinates (nv,) of hinges and slides at the places of their velocities; those of balls are 0."""
+        """Return coordinates (nv,) of hinges and slides by number of the velocity; 0 for balls."""
         found = np.zeros(len(self._order_v))
         found[self._single_v] = q[self._single_q]
         return found
 
     def q_to_pinocchio(self, q: Array) -> Array:
-        """Pinocchio's coordinates (nq,) of the tree's."""
+        """Convert coordinates (nq,) of the tree to Pinocchio's."""
         return q.take(self._order_q)
 
     def q_from_pinocchio(self, q: Array) -> Array:
-        """The tree's coordinates (nq,) of Pinocchio's."""
+        """Convert Pinocchio's coordinates (nq,) to the tree's."""
         return q.take(self._place_q)
 
     def v_to_pinocchio(self, v: Array) -> Array:
-        """Pinocchio's velocities, accelerations or generalized forces (nv,) of the tree's."""
+        """Convert velocities, accelerations or generalized forces (nv,) of the tree to Pinocchio's."""
         return v.take(self._order_v)
 
     def v_from_pinocchio(self, v: Array) -> Array:
-        """The tree's velocities, accelerations or Jacobian columns (..., nv) of Pinocchio's."""
+        """Convert Pinocchio's velocities, accelerations or Jacobian columns (..., nv) to the tree's."""
         return v.take(self._place_v, axis=-1)

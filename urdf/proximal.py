@@ -1,11 +1,12 @@
-"""Pinocchio's `constraintDynamics`, regularized where closures are redundant; `aba` of open trees.
+"""Accelerations by Pinocchio's `constraintDynamics`, regularized for redundant closures, and by `aba`.
 
-With J M^-1 J^T regularized by mu, each proximal iteration leaves mu / (mu + lambda) of its effect along
-an eigenvector of eigenvalue lambda (Carpentier, Budhiraja and Mansard, "Proximal and Sparse Resolution of
-Constrained Dynamic Equations", RSS 2021, section III).
+With J M^-1 J^T regularized by mu, each proximal iteration reduces the effect of mu along an eigenvector of
+eigenvalue lambda by the factor mu / (mu + lambda) (Carpentier, Budhiraja and Mansard, "Proximal and Sparse
+Resolution of Constrained Dynamic Equations", RSS 2021, section III).
 
-mu is the same for rows in meters and rows in radians. It has a copy of the model in units of the mechanism's
-size and mass, in which they weigh alike: in SI units accelerations of a loop of 1 cm are off by 1e-8.
+mu is the same for rows in meters and in radians. The solver therefore has a copy of the model in units of the
+mechanism's size and mass, which give both kinds of rows equal weight. In SI units, accelerations of a loop of
+1 cm have an error of 1e-8.
 """
 
 from __future__ import annotations
@@ -21,44 +22,48 @@ from newton_euler.scalars import Array
 from urdf.constraints import Closures
 from urdf.model import ClosedLoopModel, CoordinateMap, mass_matrix
 
-MU = 1e-6
-"""Regularization of redundant closures against the mean of the diagonal of J M^-1 J^T, in units of the
-mechanism's size and mass, or against 1 if that is larger. Iterations take its effect out again; a
-smaller one lets forces that no acceleration sees grow with drift."""
+RELATIVE_MU = 1e-6
+"""Regularization mu of redundant closures, relative to max(1, mean of the diagonal of J M^-1 J^T).
 
-SHARE = 0.1
-"""Of the smallest eigenvalue that is not zero, at most: a few iterations then leave nothing."""
+Units are the mechanism's size and mass. Iterations remove the effect of mu. With a smaller mu, forces that
+cause no acceleration would grow with drift."""
 
-LEAST = 1e-12
-"""Of that mean, at least: zero eigenvalues come out as 1e-15 of it."""
+MAX_EIGENVALUE_SHARE = 0.1
+"""Largest mu relative to the smallest nonzero eigenvalue, so that a few iterations remove its effect."""
+
+MIN_RELATIVE_MU = 1e-12
+"""Smallest mu relative to the mean of the diagonal: computed zero eigenvalues are about 1e-15 of it."""
 
 MAX_MEAN_RATIO = 1e8
-"""Largest ratio of the mean of the diagonal of J M^-1 J^T to mu: its factorization then keeps eight digits.
-The ratio is larger if bodies of next to no inertia close a loop, such as 1e-11 beside 1e-4 kg m^2."""
+"""Largest ratio of the mean of the diagonal of J M^-1 J^T to mu: the factorization then keeps eight digits.
 
-ACCURACY = 1e-13
-"""Relative change between iterations at which they end."""
+The ratio is larger if a body with almost no inertia closes a loop, for example 1e-11 and 1e-4 kg m^2."""
 
-ITERATIONS = 30
+PROXIMAL_ACCURACY = 1e-13
+"""Relative change between iterations that ends the iterations."""
 
-FEW, SETTLED = 8, 1e-11
-"""Iterations after the last of which a change of multipliers below this, relative to them or to 1 if they are
-smaller, ends them: each leaves the same share of the change before, at most 3 % then. Multipliers that no
-acceleration sees go on to change by round-off in each."""
+MAX_PROXIMAL_ITERATIONS = 30
 
-CONVERGED = 1e-6
-"""Relative change in the last iteration above which something keeps them from an end: a configuration that is
-near a singular one, or redundant closures that contradict each other because they have drifted open."""
+FIRST_ITERATIONS, MAX_SETTLED_CHANGE = 8, 1e-11
+"""Number of first iterations, and the change of multipliers in the last of them that ends the solution.
+
+The change is relative to 1 plus the norm of the multipliers. Each iteration reduces the change by the same
+factor, here at most 3 %. Multipliers that cause no acceleration continue to change by round-off."""
+
+MAX_FINAL_CHANGE = 1e-6
+"""Relative change in the last iteration above which the iterations have not converged.
+
+The configuration is then near a singular one, or drift has made redundant closures contradict each other."""
 
 
 class Units(NamedTuple):
-    """The units in which a mechanism has size 1 and mass 1.
+    """Units in which a mechanism has size 1 and mass 1.
 
     Attributes:
-        length: m.
-        mass: kg.
-        q: (nq,) of coordinates, m or 1.
-        v: (nv,) of velocities, m or 1.
+        length: unit of length, m.
+        mass: unit of mass, kg.
+        q: (nq,) units of coordinates, m or 1.
+        v: (nv,) units of velocities, m or 1.
     """
 
     length: float
@@ -68,24 +73,30 @@ class Units(NamedTuple):
 
     @property
     def moment(self) -> float:
-        """kg m^2; of generalized forces of hinges at accelerations in these units."""
+        """Unit of moments of inertia, kg m^2."""
         return self.mass * self.length**2
 
 
 class ConstraintDynamics:
-    """Accelerations of a model by `constraintDynamics`, in tree coordinates and dimensionless.
+    """Dimensionless accelerations of a model by `constraintDynamics`, in tree coordinates.
 
     Attributes:
-        loses_digits: whether mu is so small that round-off is magnified by more than `MAX_MEAN_RATIO`.
+        loses_digits: True if mu is so small that round-off is magnified by more than `MAX_MEAN_RATIO`.
     """
 
     def __init__(
         self, closed: ClosedLoopModel, map: CoordinateMap, units: Units, q: Array, count: int
     ) -> None:
-        """Choose plain elimination for independent closures, iterations for redundant ones, at a start q.
+        """Choose plain elimination for independent closures, or iterations for redundant ones.
 
-        Pinocchio returns NaN for redundant closures without regularization. `count` of their rows are
-        independent, at the start maybe fewer.
+        Pinocchio returns NaN for redundant closures without regularization.
+
+        Args:
+            closed: model and closures.
+            map: map between tree coordinates and Pinocchio's.
+            units: units of the copy of the model.
+            q: (nq,) start.
+            count: number of independent rows; fewer may be independent at the start.
         """
         self._closed, self._map, self._units = closed, map, units
         self._closures, self._data = Closures(closed, map, units.length), closed.model.createData()
@@ -97,35 +108,35 @@ class ConstraintDynamics:
         pin.initConstraintDynamics(self._model, self._scaled_data, self._constraints, self._constraint_data)
         jacobian = self._jacobian(q)
         self._redundant = len(jacobian) - min(rank(jacobian), count)
-        plain = pin.ProximalSettings(0.0, ACCURACY, 0.0, 1)
+        plain = pin.ProximalSettings(0.0, PROXIMAL_ACCURACY, 0.0, 1)
         self._settings, ratio = self._regularized(q) if self._redundant else (plain, 0.0)
         self.loses_digits = ratio > MAX_MEAN_RATIO
         self._redundant = len(jacobian) - count
 
     def acceleration(self, q: Array, v: Array, force: Array) -> Array:
-        """Compute accelerations (nv,) under generalized forces (nv,), NaN if there are none."""
+        """Compute accelerations (nv,) under generalized forces (nv,); NaN if no solution exists."""
         pin_q, pin_v = (
             self._map.q_to_pinocchio(q / self._units.q),
             self._map.v_to_pinocchio(v / self._units.v),
         )
         state, settings = (pin_q, pin_v, self._map.v_to_pinocchio(force)), self._settings
-        if not len(self._constraints):  # for which `constraintDynamics` takes n^3 operations
+        if not len(self._constraints):  # `aba` needs n operations, `constraintDynamics` n^3
             return self._map.v_from_pinocchio(pin.aba(self._model, self._scaled_data, *state))
         if settings.mu:
-            few = pin.ProximalSettings(0.0, ACCURACY, settings.mu, FEW)
+            few = pin.ProximalSettings(0.0, PROXIMAL_ACCURACY, settings.mu, FIRST_ITERATIONS)
             found, multipliers = self._solved(state, few), self._scaled_data.lambda_c
-            if few.relative_residual <= SETTLED * (1.0 + sqrt(multipliers @ multipliers)):
+            if few.relative_residual <= MAX_SETTLED_CHANGE * (1.0 + sqrt(multipliers @ multipliers)):
                 return found
         found = self._solved(state, settings)
-        if settings.mu and not settings.relative_residual <= CONVERGED:
+        if settings.mu and not settings.relative_residual <= MAX_FINAL_CHANGE:
             here, _ = self._regularized(q)
-            # not for closures that contradict each other: less of it would magnify that
-            if here.mu < SHARE * settings.mu:
+            # a smaller mu would magnify contradictions of closures
+            if here.mu < MAX_EIGENVALUE_SHARE * settings.mu:
                 return self._solved(state, here)
         return found
 
     def _solved(self, state: tuple[Array, Array, Array], settings: Any) -> Array:
-        """Solve at q, v and forces in Pinocchio's order."""
+        """Solve for accelerations at q, v and forces in Pinocchio's order."""
         closures = self._constraints, self._constraint_data
         found = pin.constraintDynamics(self._model, self._scaled_data, *state, *closures, settings)
         return self._map.v_from_pinocchio(found)
@@ -171,16 +182,19 @@ def _in_units(closed: ClosedLoopModel, map: CoordinateMap, units: Units) -> tupl
 
 
 def regularized(jacobian: Array, mass: Array, redundant: int) -> tuple[Any, float]:
-    """Choose iterations for a dimensionless Jacobian (k, nv) and a mass matrix (nv, nv).
+    """Choose the settings of iterations.
 
-    `redundant` is the number of rows that follow from the others.
+    Args:
+        jacobian: (k, nv) dimensionless Jacobian.
+        mass: (nv, nv) dimensionless mass matrix.
+        redundant: number of redundant rows.
 
     Returns:
-        The settings of Pinocchio, and the mean of the diagonal of J M^-1 J^T in units of their mu.
+        The settings of Pinocchio, and the mean of the diagonal of J M^-1 J^T divided by mu.
     """
     response = jacobian @ np.linalg.solve(mass, jacobian.T)
     mean = float(np.mean(np.diag(response)))
     nonzero = np.linalg.eigvalsh(response)[redundant:]
     weakest = float(nonzero[0]) if len(nonzero) else np.inf
-    mu = min(MU * max(mean, 1.0), max(SHARE * weakest, LEAST * mean))
-    return pin.ProximalSettings(0.0, ACCURACY, mu, ITERATIONS), mean / mu
+    mu = min(RELATIVE_MU * max(mean, 1.0), max(MAX_EIGENVALUE_SHARE * weakest, MIN_RELATIVE_MU * mean))
+    return pin.ProximalSettings(0.0, PROXIMAL_ACCURACY, mu, MAX_PROXIMAL_ITERATIONS), mean / mu

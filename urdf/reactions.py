@@ -1,6 +1,6 @@
-"""Joint reactions out of Pinocchio's inverse dynamics.
+"""Compute joint reactions from Pinocchio's inverse dynamics.
 
-A wrench here is (6,): force and torque about the world's origin, world frame.
+Wrenches are (6,): force and torque about the world's origin, N and N m, world frame.
 """
 
 from __future__ import annotations
@@ -21,20 +21,21 @@ from newton_euler.scalars import Array
 
 
 def driven(tree: SpanningTree, columns: Array, points: Array, forces: Array) -> list[tuple[int, Array]]:
-    """Joints with the wrenches (6,) on their second bodies by what drives them, about the joint points.
+    """Return joints with the wrenches (6,) of their drives on the second bodies, about the joint points.
 
-    Of several hinges or slides of a joint, each is driven so that no work is done on the others.
+    The force on one of several hinges or slides of a joint does no work on the others.
 
     Args:
-        tree: that numbers the velocities.
-        columns: (6, nv) Pinocchio's joint Jacobians in the tree's order.
-        points: (j, 3) where the joint points are.
-        forces: (nv,) N or N m on hinges and slides.
+        tree: spanning tree that numbers the velocities.
+        columns: (6, nv) Pinocchio's joint Jacobians in the order of the tree.
+        points: (j, 3) joint points, m, world frame.
+        forces: (nv,) forces on hinges and slides, N or N m.
     """
     found = []
     for kept in tree.joints:
         if not np.any(forces[kept.v]):
             continue
+        # joints of one motion
         if len(kept.motions) == 1 and kept.motions[0].kind != "ball":
             wrench = np.zeros(6)
             part = slice(0, 3) if kept.motions[0].kind == "slide" else slice(3, 6)
@@ -51,6 +52,7 @@ def driven(tree: SpanningTree, columns: Array, points: Array, forces: Array) -> 
             wrench = np.concatenate(driving_wrench(angular, rates, forces[hinges]))
             found.append((kept.joint, wrench if kept.forward else -wrench))
             continue
+        # hinges in a row, after slides in a row: forces along dual axes
         duals = dual_axes(angular)
         wrench = np.concatenate([np.zeros(3), forces[hinges] @ duals])
         if slides:
@@ -62,7 +64,7 @@ def driven(tree: SpanningTree, columns: Array, points: Array, forces: Array) -> 
 
 
 def joint_points(mechanism: Mechanism, frames: Sequence[Frame]) -> Array:
-    """(j, 3) the joint points on the second bodies, world frame."""
+    """Return the joint points (j, 3) on the second bodies, m, world frame."""
     points = np.zeros((len(mechanism.joints), 3))
     for index, equations in enumerate(mechanism.equations):
         body = frames[equations.second]
@@ -114,12 +116,12 @@ def joint_wrenches(
         wrenches[cut] = wrench
     for kept in reversed(tree.joints):
         if kept.joint >= len(joints):
-            continue  # bodies that only rods hold
+            continue  # joints of bodies that only rods hold
         if kept.motions:
             last = model.getJointId(motion_names(tree.joint(kept.joint), kept.forward)[-1])
             on_child = data.oMi[last].act(data.f[last]).vector
         else:
-            # Pinocchio merges links that a fixed joint connects: what is left of the child's balance
+            # Pinocchio merges links of a fixed joint: use the balance of the child
             child = welded.mechanism.bodies[kept.child].name
             on_child = _needed_wrench(scene, welded, kept.child, frames, accelerations)
             on_child -= applied[kept.child]
@@ -133,7 +135,7 @@ def joint_wrenches(
 def _needed_wrench(
     scene: Scene, welded: WeldedMechanism, index: int, frames: Sequence[Frame], accelerations: Array
 ) -> Array:
-    """Compute the wrench of all joints of a body together: Newton's and Euler's equations."""
+    """Compute the total wrench of all joints on a body by Newton's and Euler's equations."""
     body, whole = welded.mechanism.bodies[index], welded.origin[index]
     position, a, _, omega = frames[whole]
     inertia = a @ body.inertia @ a.T
@@ -143,12 +145,12 @@ def _needed_wrench(
 
 
 def reactions(wrenches: Array, points: Array, actuation: list[tuple[int, Array]]) -> tuple[Array, Array]:
-    """Forces and torques (j, 3) on the second bodies at the joint points, without those of actuators.
+    """Return forces and torques (j, 3) on the second bodies at the joint points, without drives.
 
     Args:
-        wrenches: (j, 6), or more rows, as of `joint_wrenches`.
-        points: (j, 3) of the joints.
-        actuation: as of `driven`.
+        wrenches: (j, 6) or more rows, see `joint_wrenches`.
+        points: (j, 3) joint points, m, world frame.
+        actuation: wrenches of drives, see `driven`.
     """
     forces = wrenches[: len(points), :3].copy()
     torques = wrenches[: len(points), 3:] - np.cross(points, forces)

@@ -65,13 +65,13 @@ from urdf.reading.source import (
     read_loops,
 )
 from urdf.reading.start import Mimic, Start
-from urdf.reading.visuals import dressed
-from urdf.reference import ModelOriginal, UrdfReference
+from urdf.reading.visuals import with_visuals
+from urdf.reference import ModelReference, UrdfReference
 
-GRAVITY = (0.0, 0.0, -9.81)
+DEFAULT_GRAVITY = (0.0, 0.0, -9.81)
 """m/s^2, unless another one is asked for; a URDF has none."""
 
-CLOSURES: dict[str, type[Joint]] = {"3d": Spherical, "6d": Fixed}
+CLOSURE_JOINTS: dict[str, type[Joint]] = {"3d": Spherical, "6d": Fixed}
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +151,7 @@ def read(
     if isinstance(model, str | os.PathLike):
         if q is not None:
             raise OptionError("q", q, "none, as a URDF starts from coordinates 0")
-        pull = GRAVITY if gravity is None else gravity
+        pull = DEFAULT_GRAVITY if gravity is None else gravity
         ignored = (ignore,) if isinstance(ignore, str) else () if ignore is None else tuple(ignore)
         return _from_file(model, loops, base, pull, request, ignored)
     for option, value, default in (("loops", loops, None), ("base", base, "fixed"), ("ignore", ignore, None)):
@@ -251,7 +251,7 @@ def _from_memory(
             ImportReport(),
             request,
             pull,
-            partial(ModelOriginal, given.model, given.constraints, given.q, pull),
+            partial(ModelReference, given.model, given.constraints, given.q, pull),
         )
     except SourceError:
         raise
@@ -286,7 +286,7 @@ def _reading(
     start = Start(robot.where, robot.closed, robot.loops, robot.mimics, report, tolerance, robot.first)
     tree = Tree(robot.where, start, set(robot.loops.name_mot), report)
     if robot.root is not None:
-        tree.bodies = dressed(robot.where, robot.root, start, tree, report)
+        tree.bodies = with_visuals(robot.where, robot.root, start, tree, report)
     scene = _scene(robot, start, tree, report, request, gravity)
     # what overflows is refused; the parser has been heard before
     with np.errstate(all="ignore"), overheard([]):
@@ -358,7 +358,7 @@ def _closing(start: Start, tree: Tree, report: ImportReport) -> Iterator[Joint]:
         elif kind == REVOLUTE:
             joint = Revolute(name, a, b, p, axis=tree.end(along)[1] - p)
         else:
-            joint = CLOSURES[kind](name, a, b, p)
+            joint = CLOSURE_JOINTS[kind](name, a, b, p)
         yield joint
         report.exactly(element, f"{joint.kind} joint {name!r}")
 

@@ -24,7 +24,7 @@ from urdf.constraints import power_sums
 from urdf.extensions import Extensions
 from urdf.loops import NO_LOOPS, REVOLUTE, UNIVERSAL, Loops, closure_names, parse_loops
 
-HINGES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
+HINGE_MODELS = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 
 
 ARMATURE = "armature"
@@ -49,7 +49,7 @@ class Closure(NamedTuple):
     second: int
 
 
-class PinocchioOriginal(ReferenceModel):
+class PinocchioReference(ReferenceModel):
     """A Pinocchio model and what closes its loops."""
 
     def __init__(
@@ -268,7 +268,7 @@ class PinocchioOriginal(ReferenceModel):
                 yield name, [np.diag(np.where(own, self._model.armature, 0.0))] * len(samples)
 
 
-class UrdfReference(PinocchioOriginal):
+class UrdfReference(PinocchioReference):
     """A URDF and its loop file."""
 
     def __init__(
@@ -386,7 +386,7 @@ class UrdfReference(PinocchioOriginal):
         yield from (element for element in elements if element not in known)
 
 
-class ModelOriginal(PinocchioOriginal):
+class ModelReference(PinocchioReference):
     """A model in memory and its rigid constraints, as they are."""
 
     def __init__(
@@ -459,7 +459,7 @@ def _built(text: str, loops: Loops, base: str) -> tuple[Any, list[str]]:
     for k in range(1, plain.njoints):
         name = str(plain.names[k])
         kind, pose = types.get(name, ""), plain.jointPlacements[k]
-        turning = [HINGES[axis]() for axis in UNIVERSAL.get(kind, "")]
+        turning = [HINGE_MODELS[axis]() for axis in UNIVERSAL.get(kind, "")]
         chain = turning or [pin.JointModelSpherical() if kind == "SPHERICAL" else plain.joints[k]]
         number[k] = number[plain.parents[k]]
         for n, joint in enumerate(chain):

@@ -1,4 +1,4 @@
-"""Scene in, Trajectory out, by Pinocchio."""
+"""Simulate a scene by Pinocchio."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ def simulate(
     alpha: float | None = None,
     **control: Unpack[StepControl],
 ) -> Trajectory:
-    """Run a scene with Pinocchio's accelerations under rigid closures.
+    """Simulate a scene with Pinocchio's accelerations under rigid loop closures.
 
     Args:
-        scene: what to run; its URDF and loop file are made on the way.
+        scene: scene to simulate, passed to Pinocchio as URDF and loop file.
         integrator: one of `newton_euler.integrators.options.INTEGRATORS`.
-        stabilization: "projection" after each step, "baumgarte" (Pinocchio's own corrector gains) or "none".
-        alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2; the paper's 10 if None.
-        control: of steps, see `newton_euler.simulate`.
+        stabilization: "projection" after each step, "baumgarte" (Pinocchio's corrector gains) or "none".
+        alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2; None for 10, the value of the paper.
+        control: options of the steps, see `newton_euler.simulate`.
 
     Raises:
-        NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
-        UrdfError: for a mechanism that a URDF cannot hold.
+        NewtonEulerError: for an unknown name, an impossible option, or a run that stops early.
+        UrdfError: for a mechanism that a URDF cannot represent.
 
     Examples:
         >>> urdf.simulate(load("pendulum"), rtol=1e-8)
@@ -50,7 +50,7 @@ def simulate(
     gain = baumgarte_alpha(stabilization, alpha)
     options = replace(Options.of(integrator, control), projection=stabilization == "projection")
     if options.rest:
-        raise OptionError("rest", options.rest, "0: Pinocchio's runs make their steps at rest, too")
+        raise OptionError("rest", options.rest, "0: Pinocchio's runs do not skip steps at rest")
     settings: dict[str, Any] = {"stabilization": stabilization}
     if stabilization == "baumgarte":
         settings["alpha"] = gain

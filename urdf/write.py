@@ -43,7 +43,7 @@ from newton_euler.model.written_file import atomic_file
 from newton_euler.scalars import Array
 from urdf.errors import NameClashError, UrdfError
 
-COLORS = {
+MATERIAL_COLORS = {
     "grey": (0.6, 0.6, 0.6),
     "orange": (0.9, 0.6, 0.0),
     "sky_blue": (0.35, 0.7, 0.9),
@@ -56,13 +56,13 @@ COLORS = {
 """Colors that everybody can tell apart (Okabe and Ito, Color Universal Design, 2008)."""
 
 
-INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+INERTIA_ATTRIBUTES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Attributes of an inertia: its upper triangle, row by row."""
 
-CLOSURES: dict[type[Joint], str] = {Fixed: "6d", Rod: "rod"}
+CLOSURE_TYPES_OF_JOINTS: dict[type[Joint], str] = {Fixed: "6d", Rod: "rod"}
 """Types in the loop file of joints that close loops, other than balls."""
 
-LIMIT = "1000"
+WRITTEN_LIMIT = "1000"
 """Of everything: URDF demands limits of hinges and slides, and the mechanism's joints have none."""
 
 
@@ -150,7 +150,7 @@ def to_loops(scene: Scene, keep_bodies: bool = False) -> str:
     ]
     document: dict[str, Any] = {
         "closed_loop": [[frame for frame, _, _ in pair] for pair in closures(welded)],
-        "type": [CLOSURES.get(type(joint), "3d") for joint in cuts],
+        "type": [CLOSURE_TYPES_OF_JOINTS.get(type(joint), "3d") for joint in cuts],
         "name_mot": motors,
         "joint_name": balls,
         "joint_type": ["SPHERICAL"] * len(balls),
@@ -206,7 +206,7 @@ def _add_inertial(link: Element, body: Body, center: Array, rotation: Array) -> 
     SubElement(inertial, "mass", value=repr(body.mass))
     turned = rotation @ body.inertia @ rotation.T
     inertia = 0.5 * (turned + turned.T)
-    entries = zip(INERTIA, inertia[np.triu_indices(3)].tolist(), strict=True)
+    entries = zip(INERTIA_ATTRIBUTES, inertia[np.triu_indices(3)].tolist(), strict=True)
     SubElement(inertial, "inertia", {name: repr(value + 0.0) for name, value in entries})
 
 
@@ -232,7 +232,14 @@ def _add_chain(
         kind = "prismatic" if motion.kind == "slide" else "revolute"
         element = _add_joint(robot, kind, name, parent, link, point - origin)
         SubElement(element, "axis", xyz=numbers(_axis(motion)))
-        SubElement(element, "limit", lower=f"-{LIMIT}", upper=LIMIT, effort=LIMIT, velocity=LIMIT)
+        SubElement(
+            element,
+            "limit",
+            lower=f"-{WRITTEN_LIMIT}",
+            upper=WRITTEN_LIMIT,
+            effort=WRITTEN_LIMIT,
+            velocity=WRITTEN_LIMIT,
+        )
         if name in dampings:
             SubElement(element, "dynamics", damping=repr(dampings[name]))
         parent, origin = link, point
@@ -261,12 +268,12 @@ def _check_names(robot: Element) -> None:
 
 def color(index: int) -> str:
     """The material of body number `index`."""
-    return list(COLORS)[index % len(COLORS)]
+    return list(MATERIAL_COLORS)[index % len(MATERIAL_COLORS)]
 
 
 def add_materials(robot: Element) -> None:
-    """Define all `COLORS` as materials."""
-    for name, rgb in COLORS.items():
+    """Define all `MATERIAL_COLORS` as materials."""
+    for name, rgb in MATERIAL_COLORS.items():
         material = SubElement(robot, "material", name=name)
         SubElement(material, "color", rgba=numbers((*rgb, 1.0)))
 

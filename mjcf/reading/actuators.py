@@ -1,19 +1,20 @@
-"""Actuators of a compiled model with the controls of the start, held or swinging: forces and PD laws.
+"""Import actuators of a compiled model as forces and control laws.
 
-MuJoCo's force on a transmission of length l is gain * ctrl + b_0 + b_1 l + b_2 dl/dt. With l = g q of a
-joint coordinate and x = q less its value at the start, the force on the joint is
+Controls are held at the start, or follow a sine about it. MuJoCo's force on a transmission of length l is
+gain * ctrl + b_0 + b_1 l + b_2 dl/dt. With l = g q for a joint coordinate, and x = q minus its value at the
+start, the force on the joint is
 
     u = g (gain ctrl + b_0) + g^2 b_1 (q_start + x) + g^2 b_2 dx/dt,
 
-a PD law of stiffness -g^2 b_1, damping -g^2 b_2 and target 0, and the rest as its feedforward. If l is a
-sum of coordinates that gears tie to each other, l - l_start = s x for each of them: a law on the first of
-them with s in the place of g does the same work. If l = sum_j g_j q_j of independent coordinates, each of
-them gets the state feedback
+a PD law with stiffness -g^2 b_1, damping -g^2 b_2, target 0, and the other terms as feedforward.
+
+If l is a sum of coordinates that gears couple, l - l_start = s x for each of them, and a law on the first
+coordinate with s instead of g does the same work. If l = sum_j g_j q_j of independent coordinates, each of
+them has the state feedback
 
     u_i = g_i (gain ctrl + b_0 + b_1 l_start) + g_i sum_j g_j (b_1 x_j + b_2 dx_j/dt).
 
-A control that swings about that of the start, by a function of time, adds g gain times that to the
-feedforward.
+A sine of the control adds g gain times the sine to the feedforward.
 """
 
 from __future__ import annotations
@@ -51,23 +52,23 @@ FORCE_UNITS = {
     JOINT.mjJNT_BALL: "N m",
     JOINT.mjJNT_FREE: "N, N m",
 }
-"""Units of forces along the coordinates of joints; those of a free joint are both."""
+"""Units of forces by type of joint; a free joint has forces of both units."""
 
-TO_JOINTS = (TRANSMISSION.mjTRN_JOINT, TRANSMISSION.mjTRN_JOINTINPARENT)
+JOINT_TRANSMISSIONS = (TRANSMISSION.mjTRN_JOINT, TRANSMISSION.mjTRN_JOINTINPARENT)
 
-LIMITS = ("actuator_force", "tendon_actfrc", "jnt_actfrc")
-"""Limits of forces in MuJoCo's model."""
+FORCE_LIMITS = ("actuator_force", "tendon_actfrc", "jnt_actfrc")
+"""Prefixes of the force limits in MuJoCo's model."""
 
-GROUPS = 31
-"""Of actuators, that a file can disable."""
+ACTUATOR_GROUPS = 31
+"""Number of groups of actuators that a file can disable."""
 
 
 def driven_joints(model: Any) -> set[int]:
-    """Numbers of MuJoCo's joints that actuators may drive."""
+    """Return the numbers of MuJoCo's joints that actuators may drive."""
     found: set[int] = set()
     for actuator in range(model.nactuator):
         kind, target = TRANSMISSION(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
-        if kind in TO_JOINTS:
+        if kind in JOINT_TRANSMISSIONS:
             found.add(target)
         elif kind == TRANSMISSION.mjTRN_TENDON:
             first, count = int(model.tendon_adr[target]), int(model.tendon_num[target])
@@ -78,11 +79,11 @@ def driven_joints(model: Any) -> set[int]:
 
 
 class Actuators:
-    """Control laws, one for each joint coordinate that is driven.
+    """Imported actuators, as one control law for each driven joint coordinate.
 
     Attributes:
-        armatures: what actuators' rotors add to those of joints, by joint and coordinate.
-        drives: actuators of fixed gain that are part of the laws, by number.
+        armatures: rotor inertias of actuators by joint coordinate, kg m^2 or kg.
+        drives: actuators with fixed gain that are part of control laws, by number.
     """
 
     def __init__(
@@ -95,7 +96,7 @@ class Actuators:
         report: ImportReport,
         swings: Given[int, Sine],
     ) -> None:
-        """`swings` are what controls of actuators, by number, swing by about those of the start."""
+        """Import all actuators; `swings` are the sines of controls, by number of the actuator."""
         self._start, self._model, self._data = start, start.model, start.data
         self._bodies, self._joints, self._ties = bodies, joints, ties
         self._forces, self._report = forces, report
@@ -103,16 +104,16 @@ class Actuators:
         self._acting: dict[Key, Acting] = {}
         self.armatures: dict[Key, float] = {}
         self.drives: dict[int, Drive] = {}
-        self._pushed: list[int] = []  # MuJoCo's bodies with wrenches of actuators
-        self._work_out_forces()
+        self._pushed: list[int] = []  # numbers of MuJoCo's bodies with wrenches of actuators
+        self._compute_forces()
         for actuator in range(self._model.nactuator):
             self._add(actuator)
         for joint in np.flatnonzero(self._model.jnt_actfrclimited).tolist():
             self._report_joint_limit(joint)
 
-    def _work_out_forces(self) -> None:
-        """Have MuJoCo's data hold the forces of the start without their limits."""
-        limits = [getattr(self._model, f"{name}limited") for name in LIMITS]
+    def _compute_forces(self) -> None:
+        """Compute the forces of actuators at the start, without limits, in MuJoCo's data."""
+        limits = [getattr(self._model, f"{name}limited") for name in FORCE_LIMITS]
         kept = [each.copy() for each in limits]
         for each in limits:
             each[:] = 0
@@ -122,7 +123,7 @@ class Actuators:
 
     @property
     def laws(self) -> tuple[PD | StateFeedback, ...]:
-        """One for each joint coordinate."""
+        """Control laws, one for each driven joint coordinate."""
         return tuple(acting.law(key) for key, acting in self._acting.items())
 
     def _add(self, actuator: int) -> None:
@@ -141,7 +142,7 @@ class Actuators:
         if moments is not None:
             acts = self._add_to_joints(actuator, element, law, moments)
         elif law == Affine(0.0, 0.0, 0.0) and not model.actuator_armature[actuator]:
-            self._tell(actuator, "no force at the controls of the start", CONTROL)
+            self._report_exactly(actuator, "no force at the control of the start", CONTROL)
             acts = True
         elif kind == TRANSMISSION.mjTRN_SITE:
             acts = self._add_wrench(actuator, element, law, model.actuator_gear[actuator])
@@ -152,10 +153,10 @@ class Actuators:
             self._report_limits(actuator, element, law, moments)
 
     def _moments(self, actuator: int, kind: mujoco.mjtTrn) -> dict[int, float] | None:
-        """Return its moment on each joint; None if it acts on others than hinges and slides."""
+        """Return the moment arm at each joint; None unless the actuator acts on hinges and slides alone."""
         target, gear = int(self._model.actuator_trnid[actuator, 0]), self._model.actuator_gear[actuator, 0]
         weights: dict[int, float] | None = None
-        if kind in TO_JOINTS:
+        if kind in JOINT_TRANSMISSIONS:
             weights = {target: 1.0}
         elif kind == TRANSMISSION.mjTRN_TENDON:
             weights = fixed(self._start, target)
@@ -164,25 +165,25 @@ class Actuators:
         return {joint: weight * float(gear) for joint, weight in weights.items()}
 
     def _through(self, actuator: int, kind: mujoco.mjtTrn) -> str:
-        """Name a transmission that no control law has."""
-        if kind not in TO_JOINTS:
+        """Describe a transmission that control laws do not have."""
+        if kind not in JOINT_TRANSMISSIONS:
             return f"through its transmission, {kind.name.removeprefix('mjTRN_').lower()}"
         joint = int(self._model.actuator_trnid[actuator, 0])
         what = "free" if self._model.jnt_type[joint] == FREE else "ball"
         return f"on a {what} joint, as {element_name(self._model, 'joint', joint)} is"
 
     def _disabled(self, actuator: int) -> str:
-        """Why the file itself switches its force off, if it does."""
+        """Return the reason why the file itself disables the actuator; "" if the actuator is enabled."""
         if self._start.disabled("ACTUATION"):
             return "the file disables actuators"
         group = int(self._model.actuator_group[actuator])
         # groups beyond the bits of the option cannot be disabled
-        if 0 <= group < GROUPS and int(self._model.opt.disableactuator) >> group & 1:
+        if 0 <= group < ACTUATOR_GROUPS and int(self._model.opt.disableactuator) >> group & 1:
             return f"the file disables actuators of group {group}"
         return ""
 
     def _control(self, actuator: int) -> float:
-        """The control of the start within its range."""
+        """Return the control at the start, clipped to its range."""
         model = self._model
         ctrl = float(self._data.ctrl[int(model.actuator_ctrladr[actuator])])
         if model.actuator_ctrllimited[actuator] and not self._start.disabled("CLAMPCTRL"):
@@ -190,7 +191,7 @@ class Actuators:
         return ctrl
 
     def _activation(self, actuator: int) -> float | None:
-        """The factor of its gain with the control held; None if that changes with time."""
+        """Return the activation (or control) that multiplies the gain; None if the activation changes."""
         kind, ctrl = DYNAMICS(self._model.actuator_dyntype[actuator]), self._control(actuator)
         if kind == DYNAMICS.mjDYN_NONE:
             return ctrl
@@ -204,7 +205,7 @@ class Actuators:
         return activation if rests.get(kind, False) else None
 
     def _affine(self, actuator: int, element: str) -> Affine | None:
-        """Its force with the control held; None if it is no affine function of length and rate."""
+        """Return the force at a held control; None if the force is not affine in length and rate."""
         model = self._model
         known = (
             model.actuator_plugin[actuator] < 0
@@ -216,7 +217,7 @@ class Actuators:
         if not known or activation is None:
             self._report.left_out(
                 element,
-                "has dynamics that do not rest, a delay, a plugin, or no affine gain or bias",
+                "its activation changes at the start, or it has a delay, a plugin, or no affine gain or bias",
             )
             return None
         gain, bias = model.actuator_gainprm[actuator][:3] * activation, model.actuator_biasprm[actuator][:3]
@@ -226,7 +227,7 @@ class Actuators:
             gain = gain + bias
         return Affine(*(float(x) for x in gain))
 
-    def _tell(self, actuator: int, how: str, became: str) -> None:
+    def _report_exactly(self, actuator: int, how: str, became: str) -> None:
         model, numbers = self._model, dict[str, Sequence[float]]()
         given = float(self._data.ctrl[int(model.actuator_ctrladr[actuator])])
         if given != (control := self._control(actuator)):
@@ -240,13 +241,13 @@ class Actuators:
     def _report_limits(
         self, actuator: int, element: str, law: Affine, moments: dict[int, float] | None
     ) -> None:
-        """Report limits of its force and of what its tendon lets all actuators on it pull with together."""
+        """Report the limit of the actuator's force, and its tendon's limit of all actuator forces."""
         model, report = self._model, self._report
         if model.actuator_forcelimited[actuator]:
             low, high = (float(x) for x in model.actuator_forcerange[actuator])
             terms = tuple((self._joints.keys[k], moment) for k, moment in (moments or {}).items())
             constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
-            moving = swinging(constant, tuple(self._of_control(actuator, 1.0)))
+            moving = swinging(constant, tuple(self._swing_force(actuator, 1.0)))
             unit = self._force_unit(actuator)
             watch = Bounds(terms, low, high, unit, moving, law.by_length, law.by_rate)
             known = moments is not None or not (law.by_length or law.by_rate)
@@ -261,30 +262,30 @@ class Actuators:
             report.left_out(element, why, topic="limit of its tendon", numbers=[low, high])
 
     def _force_unit(self, actuator: int) -> str:
-        """Unit of an actuator's force: what it is on the length or the angle of its transmission."""
+        """Return the unit of an actuator's force on the length or angle of its transmission."""
         model, target = self._model, int(self._model.actuator_trnid[actuator, 0])
         kind = TRANSMISSION(model.actuator_trntype[actuator])
-        if kind in TO_JOINTS:
+        if kind in JOINT_TRANSMISSIONS:
             return FORCE_UNITS[JOINT(model.jnt_type[target])]
         turns = kind == TRANSMISSION.mjTRN_SITE and not np.any(model.actuator_gear[actuator, :3])
         return "N m" if turns else "N"
 
     def _pull(self, tendon: int) -> float:
-        """Of all actuators on a tendon together."""
+        """Return the sum of the forces of all actuators on a tendon, N."""
         model = self._model
         on_tendons = model.actuator_trntype == TRANSMISSION.mjTRN_TENDON
         outputs = model.actuator_outadr[on_tendons & (model.actuator_trnid[:, 0] == tendon)]
         return float(np.sum(self._data.actuator_force[outputs]))
 
     def _report_joint_limit(self, joint: int) -> None:
-        """Report a limit of all that drives a joint."""
+        """Report a joint's limit of the sum of its actuator forces."""
         model, data = self._model, self._data
         key, element = self._joints.keys.get(joint), element_name(self._model, "joint", joint)
         low, high = bounds = [float(x) for x in model.jnt_actfrcrange[joint]]
         why, topic = f"its limit of actuator forces, {low:g} to {high:g}", "limit of actuator forces"
         law = None if key is None else self._acting.get(key)
-        if others := self._others(joint):
-            self._report.left_out(element, f"{why}, which counts {others}", topic=topic, numbers=bounds)
+        if others := self._other_forces(joint):
+            self._report.left_out(element, f"{why}, which includes {others}", topic=topic, numbers=bounds)
         elif key is not None and law is not None:
             watch = _watch(law, low, high, FORCE_UNITS[JOINT(model.jnt_type[joint])])
             watches = [watch] if watch else []
@@ -292,8 +293,8 @@ class Actuators:
         elif data.qfrc_actuator[model.jnt_dofadr[joint]]:
             self._report.left_out(element, why, topic=topic, numbers=bounds)
 
-    def _others(self, joint: int) -> str:
-        """Word what a joint's limit of actuator forces counts beside its control law."""
+    def _other_forces(self, joint: int) -> str:
+        """Describe forces in a joint's limit that are not part of its control law."""
         model, found = self._model, []
         if any(self._moves(joint, body) for body in self._pushed):
             found.append("forces on sites")
@@ -304,7 +305,7 @@ class Actuators:
         return " and ".join(found)
 
     def _moves(self, joint: int, body: int) -> bool:
-        """True if one of MuJoCo's joints moves one of its bodies; parents have lower numbers."""
+        """True if a joint of MuJoCo moves a body; parents have lower numbers than children."""
         above = int(self._model.jnt_bodyid[joint])
         while body > above:
             body = int(self._model.body_parentid[body])
@@ -313,26 +314,26 @@ class Actuators:
     def _report_damping(self, actuator: int, element: str) -> None:
         model = self._model
         if np.any(model.actuator_damping[actuator]) or np.any(model.actuator_dampingpoly[actuator]):
-            self._report.left_out(element, "damping of its own", topic="damping")
+            self._report.left_out(element, "the damping of the actuator", topic="damping")
 
     def _add_to_joints(self, actuator: int, element: str, law: Affine, moments: dict[int, float]) -> bool:
-        """Add its force to the laws of joint coordinates; False if the scene is without the actuator."""
+        """Add the force to the laws of joint coordinates; False if the actuator is left out."""
         keys = self._joints.keys
         slopes = self._ties.slopes({keys[joint]: moment for joint, moment in moments.items()})
         constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
         self._add_rotor(actuator, element, moments)
         shares = {keys[joint]: moment for joint, moment in moments.items()}
-        # gains of shares are moments times slopes, negative for some; joints with limits need theirs
+        # the sum acts on one coordinate, unless joints with limits need their own force
         limited = any(self._model.jnt_actfrclimited[k] for k in moments)
         if slopes and (law.by_length or law.by_rate) and not limited:
             key, slope = next(iter(slopes.items()))
             if slope == 0.0:
-                why = "equalities keep its length, so that it does no work"
+                why = "equalities keep its length constant, so that it does no work"
                 self._report.left_out(element, why, inert=True)
                 return False
             shares = {key: slope}
         for key, share in shares.items():
-            # the change of the length, by the coordinate that tells it or by all of the sum
+            # the change of length by one coordinate, or by all coordinates of the sum
             length = {key: slopes[key]} if slopes else shares
             acting = self._acting.get(key, Acting())
             for other, slope in length.items() if law.by_length or law.by_rate else ():
@@ -341,25 +342,26 @@ class Actuators:
                 )
             self._acting[key] = acting._replace(
                 constant=acting.constant + share * constant,
-                swings=(*acting.swings, *self._of_control(actuator, share)),
+                swings=(*acting.swings, *self._swing_force(actuator, share)),
             )
-        self._note_drive(actuator, shares, moments)
+        self._add_drive(actuator, shares, moments)
         names = ", ".join(repr(joint) for joint, _ in shares)
-        self._tell(actuator, f"control law of joint {names}, its {self._course(actuator)}", CONTROL)
+        how = f"control law of joint {names}, its {self._control_text(actuator)}"
+        self._report_exactly(actuator, how, CONTROL)
         return True
 
     def _gain(self, actuator: int) -> float:
-        """N or N m for each unit of control or activation; 0 if it has no fixed gain."""
+        """Return the force per unit of control or activation, N or N m; 0 without a fixed gain."""
         fixed_gain = GAIN(self._model.actuator_gaintype[actuator]) == GAIN.mjGAIN_FIXED
         return float(self._model.actuator_gainprm[actuator, 0]) if fixed_gain else 0.0
 
-    def _of_control(self, actuator: int, share: float) -> Iterator[Sine]:
-        """Return what the swing of its control adds to a force of `share` times its own."""
+    def _swing_force(self, actuator: int, share: float) -> Iterator[Sine]:
+        """Yield the sine of the force, times `share`, if the control follows a sine."""
         if swing := self._swings.get(actuator):
             yield replace(swing, amplitude=share * self._gain(actuator) * swing.amplitude)
 
-    def _course(self, actuator: int) -> str:
-        """Its control, in words."""
+    def _control_text(self, actuator: int) -> str:
+        """Describe the control."""
         swing = self._swings.get(actuator)
         if swing is None:
             return f"control held at {self._control(actuator):g}"
@@ -368,11 +370,11 @@ class Actuators:
         return f"{what} {self._activation(actuator):g} + {sine}"
 
     def _is_direct(self, actuator: int) -> bool:
-        """True if it has no dynamics."""
+        """True if the actuator has no activation dynamics."""
         return DYNAMICS(self._model.actuator_dyntype[actuator]) == DYNAMICS.mjDYN_NONE
 
-    def _note_drive(self, actuator: int, shares: dict[Key, float], moments: dict[int, float]) -> None:
-        """Note how far its control, or the activation that makes, may go from that of the start."""
+    def _add_drive(self, actuator: int, shares: dict[Key, float], moments: dict[int, float]) -> None:
+        """Add the range of the control or activation in which no limit is exceeded to `drives`."""
         gain, control = self._gain(actuator), self._activation(actuator)
         if not gain or control is None:
             return
@@ -383,6 +385,7 @@ class Actuators:
         if model.actuator_actlimited[actuator]:
             down, up = (float(x) for x in model.actuator_actrange[actuator])
             low, high = max(low, down), min(high, up)
+        # distances of forces from the limits of the actuator, its tendon and its joints
         rooms = []
         if model.actuator_forcelimited[actuator]:
             force = float(data.actuator_force[model.actuator_outadr[actuator]])
@@ -404,32 +407,33 @@ class Actuators:
         self.drives[actuator] = Drive(control, gains, low, high, not self._is_direct(actuator))
 
     def _add_rotor(self, actuator: int, element: str, moments: dict[int, float] | None) -> None:
-        """Its armature, which MuJoCo has of disabled actuators too."""
+        """Add the armature, which MuJoCo also applies for disabled actuators."""
         inertia = float(self._model.actuator_armature[actuator])
         if not inertia:
             return
         rotor = reduced_inertia(self._start, self._joints, self._ties, moments or {}, inertia)
         if rotor is None:
-            why = f"its armature {inertia:g}: no single joint coordinate tells its length"
+            why = f"its armature {inertia:g}: no single joint coordinate determines its length"
             self._report.left_out(element, why, topic="armature")
             return
         self.armatures[rotor[0]] = self.armatures.get(rotor[0], 0.0) + rotor[1]
         self._report.exactly(element, f"its armature {inertia:g} at joint {rotor[0][0]!r}", ROTOR)
 
     def _add_wrench(self, actuator: int, element: str, law: Affine, gear: Array) -> bool:
-        """Add a constant force and torque at a site, in the site's frame or in that of a fixed one.
+        """Add a constant force and torque at a site, in the frame of the site or of a fixed site.
 
-        False if the scene is without the actuator.
+        Returns:
+            False if the actuator is left out.
         """
         model, data = self._model, self._data
         site, reference = (int(k) for k in model.actuator_trnid[actuator])
         body = self._bodies.names[int(model.site_bodyid[site])]
         turning = reference < 0
         if law.by_length or law.by_rate or body == GROUND:
-            self._report.left_out(element, "its force on a site depends on where that is")
+            self._report.left_out(element, "its force on a site depends on the place of the site")
             return False
         if not turning and self._bodies.names[int(model.site_bodyid[reference])] != GROUND:
-            self._report.left_out(element, "its force on a site turns with another moving body")
+            self._report.left_out(element, "its force on a site has the direction of another moving body")
             return False
         axes = data.site_xmat[site if turning else reference].reshape(3, 3)
         force, torque = law.constant * (gear.reshape(2, 3) @ axes.T)
@@ -438,14 +442,15 @@ class Actuators:
         self._pushed.append(int(model.site_bodyid[site]))
         frame: Any = "body" if turning else "world"
         self._forces.forces.append(Wrench(name, body, data.site_xpos[site].copy(), force, torque, frame))
-        self._tell(actuator, f"wrench {name!r}, constant in the {frame}", FORCE)
+        self._report_exactly(actuator, f"wrench {name!r}, constant in the {frame}", FORCE)
         return True
 
 
 def _watch(acting: Acting, low: float, high: float, unit: str) -> Bounds | None:
-    """Watch a limit of the force of actuators on a joint coordinate, in a unit.
+    """Make the watch of a limit of actuator forces on a joint coordinate.
 
-    None if the stiffnesses and the dampings of its feedback are of different sums of joint coordinates.
+    Returns:
+        The watch; None if stiffnesses and dampings of the feedback have different weights of coordinates.
     """
     keys, gains = list(acting.feedback), np.array(list(acting.feedback.values())).reshape(-1, 2)
     moving = swinging(acting.constant, acting.swings)

@@ -1,6 +1,7 @@
-"""Bodies of a compiled model: what is fixed together is one body, what is fixed to the world the ground.
+"""Import bodies of a compiled model: bodies that are fixed to each other become one body.
 
-Boxes, round bars and meshes are those that MuJoCo's own viewer shows.
+Bodies that are fixed to the world become the ground. Shapes are the boxes, round bars and meshes that
+MuJoCo's viewer shows.
 """
 
 from __future__ import annotations
@@ -22,28 +23,28 @@ from newton_euler.reading.import_report import ImportReport, unique_name
 from newton_euler.scalars import Array
 
 FIRST_HIDDEN_GROUP = 3
-"""Geom groups from here on are not shown at first; models keep shapes for collisions there."""
+"""First group of geoms that viewers hide by default, usually collision shapes."""
 
 UNSET_COLOR = (0.5, 0.5, 0.5, 1.0)
-"""What a geom has whose color is that of its material."""
+"""Color of a geom in the compiled model if the file sets no color."""
 
 
 GROUND = "ground"
 
 
 class Bodies:
-    """The bodies of a scene and which of MuJoCo's they are made of.
+    """Imported bodies.
 
     Attributes:
-        bodies: ground first.
-        roots: MuJoCo's body whose frame each of them has.
-        names: for each of MuJoCo's bodies the name of the one that it is a part of.
+        bodies: bodies of the scene, ground first.
+        roots: for each of them, the number of MuJoCo's body with the same frame.
+        names: for each of MuJoCo's bodies, the name of the body of the scene.
     """
 
     def __init__(self, start: Start, report: ImportReport) -> None:
         model = start.model
         self._model, self._data = model, start.data
-        # MuJoCo's body_weldid lets mocap bodies be their own
+        # not body_weldid, which makes mocap bodies separate
         self._root = [0] * model.nbody
         for k in range(1, model.nbody):
             self._root[k] = k if model.body_jntnum[k] else self._root[model.body_parentid[k]]
@@ -68,7 +69,7 @@ class Bodies:
             report.exactly(element, f"body {self.names[k]!r}" if self.names[k] != name else "a body")
 
     def members(self, root: int) -> Array:
-        """MuJoCo's bodies that move with one of them."""
+        """Return the numbers of MuJoCo's bodies that move with a root."""
         return np.flatnonzero(np.array(self._root) == root)
 
     def _body(self, root: int, path: str) -> Body:
@@ -99,7 +100,7 @@ class Bodies:
         return Body(name, *where, local, quaternion, self._shapes(root), unrealisable, drawn)
 
     def _shapes(self, root: int) -> tuple[Shape, ...]:
-        """Boxes, balls and round bars among the visible geoms."""
+        """Return boxes, balls and round bars among the visible geoms of a root."""
         found = (self._shape(geom) for geom in visible_geoms(self._model, self.members(root)))
         return tuple(shape for shape in found if shape is not None)
 
@@ -120,24 +121,24 @@ class Bodies:
         return None
 
     def root(self, name: str) -> int:
-        """MuJoCo's body whose frame a body of the scene has."""
+        """Return the number of MuJoCo's body with the frame of a body of the scene."""
         return next(root for root in self.roots if self.names[root] == name)
 
     def velocity(self, root: int, center: Array) -> tuple[Array, Array]:
-        """(3,) of a point `center` that moves with one of MuJoCo's bodies, m/s, and angular, rad/s."""
+        """Return the velocity (3,), m/s, of a point on a root, and the angular velocity (3,), rad/s."""
         linear, angular = body_velocity(self._model, self._data, root)
         return linear + np.cross(angular, center - self._data.xipos[root]), angular
 
 
 def visible_geoms(model: Any, bodies: Array) -> Iterator[int]:
-    """The geoms of some of MuJoCo's bodies that can be seen."""
+    """Yield the numbers of visible geoms of some of MuJoCo's bodies."""
     for geom in np.flatnonzero(np.isin(model.geom_bodyid, bodies)):
         if model.geom_group[geom] < FIRST_HIDDEN_GROUP and _color(model, int(geom))[3] > 0.0:
             yield int(geom)
 
 
 def meshes(model: Any, data: Any, bodies: Array) -> tuple[Mesh, ...]:
-    """The meshes that some of MuJoCo's bodies show, in the world where `data` has them."""
+    """Return the visible meshes of some of MuJoCo's bodies, world frame, at the state in `data`."""
     found = []
     for geom in visible_geoms(model, bodies):
         if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH:
@@ -151,7 +152,7 @@ def meshes(model: Any, data: Any, bodies: Array) -> tuple[Mesh, ...]:
 
 
 def _color(model: Any, geom: int) -> tuple[float, float, float, float]:
-    """Of the geom, or of its material if it has none of its own."""
+    """Return the color of a geom, or of its material if the geom has no color."""
     material, color = model.geom_matid[geom], model.geom_rgba[geom]
     if material >= 0 and np.allclose(color, UNSET_COLOR):
         color = model.mat_rgba[material]

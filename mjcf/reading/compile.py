@@ -1,8 +1,9 @@
-"""Compile an MJCF file in a process of its own, which may not use much time or memory.
+"""Compile an MJCF file in a separate process with limits of time and memory.
 
-`python compile.py FILE RESULT SECONDS BYTES` writes the compiled model to RESULT (.mjb), or one line on
-standard error and exits with status 1; after so many seconds of processor time it is killed, and it gets so
-much memory. MuJoCo's compiler expands macros without limit, and what it is given may be hostile.
+Usage: `python compile.py FILE RESULT SECONDS BYTES`. The process writes the compiled model to RESULT (.mjb).
+On an error it prints one line on standard error and exits with status 1. The operating system ends the
+process after SECONDS of CPU time, and limits its memory to BYTES. The limits are needed because MuJoCo's
+compiler expands macros without limit, and a file may be hostile.
 """
 
 from __future__ import annotations
@@ -11,21 +12,21 @@ import sys
 from contextlib import suppress
 from typing import Any
 
-ARENA = 50_000_000
-"""Bytes that MuJoCo sets aside for constraints."""
+ARENA_BYTES = 50_000_000
+"""Memory that MuJoCo reserves for constraints, bytes."""
 
 
 def compile_spec(spec: Any) -> Any:
-    """Compile an `MjSpec`, whose memory is set, to an `MjModel`."""
-    spec.memory = ARENA  # room for contacts, which are not looked at
+    """Compile an `MjSpec` to an `MjModel`, with a small arena."""
+    spec.memory = ARENA_BYTES  # readers evaluate no contacts, which need most of the arena
     spec.njmax = spec.nconmax = spec.nstack = -1
     return spec.compile()
 
 
 def main() -> int:
-    """Compile; the exit status."""
+    """Compile the file of the command line; return the exit status."""
     path, result, seconds, memory = sys.argv[1:]
-    with suppress(ImportError):  # not everywhere
+    with suppress(ImportError):  # Windows has no limits of resources
         import resource
 
         resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), int(seconds)))

@@ -1,4 +1,4 @@
-"""Springs, dampers, rotor inertias and forces of a compiled model."""
+"""Import springs, dampers, rotor inertias and gravity compensation of a compiled model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from newton_euler.scalars import Array
 
 
 class Forces:
-    """Forces on joints and bodies beside gravity and actuators.
+    """Imported forces on joints and bodies, without gravity and actuators.
 
     Attributes:
         forces: springs and wrenches.
@@ -41,17 +41,17 @@ class Forces:
             self._add_compensation(int(body), gravity)
 
     def name(self, wanted: str, fallback: str) -> str:
-        """A name that no force has yet."""
+        """Return a name that no point spring or wrench has yet."""
         named = (force.name for force in self.forces if isinstance(force, PointSpring | Wrench))
         return unique_name(wanted, fallback, named)
 
     def _linear(
         self, element: str, spring: tuple[float, Array], damper: tuple[float, Array]
     ) -> tuple[float, float]:
-        """Return stiffness and damping, 0 where the file switches them off, and report other coefficients."""
+        """Return stiffness and damping, 0 if the file disables them, and report nonlinear coefficients."""
         (stiffness, bent), (damping, bent_rate) = spring, damper
         if (self._springs and np.any(bent)) or (self._dampers and np.any(bent_rate)):
-            why = "the part of its stiffness or damping that is not linear"
+            why = "the nonlinear part of its stiffness or damping"
             self._report.left_out(element, why, topic="not linear")
         return float(stiffness) * self._springs, float(damping) * self._dampers
 
@@ -80,7 +80,7 @@ class Forces:
         self._report.exactly(element, f"{what} as a spring of all its motions", FORCE)
 
     def _add_spring(self, spring: JointSpring) -> None:
-        """Add a spring to what is on its coordinate already: two of them are one between where they rest."""
+        """Add a spring, combined with a spring that its coordinate already has."""
         key = spring.joint, spring.coordinate
         for place, other in enumerate(self.forces):
             if isinstance(other, JointSpring) and (other.joint, other.coordinate) == key:
@@ -93,7 +93,7 @@ class Forces:
         self.forces.append(spring)
 
     def _reference(self, number: int) -> Array:
-        """The part of qpos of a joint in which its spring rests; that of one that may yield is a state."""
+        """Return the rest of a joint's spring as a part of qpos; the rest of a yielding spring is a state."""
         model = self._model
         size = {int(FREE): 7, int(BALL): 4}.get(int(model.jnt_type[number]), 1)
         place, plastic = model.jnt_qposadr[number], model.jnt_plasticadr[number]
@@ -105,11 +105,11 @@ class Forces:
         return np.asarray(self._data.plastic[plastic : plastic + size])
 
     def _report_yield(self, element: str, limit: float) -> None:
-        why = f"that its spring yields beyond {limit:g}: springs here are elastic"
+        why = f"its spring yields beyond {limit:g}; springs of scenes are elastic"
         self._report.left_out(element, why, topic="yield", numbers=[limit])
 
     def _rest(self, number: int, place: int) -> Array:
-        """(3,) where the spring of a ball rests, as of `BallSpring`; its quaternion is at `place` of qpos."""
+        """Return the rest (3,) of a ball's spring, see `BallSpring`; `place` is the quaternion's in qpos."""
         turned = np.empty(3)
         mujoco.mju_subQuat(turned, self._reference(number)[-4:], self._data.qpos[place : place + 4])
         child = int(self._model.jnt_bodyid[number])
@@ -134,32 +134,37 @@ class Forces:
         ends = straight(self._start, tendon)
         weights = fixed(self._start, tendon)
         if low != high and stiffness:
-            self._report.left_out(element, f"{what}: it is slack between {low:g} and {high:g} m")
+            self._report.left_out(
+                element,
+                f"{what}: springs of scenes are never slack, as this is between {low:g} and {high:g} m",
+            )
         elif weights is not None:
-            self._add_sum(tendon, element, what, weights, JointSpring("", stiffness, damping, low))
+            self._add_fixed_tendon(tendon, element, what, weights, JointSpring("", stiffness, damping, low))
         elif ends is None:
-            self._report.left_out(element, f"{what}: springs are straight, not tendons around corners")
+            self._report.left_out(
+                element, f"{what}: point springs are straight, and this tendon bends around sites or geoms"
+            )
         else:
             self._add_straight(tendon, element, what, ends, (stiffness, damping, max(low, 0.0)))
 
-    def _add_sum(
+    def _add_fixed_tendon(
         self, tendon: int, element: str, what: str, weights: dict[int, float], along: JointSpring
     ) -> None:
-        """A spring along a sum of joint coordinates as one on the first of them, which the others follow."""
+        """Add the spring of a fixed tendon at the first coordinate of its sum, which the others follow."""
         slopes = self._ties.slopes({self._joints.keys[joint]: w for joint, w in weights.items()})
         if slopes is None:
-            why = f"{what}: it acts on a sum of {len(weights)} joint coordinates that no gears tie"
+            why = f"{what}: it acts on a sum of {len(weights)} joint coordinates that no gears couple"
             self._report.left_out(element, why)
             return
         (joint, coordinate), slope = next(iter(slopes.items()))
         if slope == 0.0:
-            why = f"{what}: equalities keep its length, so that it does no work"
+            why = f"{what}: equalities keep its length constant, so that it does no work"
             self._report.left_out(element, why, inert=True)
             return
         rest = (along.rest - float(self._data.ten_length[tendon])) / slope
         stiffness, damping = along.stiffness * slope * slope, along.damping * slope * slope
         self._add_spring(JointSpring(joint, stiffness, damping, rest, coordinate))
-        how = f"{what} as a spring of joint {joint!r}, which tells its length"
+        how = f"{what} as a spring of joint {joint!r}, which determines its length"
         self._report.exactly(element, how, FORCE if stiffness else "")
 
     def _add_straight(
@@ -170,7 +175,7 @@ class Forces:
         ends: tuple[tuple[int, Array], tuple[int, Array]],
         values: tuple[float, float, float],
     ) -> None:
-        """A spring from one site to another, of this stiffness, damping and rest length."""
+        """Add a point spring between two sites; `values` are stiffness, damping and rest length."""
         (first, p), (second, q) = ends
         names = self._bodies.names[first], self._bodies.names[second]
         if names[0] == names[1]:
@@ -191,7 +196,7 @@ class Forces:
         if name == GROUND or not np.any(force):
             return
         if not (self._springs or self._dampers):
-            why = "MuJoCo has none of it in a file that disables springs and dampers"
+            why = "MuJoCo applies no gravity compensation if the file disables springs and dampers"
             self._report.left_out(element, f"gravity compensation {share:g}: {why}", inert=True)
             return
         wrench = self.name(f"{self._model.body(body).name}_gravcomp", f"gravcomp_{body}")
@@ -202,7 +207,7 @@ class Forces:
 def armatures(
     start: Start, bodies: Bodies, joints: Joints, ties: Ties, report: ImportReport
 ) -> tuple[dict[Key, float], dict[str, float]]:
-    """Rotor inertias (kg m^2 or kg) by joint and coordinate, and those of balls by joint."""
+    """Return rotor inertias, kg m^2 or kg, by joint coordinate, and rotor inertias of balls by joint."""
     model: Any = start.model
     found: dict[Key, float] = {}
     balls: dict[str, float] = {}
@@ -225,12 +230,12 @@ def armatures(
         weights = fixed(start, int(tendon)) or {}
         rotor = reduced_inertia(start, joints, ties, weights, inertia)
         if rotor is None:
-            why = f"its armature {inertia:g}: no single joint coordinate tells its length"
+            why = f"its armature {inertia:g}: no single joint coordinate determines its length"
             report.left_out(element, why, topic="armature")
             continue
         key, reduced = rotor
         found[key] = found.get(key, 0.0) + reduced
-        how = f"its armature {inertia:g} at joint {key[0]!r}, which tells its length"
+        how = f"its armature {inertia:g} at joint {key[0]!r}, which determines its length"
         report.exactly(element, how, ROTOR)
     return found, balls
 
@@ -238,10 +243,12 @@ def armatures(
 def reduced_inertia(
     start: Start, joints: Joints, ties: Ties, moments: dict[int, float], inertia: float
 ) -> tuple[Key, float] | None:
-    """An inertia along a sum of joint coordinates as one at the first of them, which the others follow.
+    """Reduce an inertia along a sum of joint coordinates to the first coordinate.
 
-    MuJoCo's mass matrix has no entries for two joints of different branches, and so it leaves out their part.
-    None if they do not follow, or there are none.
+    MuJoCo's mass matrix has no entries for pairs of joints in different branches, and omits their part.
+
+    Returns:
+        The coordinate and its inertia; None unless gears couple all coordinates to the first.
     """
     rates = ties.rates(joints.keys[joint] for joint in moments)
     if rates is None:
@@ -254,7 +261,7 @@ def reduced_inertia(
 
 
 def _one_branch(start: Start, one: int, two: int) -> bool:
-    """True if one of two hinges or slides is above the other in the tree, or the same."""
+    """True if two hinges or slides are the same, or one is an ancestor of the other."""
     model: Any = start.model
     low, high = (int(x) for x in sorted((model.jnt_dofadr[one], model.jnt_dofadr[two])))
     while high > low:

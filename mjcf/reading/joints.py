@@ -1,4 +1,4 @@
-"""Joints of a compiled model, those of one body together, and ratios of their coordinates."""
+"""Import joints of a compiled model; all joints of one body become one joint."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from newton_euler.reading.import_report import ImportReport, unique_name
 
 BALL, FREE = mujoco.mjtJoint.mjJNT_BALL, mujoco.mjtJoint.mjJNT_FREE
 
-KINDS = {
+MOTION_KINDS = {
     int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
     int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
     int(mujoco.mjtJoint.mjJNT_BALL): "ball",
@@ -25,16 +25,17 @@ KINDS = {
 
 
 class Joints:
-    """The tree's joints.
+    """Imported joints of the tree of bodies.
 
     Attributes:
-        joints: one for each moving body.
-        keys: where each of MuJoCo's hinges and slides is, by its number; coordinates are zero at the start.
-        of: name of the joint that each of MuJoCo's joints is a part of.
+        joints: one joint for each moving body.
+        keys: joint and coordinate of each of MuJoCo's hinges and slides, by number; coordinates are zero at
+            the start.
+        of: name of the joint of each of MuJoCo's joints, by number.
     """
 
     def __init__(self, start: Start, bodies: Bodies, driven: set[int], report: ImportReport) -> None:
-        """`driven` are the numbers of MuJoCo's joints that actuators drive."""
+        """Import all joints; `driven` are the numbers of MuJoCo's joints that actuators drive."""
         self._start, self._model, self._data = start, start.model, start.data
         self.joints: list[Joint] = []
         self.keys: dict[int, Key] = {}
@@ -64,7 +65,7 @@ class Joints:
         parts = {
             k: Part(
                 model.joint(k).name or f"number {k}",
-                KINDS[int(model.jnt_type[k])],
+                MOTION_KINDS[int(model.jnt_type[k])],
                 data.xaxis[k].copy(),
                 data.xanchor[k].copy(),
             )
@@ -78,17 +79,17 @@ class Joints:
 
 
 class Ties:
-    """Groups of joint coordinates, zero at the start, each in a constant ratio to the first of its group."""
+    """Groups of joint coordinates that gears couple, each with a constant ratio to the first of its group."""
 
     def __init__(self, gears: Iterable[JointCoupling]) -> None:
         self._of: dict[Key, tuple[Key, float]] = {}
         for gear in gears:
             if not isinstance(gear, Gear):
-                continue  # which leaves its coordinates a freedom
+                continue  # other couplings have no constant ratio
             driver = (gear.driver, gear.driver_coordinate)
             follower = (gear.follower, gear.follower_coordinate)
             (first, a), (second, b) = self._member(driver), self._member(follower)
-            ratio = gear.ratio * a / b  # of the second group's first coordinate to that of the first
+            ratio = gear.ratio * a / b  # ratio between the first coordinates of both groups
             for key in (driver, follower):
                 self._of.setdefault(key, (key, 1.0))
             for key, (group, factor) in list(self._of.items()):
@@ -99,7 +100,7 @@ class Ties:
         return self._of.get(key, (key, 1.0))
 
     def rates(self, keys: Iterable[Key]) -> dict[Key, float] | None:
-        """Derivative of each of these coordinates by the first of them; None if they do not all follow it."""
+        """Return the derivative of each coordinate by the first; None unless all are in one group."""
         members = {key: self._member(key) for key in keys}
         if len({group for group, _ in members.values()}) != 1:
             return None
@@ -107,9 +108,9 @@ class Ties:
         return {key: factor / first for key, (_, factor) in members.items()}
 
     def slopes(self, weights: Mapping[Key, float]) -> dict[Key, float] | None:
-        """Derivative of a sum of weighted coordinates by each of them, the others following.
+        """Return the total derivative of a weighted sum of coordinates by each coordinate.
 
-        None if some of them do not follow, so that no single coordinate tells the sum.
+        The result is None unless all coordinates are in one group.
         """
         rates = self.rates(weights)
         if rates is None:

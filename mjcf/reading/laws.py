@@ -1,4 +1,4 @@
-"""Forces of an actuator and of all on a joint coordinate, and controls that excite mechanisms."""
+"""Control laws from forces of actuators, and sines of controls that excite a mechanism."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from newton_euler.scalars import Array
 
 
 class Excitation(NamedTuple):
-    """Controls of actuators.
+    """Excitation of a model by its controls.
 
     Attributes:
-        control: (nu,) of the start.
-        swings: what they swing by about those, by the actuators' numbers.
-        moved: control of the file and of the start, by the numbers of actuators where these differ.
+        control: (nu,) controls at the start.
+        swings: sines about these controls, by number of the actuator.
+        moved: control in the file and at the start, by number of the actuator, if they differ.
     """
 
     control: Array
@@ -36,15 +36,15 @@ class Excitation(NamedTuple):
 def excite(
     scene: Scene, drives: Mapping[int, Drive], control: Array, places: Array, bounds: Iterable[Bounds]
 ) -> Excitation:
-    """Choose sines within half of the room that the ranges leave about the start.
+    """Choose sines that use at most half of the distance of controls from their limits.
 
-    Controls of the start are moved into their ranges if they lie at an end.
+    Controls at an end of their range are moved inside the range.
 
     Args:
-        scene: with the controls of the file.
-        drives: its actuators that can be driven.
-        control: (nu,) of the file.
-        places: (nactuator,) where each actuator has its control.
+        scene: scene with the controls of the file.
+        drives: actuators that can be driven, by number.
+        control: (nu,) controls of the file.
+        places: (nactuator,) index of each actuator's control.
         bounds: limits of joint coordinates.
     """
     control, found, moved = control.copy(), dict[int, Sine](), dict[int, tuple[float, float]]()
@@ -58,14 +58,14 @@ def excite(
             inside = float(np.clip(drive.control, drive.low + room, drive.high - room))
             moved[actuator] = float(control[places[actuator]]), inside
             control[places[actuator]] = inside
-        else:  # controls that move take joints elsewhere, too
+        else:  # a control that stays also keeps joints within their limits
             room = min(room, 2.0 * swing.within)
         found[actuator] = Sine(0.5 * room, swing.angular_frequency)
     return Excitation(control, found, moved)
 
 
 class Affine(NamedTuple):
-    """constant + by_length l + by_rate dl/dt, N or N m."""
+    """Force constant + by_length l + by_rate dl/dt, N or N m, on a length l."""
 
     constant: float
     by_length: float
@@ -73,12 +73,12 @@ class Affine(NamedTuple):
 
 
 class Acting(NamedTuple):
-    """Forces of all actuators on a joint coordinate: constant + swings - sum_j (k_j x_j + d_j dx_j/dt).
+    """Sum of actuator forces on a joint coordinate: constant + swings - sum_j (k_j x_j + d_j dx_j/dt).
 
     Attributes:
-        feedback: (k_j, d_j) by the joint coordinate x_j that the force depends on, SI.
+        feedback: gains (k_j, d_j), SI, by joint coordinate x_j.
         constant: N or N m.
-        swings: added to the constant.
+        swings: sines, N or N m.
     """
 
     feedback: Mapping[Key, tuple[float, float]] = {}
@@ -93,7 +93,7 @@ class Acting(NamedTuple):
     def law(self, key: Key) -> PD | StateFeedback:
         """Make the control law of joint coordinate `key`.
 
-        If the coordinate has a stiffness of its own, the constant force becomes the target.
+        If the law has a stiffness at its own coordinate, the constant force becomes the target.
         """
         joint, coordinate = key
         stiffness, damping = self.feedback.get(key, (0.0, 0.0))
@@ -106,7 +106,7 @@ class Acting(NamedTuple):
 
 
 def swinging(constant: float, swings: tuple[Sine, ...]) -> float | Sine | Sum:
-    """A constant with sines, if there are any, about it."""
+    """Return a constant, or the sum of a constant and sines."""
     if not swings:
         return constant
     first = replace(swings[0], offset=constant)
@@ -114,14 +114,14 @@ def swinging(constant: float, swings: tuple[Sine, ...]) -> float | Sine | Sum:
 
 
 class Drive(NamedTuple):
-    """An actuator of fixed gain that is part of control laws.
+    """Actuator with fixed gain that is part of control laws.
 
     Attributes:
-        control: of the start; the activation of an actuator that has one.
-        gains: N or N m on joint coordinates for each unit of it.
-        low, high: how far it may swing by the ranges of control, activation and force, infinite if there are
-            none, and by what control that takes where it has dynamics.
-        rests: whether its dynamics rest at the start, so that no other control will do there.
+        control: control at the start, or activation of an actuator with dynamics.
+        gains: force on joint coordinates per unit of `control`, N or N m.
+        low: smallest value within the ranges of control, activation and force; may be -infinity.
+        high: largest value within the ranges of control, activation and force; may be infinity.
+        rests: True for an actuator with dynamics, which must start with the control that keeps it at rest.
     """
 
     control: float
@@ -132,10 +132,11 @@ class Drive(NamedTuple):
 
 
 def control_for(model: Any, actuator: int) -> float:
-    """Largest amplitude of control for each unit of what an actuator's activation swings by.
+    """Return the largest amplitude of the control per unit amplitude of the activation.
 
-    act = A sin(w t) takes A w cos(w t) of an integrator, and A sin(w t) + A w tau cos(w t) of a filter
-    (MuJoCo's documentation, Modeling, Actuator, attribute dyntype). 1 without dynamics.
+    For act = A sin(w t), an integrator needs the control A w cos(w t). A filter needs
+    A sin(w t) + A w tau cos(w t) (MuJoCo's documentation, Modeling, Actuator, attribute dyntype). The result
+    is 1 without dynamics.
     """
     fastest, kind = 2.0 * np.pi * MAX_FREQUENCY, mujoco.mjtDyn(model.actuator_dyntype[actuator])
     if kind == mujoco.mjtDyn.mjDYN_NONE:

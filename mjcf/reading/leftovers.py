@@ -1,6 +1,6 @@
-"""Elements beyond rigid bodies and bilateral constraints: listed, and watched in runs.
+"""Report elements that scenes do not simulate, and watch them in runs.
 
-MuJoCo's collision detection and tendons are asked at the poses of a run, whatever moved the bodies there.
+Contacts and tendons are evaluated by MuJoCo at the poses of a run of any engine.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from newton_euler.reading.activity import (
 from newton_euler.reading.import_report import CONTACTS, FRICTION, LIMITS, ImportReport
 from newton_euler.scalars import Array
 
-UNMOVING = {
+PASSIVE_ELEMENTS = {
     "sensor": "sensors",
     "cam": "cameras",
     "light": "lights",
@@ -40,20 +40,20 @@ UNMOVING = {
     "numeric": "numbers",
     "tuple": "tuples",
 }
-"""Elements that do not move anything."""
+"""Elements that move nothing, and their plurals in reports."""
 
-MOST_PAIRS = 3
-"""Pairs of geoms that touch first, which are named."""
+MAX_LISTED_PAIRS = 3
+"""Largest number of touching pairs of geoms that a report names."""
 
-PENETRATION = 1e-6
-"""m by which geoms have to be nearer than their margin to push: MuJoCo's default `ccd_tolerance`."""
+MIN_PENETRATION = 1e-6
+"""Smallest penetration of the margin, m, that counts as contact: MuJoCo's default `ccd_tolerance`."""
 
-CARRIED = (("geom_xpos", "geom_xmat"), ("site_xpos", "site_xmat"), ("xipos", "ximat"), ("xpos", "xmat"))
-"""Arrays of MuJoCo's data that bodies carry along: points and rotation matrices."""
+BODY_ARRAYS = (("geom_xpos", "geom_xmat"), ("site_xpos", "site_xmat"), ("xipos", "ximat"), ("xpos", "xmat"))
+"""Arrays of points and rotation matrices in MuJoCo's data that move with bodies."""
 
 
 def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
-    """Tell of everything else in the model."""
+    """Report all elements that other parts of the reader do not report."""
     model = start.model
     poses = Poses(start, bodies)
     _report_flags(start, report)
@@ -61,13 +61,14 @@ def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Impor
     meshes = int(np.sum(model.geom_dataid >= 0))
     if meshes:
         report.exactly(f"{meshes} geoms of meshes", "drawn where visible; their masses are in the bodies")
+    # limits and dry friction of joints and tendons
     for number in range(model.njnt):
         _report_joint(start, joints, number, report)
     for tendon in range(model.ntendon):
         element = element_name(model, "tendon", tendon)
         if model.tendon_limited[tendon]:
-            why, off = "its limits: limits are no bilateral constraints", start.disabled("LIMIT")
-            watches = [_of_tendon(start, joints, poses, tendon)]
+            why, off = "its limits: limits are one-sided and not simulated", start.disabled("LIMIT")
+            watches = [_tendon_watch(start, joints, poses, tendon)]
             bounds = model.tendon_range[tendon].tolist()
             report.left_out(element, why, topic=LIMITS, off=off, watches=watches, numbers=bounds)
         if model.tendon_frictionloss[tendon]:
@@ -77,24 +78,26 @@ def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Impor
             keys = [joints.keys.get(joint) for joint in fixed(start, tendon) or {-1: 0.0}]
             watches_of = [Rest(tuple(key for key in keys if key))] if all(keys) else []
             report.left_out(element, why, topic=FRICTION, off=off, watches=watches_of, numbers=[friction])
+    # fluids, flexes and plugins
     option = model.opt
     for name, number in (("density", option.density), ("viscosity", option.viscosity)):
         if number:
-            why = f"{number:g}: nothing here moves in a fluid"
+            why = f"{number:g}: fluid forces are not simulated"
             report.left_out(f"option {name}", why, topic=name, numbers=[number])
     if np.any(option.wind):
         wind = option.wind.tolist()
-        report.left_out("option wind", "nothing here moves in a fluid", topic="wind", numbers=wind)
+        report.left_out("option wind", "fluid forces are not simulated", topic="wind", numbers=wind)
     if model.nflex:
-        why = "bodies are rigid: what holds their points together is missing"
+        why = "deformable bodies are not simulated"
         report.left_out(f"{model.nflex} flexes", why)
     if model.nplugin:
-        report.left_out(f"{model.nplugin} plugins", "what they do is not known")
+        report.left_out(f"{model.nplugin} plugins", "their effect is unknown")
+    # elements that move nothing
     if model.nkey > 1:
         names = ", ".join(repr(model.key(k).name or str(k)) for k in range(model.nkey))
         why = f"one is the start; --set key=NAME for another of {names}"
         report.left_out("other keyframes", why, inert=True)
-    for prefix, what in UNMOVING.items():
+    for prefix, what in PASSIVE_ELEMENTS.items():
         count = int(getattr(model, f"n{prefix}"))
         if count:
             report.left_out(f"{count} {what}", "they move nothing", inert=True)
@@ -102,7 +105,7 @@ def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Impor
 
 
 def _report_flags(start: Start, report: ImportReport) -> None:
-    """Report flags of the file that switch off forces which it also describes."""
+    """Report flags of the file that disable forces of its elements."""
     model = start.model
     stiff, damped = (
         any(np.any(getattr(model, name)) for name in names)
@@ -117,11 +120,11 @@ def _report_flags(start: Start, report: ImportReport) -> None:
             report.left_out(flag.lower(), f'<flag {flag.lower()}="disable"/>: {effect}', off=True)
 
 
-def _of_tendon(start: Start, joints: Joints, poses: Poses, tendon: int) -> Watch:
-    """Watches the limits of a tendon."""
+def _tendon_watch(start: Start, joints: Joints, poses: Poses, tendon: int) -> Watch:
+    """Make the watch of a tendon's limits."""
     model, weights = start.model, fixed(start, tendon)
     if weights is None or any(joint not in joints.keys for joint in weights):
-        return Stretched(poses, tendon)
+        return TendonWatch(poses, tendon)
     low, high = (float(x) for x in model.tendon_range[tendon])
     margin, length = float(model.tendon_margin[tendon]), float(start.data.ten_length[tendon])
     terms = tuple((joints.keys[joint], weight) for joint, weight in weights.items())
@@ -135,8 +138,8 @@ def _report_contacts(start: Start, poses: Poses, report: ImportReport) -> None:
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     for count, what in ((np.sum(touching), "geoms that can touch"), (model.npair, "contact pairs")):
         if count:
-            why = "contacts are no bilateral constraints"
-            report.left_out(f"{count} {what}", why, topic=CONTACTS, off=off, watches=[Touching(poses)])
+            why = "contacts are one-sided and not simulated"
+            report.left_out(f"{count} {what}", why, topic=CONTACTS, off=off, watches=[ContactWatch(poses)])
 
     if model.nexclude:
         why = "these pairs of bodies cannot touch; contacts are not simulated anyway"
@@ -154,7 +157,7 @@ def _report_joint(start: Start, joints: Joints, number: int, report: ImportRepor
             unit = "m" if model.jnt_type[number] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
             margin = float(model.jnt_margin[number])
             watches.append(Bounds(((joints.keys[number], 1.0),), low + margin, high - margin, unit, x))
-        why = f"its limits {low:.4g} to {high:.4g}{where}: limits are no bilateral constraints"
+        why = f"its limits {low:.4g} to {high:.4g}{where}: limits are one-sided and not simulated"
         off = start.disabled("LIMIT")
         report.left_out(element, why, topic=LIMITS, off=off, watches=watches, numbers=[low, high])
     dof = int(model.jnt_dofadr[number])
@@ -166,7 +169,7 @@ def _report_joint(start: Start, joints: Joints, number: int, report: ImportRepor
 
 
 class Poses:
-    """A compiled model, as its file has it, whose bodies are put where a run has them."""
+    """Compiled model with its contacts, whose bodies are placed at the poses of a run."""
 
     def __init__(self, start: Start, bodies: Bodies) -> None:
         self._read = start.model
@@ -182,7 +185,7 @@ class Poses:
         centers = np.array([body.center_of_mass for body in bodies.bodies])
         turns = rotations(np.array([body.quaternion for body in bodies.bodies]))
         self._local: dict[str, tuple[Array, Array]] = {}
-        for points, axes in CARRIED:
+        for points, axes in BODY_ARRAYS:
             into = turns[self._owners[points]].transpose(0, 2, 1)
             arms = getattr(data, points) - centers[self._owners[points]]
             local = into @ arms[:, :, None], into @ getattr(data, axes).reshape(-1, 3, 3)
@@ -190,28 +193,28 @@ class Poses:
 
     @cached_property
     def model(self) -> Any:
-        """A copy of the model that has its contacts and constraints, made when the first run is judged."""
+        """Copy of the model with contacts and constraints enabled."""
         model = copy.copy(self._read)
         for bit in ("CONTACT", "CONSTRAINT"):
             model.opt.disableflags &= ~int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{bit}"))
         return model
 
     def along(self, motion: SampledMotion) -> Iterator[tuple[float, Any]]:
-        """Go through the moments of a run with MuJoCo's data there, collisions and tendons not worked out."""
+        """Yield the times of a run and MuJoCo's data with the poses, before collisions and tendons."""
         data = mujoco.MjData(self.model)
         all_centers, quaternions = motion.poses
         for time, centers, turns in zip(
             motion.time.tolist(), all_centers, rotations(quaternions), strict=True
         ):
-            for points, axes in CARRIED:
+            for points, axes in BODY_ARRAYS:
                 owners, (arms, local) = self._owners[points], self._local[points]
                 getattr(data, points)[:] = centers[owners] + (turns[owners] @ arms[:, :, None])[:, :, 0]
                 getattr(data, axes)[:] = (turns[owners] @ local).reshape(-1, 9)
             yield time, data
 
 
-class Touching:
-    """Contacts: nothing is nearer than the margin at which MuJoCo's contacts begin to push."""
+class ContactWatch:
+    """Watch of contacts: a contact acts if two geoms are nearer than their margin."""
 
     def __init__(self, poses: Poses) -> None:
         self._poses = poses
@@ -222,24 +225,24 @@ class Touching:
         for time, data in self._poses.along(motion):
             mujoco.mj_collision(model, data)
             depths = np.where(data.contact.exclude == 0, data.contact.includemargin - data.contact.dist, 0.0)
-            if not np.any(depths > PENETRATION):
+            if not np.any(depths > MIN_PENETRATION):
                 continue
             count += 1
-            for number in np.argsort(-depths)[: np.sum(depths > PENETRATION)]:
+            for number in np.argsort(-depths)[: np.sum(depths > MIN_PENETRATION)]:
                 one, two = map(int, data.contact.geom[number])
                 pairs.setdefault((one, two), (time, float(depths[number])))
         if pairs:
-            words = f"active at {count} of {len(motion.time)} moments"
-            for pair, (time, depth) in list(pairs.items())[:MOST_PAIRS]:
+            words = f"active at {count} of {len(motion.time)} time points"
+            for pair, (time, depth) in list(pairs.items())[:MAX_LISTED_PAIRS]:
                 order = "then" if "first" in words else "first"
                 names = " and ".join(map(self._name, pair))
                 words += f", {order} at {time:.4g} s: {names}, {depth:.3g} m nearer than their margin"
-            if len(pairs) > MOST_PAIRS:
-                words += f", and {len(pairs) - MOST_PAIRS} more pairs"
+            if len(pairs) > MAX_LISTED_PAIRS:
+                words += f", and {len(pairs) - MAX_LISTED_PAIRS} more pairs"
             return Activity(words, next(iter(pairs.values()))[0], settled=motion.is_fine)
         if not motion.is_fine:
             return Activity(UNSETTLED, 0.0, settled=False)
-        between = f"and at {POINTS_PER_INTERVAL - 1} moments between each two"
+        between = f"and at {POINTS_PER_INTERVAL - 1} time points between each two"
         return Activity(f"inactive at all {len(motion.run.time)} output times {between}")
 
     def _name(self, geom: int) -> str:
@@ -250,8 +253,8 @@ class Touching:
         return f"geom {name!r}" if name else f"a geom of {body!r}"
 
 
-class Stretched:
-    """Limits of a tendon that goes through sites, by MuJoCo's own path of it."""
+class TendonWatch:
+    """Watch of the limits of a spatial tendon, with lengths by MuJoCo."""
 
     def __init__(self, poses: Poses, tendon: int) -> None:
         self._poses, self._tendon = poses, tendon

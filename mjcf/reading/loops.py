@@ -1,4 +1,4 @@
-"""Equality constraints of a compiled model, as joints, gears and joints held where they are."""
+"""Import equality constraints of a compiled model as joints, couplings and held joints."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.reading.import_report import ImportReport, unique_name
 from newton_euler.scalars import Array
 
-HELD_RIGIDLY = "held rigidly, where MuJoCo's solref and solimp let it give way"
+HELD_RIGIDLY = "rigid here, soft in MuJoCo by solref and solimp"
 
 
 class Loops:
-    """Closures of loops and couplings of joints.
+    """Imported loop closures and couplings of joints.
 
     Attributes:
-        joints: of connects, welds and tendons of constant length.
-        gears: couplings, of equalities of joint coordinates.
-        held: motions of joints that an equality holds.
+        joints: joints from connects, welds and tendons of constant length.
+        gears: couplings from equalities of joint coordinates.
+        held: prescribed motions of joints that an equality holds.
     """
 
     def __init__(self, start: Start, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
@@ -39,17 +39,17 @@ class Loops:
         flags = [flag for flag in ("EQUALITY", "CONSTRAINT") if start.disabled(flag)]
         for index in range(self._model.neq):
             if flags:
-                why = f'<flag {flags[0].lower()}="disable"/>: it holds nothing, its loop is open'
+                why = f'<flag {flags[0].lower()}="disable"/>: the constraint is not applied'
                 report.left_out(start.equality(index), why, off=True)
             elif not self._model.eq_active0[index]:
-                why = 'active="false": it holds nothing, its loop is open'
+                why = 'active="false": the constraint is not applied'
                 report.left_out(start.equality(index), why, off=True)
             else:
                 self._add(index)
 
     def _name(self, index: int) -> str:
         own = self._model.equality(index).name
-        for kind in (Gear, PolynomialCoupling):  # as `mjcf.write` names them
+        for kind in (Gear, PolynomialCoupling):  # prefixes of `mjcf.write`
             own = own.removeprefix(f"{kind.kind} ")
         name = unique_name(own, f"equality_{index}", self._taken)
         self._taken.append(name)
@@ -67,7 +67,7 @@ class Loops:
             case mujoco.mjtEq.mjEQ_TENDON:
                 self._add_tendon(index)
             case kind:
-                self._leave(index, f"no joint does what {kind.name.removeprefix('mjEQ_').lower()} does")
+                self._leave(index, f"scenes have no counterpart of {kind.name.removeprefix('mjEQ_').lower()}")
 
     def _add_closure(self, index: int) -> None:
         numbers, (p, _) = ends(self._model, self._data, index)
@@ -79,7 +79,7 @@ class Loops:
         weld = turns and self._model.eq_data[index, TORQUE_SCALE_PLACE] != 0.0
         kind = Fixed if weld else Spherical
         name = self._name(index)
-        # one point for both, so that the loop keeps what the file's digits leave it open by
+        # one point for both bodies: the scene keeps the offset that the digits of the file leave
         self.joints.append(kind(name, first, second, p))
         self._report.exactly(self._start.equality(index), f"{kind.kind} joint {name!r}, {HELD_RIGIDLY}")
 
@@ -87,7 +87,7 @@ class Loops:
         model = self._model
         first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
         if first not in self._joints.keys:
-            self._leave(index, "couples what is no hinge or slide")
+            self._leave(index, "it couples joints other than hinges and slides")
             return
         polynomial = model.eq_data[index][:5]
         follower = self._joints.keys[first]
@@ -107,7 +107,7 @@ class Loops:
         self._report.exactly(self._start.equality(index), f"polynomial coupling {name!r}, {HELD_RIGIDLY}")
 
     def _couple(self, index: int, follower: Key, driver: Key | None, ratio: float, how: str) -> None:
-        """Add a gear or a held joint."""
+        """Add a gear, or a held joint if there is no driver."""
         if driver is None or ratio == 0.0:
             self.held.append(PrescribedMotion(follower[0], Polynomial((0.0,)), follower[1]))
             how_kept = f"joint {follower[0]!r} held, {how}"
@@ -118,7 +118,7 @@ class Loops:
         self._report.exactly(self._start.equality(index), how_kept)
 
     def _add_tendon(self, index: int) -> None:
-        """A rod, if it is straight and keeps its length; a gear or coupling, if a sum of coordinates."""
+        """Add an equality of tendons: a rod for a straight tendon, a coupling for sums of coordinates."""
         model = self._model
         tendons = [int(t) for t in (model.eq_obj1id[index], model.eq_obj2id[index]) if t >= 0]
         polynomial = model.eq_data[index][:5]
@@ -136,11 +136,12 @@ class Loops:
         weights = fixed(self._start, tendons[0])
         others = fixed(self._start, tendons[1]) if len(tendons) == 2 else {}
         if weights is None or others is None:
-            self._leave(index, "couples tendons that are neither straight nor sums of joint coordinates")
+            self._leave(index, "it couples tendons that are neither straight nor sums of joint coordinates")
             return
         if np.any(polynomial[2:]):
-            self._leave(index, "couples tendons by a polynomial that is not linear")
+            self._leave(index, "it couples tendons by a nonlinear polynomial")
             return
+        # the weighted sum of joint coordinates that the equality keeps constant
         total = dict(weights)
         for joint, weight in others.items():
             total[joint] = total.get(joint, 0.0) - polynomial[1] * weight
@@ -156,11 +157,11 @@ class Loops:
             how_kept = f"coupling {name!r} of {len(terms)} joint coordinates, {HELD_RIGIDLY}"
             self._report.exactly(self._start.equality(index), how_kept)
         else:
-            self._leave(index, "couples nothing", inert=True)
+            self._leave(index, "its weights are zero", inert=True)
 
 
 def straight(start: Start, tendon: int) -> tuple[tuple[int, Array], tuple[int, Array]] | None:
-    """The two ends of a tendon that goes straight from one site to another, or None."""
+    """Return body and point of both ends of a straight tendon between two sites; None for others."""
     model = start.model
     first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
     if count != 2 or np.any(model.wrap_type[first : first + 2] != mujoco.mjtWrap.mjWRAP_SITE):
@@ -171,7 +172,7 @@ def straight(start: Start, tendon: int) -> tuple[tuple[int, Array], tuple[int, A
 
 
 def fixed(start: Start, tendon: int) -> dict[int, float] | None:
-    """Joints and coefficients of a tendon that is a sum of joint coordinates, or None."""
+    """Return joints and weights of a fixed tendon, a sum of joint coordinates; None for others."""
     model = start.model
     rows = slice(int(model.tendon_adr[tendon]), int(model.tendon_adr[tendon] + model.tendon_num[tendon]))
     if np.any(model.wrap_type[rows] != mujoco.mjtWrap.mjWRAP_JOINT):

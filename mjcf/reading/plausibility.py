@@ -1,4 +1,4 @@
-"""Likely mistakes of MJCF files beside those of bodies: inertias of meshes, and keyframes of another size."""
+"""Find likely mistakes of MJCF files: inertias of meshes, and keyframes with too few numbers."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from newton_euler.reading.import_report import Finding
 from newton_euler.scalars import Array
 
 MAX_MESH_DIFFERENCE = 0.05
-"""Relative difference of moments by mass or of volumes, above which a mesh's inertia is not its own."""
+"""Relative difference of moments per mass, or of volumes, above which an inertia is wrong."""
 
-EQUAL = 0.01
-"""Relative difference within which moments per mass are those of a hull, a surface or MuJoCo's old sum."""
+MAX_EQUAL_DIFFERENCE = 0.01
+"""Relative difference of moments per mass below which two solids are the same."""
 
 KEY_SIZES = {"qpos": "nq", "qvel": "nv", "act": "na", "ctrl": "nu"}
-"""Fields of keyframes and the sizes that they need."""
+"""Fields of keyframes, and the attribute of the model with their size."""
 
 
 class Solid(NamedTuple):
-    """Volume or area of a mesh, and principal moments (3,) per unit of it, m^2, ascending."""
+    """Volume, m^3, or area, m^2, of a mesh, and principal moments (3,) per mass, m^2, ascending."""
 
     volume: float
     moments: Array
 
 
 def mesh_findings(model: Any) -> Iterator[Finding]:
-    """Bodies whose inertia is that of a mesh's hull or surface, and not of the mesh."""
+    """Find bodies with the inertia of the hull or surface of their mesh, instead of the mesh."""
     for body in range(1, model.nbody):
         first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
         geoms = [g for g in range(first, first + count) if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH]
@@ -42,14 +42,15 @@ def mesh_findings(model: Any) -> Iterator[Finding]:
             continue
         own = _solid(points[triangles], signed=True)
         found = np.sort(model.body_inertia[body]) / model.body_mass[body]
-        difference = _apart(found, own.moments)
-        if own.volume <= 0.0 or difference <= EQUAL:
+        difference = _difference(found, own.moments)
+        if own.volume <= 0.0 or difference <= MAX_EQUAL_DIFFERENCE:
             continue
         name = model.body(body).name or str(body)
-        for what, other in _others(points, triangles, _hull(model, mesh)):
+        # the wrong solid with the moments of the body
+        for what, other in _alternative_solids(points, triangles, _hull(model, mesh)):
             ratio = 1.0 if what == "surface" else other.volume / own.volume
             is_far = max(difference, abs(ratio - 1.0)) > MAX_MESH_DIFFERENCE
-            if is_far and _apart(found, other.moments) <= EQUAL:
+            if is_far and _difference(found, other.moments) <= MAX_EQUAL_DIFFERENCE:
                 most = int(np.argmax(np.abs(found / own.moments - 1.0)))
                 percent = 100.0 * (found[most] / own.moments[most] - 1.0)
                 more = (
@@ -61,19 +62,19 @@ def mesh_findings(model: Any) -> Iterator[Finding]:
                     "mesh-inertia",
                     f"body {name!r}",
                     f"its inertia is that of its mesh's {what}: a principal moment by mass is "
-                    f"{percent:+.0f} % off that of the mesh itself{more}",
-                    "masses and moments from density are those of another body",
+                    f"{percent:+.0f} % different from the mesh itself{more}",
+                    "mass and inertia from density belong to another shape",
                     'set inertia="exact" in the <mesh>, or give the body an <inertial>',
                 )
                 break
 
 
 def _mesh(model: Any, number: int) -> tuple[Array, Array]:
-    """Points (n, 3) and triangles (m, 3) of a mesh."""
+    """Return points (n, 3) and triangles (m, 3) of a mesh, with each point once."""
     mesh = model.mesh(number)
     points = model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]].astype(float)
     triangles = model.mesh_face[mesh.faceadr[0] : mesh.faceadr[0] + mesh.facenum[0]].astype(int)
-    # points that several triangles have may be there several times
+    # a mesh may repeat points of several triangles
     _, first, same = np.unique(points, axis=0, return_index=True, return_inverse=True)
     return points[first], np.reshape(same, -1)[triangles]
 
@@ -87,7 +88,7 @@ def _is_closed(triangles: Array) -> bool:
 
 
 def _solid(corners: Array, signed: bool) -> Solid:
-    """The solid within triangles (m, 3, 3): tetrahedra from the surface's center, with signs or without."""
+    """Return the solid inside triangles (m, 3, 3), by signed or unsigned tetrahedra from their center."""
     edges = corners[:, 1:] - corners[:, :1]
     areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     corners = corners - areas @ corners.mean(axis=1) / max(float(areas.sum()), 1e-300)
@@ -100,7 +101,7 @@ def _solid(corners: Array, signed: bool) -> Solid:
 
 
 def _surface(corners: Array) -> Solid:
-    """The shell of triangles (m, 3, 3), of the same mass by area everywhere."""
+    """Return the shell of triangles (m, 3, 3) with constant mass per area."""
     edges = corners[:, 1:] - corners[:, :1]
     areas = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     sums = corners.sum(axis=1)
@@ -109,7 +110,7 @@ def _surface(corners: Array) -> Solid:
 
 
 def _reduced(weights: Array, centers: Array, seconds: Array) -> Solid:
-    """Add parts up: weights (m,), their centers (m, 3) and mean second moments (m, 3, 3)."""
+    """Add parts with weights (m,), centers (m, 3) and second moments (m, 3, 3) to a solid."""
     whole = float(weights.sum())
     if not abs(whole) > 0.0:
         return Solid(0.0, np.ones(3))
@@ -119,10 +120,10 @@ def _reduced(weights: Array, centers: Array, seconds: Array) -> Solid:
 
 
 def _hull(model: Any, number: int) -> Array:
-    """Corners (m, 3, 3) of the triangles of a mesh's convex hull; none if MuJoCo has not needed it.
+    """Return the corners (m, 3, 3) of the triangles of a mesh's convex hull, empty if MuJoCo has no hull.
 
-    MuJoCo works it out for collisions, and for an inertia that is to be the hull's. Its `mesh_graph` has the
-    numbers of points and triangles, three arrays of points and edges, and the triangles.
+    MuJoCo computes the hull for collisions and for inertias of the hull. Its `mesh_graph` has the numbers of
+    points and triangles, three arrays of points and edges, and the triangles.
     """
     start = int(model.mesh_graphadr[number])
     if start < 0:
@@ -133,24 +134,24 @@ def _hull(model: Any, number: int) -> Array:
     return np.asarray(points[triangles])
 
 
-def _others(points: Array, triangles: Array, hull: Array) -> Iterator[tuple[str, Solid]]:
-    """Solids that MuJoCo's other ways to find a mesh's inertia take for the mesh."""
+def _alternative_solids(points: Array, triangles: Array, hull: Array) -> Iterator[tuple[str, Solid]]:
+    """Yield the solids of MuJoCo's other methods for the inertia of a mesh."""
     yield "volume without signs (legacy)", _solid(points[triangles], signed=False)
     yield "surface", _surface(points[triangles])
     if len(hull):
         yield "convex hull", _solid(hull, signed=False)
 
 
-def _apart(one: Array, two: Array) -> float:
+def _difference(one: Array, two: Array) -> float:
     return float(np.max(np.abs(one - two)) / max(float(np.max(np.abs(two))), 1e-300))
 
 
 def key_findings(model: Any, sizes: Mapping[int, Mapping[str, int]]) -> Iterator[Finding]:
-    """Keyframes with fewer numbers than the model has, which MuJoCo fills up with zeros.
+    """Find keyframes with fewer numbers than the model needs; MuJoCo sets the others to zero.
 
     Args:
-        model: compiled.
-        sizes: by number of a keyframe, how many numbers its fields have in the file.
+        model: compiled model.
+        sizes: by number of the keyframe, numbers of values of its fields in the file.
     """
     for key, fields in sizes.items():
         for name, needed in KEY_SIZES.items():
@@ -161,6 +162,6 @@ def key_findings(model: Any, sizes: Mapping[int, Mapping[str, int]]) -> Iterator
                     "short-keyframe",
                     f"keyframe {label!r}",
                     f"{name} has {count} numbers, the model {wanted}",
-                    "MuJoCo fills the rest up, so the other joints start at 0",
+                    "MuJoCo sets the other numbers to 0",
                     f"give all {wanted} numbers; replicate and attach add joints",
                 )

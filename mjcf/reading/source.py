@@ -1,4 +1,4 @@
-"""An MJCF file, checked before any parser expands it, and compiled by MuJoCo."""
+"""Check an MJCF file before any parser expands it, and compile it by MuJoCo."""
 
 from __future__ import annotations
 
@@ -22,162 +22,124 @@ from newton_euler.limits import MB, exceeded, limit, size_in_bytes, too_small
 from newton_euler.model import source_file
 from newton_euler.model.source_file import LARGEST, NOT_FINITE, read_text, scan
 
-WALL_TIME = 300.0
-"""s of wall time, for a compiler that waits for something; others may use the processor, too."""
+MAX_WAIT_S = 300.0
+"""Largest waiting time for the compiler in addition to its CPU time, s; the machine may be busy."""
 
-MAX_SECONDS = 1_000_000
-"""s of processor time of the compiler, whatever `compile_time` is: operating systems can wait for as long."""
+MAX_COMPILE_S = 1_000_000
+"""Largest limit of the compiler's CPU time that operating systems accept, s."""
 
-PER_ASSET_BYTE = 2e-7
-"""s of processor time of the compiler for each byte of the assets, beside the limit `compile_time`.
+SECONDS_PER_ASSET_BYTE = 2e-7
+"""CPU time of the compiler for each byte of the assets, s, in addition to the limit `compile_time`.
 
-On a quiet machine it takes 0.4 s, with its imports, and 0.04 s for a megabyte of meshes. What is small and
-expands without end is given up after the former. The bytes of the XML add none: 8.5 MB of vertices take
-0.9 s, 1.2 MB of geoms 1 s; a file of twice as many geoms is given up."""
+On a quiet machine the compiler needs 0.4 s, including imports, and 0.04 s per MB of meshes. The bytes of the
+XML add no time: 8.5 MB of vertices take 0.9 s, and 1.2 MB of geoms 1 s."""
 
-OUT_OF_MEMORY = ("MemoryError", "llocat", "bad_alloc")
-"""Words of errors about memory that is not to be had."""
+MEMORY_ERROR_WORDS = ("MemoryError", "llocat", "bad_alloc")
+"""Words of error messages for a lack of memory."""
 
-FULL = 0.5
-"""Share of its memory above which a process that crashed did so for lack of it: models that need more have
-used 85 % of it by then, those that MuJoCo crashes on a few MB."""
+FULL_MEMORY_SHARE = 0.5
+"""Used fraction of the memory limit above which a crash is attributed to a lack of memory.
 
-COPIES, COPIES_WITH_ACTUATORS = 2, 4
-"""Largest number of copies of a compiled model that its reading holds at a time, beside the model.
+Models that need more memory have used 85 % at the crash; models that crash MuJoCo have used a few MB."""
 
-A model with actuators is read a second time, with all controls at random."""
+READING_COPIES, ACTUATED_READING_COPIES = 2, 4
+"""Largest number of copies of a compiled model that exist at a time during reading.
 
-UNKNOWN = "unknown exception"
-"""Words of MuJoCo for an error of which it says nothing."""
+A model with actuators is read a second time, with random controls."""
+
+UNKNOWN_ERROR = "unknown exception"
+"""Message of MuJoCo for an error without a reason."""
 
 UNNAMED = "MuJoCo Model"
 """MuJoCo's name for a model without one."""
 
-FOLDERS = ("meshdir", "texturedir", "assetdir")
-"""Attributes of compiler elements that say where assets are."""
+FOLDER_ATTRIBUTES = ("meshdir", "texturedir", "assetdir")
+"""Attributes of `<compiler>` with folders of assets."""
 
-ASSETS = ("mesh", "texture", "hfield", "skin", "flexcomp", "composite")
-"""Elements whose `file`, or `fileright` and so on of a cube's faces, is read by MuJoCo."""
+ASSET_ELEMENTS = ("mesh", "texture", "hfield", "skin", "flexcomp", "composite")
+"""Elements with files that MuJoCo reads: attributes `file`, `fileright` and so on."""
 
-FREE_TEXT = frozenset(
-    [
-        "name",
-        "class",
-        "childclass",
-        "model",
-        "prefix",
-        "file",
-        "content_type",
-        "meshdir",
-        "texturedir",
-        "assetdir",
-        "body",
-        "body1",
-        "body2",
-        "joint",
-        "joint1",
-        "joint2",
-        "jointinparent",
-        "geom",
-        "geom1",
-        "geom2",
-        "site",
-        "site1",
-        "site2",
-        "refsite",
-        "sidesite",
-        "cranksite",
-        "slidersite",
-        "tendon",
-        "tendon1",
-        "tendon2",
-        "actuator",
-        "mesh",
-        "material",
-        "texture",
-        "hfield",
-        "flex",
-        "skin",
-        "key",
-        "camera",
-        "target",
-        "parent",
-        "objname",
-        "reftype",
-        "refname",
-        "instance",
-        "plugin",
-        "data",
-    ]
-)
-"""Attributes that hold names and other text, in which `inf` and `nan` are words like others."""
+# fmt: off
+FREE_TEXT = frozenset((
+    "name", "class", "childclass", "model", "prefix", "file", "content_type", "meshdir", "texturedir",
+    "assetdir", "body", "body1", "body2", "joint", "joint1", "joint2", "jointinparent", "geom", "geom1",
+    "geom2", "site", "site1", "site2", "refsite", "sidesite", "cranksite", "slidersite", "tendon",
+    "tendon1", "tendon2", "actuator", "mesh", "material", "texture", "hfield", "flex", "skin", "key",
+    "camera", "target", "parent", "objname", "reftype", "refname", "instance", "plugin", "data",
+))
+# fmt: on
+"""Attributes with names and other text, in which `inf` and `nan` are allowed words."""
 
-NAMED = ("body", "jnt", "site", "eq", "tendon", "actuator", "key")
-"""Prefixes of elements that have names."""
+NAMED_PREFIXES = ("body", "jnt", "site", "eq", "tendon", "actuator", "key")
+"""Prefixes of the model's arrays of elements with names."""
 
 KEY_FIELDS = ("qpos", "qvel", "act", "ctrl")
-"""Attributes of keyframes that hold a number for each coordinate, velocity, activation or control."""
+"""Attributes of keyframes with one number for each coordinate, velocity, activation or control."""
 
-CHECKED = ("body", "jnt", "dof", "site", "eq", "tendon", "actuator", "key", "qpos")
-"""Prefixes of what a scene is made of."""
+CHECKED_PREFIXES = ("body", "jnt", "dof", "site", "eq", "tendon", "actuator", "key", "qpos")
+"""Prefixes of the model's arrays that scenes are made from."""
 
-OPTIONS = ("gravity", "wind", "magnetic", "density", "viscosity", "timestep")
-"""Of a model, that are numbers of any size."""
+CHECKED_OPTIONS = ("gravity", "wind", "magnetic", "density", "viscosity", "timestep")
+"""Options of a model whose numbers are checked."""
 
-ITERATIONS = ("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations")
-"""Of a model, that may keep a step of the file's own run from its end."""
+ITERATION_OPTIONS = ("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations")
+"""Options of a model that can make a time step last for ever."""
 
-STATES = ("key_qpos", "key_qvel", "key_act", "key_ctrl")
-"""What MuJoCo takes for a run that diverges beyond its own limit, and then starts again from elsewhere."""
+STATE_FIELDS = ("key_qpos", "key_qvel", "key_act", "key_ctrl")
+"""Fields whose large values make MuJoCo reset a run as diverged."""
 
-UNCHECKED = ("solref", "solimp", "range", "user", "invweight0", "acc0", "M0", "length0")
-"""Ends of names of what no scene has, or of what MuJoCo works out of the others."""
+UNCHECKED_SUFFIXES = ("solref", "solimp", "range", "user", "invweight0", "acc0", "M0", "length0")
+"""Suffixes of arrays that no scene uses, or that MuJoCo computes from others."""
 
 
 class SourceError(source_file.SourceError, MjcfError):
-    """A file that is no usable model: names the file and what is wrong where."""
+    """File that is not a usable model, with the file, the place and the problem."""
 
 
 KeySizes: TypeAlias = dict[int, dict[str, int]]
-"""By number of a keyframe, how many numbers its fields have as they are written."""
+"""Numbers of values of the fields of keyframes in the file, by number of the keyframe."""
 
 
 def compiled(path: str, root: str | None = None) -> tuple[Any, KeySizes]:
-    """The `MjModel` of an MJCF file, and the sizes of its keyframes as they are written.
+    """Compile an MJCF file.
 
     Args:
-        path: of the file.
-        root: folder that everything it refers to has to be in. If None, what it includes has to be in its
-            own folder, and meshes and textures in that or in one beside it.
+        path: path of the file.
+        root: folder that must contain all files that the file refers to. None means the file's own folder for
+            included files, and the parent of this folder for meshes and textures.
+
+    Returns:
+        The `MjModel`, and the sizes of its keyframes in the file.
 
     Raises:
-        SourceError: for a file that cannot be read, that is no MJCF, that reaches outside, or that MuJoCo
-            refuses, with MuJoCo's reason.
+        SourceError: for a file that cannot be read, that is not MJCF, that refers to a file outside the root,
+            or that MuJoCo refuses, with MuJoCo's reason.
     """
     scan = _Scan(path, root)
     scan.run()
     model = _compiled(path, scan.asset_bytes)
     _check_counts(path, model)
-    keys = scan.keys if len(scan.keys) == model.nkey else []  # others come from models that are attached
+    keys = scan.keys if len(scan.keys) == model.nkey else []  # attached models add keyframes
     return model, dict(enumerate(keys))
 
 
 def check_memory(where: str, model: Any) -> None:
-    """Raise `SourceError` if the copies of a compiled model that a reading makes exceed the free memory."""
+    """Raise `SourceError` if the copies of a compiled model need more than the free memory."""
     size, free = model.nbuffer / MB, free_memory() / MB
-    needed = (COPIES_WITH_ACTUATORS if model.nu else COPIES) * size
+    needed = (ACTUATED_READING_COPIES if model.nu else READING_COPIES) * size
     if needed > free:
-        lacks = f"its reading needs {needed:.0f} MB of memory more, {free:.0f} MB are free"
-        raise SourceError(where, f"compiled it takes {size:.0f} MB, mostly of meshes; {lacks}")
+        lacks = f"reading needs {needed:.0f} MB more, {free:.0f} MB are free; use smaller meshes"
+        raise SourceError(where, f"the compiled model has {size:.0f} MB, mostly meshes; {lacks}")
 
 
 def given(model: object) -> tuple[str, Any, KeySizes]:
-    """A name for messages, the `MjModel`, and the sizes of keyframes, of an `MjSpec` or an `MjModel`.
+    """Copy or compile a model in memory, an `MjSpec` or an `MjModel`, which is not changed.
 
-    Neither is changed by what becomes of the result.
+    Returns:
+        A name for messages, the `MjModel`, and the sizes of keyframes.
 
     Raises:
-        SourceError: for anything else, and for models that MuJoCo or a limit refuses.
+        SourceError: for other types, and for models that MuJoCo or a limit refuses.
     """
     import mujoco
 
@@ -206,19 +168,19 @@ def _named(kind: str, name: str) -> str:
 
 
 def model_name(model: Any) -> str:
-    """The name in the root element of a compiled model."""
+    """Return the name in the root element of a compiled model."""
     return str(bytes(model.names).split(b"\0", 1)[0].decode(errors="replace"))
 
 
 def _compiled(path: str, asset_bytes: int) -> Any:
-    """The model of a file that may be compiled."""
+    """Compile a checked file in a separate process."""
     import mujoco
 
     assets = min(asset_bytes, size_in_bytes("asset_size"))
-    seconds = int(np.clip(limit("compile_time") + PER_ASSET_BYTE * assets, 1, MAX_SECONDS))
+    seconds = int(np.clip(limit("compile_time") + SECONDS_PER_ASSET_BYTE * assets, 1, MAX_COMPILE_S))
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "model.mjb"
-        # by its path, without the packages around it: nothing but MuJoCo has to be imported
+        # run by path, so that the process imports MuJoCo only
         script = Path(__file__).with_name("compile.py")
         memory = size_in_bytes("memory")
         limits = map(str, (seconds, memory))
@@ -227,24 +189,28 @@ def _compiled(path: str, asset_bytes: int) -> Any:
             done = subprocess.run(
                 command,
                 cwd=folder,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # buffers of BLAS threads count as memory
+                env={
+                    **os.environ,
+                    "OPENBLAS_NUM_THREADS": "1",
+                },  # buffers of BLAS threads count for the memory limit
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
-                timeout=WALL_TIME + seconds,
+                timeout=MAX_WAIT_S + seconds,
             )
         except subprocess.TimeoutExpired as error:
-            waited = f"MuJoCo has not compiled it after {WALL_TIME + seconds:.0f} s"
-            raise SourceError(path, f"{waited}: it waits for a file, or the machine is busy") from error
+            waited = f"MuJoCo has not compiled the file after {MAX_WAIT_S + seconds:.0f} s"
+            raise SourceError(path, f"{waited}: a file cannot be read, or the machine is busy") from error
+        # find the reason of a failure: time, memory, a crash, or an error of the file
         reason = (done.stderr.decode(errors="replace").strip().splitlines() or [""])[-1]
         if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
             problem = f"MuJoCo needs more than {seconds} s to compile it; {too_small('compile_time')}"
             raise SourceError(path, problem)
-        if any(word in reason for word in OUT_OF_MEMORY):
+        if any(word in reason for word in MEMORY_ERROR_WORDS):
             raise SourceError(path, _too_little(memory))
-        if done.returncode < 0 or UNKNOWN in reason:  # as where a count of rows times columns overflows
-            name = signal.Signals(-done.returncode).name if done.returncode < 0 else UNKNOWN
+        if done.returncode < 0 or UNKNOWN_ERROR in reason:  # for example, an overflow of rows times columns
+            name = signal.Signals(-done.returncode).name if done.returncode < 0 else UNKNOWN_ERROR
             used = _peak_memory()
-            if used > FULL * memory:
+            if used > FULL_MEMORY_SHARE * memory:
                 raise SourceError(path, _too_little(memory))
             room = f"it used {used / MB:.0f} MB of memory and may have {memory / MB:.0f}"
             raise SourceError(path, f"MuJoCo crashes on it ({name}), not for lack of memory: {room}")
@@ -259,39 +225,39 @@ def _compiled(path: str, asset_bytes: int) -> Any:
 
 
 def _too_little(memory: int) -> str:
-    """Word that a memory in bytes is too small to compile a file, and what to do."""
+    """Return the message for a memory limit, in bytes, that is too small."""
     return f"MuJoCo needs more than {memory / MB:.0f} MB of memory to compile it; {too_small('memory')}"
 
 
 def _peak_memory() -> float:
-    """Find the largest memory in bytes of any process that this one has started and that has ended."""
+    """Return the largest memory, bytes, of any ended child process."""
     try:
         import resource
-    except ImportError:  # not everywhere, and without it no process is limited either
+    except ImportError:  # without `resource`, processes have no limits
         return 0.0
     return 1024.0 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
 
 
 def _check_counts(path: str, model: Any) -> None:
-    """Raise `SourceError` for more of anything than a limit allows."""
+    """Raise `SourceError` if a number of elements or iterations exceeds its limit."""
     counts = {"bodies": model.nbody, "velocities": model.nv, "closures": model.neq, "forces": model.nactuator}
     for name, count in counts.items():
         if problem := exceeded(name, count):
             raise SourceError(path, problem)
-    for name in ITERATIONS:
+    for name in ITERATION_OPTIONS:
         if problem := exceeded("iterations", getattr(model.opt, name)):
             raise SourceError(path, f"option: {name} is too large: {problem}")
 
 
 @dataclass(frozen=True)
 class _Reference:
-    """An element's word for where a file is.
+    """Reference to a file in an XML file.
 
     Attributes:
-        where: path of the XML that says so.
-        line: in that.
-        element: its tag.
-        target: the file.
+        where: path of the XML file.
+        line: line in the XML file.
+        element: tag of the element.
+        target: path of the referenced file.
     """
 
     where: str
@@ -304,7 +270,7 @@ class _Reference:
         return SourceError(self.where, text)
 
     def within(self, root: str, folder: str) -> str:
-        """The path of the file, if it is relative to a folder; raises `SourceError` if it leaves the root."""
+        """Return the path of the file relative to a folder; raises `SourceError` outside the root."""
         path = os.path.realpath(os.path.join(folder, self.target))
         if os.path.commonpath((root, path)) != root:
             around = os.path.commonpath((os.path.realpath(folder), path))
@@ -315,23 +281,23 @@ class _Reference:
 
 
 class _Scan:
-    """One pass over a file and what it includes, without building anything.
+    """Scan of a file and its included files that stores no elements.
 
     Attributes:
-        asset_bytes: of all files that MuJoCo may read and that are no XML.
-        keys: how many numbers the fields of each keyframe have.
+        asset_bytes: total size of all other files that MuJoCo may read.
+        keys: numbers of values of the fields of each keyframe.
     """
 
     def __init__(self, path: str, root: str | None) -> None:
         self._top = path
         self._home = os.path.dirname(os.path.realpath(path))
-        # models are often kept in a folder of their own beside those of their meshes
+        # models and meshes are often in neighboring folders
         around = os.path.dirname(self._home)
         around = self._home if around == os.path.dirname(around) else around
         top = None if root is None else os.path.realpath(root)
         self._inner, self._around = top or self._home, top or around
         self._homes = [self._home]
-        self._folders: dict[str, list[str]] = {name: [] for name in FOLDERS}
+        self._folders: dict[str, list[str]] = {name: [] for name in FOLDER_ATTRIBUTES}
         self._assets: list[_Reference] = []
         self.keys: list[dict[str, int]] = []
         self._files = self._bytes = 0
@@ -343,18 +309,18 @@ class _Scan:
 
     def run(self) -> None:
         self._read(self._top, ())
-        # compiler elements hold wherever in the file they stand, so folders are known at the end only
+        # `<compiler>` may follow the assets, so that folders are known at the end
         for reference in self._assets:
             self._check_asset(reference)
 
     def _read(self, path: str, including: tuple[str, ...]) -> None:
         own = os.path.realpath(path)
         if own in including:
-            problem = f"include of {os.path.basename(path)!r} by itself, through {including[-1]!r}"
+            problem = f"{os.path.basename(path)!r} includes itself, through {including[-1]!r}"
             raise SourceError(self._top, problem)
         self._files += 1
         if problem := exceeded("files", self._files):
-            raise SourceError(self._top, f"includes too much: {problem}")
+            raise SourceError(self._top, f"includes too many files: {problem}")
         inner: list[_Reference] = []
 
         def begin(tag: str, attributes: dict[str, str], line: int) -> None:
@@ -366,14 +332,14 @@ class _Scan:
                     token.lower().lstrip("+-") in NOT_FINITE for token in value.split()
                 ):
                     raise SourceError(path, f"line {line}: <{tag}> has {name}={value!r:.100}, not finite")
-                if tag == "compiler" and name in FOLDERS:
+                if tag == "compiler" and name in FOLDER_ATTRIBUTES:
                     _Reference(path, line, f"compiler {name}", value or ".").within(self._around, self._home)
                     self._folders[name].append(value)
                 if tag == "key" and name in KEY_FIELDS:
                     counts[name] = len(value.split())
                 if name == "file" and tag in ("include", "model"):
                     inner.append(_Reference(path, line, tag, value))
-                elif name.startswith("file") and tag in ASSETS:
+                elif name.startswith("file") and tag in ASSET_ELEMENTS:
                     self._assets.append(_Reference(path, line, tag, value))
 
         text = read_text(path, "file_size", SourceError, self._bytes)
@@ -383,18 +349,18 @@ class _Scan:
             self._read(self._found(reference, os.path.dirname(own)), (*including, own))
 
     def _found(self, reference: _Reference, beside: str) -> str:
-        """Path of an XML file: MuJoCo looks next to the first one, and next to the one that includes it."""
+        """Return the path of an XML file: next to the top file, or next to the including file."""
         root = self._inner if reference.element == "include" else self._around
         for home in (self._home, beside):
             path = reference.within(root, home)
             if os.path.exists(path):
-                if os.path.dirname(path) not in self._homes:  # MuJoCo finds assets beside any of them
+                if os.path.dirname(path) not in self._homes:  # MuJoCo searches assets in all of these folders
                     self._homes.append(os.path.dirname(path))
                 return os.path.join(home, reference.target)
         raise reference.refused("does not exist")
 
     def _check_asset(self, reference: _Reference) -> None:
-        """Look wherever MuJoCo may: by any of the compilers, with or without the path in the name."""
+        """Check a file in all folders that MuJoCo may search, with and without the path in the name."""
         name = "texturedir" if reference.element == "texture" else "meshdir"
         folders = [*self._folders[name], *self._folders["assetdir"]] or [""]
         stripped = replace(reference, target=os.path.basename(reference.target))
@@ -408,7 +374,7 @@ class _Scan:
         if not found:
             raise reference.refused("does not exist")
         for path in found:
-            if not os.path.isfile(path):  # a pipe would keep MuJoCo waiting
+            if not os.path.isfile(path):  # MuJoCo would wait for a pipe
                 raise reference.refused("is not a regular file")
             self._sizes[path] = os.path.getsize(path)
             if problem := exceeded("asset_size", self._sizes[path] / MB):
@@ -416,10 +382,10 @@ class _Scan:
 
 
 def _check_numbers(path: str, model: Any) -> None:
-    """Raise `SourceError` for the first number of an element that is not finite or far too large."""
+    """Raise `SourceError` for the first number that is not finite or too large."""
     import mujoco
 
-    for name in OPTIONS:
+    for name in CHECKED_OPTIONS:
         option = getattr(model.opt, name)
         if not np.all(np.abs(option) <= LARGEST):
             raise SourceError(path, f"option: {name} is {option}; needed: at most {LARGEST:g}")
@@ -429,23 +395,23 @@ def _check_numbers(path: str, model: Any) -> None:
         )
     for prefix, field in _number_fields(model):
         values = getattr(model, field)
-        most = mujoco.mjMAXVAL if field in STATES else LARGEST
+        most = mujoco.mjMAXVAL if field in STATE_FIELDS else LARGEST
         bad = ~(np.abs(values) <= most)
         if np.any(bad):
             row = int(np.argwhere(bad)[0][0])
-            name = getattr(model, prefix)(row).name if prefix in NAMED else ""
+            name = getattr(model, prefix)(row).name if prefix in NAMED_PREFIXES else ""
             raise SourceError(
                 path, f"{prefix} {name or row!r}: {field} is {values[bad][0]:g}; needed: at most {most:g}"
             )
 
 
 def _number_fields(model: Any) -> list[tuple[str, str]]:
-    """Prefixes and names of the arrays of numbers that the file itself gives, in the order of `CHECKED`."""
+    """Return prefixes and names of the arrays with numbers of the file, in the order of the prefixes."""
     found = []
     for field in dir(model):
         prefix = field.split("_")[0].removesuffix("0")
-        if field in STATES or (prefix in CHECKED and not field.endswith(UNCHECKED)):
+        if field in STATE_FIELDS or (prefix in CHECKED_PREFIXES and not field.endswith(UNCHECKED_SUFFIXES)):
             values = getattr(model, field)
             if isinstance(values, np.ndarray) and values.dtype.kind == "f":
                 found.append((prefix, field))
-    return sorted(found, key=lambda pair: CHECKED.index(pair[0]))
+    return sorted(found, key=lambda pair: CHECKED_PREFIXES.index(pair[0]))

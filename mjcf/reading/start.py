@@ -1,4 +1,4 @@
-"""The configuration that a model starts from: a keyframe or qpos0, its equalities closed."""
+"""Start of a compiled model: a keyframe or qpos0, with closed loops."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Array
 
 TORQUE_SCALE_PLACE = 10
-"""Where `eq_data` of a weld has the factor on its last three residuals, the vector part of a quaternion."""
+"""Index of the factor of angles, `torquescale`, in `eq_data` of a weld."""
 
 SWITCHED_OFF_FEATURES = ("CONTACT", "LIMIT", "FRICTIONLOSS", "WARMSTART")
-"""What is outside of rigid dynamics with bilateral constraints."""
+"""Features of MuJoCo that scenes do not simulate."""
 
 
 class Start(FileStart):
-    """A model and where it starts.
+    """Compiled model at its start.
 
     Attributes:
-        model: without contacts, limits and dry friction.
-        data: at the start, positions and velocities worked out.
-        key: what reports call the keyframe, or "qpos0".
+        model: model without contacts, limits and dry friction.
+        data: state at the start, after `mj_fwdVelocity`.
+        key: name of the keyframe in reports, or "qpos0".
     """
 
     error = SourceError
@@ -44,13 +44,18 @@ class Start(FileStart):
         tolerance: float,
         control: Array | None = None,
     ) -> None:
-        """Close the loops near the keyframe of that name; the first one, or qpos0, if None.
+        """Close the loops near a keyframe.
 
-        Rows are redundant by the `redundancy_tolerance` of the scene. Actuators have the keyframe's controls
-        unless others (nu,) are given.
+        Args:
+            path: file of the model.
+            model: compiled model, which is changed.
+            key: name of the keyframe; None for the first one, or for qpos0 without keyframes.
+            report: report that receives lines about the start.
+            tolerance: `redundancy_tolerance` of the scene.
+            control: (nu,) controls; None for the controls of the keyframe.
 
         Raises:
-            SourceError: for an unknown keyframe, and for loops that do not close from there.
+            SourceError: for an unknown keyframe, and for loops that do not close.
         """
         self.path, self.model = path, model
         self.data: Any = mujoco.MjData(model)
@@ -58,7 +63,7 @@ class Start(FileStart):
         model.opt.disableflags |= sum(
             int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{n}")) for n in SWITCHED_OFF_FEATURES
         )
-        # frames that are nearly a body's own would be taken for it, as they are in the mass of simple bodies
+        # otherwise MuJoCo replaces inertial frames that are nearly the body frame
         model.body_sameframe[model.body_simple == 0] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         if self.disabled("GRAVITY"):
             model.opt.gravity[:] = 0.0
@@ -73,11 +78,11 @@ class Start(FileStart):
         mujoco.mj_fwdVelocity(model, data)
 
     def disabled(self, feature: str) -> bool:
-        """True if the file itself switches a feature off."""
+        """True if the file itself disables a feature."""
         return bool(self._disabled & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")))
 
     def _place(self, key: str | None) -> str:
-        """Go to a keyframe or qpos0; what reports call it."""
+        """Set the state to a keyframe or qpos0; return its name in reports."""
         model, data = self.model, self.data
         names = [model.key(k).name or f"{k}" for k in range(model.nkey)]
         if key is None:
@@ -102,19 +107,19 @@ class Start(FileStart):
 
     @property
     def owners(self) -> list[str]:  # type: ignore[override]
-        """The equality that each residual belongs to."""
+        """Equality of each residual."""
         return [self.equality(int(index)) for index in self.data.efc_id[self._rows()]]
 
     def _rows(self) -> Array:
         return np.flatnonzero(self.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
     def _scales(self) -> Array:
-        """(k,) what MuJoCo has multiplied the equalities' rows with: angles of welds with `torquescale`."""
+        """Return MuJoCo's factors (k,) of rows: `torquescale` for angles of welds, 1 for others."""
         model, numbers = self.model, self.data.efc_id[self._rows()]
         scales = np.ones(len(numbers))
         for weld in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_WELD):
             turning = np.flatnonzero(numbers == weld)[3:]
-            scales[turning] = model.eq_data[weld, TORQUE_SCALE_PLACE] or 1.0  # rows of zeros are none
+            scales[turning] = model.eq_data[weld, TORQUE_SCALE_PLACE] or 1.0  # a factor of 0 leaves no rows
         return scales
 
     def units(self) -> Units:
@@ -158,5 +163,5 @@ class Start(FileStart):
         return self.model.joint(number).name or f"number {number}"
 
     def equality(self, index: int) -> str:
-        """Name an equality for reports."""
+        """Return the name of an equality in reports."""
         return element_name(self.model, "equality", index)

@@ -127,7 +127,7 @@ def test_what_is_left_out(tmp_path: Path) -> None:
         "joint 'p': left out: its limits",
         "joint 'p': left out: its dry friction 0.2",
         "tendon 'sum': left out: its stiffness 2",
-        "actuator 'pull': left out: has dynamics",
+        "actuator 'pull': left out: its activation changes",
         "2 geoms that can touch: left out",
         "1 sensors: left out",
     ):
@@ -202,7 +202,7 @@ def test_a_tendon_that_equalities_keep_does_no_work(tmp_path: Path) -> None:
     assert verified(found)
     assert not found.scene.control
     (entry,) = (entry for entry in found.report.of("left out") if entry.element == "actuator 0")
-    assert str(entry) == "actuator 0: left out: equalities keep its length, so that it does no work"
+    assert str(entry) == "actuator 0: left out: equalities keep its length constant, so that it does no work"
 
 
 def test_springs_of_a_joint_and_of_a_tendon_add_up(tmp_path: Path) -> None:

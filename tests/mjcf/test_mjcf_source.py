@@ -45,7 +45,7 @@ def test_a_file_with_assets_may_take_longer(
     """Meshes a hundred times as small here, of which each byte counts a hundred times as much."""
     largest = 1_000_000
     monkeypatch.setenv(VARIABLE, "asset_size=1")
-    monkeypatch.setattr(source, "PER_ASSET_BYTE", 100.0 * source.PER_ASSET_BYTE)
+    monkeypatch.setattr(source, "SECONDS_PER_ASSET_BYTE", 100.0 * source.SECONDS_PER_ASSET_BYTE)
     path, mesh = tmp_path / "model.xml", tmp_path / "wedge.obj"
     path.write_text(MESH)
     for size in (0, 200_000, largest):
@@ -97,5 +97,5 @@ def test_copies_of_a_model_that_exceed_the_free_memory_are_refused(
     monkeypatch.setattr(source, "free_memory", lambda: copies * made.nbuffer)
     mjcf.read(path)
     monkeypatch.setattr(source, "free_memory", lambda: copies * made.nbuffer - 1)
-    with pytest.raises(SourceError, match="MB of memory more, 0 MB are free"):
+    with pytest.raises(SourceError, match="MB more, 0 MB are free"):
         mjcf.read(path)

@@ -49,12 +49,12 @@ MJCF_EDITS: dict[str, Edit] = {
     "includes itself": include("model.xml", "include of 'model.xml' by itself"),
     "includes in a circle": include(
         "b.xml",
-        "include of 'model.xml' by itself, through ",
+        "'model.xml' includes itself, through ",
         file_of("b.xml", '<mujoco><include file="model.xml"/></mujoco>'),
     ),
     "includes without end": include(
         "part0.xml",
-        "includes too much: 101 files, at most 100; to allow it: --set files=101",
+        "includes too many files: 101 files, at most 100; to allow it: --set files=101",
         chain_of_includes,
     ),
     "includes nothing": include("none.xml", "include file 'none.xml' does not"),

@@ -30,7 +30,7 @@ def test_links_and_joints_become_bodies_and_joints(tmp_path: Path) -> None:
     assert found.scene.forces[0].damping == 0.5
     lines = [str(entry) for entry in found.report.entries]
     assert "joint 'first': left out: its dry friction 0.1" in lines
-    assert "joint 'second': left out: its limits -1 to 1: limits are no bilateral constraints" in lines
+    assert "joint 'second': left out: its limits -1 to 1: limits are one-sided and not simulated" in lines
     assert "link 'c': exactly: part of 'b'" in lines
 
 

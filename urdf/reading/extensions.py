@@ -31,9 +31,9 @@ from newton_euler.scalars import Array
 from urdf.extensions import Extensions, PointSpringElement
 from urdf.loops import REVOLUTE, Loops
 from urdf.reading.source import SourceError
-from urdf.reading.vocabulary import CLOSING, DRAKE, report_unmoving, tag_of, unknown
+from urdf.reading.vocabulary import ACTING_TAGS, DRAKE_PREFIX, report_unmoving, tag_of, unknown
 
-CLOSURE_KINDS = {
+CLOSURE_TYPE_OF_JOINT = {
     "revolute": REVOLUTE,
     "continuous": REVOLUTE,
     "ball": "3d",
@@ -42,7 +42,7 @@ CLOSURE_KINDS = {
 }
 """Kinds of joints that close loops, by their types in files."""
 
-ONSHAPE = re.compile(r"closing_(.+)_([12])")
+ONSHAPE_LOOP_NAME = re.compile(r"closing_(.+)_([12])")
 """Names of the two links that onshape-to-robot leaves where a loop is closed."""
 
 
@@ -111,7 +111,9 @@ class _Reader:
             if self._is_ignored(element, place, what):
                 continue
             if not self._read(element, tag, place):
-                if CLOSING.search(tag) or (tag in ("joint", f"{DRAKE}joint") and place is not None):
+                if ACTING_TAGS.search(tag) or (
+                    tag in ("joint", f"{DRAKE_PREFIX}joint") and place is not None
+                ):
                     raise self._refused(element, "is not understood: it may close a loop or exert a force")
                 self._report.not_understood(what, "no rule knows it, so it is not simulated")
         self._check_onshape(loops)
@@ -283,10 +285,10 @@ class _Reader:
 
     def _kind(self, element: ET.Element) -> str:
         kind = element.get("type")
-        if kind not in CLOSURE_KINDS:
-            needed = choices(kind, CLOSURE_KINDS)
+        if kind not in CLOSURE_TYPE_OF_JOINT:
+            needed = choices(kind, CLOSURE_TYPE_OF_JOINT)
             raise self._refused(element, f"has the type {kind!r:.100}, which closes no loop here ({needed})")
-        return CLOSURE_KINDS[kind]
+        return CLOSURE_TYPE_OF_JOINT[kind]
 
     def _read_loop_joint(self, element: ET.Element) -> None:
         kind = self._kind(element)
@@ -336,7 +338,7 @@ class _Reader:
         closed = {frame for pair in loops.closed_loop for frame in pair}
         pairs: dict[str, set[str]] = {}
         for link in self._root.findall("link"):
-            if found := ONSHAPE.fullmatch(str(link.get("name"))):
+            if found := ONSHAPE_LOOP_NAME.fullmatch(str(link.get("name"))):
                 pairs.setdefault(found[1], set()).add(found[2])
         for name, numbers in pairs.items():
             frames = [f"closing_{name}_{k}" for k in (1, 2)]

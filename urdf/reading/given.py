@@ -20,26 +20,26 @@ from urdf.reading.source import JointProperties, SourceError
 PinocchioModel: TypeAlias = pin.Model | tuple[pin.Model, Sequence[pin.RigidConstraintModel]]
 """A model that is not in a file, alone or with its constraints."""
 
-JOINTS = (
+KNOWN_JOINT_MODELS = (
     *(f"{kind}{axis}" for kind in ("R", "RUB", "P") for axis in "XYZ"),
     *("RevoluteUnaligned", "RevoluteUnboundedUnaligned", "PrismaticUnaligned", "Universal", "Translation"),
     *("Spherical", "SphericalZYX", "Planar", "FreeFlyer"),
 )
 """Kinds of joints, after `JointModel`, that a scene has."""
 
-ANCHORS = {
+ANCHOR_TYPES = {
     "PointAnchorConstraintModel": pin.ContactType.CONTACT_3D,
     "FrameAnchorConstraintModel": pin.ContactType.CONTACT_6D,
 }
 """Constraints that are rigid ones under other names, by their classes."""
 
-KINDS = {pin.ContactType.CONTACT_3D: "3d", pin.ContactType.CONTACT_6D: "6d"}
+CLOSURE_TYPE_OF_CONTACT = {pin.ContactType.CONTACT_3D: "3d", pin.ContactType.CONTACT_6D: "6d"}
 """Types of closures in loop files by those of rigid constraints."""
 
-ORTHONORMAL = 1e-9
+MAX_ROTATION_ERROR = 1e-9
 """Largest entry of R^T R - 1 of a placement, which rounding leaves."""
 
-FARTHEST = 1e300
+MAX_FINITE_LIMIT = 1e300
 """Limits beyond are none: Pinocchio has infinity or the largest double."""
 
 
@@ -72,7 +72,7 @@ class Given:
         if problem := exceeded("closures", len(self.constraints)):
             raise SourceError(self.where, problem)
         own, pairs = model.copy(), []
-        kinds = tuple(KINDS[constraint.type] for constraint in self.constraints)
+        kinds = tuple(CLOSURE_TYPE_OF_CONTACT[constraint.type] for constraint in self.constraints)
         self.loops = replace(NO_LOOPS, closed_loop=closure_names(model, self.constraints), type=kinds)
         for names, constraint in zip(self.loops.closed_loop, self.constraints, strict=True):
             joints = constraint.joint1_id, constraint.joint2_id
@@ -100,9 +100,9 @@ class Given:
             raise SourceError(self.where, "no joint can move")
         for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
             kind = joint.shortname().removeprefix("JointModel")
-            if kind not in JOINTS:
+            if kind not in KNOWN_JOINT_MODELS:
                 problem = f"joint {name!r} is a {joint.shortname()}"
-                raise SourceError(self.where, f"{problem}; needed: one of {', '.join(JOINTS)}")
+                raise SourceError(self.where, f"{problem}; needed: one of {', '.join(KNOWN_JOINT_MODELS)}")
         numbers = [model.gravity.linear, model.armature, model.damping]
         for inertia, pose in zip(model.inertias, model.jointPlacements, strict=True):
             numbers += [[inertia.mass], inertia.lever, inertia.inertia.ravel(), pose.homogeneous.ravel()]
@@ -113,15 +113,14 @@ class Given:
         """Copy a constraint, as a rigid one."""
         kind = type(given).__name__
         is_rigid = isinstance(given, pin.RigidConstraintModel)
-        if not (is_rigid and given.type in KINDS) and kind not in ANCHORS:
-            needed = (
-                f"a RigidConstraintModel of type CONTACT_3D or CONTACT_6D, or one of {', '.join(ANCHORS)}"
-            )
+        if not (is_rigid and given.type in CLOSURE_TYPE_OF_CONTACT) and kind not in ANCHOR_TYPES:
+            anchors = ", ".join(ANCHOR_TYPES)
+            needed = f"a RigidConstraintModel of type CONTACT_3D or CONTACT_6D, or one of {anchors}"
             raise SourceError(self.where, f"constraint {number} is a {kind}; needed: {needed}")
         placements = given.joint1_placement, given.joint2_placement
         for placement in placements:
             excess = np.abs(placement.rotation.T @ placement.rotation - np.eye(3))
-            if not np.max(excess) <= ORTHONORMAL or not np.all(np.isfinite(placement.translation)):
+            if not np.max(excess) <= MAX_ROTATION_ERROR or not np.all(np.isfinite(placement.translation)):
                 problem = f"constraint {number} has a placement that is no rotation and finite translation"
                 raise SourceError(self.where, problem)
         offset = given.desired_contact_placement.homogeneous - np.eye(4) if is_rigid else None
@@ -129,7 +128,7 @@ class Given:
             raise SourceError(self.where, f"constraint {number} has a desired offset; needed: none")
         (first, second), ends = placements, (int(given.joint1_id), int(given.joint2_id))
         rigid = pin.RigidConstraintModel(
-            given.type if is_rigid else ANCHORS[kind],
+            given.type if is_rigid else ANCHOR_TYPES[kind],
             self.model,
             *(ends[0], first, ends[1], second),
             pin.ReferenceFrame.LOCAL,
@@ -174,8 +173,8 @@ class Given:
                 float(values[joint.idx_q]) for values in (model.lowerPositionLimit, model.upperPositionLimit)
             )
             speed = float(model.upperVelocityLimit[joint.idx_v])
-            if max(abs(low), abs(high)) < FARTHEST:
-                limits = low, high, speed if speed < FARTHEST else np.inf
+            if max(abs(low), abs(high)) < MAX_FINITE_LIMIT:
+                limits = low, high, speed if speed < MAX_FINITE_LIMIT else np.inf
         unit = "m" if joint.shortname().startswith("JointModelP") else "rad"
         return JointProperties(name, damping, friction, armature, limits, unit, rotor=rotor)
 

@@ -11,7 +11,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-PROCESSOR_TIME = 3
+MAX_CPU_S = 3
 """s"""
 
 
@@ -20,7 +20,7 @@ def main() -> None:
     with suppress(ImportError):  # not everywhere
         import resource
 
-        resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR_TIME, PROCESSOR_TIME))
+        resource.setrlimit(resource.RLIMIT_CPU, (MAX_CPU_S, MAX_CPU_S))
         resource.setrlimit(resource.RLIMIT_DATA, (int(memory), int(memory)))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     import coal

@@ -18,7 +18,7 @@ from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import Loops, parse_loops
 from urdf.reading.vocabulary import check_expanded
 
-NUMBERS = {
+NUMBER_ATTRIBUTES = {
     "origin": ("xyz", "rpy"),
     "axis": ("xyz",),
     "mass": ("value",),
@@ -29,7 +29,7 @@ NUMBERS = {
 }
 """Attributes that hold numbers, by element."""
 
-JOINT_TYPES = {"revolute": 1, "continuous": 1, "prismatic": 1, "fixed": 0, "floating": 6, "planar": 3}
+JOINT_VELOCITIES = {"revolute": 1, "continuous": 1, "prismatic": 1, "fixed": 0, "floating": 6, "planar": 3}
 """And how many velocities each of them has."""
 
 
@@ -113,7 +113,7 @@ def parsed(path: str, text: str) -> ET.Element:
     links, joints = ({element.get("name") for element in root.findall(tag)} for tag in ("link", "joint"))
     if not links:
         raise SourceError(path, "no links")
-    velocities = sum(JOINT_TYPES.get(str(joint.get("type")), 0) for joint in root.findall("joint"))
+    velocities = sum(JOINT_VELOCITIES.get(str(joint.get("type")), 0) for joint in root.findall("joint"))
     counts = {"bodies": len(links), "velocities": velocities, "closures": len(root.findall("joint/mimic"))}
     for name, count in counts.items():
         if problem := exceeded(name, count):
@@ -124,7 +124,7 @@ def parsed(path: str, text: str) -> ET.Element:
     for element in (*root.findall("link"), *root.findall("joint")):
         where = f"{element.tag} {element.get('name')!r:.100}"
         for part in element.iter():
-            for name in NUMBERS.get(part.tag, ()):
+            for name in NUMBER_ATTRIBUTES.get(part.tag, ()):
                 if name in part.attrib:
                     _check_numbers(f"{where}: <{part.tag}>", path, name, part.attrib[name])
                 elif part.tag in ("mass", "inertia"):
@@ -145,7 +145,7 @@ def check_inertias(path: str, root: ET.Element) -> None:
     for link in root.findall("link"):
         element = link.find("inertial/inertia")
         if element is not None:
-            xx, xy, xz, yy, yz, zz = (float(element.get(name, "0")) for name in NUMBERS["inertia"])
+            xx, xy, xz, yy, yz, zz = (float(element.get(name, "0")) for name in NUMBER_ATTRIBUTES["inertia"])
             moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
             found[str(link.get("name"))] = moments
     round_off = 4.0 * np.finfo(float).eps * max((moments[-1] for moments in found.values()), default=0.0)
@@ -158,9 +158,9 @@ def check_inertias(path: str, root: ET.Element) -> None:
 
 def _check_joint(path: str, joint: ET.Element, links: set[str | None], joints: set[str | None]) -> None:
     where = f"joint {joint.get('name')!r:.100}"
-    if joint.get("type") not in JOINT_TYPES:
+    if joint.get("type") not in JOINT_VELOCITIES:
         kind = joint.get("type")
-        raise SourceError(path, f"{where}: unknown type {kind!r:.100}; {choices(kind, JOINT_TYPES)}")
+        raise SourceError(path, f"{where}: unknown type {kind!r:.100}; {choices(kind, JOINT_VELOCITIES)}")
     for end in ("parent", "child"):
         element = joint.find(end)
         link = None if element is None else element.get("link")

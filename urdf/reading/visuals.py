@@ -24,10 +24,10 @@ from newton_euler.scalars import Array
 from urdf.reading.bodies import Tree
 from urdf.reading.start import Start
 
-MAXIMUM_BYTES = 50_000_000
+MAX_MESH_BYTES = 50_000_000
 """Of a mesh file."""
 
-WALL_TIME = 60.0
+MAX_MESHES_S = 60.0
 """s for all meshes; they may use less of a processor, see `urdf.reading.load_meshes`."""
 
 Color = tuple[float, float, float, float]
@@ -48,7 +48,7 @@ class _Unusable(Exception):
     """Why a visual element cannot be drawn."""
 
 
-def dressed(path: str, root: ET.Element, start: Start, tree: Tree, report: ImportReport) -> list[Body]:
+def with_visuals(path: str, root: ET.Element, start: Start, tree: Tree, report: ImportReport) -> list[Body]:
     """The bodies of a tree with the shapes and meshes of their links; each mesh missing is reported.
 
     Mesh files have to be in the URDF's folder or the one around it, or in the package that they name: a
@@ -176,8 +176,8 @@ def _mesh(urdf: Path, visual: _Visual) -> tuple[Path, Array]:
         if "\0" in name or not file.resolve().is_relative_to(folder.resolve()):
             raise _Unusable(f"mesh {name!r:.200} leads outside of {str(folder)!r}")
         if file.is_file():
-            if file.stat().st_size > MAXIMUM_BYTES:
-                raise _Unusable(f"mesh {name!r:.200} is larger than {MAXIMUM_BYTES} bytes")
+            if file.stat().st_size > MAX_MESH_BYTES:
+                raise _Unusable(f"mesh {name!r:.200} is larger than {MAX_MESH_BYTES} bytes")
             return file.resolve(), scale
     raise _Unusable(f"mesh {name!r:.200} does not exist")
 
@@ -213,7 +213,11 @@ def _loaded(files: list[Path]) -> dict[Path, Mesh | None]:
         command = [sys.executable, "-P", str(script), folder, memory, *map(str, files)]
         with suppress(subprocess.TimeoutExpired):
             subprocess.run(
-                command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=WALL_TIME, check=False
+                command,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                timeout=MAX_MESHES_S,
+                check=False,
             )
         for number, file in enumerate(files):
             with suppress(OSError, ValueError, KeyError, EOFError, NewtonEulerError):

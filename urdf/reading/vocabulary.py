@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterator
 from newton_euler.model.source_file import SourceError as FileError
 from newton_euler.reading.import_report import ImportReport
 
-DRAKE = "drake:"
+DRAKE_PREFIX = "drake:"
 
-PARTS = {
+READ_ELEMENTS = {
     "robot": frozenset({"link", "joint"}),
     "link": frozenset({"inertial", "visual", "collision"}),
     "inertial": frozenset({"origin", "mass", "inertia"}),
@@ -26,10 +26,10 @@ PARTS = {
 }
 """Elements that are read, by the element that they are in."""
 
-MANY = frozenset({"visual", "collision"})
+REPEATED_ELEMENTS = frozenset({"visual", "collision"})
 """Elements of links of which each one counts; of all other elements parsers read the first."""
 
-UNMOVING = {
+PASSIVE_ELEMENTS = {
     "robot": frozenset(
         [
             "material",
@@ -158,7 +158,7 @@ UNMOVING = {
 }
 """Elements that exert no force and hold nothing, by the element that they are in."""
 
-ATTRIBUTES = {
+READ_ATTRIBUTES = {
     "origin": frozenset({"xyz", "rpy"}),
     "axis": frozenset({"xyz"}),
     "mass": frozenset({"value"}),
@@ -194,14 +194,14 @@ PASSIVE_PLUGIN = re.compile(
 ACTING_IN_TRANSMISSION = re.compile(r"inertia|stiff|damp|friction|backlash|spring|elastic", re.IGNORECASE)
 """Parts of transmissions that would exert forces; the others say how commands become forces."""
 
-CLOSING = re.compile(r"constraint|loop|closure|closing|weld|tendon|bushing|spring|coupl|equality", re.I)
+ACTING_TAGS = re.compile(r"constraint|loop|closure|closing|weld|tendon|bushing|spring|coupl|equality", re.I)
 """Tags of elements that hold bodies together or push them, in whatever tool."""
 
 
 def tag_of(element: ET.Element) -> str:
     """The tag as the file has it: Drake's elements with their prefix, others without a namespace."""
     space, _, tag = element.tag.rpartition("}")
-    return f"{DRAKE}{tag}" if "drake" in space.lower() else tag
+    return f"{DRAKE_PREFIX}{tag}" if "drake" in space.lower() else tag
 
 
 def check_expanded(path: str, error: type[FileError]) -> Callable[[str, dict[str, str], int], None]:
@@ -246,14 +246,14 @@ def unknown(root: ET.Element) -> Iterator[tuple[ET.Element, str]]:
             for part in element.iter():
                 own = tag_of(part)
                 acts = ACTING_IN_TRANSMISSION.search(own) if tag == "transmission" else True
-                if part is not element and acts and own not in UNMOVING[tag]:
+                if part is not element and acts and own not in PASSIVE_ELEMENTS[tag]:
                     yield part, f"<{own}> of {where if name else tag}"
-        elif tag not in UNMOVING["robot"]:
+        elif tag not in PASSIVE_ELEMENTS["robot"]:
             yield element, f"<{tag}>{f' {name!r:.100}' if name else ''}"
     for element in (*root.findall("link"), *root.findall("joint")):
         yield from _repeated(element)
         for part in (*element, *element.findall("inertial/*")):
-            others = [name for name in part.attrib if name not in ATTRIBUTES.get(part.tag, part.attrib)]
+            others = [name for name in part.attrib if name not in READ_ATTRIBUTES.get(part.tag, part.attrib)]
             if others:
                 where = f"{element.tag} {element.get('name')!r:.100}"
                 yield part, f"{', '.join(others)} of <{part.tag}> of {where}"
@@ -263,15 +263,15 @@ def _repeated(element: ET.Element) -> Iterator[tuple[ET.Element, str]]:
     """Elements of a link or joint that parsers ignore, because they read only the first with the same tag."""
     where = f"{element.tag} {element.get('name')!r:.100}"
     for parent in (element, *element.findall("inertial")):
-        for tag in sorted(PARTS[parent.tag] - MANY):
+        for tag in sorted(READ_ELEMENTS[parent.tag] - REPEATED_ELEMENTS):
             for part in parent.findall(tag)[1:]:
                 yield part, f"another <{tag}> of {where}"
 
 
 def _inside(element: ET.Element, place: str, where: str) -> Iterator[tuple[ET.Element, str]]:
-    known = PARTS.get(place, frozenset()) | UNMOVING[place]
+    known = READ_ELEMENTS.get(place, frozenset()) | PASSIVE_ELEMENTS[place]
     if place.startswith("gazebo"):  # flags of links and joints are found on either, and do nothing there
-        known |= UNMOVING["gazebo link"] | UNMOVING["gazebo joint"]
+        known |= PASSIVE_ELEMENTS["gazebo link"] | PASSIVE_ELEMENTS["gazebo joint"]
     for part in element:
         tag = tag_of(part)
         text = f"{part.get('filename', '')} {part.get('name', '')}" if tag == "plugin" else tag

@@ -140,9 +140,9 @@ def test_springs_that_yield_rest_where_the_key_says(tmp_path: Path) -> None:
     assert verified(found)
     told = {entry.element: entry.how for entry in found.report.of("left out") if "yields" in entry.how}
     assert told == {
-        "joint 'p'": "that its spring yields beyond 0.5: springs here are elastic",
-        "joint 'q'": "that its spring yields beyond 3: springs here are elastic",
-        "tendon 't'": "that its spring yields beyond 0.2: springs here are elastic",
+        "joint 'p'": "its spring yields beyond 0.5: springs of scenes are elastic",
+        "joint 'q'": "its spring yields beyond 3: springs of scenes are elastic",
+        "tendon 't'": "its spring yields beyond 0.2: springs of scenes are elastic",
     }
     first, second = found.scene.forces
     assert isinstance(first, JointSpring)

@@ -326,7 +326,7 @@ def test_a_model_file_is_guarded_with_what_is_in_no_figure(capsys, tmp_path, mon
     model.write_text(text)
     assert run(capsys, "regress", model, "--update", "first")[0] == 0
     content = json.loads(stored.read_text())
-    limits = "joint 'hip': left out: its limits -1.047 to 0.8727: limits are no bilateral constraints"
+    limits = "joint 'hip': left out: its limits -1.047 to 0.8727: limits are one-sided and not simulated"
     assert limits in content["unsimulated"]
     assert any(line.startswith("2 geoms that can touch") for line in content["unsimulated"])
 

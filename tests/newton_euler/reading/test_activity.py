@@ -44,16 +44,16 @@ def mjcf(folder: Path, text: str) -> Path:
 @pytest.mark.parametrize(
     ("duration", "margin", "fate", "how"),
     [
-        (0.48, 0.0, "inactive", "inactive at all 49 output times and at 15 moments between each two"),
+        (0.48, 0.0, "inactive", "inactive at all 49 output times and at 15 time points between each two"),
         # it has 1.2 m to fall, sqrt(2 * 1.2 / 10) = 0.4899 s
         (
             0.5,
             0.0,
             "left out",
-            "active at 17 of 801 moments, first at 0.49 s: geom 'floor' and geom 'ball'",
+            "active at 17 of 801 time points, first at 0.49 s: geom 'floor' and geom 'ball'",
         ),
         # 0.2 m earlier: sqrt(2 * 1.0 / 10) = 0.4472 s
-        (0.48, 0.2, "left out", "active at 53 of 769 moments, first at 0.4475 s"),
+        (0.48, 0.2, "left out", "active at 53 of 769 time points, first at 0.4475 s"),
     ],
 )
 def test_contacts_are_seen_by_their_margin(duration, margin, fate, how, tmp_path):
@@ -142,7 +142,7 @@ def test_contacts_between_outputs_are_seen(x, fate, changes, geoms, tmp_path):
         text = text.replace(old, new)
     found, how = told(after(mjcf(tmp_path, text), 0.03), f"{geoms} geoms that can touch")
     assert found == fate
-    assert ("active at 1 of 49 moments, first at 0.015 s" in how) == (fate == "left out")
+    assert ("active at 1 of 49 time points, first at 0.015 s" in how) == (fate == "left out")
 
 
 @pytest.mark.parametrize(

@@ -162,8 +162,8 @@ BORNE = model(
         (ZOO, (Loops, "_add_closure"), nothing, "elements unaccounted for"),
         (ZOO, (Loops, "_couple"), nothing, "elements unaccounted for"),
         (ZOO, (Loops, "_add_closure"), told, "equality 'c': .*motions free in the scene alone"),
-        (LIMITED, (Actuators, "_activation"), steady, "'slow': its activation, .* rest: .* unaccounted"),
-        (BORNE, (Actuators, "_others"), lambda *_: "", "joint 'a': .*limits of forces, rel"),
+        (LIMITED, (Actuators, "_activation"), steady, "'slow': its activation changes: .* unaccounted"),
+        (BORNE, (Actuators, "_other_forces"), lambda *_: "", "joint 'a': .*limits of forces, rel"),
         (BORNE, (Actuators, "_report_limits"), half_of_it, "actuator 'servo': .*limits of forces, rel"),
     ],
     ids=[
