@@ -11,6 +11,12 @@ from typing import NamedTuple
 
 from urdf.loops import Loops
 
+ARMATURE = "armature"
+"""Topic of rotor inertias in import reports."""
+
+STIFFNESS = "stiffness"
+"""Topic of springs of joints in import reports."""
+
 
 class PointSpringElement(NamedTuple):
     """Spring and damper between two points: names of frames, stiffness N/m, rest m, damping N s/m."""

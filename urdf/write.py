@@ -1,13 +1,14 @@
-"""Mechanism -> URDF and the loop file beside it.
+"""Write a mechanism as URDF and loop file.
 
-The frame of a link has its origin at the joint that leads to it and is parallel to the world at the
-initial pose. So every rpy of joints and inertials is zero, no number passes through an angle, and
-joint coordinates are those of the spanning tree. A joint of several motions is a chain of one-motion
-joints through massless links. URDF cannot close loops and has no ball joint: the loop file says
-which frames coincide and which joints are balls, with the keys of Gepetto's example-parallel-robots
-(https://github.com/Gepetto/example-parallel-robots, `robot.yaml`) and two things more: closures of type
-`rod`, frames whose origins keep their distance, and `coupled`, joints whose coordinates times the
-numbers beside them add up to zero.
+The frame of a link has its origin at the joint to its parent, and is parallel to the world at the initial
+pose. Therefore every rpy of joints and inertials is zero, no number is converted through an angle, and joint
+coordinates are those of the spanning tree. A joint of several motions is a chain of hinges and slides through
+massless links.
+
+URDF has neither closed loops nor ball joints. The loop file names frames that coincide and joints that are
+balls, with the keys of Gepetto's example-parallel-robots
+(https://github.com/Gepetto/example-parallel-robots, `robot.yaml`), and two additions: closures of type `rod`,
+whose origins keep their distance, and `coupled`, joints whose weighted coordinates add up to zero.
 """
 
 from __future__ import annotations
@@ -53,31 +54,34 @@ MATERIAL_COLORS = {
     "vermilion": (0.8, 0.4, 0.0),
     "reddish_purple": (0.8, 0.6, 0.7),
 }
-"""Colors that everybody can tell apart (Okabe and Ito, Color Universal Design, 2008)."""
+"""Colors that color-blind readers can distinguish (Okabe and Ito, Color Universal Design, 2008)."""
 
 
 INERTIA_ATTRIBUTES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Attributes of an inertia: its upper triangle, row by row."""
 
 CLOSURE_TYPES_OF_JOINTS: dict[type[Joint], str] = {Fixed: "6d", Rod: "rod"}
-"""Types in the loop file of joints that close loops, other than balls."""
+"""Types in the loop file by kind of joint; all other joints that close loops are balls, type 3d."""
 
 WRITTEN_LIMIT = "1000"
-"""Of everything: URDF demands limits of hinges and slides, and the mechanism's joints have none."""
+"""Limit of coordinate, effort and velocity: URDF requires limits, and joints of scenes have none."""
 
 
 @checked
 def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
-    """The mechanism of a scene as URDF text.
+    """Return the mechanism of a scene as URDF text.
 
-    Links are named as the bodies, joints as the joints (`<joint>_1`, `<joint>_2`, ... for the parts
-    of a joint with several motions, from its first body to its second). Ball joints are placeholders,
-    revolute, for the loop file to replace. Of forces there is the damping of joints' springs, which
-    Pinocchio keeps and does not use. Gravity, control, other forces, prescribed motions and the initial
-    state are the scene's and not in the text. `keep_bodies` is as of `weld_loops`.
+    Links have the names of bodies, joints the names of joints. The parts of a joint with several motions are
+    `<joint>_1`, `<joint>_2`, ... from the first body to the second. Balls are revolute joints that the loop
+    file replaces. The text includes the damping of joint springs, which Pinocchio stores and does not use.
+    The text does not include gravity, control, other forces, prescribed motions and the initial state.
+
+    Args:
+        scene: scene with the mechanism.
+        keep_bodies: see `weld_loops`.
 
     Raises:
-        NameClashError: if the parts of a joint are named as another joint or body is.
+        NameClashError: if a part of a joint has the name of another joint or body.
 
     Examples:
         >>> '<robot name="pendulum">' in urdf.to_urdf(load("pendulum"))
@@ -93,12 +97,13 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
 
     for index, body in enumerate(mechanism.bodies):
         link = SubElement(robot, "link", name=body.name)
-        if index > 0:  # the ground does not move; readers warn of a root that has mass
+        if index > 0:  # no inertia of the ground: readers warn of a root with mass
             rotation = tree.initial_rotations[index]
             _add_inertial(link, body, body.center_of_mass - origins[index], rotation)
-        if index < len(scene.mechanism.bodies):  # the halves of a body are drawn once
+        if index < len(scene.mechanism.bodies):  # shapes of the first half only
             for shape in scene.mechanism.shapes(index):
                 add_visual(link, shape, origins[index], color(index))
+    # joints, and links of loop closures
     dampings = defaultdict[str, float](float)
     for force in scene.forces:
         if isinstance(force, JointSpring) and force.damping:
@@ -119,7 +124,7 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
 
 @checked
 def to_loops(scene: Scene, keep_bodies: bool = False) -> str:
-    """The loop file (YAML text) that belongs to `to_urdf(scene, keep_bodies)`.
+    """Return the loop file, YAML text, for `to_urdf(scene, keep_bodies)`.
 
     Examples:
         >>> "closed_loop" in urdf.to_loops(load("four_bar"))
@@ -162,9 +167,9 @@ def to_loops(scene: Scene, keep_bodies: bool = False) -> str:
 
 @checked
 def write(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write `<path>`, which must end in .urdf, and `<stem>.loops.yaml` beside it.
+    """Write a URDF file, and the loop file `<stem>.loops.yaml` next to it.
 
-    Each file appears whole or not at all.
+    A failed write leaves no partial file. The path must end in .urdf.
 
     Raises:
         UrdfError: for another suffix, a path that cannot be written, or names that clash.
@@ -189,7 +194,7 @@ def loops_path(path: str | os.PathLike[str]) -> Path:
 
 
 def closures(welded: WeldedMechanism) -> list[list[tuple[str, int, Array]]]:
-    """For each cut, on its first and its second body: frame name, body index and point in the world."""
+    """Return frame name, body number and point (3,), world frame, of both ends of each loop closure."""
     pairs = []
     for index in welded.tree.cuts:
         joint, equations = welded.mechanism.joints[index], welded.tree.equations(index)
@@ -200,7 +205,7 @@ def closures(welded: WeldedMechanism) -> list[list[tuple[str, int, Array]]]:
 
 
 def _add_inertial(link: Element, body: Body, center: Array, rotation: Array) -> None:
-    """Mass, center of mass and inertia in the link's frame, which `rotation` takes the body's to."""
+    """Add mass, center of mass and inertia in the frame of the link; `rotation` is the body's in it."""
     inertial = SubElement(link, "inertial")
     SubElement(inertial, "origin", xyz=numbers(center), rpy="0 0 0")
     SubElement(inertial, "mass", value=repr(body.mass))
@@ -217,7 +222,7 @@ def _add_chain(
     origins: list[Array],
     dampings: Mapping[str, float],
 ) -> None:
-    """One joint of the tree: a chain from its parent's link to its child's, `dampings` by URDF joint."""
+    """Add a joint of the tree, a chain of joints from parent to child; `dampings` by URDF joint."""
     names, joint = welded.mechanism.body_names, welded.tree.joint(kept.joint)
     parent, child = names[kept.parent], names[kept.child]
     origin = origins[kept.parent]
@@ -246,7 +251,7 @@ def _add_chain(
 
 
 def _axis(motion: Motion) -> Array:
-    """(3,) axis of a motion; any will do for the placeholder of a ball."""
+    """Return the axis (3,) of a motion; an arbitrary one for the placeholder of a ball."""
     return np.array([0.0, 0.0, 1.0]) if motion.kind == "ball" else motion.axis
 
 
@@ -267,7 +272,7 @@ def _check_names(robot: Element) -> None:
 
 
 def color(index: int) -> str:
-    """The material of body number `index`."""
+    """Return the material of body number `index`."""
     return list(MATERIAL_COLORS)[index % len(MATERIAL_COLORS)]
 
 
@@ -279,9 +284,9 @@ def add_materials(robot: Element) -> None:
 
 
 def add_visual(link: Element, shape: Shape, origin: Array, material: str) -> None:
-    """Draw a shape on a link whose frame is parallel to the world with its origin at `origin` (3,).
+    """Add a shape to a link whose frame is parallel to the world, with origin (3,), m, world frame.
 
-    A capsule becomes a cylinder, which is what URDF has.
+    A capsule becomes a cylinder, because URDF has no capsules.
     """
     visual = SubElement(link, "visual")
     if isinstance(shape, Box):
@@ -304,7 +309,7 @@ def add_visual(link: Element, shape: Shape, origin: Array, material: str) -> Non
 
 
 def roll_pitch_yaw(matrix: Array) -> tuple[float, float, float]:
-    """Angles of R = R_z(yaw) R_y(pitch) R_x(roll) for a (3, 3) rotation; roll is 0 at pitch 90 deg."""
+    """Return the angles of R = R_z(yaw) R_y(pitch) R_x(roll) (3, 3); roll is 0 at pitch 90 degrees."""
     cosine = math.hypot(matrix[0, 0], matrix[1, 0])
     pitch = math.atan2(-matrix[2, 0], cosine)
     if cosine < 1e-12:
@@ -317,13 +322,13 @@ def roll_pitch_yaw(matrix: Array) -> tuple[float, float, float]:
 
 
 def _along(direction: Array) -> tuple[float, float, float]:
-    """Roll, pitch and yaw that turn z to a direction (3,)."""
+    """Return roll, pitch and yaw that turn the z axis to a direction (3,)."""
     x, y, z = direction
     return 0.0, math.atan2(math.hypot(x, y), z), math.atan2(y, x)
 
 
 def numbers(values: Iterable[float]) -> str:
-    """Numbers as a URDF attribute: the shortest text that reads back as the same doubles."""
+    """Return numbers as a URDF attribute: the shortest texts that parse to the same doubles."""
     return " ".join(repr(float(value) + 0.0) for value in values)  # + 0.0 turns -0.0 into 0.0
 
 

@@ -152,9 +152,7 @@ def test_a_delayed_actuator_is_left_out(tmp_path: Path) -> None:
     motor = '<actuator><motor joint="p" delay="0.01" nsample="9"/></actuator>'
     found = reading(tmp_path, model(PAIR, motor + '<keyframe><key ctrl="3"/></keyframe>'))
     assert not found.scene.control
-    assert [
-        e for e in found.report.of("left out") if e.how.startswith("its activation changes at the start")
-    ]
+    assert [e for e in found.report.of("left out") if e.how.startswith("its activation changes at the start")]
 
 
 def test_what_no_reading_covers_is_refused(tmp_path: Path) -> None:

@@ -23,14 +23,18 @@ URDF_EDITS: dict[str, tuple[str, str, str]] = {
     "a circle of links": (
         '<parent link="base"/>\n    <child link="crank"/>',
         '<parent link="coupler"/>\n    <child link="crank"/>',
-        "link 'crank': its joints lead round in a circle",
+        "link 'crank': its joints form a circle",
     ),
     "nothing but a circle": (
         "</robot>",
         '<joint name="j" type="fixed"><parent link="coupler"/><child link="base"/></joint></robot>',
-        "its joints lead round in a circle, back to it; needed: a tree",
+        "its joints form a circle; needed: a tree",
     ),
-    "a joint to itself": (ROCKER, ROCKER.replace("base", "rocker"), "link 'rocker': its joints lead round"),
+    "a joint to itself": (
+        ROCKER,
+        ROCKER.replace("base", "rocker"),
+        "'rocker': its joints form",
+    ),
     "two parents": (ROCKER, ROCKER.replace("rocker", "crank"), "child of both joint 'motor' and 'axle'"),
     "two roots": ("</robot>", '<link name="lonely"/></robot>', "links 'base' and 'lonely': no joint leads"),
     "no links": (URDF, '<robot name="empty"/>', "no links"),

@@ -214,13 +214,13 @@ def test_options_of_files_are_not_of_models(four_bar, tmp_path):
     for options, message in (
         ({"q": [0.0, np.nan, 0.0]}, r"q\[1\] is nan; needed: a finite number"),
         ({"q": [0.0]}, r"q has shape \(1,\), or"),
-        ({"loops": "loops.yaml"}, "loops is 'loops.yaml'; needed: none, as it is of URDF files"),
-        ({"base": "free"}, "base is 'free'; needed: none, as it is of URDF files"),
+        ({"loops": "loops.yaml"}, "loops is 'loops.yaml'; needed: no loops for a model in memory"),
+        ({"base": "free"}, "base is 'free'; needed: no base for a model in memory"),
         ({"base": "floating"}, "unknown base 'floating'"),
     ):
         with pytest.raises(NewtonEulerError, match=message):
             urdf.read(four_bar, **options)
-    with pytest.raises(NewtonEulerError, match="needed: none, as a URDF starts from coordinates 0"):
+    with pytest.raises(NewtonEulerError, match="needed: no q for a URDF"):
         urdf.read(tmp_path / "robot.urdf", q=[0.0])
 
 

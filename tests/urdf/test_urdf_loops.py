@@ -93,8 +93,8 @@ def test_fixed_joints_are_held(tmp_path: Path) -> None:
     assert [type(j) for j in found.scene.mechanism.joints] == [Revolute]
     same_motion(found, reading(tmp_path, robot(*parts, joint("lock", "fixed", "a", "b")), with_types()))
     lines = [str(entry) for entry in found.report.entries]
-    assert "joint 'lock': exactly: held at 0, as the loop file says" in lines
-    assert "joint 'lock': left out: its damping 0.4: it is no hinge or slide that moves" in lines
+    assert "joint 'lock': exactly: held at 0 by the loop file" in lines
+    assert "joint 'lock': left out: its damping 0.4: the joint is not a moving hinge or slide" in lines
 
 
 def test_a_joint_has_one_type(tmp_path: Path) -> None:

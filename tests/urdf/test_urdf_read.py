@@ -59,7 +59,7 @@ def test_free_and_planar_joints_and_mimics(tmp_path: Path) -> None:
     assert kinds == {"floats": Free, "slides": Compound, "leads": Revolute, "follows": Prismatic}
     (gear,) = found.scene.mechanism.couplings
     assert (gear.driver, gear.follower, gear.ratio) == ("leads", "follows", 0.5)
-    where = "joints start where their mimics' offsets put them with their drivers at 0, m or rad: "
+    where = "followers of mimics start at these coordinates, with drivers at 0, m or rad: "
     assert found.report.start[:2] == [
         where + "'follows' 0.1",
         "starts from coordinates 0 and mimics at their offsets: all loops closed, to 0.0e+00",
@@ -172,7 +172,7 @@ def test_joints_that_move_no_mass_are_held_and_reported(tmp_path: Path) -> None:
     assert found.scene.mechanism.joint_names == ("moves",)
     lines = [str(entry) for entry in found.report.of("left out")]
     assert "joint 'idle': left out: it moves no mass: held where it is" in lines
-    assert "mimic of joint 'idle': left out: one of its joints moves nothing" in lines
+    assert "mimic of joint 'idle': left out: one of its joints has no moving body" in lines
 
 
 def test_a_mesh_whose_reading_is_ended_leaves_no_part_of_a_file(tmp_path: Path) -> None:

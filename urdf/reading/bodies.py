@@ -1,4 +1,4 @@
-"""Bodies and tree joints of a Pinocchio model; links without mass between joints are joined up."""
+"""Import bodies and tree joints of a Pinocchio model; joints of massless links become one joint."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ GROUND = "ground"
 
 
 class Tree:
-    """Bodies and joints of the tree.
+    """Imported bodies and tree joints.
 
     Attributes:
-        bodies: ground first.
-        joints: one for each moving body.
-        names: for each of Pinocchio's joints the body that it moves; None for a link without mass.
-        keys: where each of Pinocchio's hinges and slides is, by name; coordinates are zero at the start.
+        bodies: bodies of the scene, ground first.
+        joints: one joint for each moving body.
+        names: for each of Pinocchio's joints, the body that the joint moves; None for a massless link.
+        keys: joint and coordinate of each of Pinocchio's hinges and slides, by name; coordinates are zero at
+            the start.
     """
 
     def __init__(self, path: str, start: Start, motors: set[str], report: ImportReport) -> None:
-        """`motors` are names of joints that have one."""
+        """Import bodies and joints; `motors` are the names of joints with a motor."""
         self._path, self._model, self._start = path, start.model, start
         self._scratch: Any = start.model.createData()
         self.bodies = [Body.ground(GROUND)]
@@ -90,7 +91,7 @@ class Tree:
         parent = self.names[int(model.parents[chain[0]])]
         if parent is None:
             holder = self._link(int(model.parents[chain[0]]))
-            raise SourceError(self._path, f"several joints on link {holder!r}, which has no mass")
+            raise SourceError(self._path, f"link {holder!r} has several joints and no mass; give it a mass")
         names = list(dict.fromkeys(self._start.robot.urdf_joints[k] for k in chain))
         own_name = names[0] if len(names) == 1 else common_name(names) or f"{name}_joints"
         joint_name = unique_name(own_name, name, self.joint_names)
@@ -110,7 +111,7 @@ class Tree:
         return [joint.name for joint in self.joints]
 
     def _parts(self, index: int) -> list[Part]:
-        """The motions of one of Pinocchio's joints; none for a free one."""
+        """Return the motions of one of Pinocchio's joints; none for a free joint."""
         model, pose = self._model, self._start.data.oMi[index]
         joint, name = model.joints[index], str(model.names[index])
         if joint.shortname() == "JointModelFreeFlyer":
@@ -132,12 +133,14 @@ class Tree:
             if frame.type == pin.FrameType.BODY:
                 body = self.names[frame.parentJoint]
                 what = f"body {body!r}" if body == frame.name else f"part of {body!r}"
-                report.exactly(f"link {frame.name!r}", what if body else "no mass, no body")
+                report.exactly(f"link {frame.name!r}", what if body else "no body, because it has no mass")
 
     def end(self, frame: int) -> tuple[str, Array]:
-        """Body and place (3,), world frame, of one of Pinocchio's frames."""
+        """Return the body and the place (3,), m, world frame, of one of Pinocchio's frames."""
         found = self._model.frames[frame]
         body = self.names[found.parentJoint]
         if body is None:
-            raise SourceError(self._path, f"a loop ends on {found.name!r}, which is on a link without mass")
+            raise SourceError(
+                self._path, f"a loop ends on {found.name!r}, on a link without mass; give the link a mass"
+            )
         return body, self._start.data.oMf[frame].translation.copy()

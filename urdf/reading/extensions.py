@@ -1,6 +1,6 @@
-"""Loops, springs and rotors that tools add to a URDF in elements of their own.
+"""Read loops, springs and rotors that tools add to a URDF in additional elements.
 
-Read, where what they mean is documented:
+The reader supports documented elements:
 
 - `<gazebo><joint>`, https://classic.gazebosim.org/tutorials?tut=kinematic_loop: the joint's `<pose>` is in
   the child's frame, its axis in the joint's own frame (SDF 1.7); both links are where all joints are at 0;
@@ -9,7 +9,7 @@ Read, where what they mean is documented:
 - `drake:ball_constraint`, `drake:linear_spring_damper`, `drake:rotor_inertia` and `drake:gear_ratio`, see
   `parse_urdf.cc` and `detail_common.h` of Drake.
 
-Other elements that hold bodies together or push them are refused, with their line.
+Other elements that connect or push bodies are refused, with their line.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ CLOSURE_TYPE_OF_JOINT = {
     "spherical": "3d",
     "fixed": "6d",
 }
-"""Kinds of joints that close loops, by their types in files."""
+"""Type of closure, by joint type in files."""
 
 ONSHAPE_LOOP_NAME = re.compile(r"closing_(.+)_([12])")
-"""Names of the two links that onshape-to-robot leaves where a loop is closed."""
+"""Names of the two links that onshape-to-robot writes at the ends of a loop."""
 
 
 class End(NamedTuple):
-    """A frame on a link: the link's name, and the frame's placement in the link's frame (`pinocchio.SE3`)."""
+    """Frame on a link: name of the link, and `pinocchio.SE3` placement in the frame of the link."""
 
     link: str
     placement: Any
@@ -56,23 +56,25 @@ class End(NamedTuple):
 def read_extensions(
     path: str, text: str, root: ET.Element, loops: Loops, ignored: Sequence[str], report: ImportReport
 ) -> Extensions:
-    """Read all elements of a URDF that are no link and no joint.
+    """Read all elements of a URDF other than links and joints.
 
     Args:
-        path, text, root: of the URDF, which has been checked.
-        loops: of its loop file.
-        ignored: tags or names of elements that are left out, whatever they do.
-        report: filled.
+        path: path of the URDF.
+        text: text of the URDF.
+        root: root element of the checked URDF.
+        loops: content of the loop file.
+        ignored: tags or names of elements to leave out.
+        report: report that is filled.
 
     Raises:
-        SourceError: with the line of an element that holds or pushes and that is not understood, and for an
+        SourceError: for an unknown element that may connect or push bodies, with its line. Also for an
             ignored element that the file does not have.
     """
     return _Reader(path, text, root, loops, ignored, report).found
 
 
 class _Reader:
-    """One pass over the elements."""
+    """Reader of the elements of one URDF."""
 
     def __init__(
         self,
@@ -98,7 +100,7 @@ class _Reader:
         self._read_all(loops)
         if missing := [name for name in ignored if name not in self._used]:
             known = list(dict.fromkeys(self._candidates))
-            needed = choices(missing[0], known) if known else "none, as the file has no such elements"
+            needed = choices(missing[0], known) if known else "no name, the file has no such elements"
             problem = f"ignore is {missing[0]!r:.100}; needed: a tag or a name of an element; {needed}"
             raise SourceError(path, problem)
         self.found.text = self._amended(text)
@@ -114,8 +116,8 @@ class _Reader:
                 if ACTING_TAGS.search(tag) or (
                     tag in ("joint", f"{DRAKE_PREFIX}joint") and place is not None
                 ):
-                    raise self._refused(element, "is not understood: it may close a loop or exert a force")
-                self._report.not_understood(what, "no rule knows it, so it is not simulated")
+                    raise self._refused(element, "is unknown, and may close a loop or exert a force")
+                self._report.not_understood(what, "unknown to the reader and not simulated")
         self._check_onshape(loops)
         for joint in self._joints.values():
             self._read_dynamics(joint)
@@ -136,7 +138,7 @@ class _Reader:
         hit = self._ignored & {name for name in names if name}
         if hit:
             self._used |= hit
-            self._report.left_out(what, "ignored, as asked for")
+            self._report.left_out(what, "ignored by the option `ignore`")
         return bool(hit)
 
     def _refused(self, element: ET.Element, problem: str) -> SourceError:
@@ -151,7 +153,7 @@ class _Reader:
         return not re.search("spring|bushing|tendon", tag)
 
     def _read(self, element: ET.Element, tag: str, place: ET.Element) -> bool:
-        """Read an element; False if no rule does."""
+        """Read an element; False for an unknown element."""
         match tag_of(place), tag:
             case "gazebo", "joint":
                 self._read_gazebo_joint(element)
@@ -167,7 +169,7 @@ class _Reader:
             case _, "drake:linear_spring_damper":
                 self._read_spring(element)
             case "joint", "drake:rotor_inertia" | "drake:gear_ratio":
-                pass  # read before
+                pass  # `_read_rotors` has read these
             case "joint", "joint_properties":
                 return self._is_zero(element, place)
             case _:
@@ -176,12 +178,12 @@ class _Reader:
 
     @staticmethod
     def _is_ordinary(element: ET.Element, tag: str) -> bool:
-        """True if a body falls and moves as every other one does."""
+        """True if an element leaves a body movable and subject to gravity."""
         text = (element.text or "").strip().lower()
         return text in (("true", "1") if tag == "gravity" else ("false", "0"))
 
     def _is_zero(self, element: ET.Element, joint: ET.Element) -> bool:
-        """Report an element whose friction and damping, its only attributes, are 0; False for any other."""
+        """Report an element whose only attributes are friction and damping of 0; False for others."""
         if not element.attrib or not element.attrib.keys() <= {"friction", "damping"}:
             return False
         numbers = [self._number(element, value, name) for name, value in element.attrib.items()]
@@ -224,14 +226,14 @@ class _Reader:
     # Loops
 
     def _placed(self, end: End) -> Any:
-        """The placement of a frame in the world with all joints at 0."""
+        """Return the placement of a frame in the world with all joints at 0."""
         model = pin.buildModelFromXML(self._plain)
         data = model.createData()
         pin.framesForwardKinematics(model, data, pin.neutral(model))
         return data.oMf[model.getFrameId(end.link, pin.FrameType.BODY)] * end.placement
 
     def _facing(self, end: End, other: str) -> End:
-        """The frame on another link that coincides with one with all joints at 0."""
+        """Return the frame on another link that coincides with a frame, with all joints at 0."""
         return End(other, self._placed(End(other, pin.SE3.Identity())).actInv(self._placed(end)))
 
     def _read_gazebo_joint(self, element: ET.Element) -> None:
@@ -242,7 +244,7 @@ class _Reader:
         if pose is not None:
             frame = pose.get("relative_to") or pose.get("frame") or link
             if frame not in self._links:
-                raise self._refused(pose, f"is relative to {frame!r:.100}, which is no link")
+                raise self._refused(pose, f"is relative to {frame!r:.100}, which is not a link")
             numbers = self._numbers(pose, pose.text or "0 0 0 0 0 0", 6, "pose")
         placement = pin.SE3(pin.rpy.rpyToMatrix(*numbers[3:]), numbers[:3])
         child = self._end(element, link, placement)
@@ -264,17 +266,17 @@ class _Reader:
         self._report_rest(element)
 
     def _report_rest(self, element: ET.Element) -> None:
-        """Report what a joint in `<gazebo>` has beside its motion and its place."""
+        """Report damping, friction, stiffness and limits of a joint in `<gazebo>`."""
         name = f"joint {element.get('name')!r} of gazebo"
         for part in ("damping", "friction", "spring_stiffness"):
             text = element.findtext(f"axis/dynamics/{part}")
             if text is not None and (number := self._number(element, text, part)):
                 self._report.left_out(name, f"its {part} {text.strip()}", topic=part, numbers=[number])
         if element.find("axis/limit") is not None:
-            self._report.left_out(name, "its limits: limits are no bilateral constraints", topic="limits")
+            self._report.left_out(name, "its limits: limits are one-sided and not simulated", topic="limits")
 
     def _along(self, element: ET.Element, end: End, axis: Array) -> End:
-        """The same frame, turned so that its x axis is along an axis (3,) of the frame."""
+        """Turn a frame so that its x axis is along an axis (3,) of the frame."""
         length = float(np.linalg.norm(axis))
         if length == 0.0:
             raise SourceError(
@@ -287,7 +289,7 @@ class _Reader:
         kind = element.get("type")
         if kind not in CLOSURE_TYPE_OF_JOINT:
             needed = choices(kind, CLOSURE_TYPE_OF_JOINT)
-            raise self._refused(element, f"has the type {kind!r:.100}, which closes no loop here ({needed})")
+            raise self._refused(element, f"has the type {kind!r:.100}, which cannot close a loop ({needed})")
         return CLOSURE_TYPE_OF_JOINT[kind]
 
     def _read_loop_joint(self, element: ET.Element) -> None:
@@ -347,7 +349,7 @@ class _Reader:
                 continue
             if f"closing_{name}" in self._ignored:
                 self._used.add(f"closing_{name}")
-                self._report.left_out(f"loop 'closing_{name}'", "ignored, as asked for")
+                self._report.left_out(f"loop 'closing_{name}'", "ignored by the option `ignore`")
                 continue
             text = f"closed_loop: [[{', '.join(frames)}]], type: [3d], name_mot: []"
             problem = f"links {' and '.join(frames)}: onshape-to-robot's ends of a loop that nothing closes"
@@ -379,7 +381,7 @@ class _Reader:
             child = self._drake(element, tag, part)
             numbers.append(self._number(child, child.get("value"), part))
             if numbers[-1] < 0.0:
-                raise self._refused(element, f"has a {part} below 0")
+                raise self._refused(element, f"has a negative {part}")
         if ends[0].link == ends[1].link:
             raise self._refused(element, f"joins link {ends[0].link!r:.100} to itself")
         frames = self._add_frames(element.get("name") or "spring", *ends)
@@ -390,7 +392,7 @@ class _Reader:
         if joint not in self._joints:
             line = self._lines[place]
             raise SourceError(
-                self._path, f"line {line}: <gazebo> refers to {joint!r:.100}, which is no joint"
+                self._path, f"line {line}: <gazebo> refers to {joint!r:.100}, which is not a joint"
             )
         tag = tag_of(element)
         if tag == "dynamics":
@@ -418,7 +420,7 @@ class _Reader:
             self.found.springs[joint] = new
 
     def _read_dynamics(self, joint: ET.Element) -> None:
-        """Read attributes of `<dynamics>` that are no part of the URDF standard."""
+        """Read attributes of `<dynamics>` beyond the URDF standard."""
         for dynamics in joint.findall("dynamics"):
             name = str(joint.get("name"))
             values = {
@@ -456,7 +458,7 @@ class _Reader:
             self.found.armatures[joint_name] = self.found.armatures.get(joint_name, 0.0) + inertia
 
     def _amended(self, text: str) -> str:
-        """The URDF with a link and a fixed joint for each frame."""
+        """Return the URDF with a link and a fixed joint for each frame."""
         return text.rpartition("</robot")[0] + "".join(self._written()) + "</robot>" if self._frames else text
 
     def _written(self) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Springs, dampers and rotors of a URDF's joints, and springs between points of its links."""
+"""Import springs, dampers and rotors of joints, and springs between points of links."""
 
 from __future__ import annotations
 
@@ -6,17 +6,16 @@ from collections.abc import Iterator, Sequence
 
 from newton_euler.model.forces import Armature, JointSpring, PointSpring
 from newton_euler.reading.import_report import FORCE, ImportReport
-from urdf.extensions import PointSpringElement
+from urdf.extensions import ARMATURE, STIFFNESS, PointSpringElement
 from urdf.reading.bodies import Tree
 from urdf.reading.source import JointProperties
 from urdf.reading.start import Start
-from urdf.reference import ARMATURE, STIFFNESS
 
 
 def joint_springs(
     joints: list[JointProperties], start: Start, tree: Tree, report: ImportReport
 ) -> Iterator[JointSpring]:
-    """The springs and dampers of joints."""
+    """Yield springs and dampers of joints."""
     for joint in joints:
         name, damping, stiffness = joint.name, joint.damping, joint.stiffness
         if not (damping or stiffness):
@@ -30,17 +29,17 @@ def joint_springs(
             report.exactly(f"joint {name!r}", how, FORCE if stiffness else "")
             continue
         if damping:
-            why = f"its damping {damping:g}: it is no hinge or slide that moves"
+            why = f"its damping {damping:g}: the joint is not a moving hinge or slide"
             report.left_out(f"joint {name!r}", why, topic="damping")
         if stiffness:
-            why = f"its stiffness {stiffness:g}: it is no hinge or slide that moves"
+            why = f"its stiffness {stiffness:g}: the joint is not a moving hinge or slide"
             report.left_out(f"joint {name!r}", why, topic=STIFFNESS)
 
 
 def point_springs(
     springs: Sequence[PointSpringElement], start: Start, tree: Tree, report: ImportReport
 ) -> Iterator[PointSpring]:
-    """The springs and dampers between points."""
+    """Yield springs and dampers between points."""
     model = start.model
     for spring in springs:
         (a, p), (b, q) = (tree.end(model.getFrameId(name)) for name in spring.frames)
@@ -65,7 +64,7 @@ def point_springs(
 
 
 def armatures(joints: list[JointProperties], tree: Tree, report: ImportReport) -> Iterator[Armature]:
-    """The rotor inertias of joints."""
+    """Yield rotor inertias of joints."""
     for joint in joints:
         name, armature = joint.name, joint.armature
         if armature and name in tree.keys:
@@ -73,5 +72,5 @@ def armatures(joints: list[JointProperties], tree: Tree, report: ImportReport) -
             yield Armature(key[0], armature, key[1])
             report.exactly(f"joint {name!r}", f"its armature {armature:g} as a rotor inertia")
         elif armature:
-            why = f"its armature {armature:g}: it is no hinge or slide that moves"
+            why = f"its armature {armature:g}: the joint is not a moving hinge or slide"
             report.left_out(f"joint {name!r}", why, topic=ARMATURE)

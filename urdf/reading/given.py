@@ -1,4 +1,4 @@
-"""Pinocchio models in memory, with the constraints that close their loops."""
+"""Take Pinocchio models in memory, with the constraints that close their loops."""
 
 from __future__ import annotations
 
@@ -18,48 +18,48 @@ from urdf.model import GROUND, ClosedLoopModel
 from urdf.reading.source import JointProperties, SourceError
 
 PinocchioModel: TypeAlias = pin.Model | tuple[pin.Model, Sequence[pin.RigidConstraintModel]]
-"""A model that is not in a file, alone or with its constraints."""
+"""Model in memory, alone or with its constraints."""
 
 KNOWN_JOINT_MODELS = (
     *(f"{kind}{axis}" for kind in ("R", "RUB", "P") for axis in "XYZ"),
     *("RevoluteUnaligned", "RevoluteUnboundedUnaligned", "PrismaticUnaligned", "Universal", "Translation"),
     *("Spherical", "SphericalZYX", "Planar", "FreeFlyer"),
 )
-"""Kinds of joints, after `JointModel`, that a scene has."""
+"""Names of supported joint models, without the prefix `JointModel`."""
 
 ANCHOR_TYPES = {
     "PointAnchorConstraintModel": pin.ContactType.CONTACT_3D,
     "FrameAnchorConstraintModel": pin.ContactType.CONTACT_6D,
 }
-"""Constraints that are rigid ones under other names, by their classes."""
+"""Contact type of constraint classes that are equivalent to rigid constraints."""
 
 CLOSURE_TYPE_OF_CONTACT = {pin.ContactType.CONTACT_3D: "3d", pin.ContactType.CONTACT_6D: "6d"}
-"""Types of closures in loop files by those of rigid constraints."""
+"""Type of closure in a loop file, by contact type."""
 
 MAX_ROTATION_ERROR = 1e-9
-"""Largest entry of R^T R - 1 of a placement, which rounding leaves."""
+"""Largest entry of R^T R - 1 of a placement, for rounded rotations."""
 
 MAX_FINITE_LIMIT = 1e300
-"""Limits beyond are none: Pinocchio has infinity or the largest double."""
+"""Magnitude above which a limit counts as infinite: Pinocchio uses infinity or the largest double."""
 
 
 class Given:
-    """A model in memory, taken over.
+    """Checked model in memory.
 
     Attributes:
-        model: as it was given.
-        constraints: rigid ones.
-        where: a name for messages.
-        name: of the model.
-        closed: a copy of it, with a frame for each end of each constraint.
-        loops: what a loop file would say of the constraints.
-        q: Pinocchio's configuration (nq,) to start from.
-        called: what reports call it.
-        joints: what its joints have beside their motions.
+        model: model of the user.
+        constraints: rigid constraints.
+        where: name for messages.
+        name: name of the model.
+        closed: copy of the model, with a frame for each end of each constraint.
+        loops: equivalent content of a loop file.
+        q: (nq,) Pinocchio's configuration to start from.
+        called: name of `q` in reports.
+        joints: properties of joints.
     """
 
     def __init__(self, given: object, q: Sequence[float] | Array | None) -> None:
-        """Raises `SourceError` for anything but a `PinocchioModel` that a scene can be made of."""
+        """Check and copy a model; raises `SourceError` for other types and unsupported models."""
         model, constraints = given if isinstance(given, tuple) and len(given) == 2 else (given, ())
         if not isinstance(model, pin.Model) or not isinstance(constraints, Iterable):
             needed = "a path of a file, a pinocchio.Model or a pair of one and its RigidConstraintModels"
@@ -71,6 +71,7 @@ class Given:
         self.constraints = [self._rigid(each, number) for number, each in enumerate(constraints)]
         if problem := exceeded("closures", len(self.constraints)):
             raise SourceError(self.where, problem)
+        # a copy with frames at the ends of constraints
         own, pairs = model.copy(), []
         kinds = tuple(CLOSURE_TYPE_OF_CONTACT[constraint.type] for constraint in self.constraints)
         self.loops = replace(NO_LOOPS, closed_loop=closure_names(model, self.constraints), type=kinds)
@@ -107,10 +108,13 @@ class Given:
         for inertia, pose in zip(model.inertias, model.jointPlacements, strict=True):
             numbers += [[inertia.mass], inertia.lever, inertia.inertia.ravel(), pose.homogeneous.ravel()]
         if not all(np.all(np.isfinite(each)) for each in numbers):
-            raise SourceError(self.where, "it has numbers that are not finite")
+            raise SourceError(
+                self.where,
+                "it has numbers that are not finite; needed: finite gravity, inertias and placements",
+            )
 
     def _rigid(self, given: Any, number: int) -> Any:
-        """Copy a constraint, as a rigid one."""
+        """Return a rigid constraint that is equivalent to a given one."""
         kind = type(given).__name__
         is_rigid = isinstance(given, pin.RigidConstraintModel)
         if not (is_rigid and given.type in CLOSURE_TYPE_OF_CONTACT) and kind not in ANCHOR_TYPES:
@@ -147,7 +151,7 @@ class Given:
         return np.asarray(pin.normalize(model, found))
 
     def _hold(self) -> None:
-        """Let constraints whose second placement is the world's own, as by default, hold where they start."""
+        """Set the second placement of constraints to the world, if it is the default, to the start."""
         model = self.closed.model
         data = model.createData()
         pin.framesForwardKinematics(model, data, self.q)

@@ -1,8 +1,8 @@
-"""Read mesh files in a process of its own, which may not use much time or memory.
+"""Read mesh files in a separate process with limits of time and memory.
 
-`python load_meshes.py FOLDER BYTES FILE...` gets so much memory and writes the k-th file's vertices and
-triangles to FOLDER/k.npz; a file that cannot be read has none. Parsers of mesh formats are large, and what
-they are given may be hostile.
+Usage: `python load_meshes.py FOLDER BYTES FILE...`. The memory of the process is limited to BYTES. The
+vertices and triangles of file k are written to FOLDER/k.npz; a file that cannot be read has no output. The
+limits are needed because parsers of mesh formats are large, and a file may be hostile.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ from contextlib import suppress
 from pathlib import Path
 
 MAX_CPU_S = 3
-"""s"""
+"""Limit of CPU time, s."""
 
 
 def main() -> None:
+    """Read the files of the command line."""
     folder, memory, *files = sys.argv[1:]
-    with suppress(ImportError):  # not everywhere
+    with suppress(ImportError):  # Windows has no limits of resources
         import resource
 
         resource.setrlimit(resource.RLIMIT_CPU, (MAX_CPU_S, MAX_CPU_S))
@@ -31,8 +32,8 @@ def main() -> None:
         with suppress(ValueError, RuntimeError, MemoryError):
             mesh = loader.load(file, np.ones(3))
             rows = (mesh.tri_indices(k) for k in range(mesh.num_tris))
-            triangles = [(row[0], row[1], row[2]) for row in rows]  # they cannot be iterated over
-            partial = Path(folder) / "partial.npz"  # the limits may end this process while it writes
+            triangles = [(row[0], row[1], row[2]) for row in rows]  # coal's triangles are not iterable
+            partial = Path(folder) / "partial.npz"  # a limit may end the process during writing
             np.savez(partial, vertices=mesh.vertices(), triangles=triangles)
             partial.replace(Path(folder) / f"{number}.npz")
 

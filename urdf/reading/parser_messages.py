@@ -1,4 +1,4 @@
-"""Messages that Pinocchio's URDF parser writes on standard error."""
+"""Collect messages that Pinocchio's URDF parser writes on standard error."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from newton_euler.reading.import_report import Finding, ImportReport
 
 
 def report_complaints(words: Sequence[str], report: ImportReport) -> None:
-    """Make one finding of what the parser complains about, beside colors."""
+    """Add one finding for all messages of the parser, except messages about colors."""
     complaints = [line for line in words if not re.search("material|visual|color|texture", line, re.I)]
     if complaints:
         report.findings.append(
             Finding(
                 "parser-message",
                 "the file",
-                f"Pinocchio's parser has {len(complaints)} complaints, first {complaints[0]!r:.200}",
-                "it may read the file in another way than you mean",
-                "correct what it names",
+                f"Pinocchio's parser prints {len(complaints)} messages, the first is {complaints[0]!r:.200}",
+                "the parser may read the file differently from your intention",
+                "correct the element that the message names",
             )
         )
 
 
 @contextmanager
 def overheard(words: list[str]) -> Iterator[None]:
-    """Keep from the terminal what the parser writes on standard error, and collect its lines.
+    """Collect the lines that the parser writes on standard error, instead of printing them.
 
-    What the parser raises names no element; its lines do.
+    Errors of the parser name no element; its lines do.
     """
     sys.stderr.flush()
     before = os.dup(2)

@@ -1,4 +1,4 @@
-"""A URDF file, checked before any parser expands it, and what its joints have beside their motions."""
+"""Check a URDF file before any parser expands it, and read properties of its joints."""
 
 from __future__ import annotations
 
@@ -27,28 +27,30 @@ NUMBER_ATTRIBUTES = {
     "dynamics": ("damping", "friction"),
     "mimic": ("multiplier", "offset"),
 }
-"""Attributes that hold numbers, by element."""
+"""Attributes with numbers, by element."""
 
 JOINT_VELOCITIES = {"revolute": 1, "continuous": 1, "prismatic": 1, "fixed": 0, "floating": 6, "planar": 3}
-"""And how many velocities each of them has."""
+"""Number of velocities by joint type."""
 
 
 class SourceError(source_file.SourceError, UrdfError):
-    """A file that is no usable model: names the file and what is wrong where."""
+    """File that is not a usable model, with the file, the place and the problem."""
 
 
 class JointProperties(NamedTuple):
-    """Properties of a joint beside its motion.
+    """Properties of a joint in addition to its motion.
 
     Attributes:
-        name: of the joint.
-        damping, friction, armature: of its hinge or slide, N s/m, N and kg or N m s/rad, N m and kg m^2.
-        limits: lowest and highest coordinate and largest rate; None if it has none.
-        unit: of its coordinate, m or rad.
-        has_safety: whether it has a safety controller.
-        stiffness, rest: of its spring, N/m or N m/rad, and the coordinate, m or rad, where that
-            exerts nothing.
-        rotor: kg m^2 or kg, of a rotor seen through its gear, where that is no part of the armature.
+        name: name of the joint.
+        damping: N s/m or N m s/rad.
+        friction: dry friction, N or N m.
+        armature: rotor inertia, kg or kg m^2.
+        limits: smallest and largest coordinate, and largest rate; None without limits.
+        unit: unit of the coordinate, m or rad.
+        has_safety: True for a joint with a safety controller.
+        stiffness: stiffness of the spring, N/m or N m/rad.
+        rest: coordinate, m or rad, at which the spring exerts no force.
+        rotor: rotor inertia times gear ratio squared, kg m^2 or kg, if not part of the armature.
     """
 
     name: str
@@ -64,7 +66,7 @@ class JointProperties(NamedTuple):
 
 
 def joint_properties(root: ET.Element) -> list[JointProperties]:
-    """Read those of the joints of a URDF that has been checked."""
+    """Read the properties of all joints of a checked URDF."""
     found = []
     for joint in root.findall("joint"):
         dynamics, limit = joint.find("dynamics"), joint.find("limit")
@@ -93,15 +95,18 @@ def read_loops(path: str, text: str) -> Loops:
 
 
 def parsed(path: str, text: str) -> ET.Element:
-    """The root of a URDF with names and numbers that can be.
+    """Parse a URDF and check its names, structure and numbers.
+
+    Returns:
+        The root element.
 
     Raises:
-        SourceError: naming the line or the element at fault.
+        SourceError: with the line or the element at fault.
     """
     scan(path, text, None, check_expanded(path, SourceError), SourceError)
     try:
         root = ET.fromstring(text)
-    except ET.ParseError as error:  # a prefix of no namespace
+    except ET.ParseError as error:  # a prefix without namespace
         raise SourceError(path, f"not XML: {error}") from error
     for what in ("link", "joint"):
         names = [element.get("name") for element in root.findall(what)]
@@ -110,6 +115,7 @@ def parsed(path: str, text: str) -> ET.Element:
         for name, count in Counter(names).items():
             if count > 1:
                 raise SourceError(path, f"{what} {name!r:.100}: {count} of that name")
+    # numbers of elements, joints, and the tree of links
     links, joints = ({element.get("name") for element in root.findall(tag)} for tag in ("link", "joint"))
     if not links:
         raise SourceError(path, "no links")
@@ -121,6 +127,7 @@ def parsed(path: str, text: str) -> ET.Element:
     for joint in root.findall("joint"):
         _check_joint(path, joint, links, joints)
     _check_tree(path, root)
+    # numbers of all elements
     for element in (*root.findall("link"), *root.findall("joint")):
         where = f"{element.tag} {element.get('name')!r:.100}"
         for part in element.iter():
@@ -137,9 +144,9 @@ def parsed(path: str, text: str) -> ET.Element:
 
 
 def check_inertias(path: str, root: ET.Element) -> None:
-    """Raise `SourceError` for the first negative moment of inertia; Pinocchio's own error has no name.
+    """Raise `SourceError` for the first negative moment of inertia; Pinocchio's error names no link.
 
-    Moments that the round-off of the largest one in the file covers are zero.
+    Moments below the round-off of the largest moment in the file count as zero.
     """
     found: dict[str, Array] = {}
     for link in root.findall("link"):
@@ -172,7 +179,7 @@ def _check_joint(path: str, joint: ET.Element, links: set[str | None], joints: s
 
 
 def _check_tree(path: str, root: ET.Element) -> None:
-    """Raise `SourceError` unless the joints lead from one link to all others; parsers run in circles."""
+    """Raise `SourceError` unless joints connect one root link to all others; parsers do not check this."""
     above: dict[str, ET.Element] = {}
     for joint in root.findall("joint"):
         child = _end(joint, "child")
@@ -189,7 +196,7 @@ def _check_tree(path: str, root: ET.Element) -> None:
         trail: dict[str, None] = {}
         while child not in reached:
             if child in trail:
-                problem = f"link {child!r:.100}: its joints lead round in a circle, back to it"
+                problem = f"link {child!r:.100}: its joints form a circle"
                 raise SourceError(path, f"{problem}; needed: a tree, with loops in the loop file")
             trail[child] = None
             child = _end(above[child], "parent")
@@ -197,7 +204,7 @@ def _check_tree(path: str, root: ET.Element) -> None:
 
 
 def _end(joint: ET.Element, end: str) -> str:
-    """The link that a joint which has been checked has at one end."""
+    """Return the link at one end of a checked joint."""
     element = joint.find(end)
     return "" if element is None else str(element.get("link"))
 
@@ -211,6 +218,6 @@ def _check_numbers(where: str, path: str, name: str, value: str) -> None:
             number = float(token)
         except ValueError:
             number = math.nan
-        # limits are not looked at, and are often as good as infinite
+        # limits are not simulated, and often infinite
         if math.isnan(number) or (abs(number) > LARGEST and "<limit>" not in where):
             raise SourceError(path, f"{where} has {name}={value!r:.100}; needed: finite numbers")

@@ -1,4 +1,4 @@
-"""The configuration that a model starts from: zero or a given one, mimics at their offsets, loops closed."""
+"""Start of a model: coordinates 0 or a given configuration, mimics at their offsets, closed loops."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from urdf.reading.source import SourceError
 
 
 class Mimic:
-    """x_follower = multiplier * x_driver + offset, of joints of a URDF."""
+    """Mimic of a URDF: x_follower = multiplier * x_driver + offset."""
 
     def __init__(self, joint: ET.Element, mimic: ET.Element) -> None:
         self.follower, self.driver = str(joint.get("name")), str(mimic.get("joint"))
         self.multiplier, self.offset = float(mimic.get("multiplier", 1.0)), float(mimic.get("offset", 0.0))
 
 
-class _Plain:
-    """Coordinates as they are."""
+class _IdentityMap:
+    """Map of coordinates that changes nothing."""
 
     @staticmethod
     def v_from_pinocchio(v: Array) -> Array:
@@ -35,13 +35,14 @@ class _Plain:
 
 
 class Start(FileStart):
-    """A model and where it starts.
+    """Model at its start.
 
     Attributes:
         robot: Pinocchio's model and its closures.
-        loops, mimics: of the files.
-        q: Pinocchio's coordinates at the start.
-        data: with joint and frame placements there.
+        loops: content of the loop file.
+        mimics: mimics of the URDF.
+        q: (nq,) Pinocchio's coordinates at the start.
+        data: `pinocchio.Data` with joint and frame placements at the start.
     """
 
     error = SourceError
@@ -56,14 +57,25 @@ class Start(FileStart):
         tolerance: float,
         first: tuple[Array, str] | None = None,
     ) -> None:
-        """Close loops next to a configuration (nq,) of that name, or to that where the files have the joints.
+        """Close the loops.
 
-        Rows are redundant by the scene's `tolerance`. Raises `SourceError` for loops that do not close.
+        Args:
+            path: file or model, for messages.
+            closed: Pinocchio's model and its closures.
+            loops: content of the loop file.
+            mimics: mimics of the URDF.
+            report: report that receives lines about the start.
+            tolerance: `redundancy_tolerance` of the scene.
+            first: configuration (nq,) to start near to, with its name; None for coordinates 0.
+
+        Raises:
+            SourceError: for loops that do not close.
         """
         self.path, self.robot = path, closed
         self.model, self.loops, self.mimics = closed.model, loops, mimics
         self.data: Any = self.model.createData()
-        self._closures = Closures(closed, _Plain(), 1.0)  # type: ignore[arg-type]
+        self._closures = Closures(closed, _IdentityMap(), 1.0)  # type: ignore[arg-type]
+        # rows of loops, couplings and mimics
         names = [" and ".join(p) for p, t in zip(loops.closed_loop, loops.type, strict=True) if t != "rod"]
         rows = [3 if kind == "3d" else 6 for kind in loops.type if kind != "rod"]
         self.owners = [f"loop of {n}" for n, count in zip(names, rows, strict=True) for _ in range(count)]
@@ -72,17 +84,18 @@ class Start(FileStart):
         self._linear = self._linear.reshape(-1, self.model.nv)
         moved = self._mimicked(mimics)
         if not np.all(np.isfinite(moved)):
-            raise SourceError(path, "its mimics put joints out of the range of floating-point numbers")
+            raise SourceError(path, "the offsets of its mimics overflow")
         self._first = pin.integrate(self.model, pin.neutral(self.model), moved)
         offsets = np.array([0.0] * len(closed.couplings) + [m.offset for m in mimics])
         self._open = self._linear @ moved - offsets
         self._moved, self._bent = moved, closed.couplings.copy()
         self._bent[:, 0] = 0.0  # the linear part is in `_linear`
+        # the configuration to start near to, and the closed one
         called = "coordinates 0"
         if followers := [f"{m.follower!r} {x:.6g}" for m in mimics if (x := moved[self.place(m.follower)])]:
             called += " and mimics at their offsets"
             report.start.append(
-                "joints start where their mimics' offsets put them with their drivers at 0, m or rad: "
+                "followers of mimics start at these coordinates, with drivers at 0, m or rad: "
                 + ", ".join(followers)
             )
         if first is not None:
@@ -91,9 +104,9 @@ class Start(FileStart):
         report.start.extend(lines)
 
     def _mimicked(self, mimics: list[Mimic]) -> Array:
-        """(nv,) by which followers of mimics move, m or rad, while joints that follow none stay.
+        """Return displacements (nv,) of followers of mimics, m or rad, for all other joints at 0.
 
-        A joint whose drivers lead back to it stays too: it is for assembly to find where they agree.
+        A joint that follows itself through others stays at 0; loop closure finds a consistent value.
         """
         by_follower = {mimic.follower: mimic for mimic in mimics}
         moved = np.zeros(self.model.nv)
@@ -127,7 +140,7 @@ class Start(FileStart):
             place = self.place(name)
             if place is None:
                 raise SourceError(
-                    path, f"joint {mimic.follower!r}: mimics what is no hinge or slide, {name!r}"
+                    path, f"joint {mimic.follower!r}: mimic of {name!r}; needed: a hinge or slide"
                 )
             row[place] += factor
         return row

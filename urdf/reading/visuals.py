@@ -1,4 +1,4 @@
-"""Shapes of a URDF's links: boxes, round bars and meshes, for the eye only."""
+"""Import the shapes of links for display: boxes, round bars and meshes."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from urdf.reading.bodies import Tree
 from urdf.reading.start import Start
 
 MAX_MESH_BYTES = 50_000_000
-"""Of a mesh file."""
+"""Largest size of a mesh file."""
 
 MAX_MESHES_S = 60.0
-"""s for all meshes; they may use less of a processor, see `urdf.reading.load_meshes`."""
+"""Largest waiting time for all meshes, s; the CPU-time limit is in `urdf.reading.load_meshes`."""
 
 Color = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
 class _Visual:
-    """A visual element, where its body is and how it is placed in the world at the start."""
+    """Visual element with its body, color and pose in the world at the start."""
 
     body: int
     link: str
@@ -45,14 +45,14 @@ class _Visual:
 
 
 class _Unusable(Exception):
-    """Why a visual element cannot be drawn."""
+    """Visual element that cannot be shown, with the reason."""
 
 
 def with_visuals(path: str, root: ET.Element, start: Start, tree: Tree, report: ImportReport) -> list[Body]:
-    """The bodies of a tree with the shapes and meshes of their links; each mesh missing is reported.
+    """Return the bodies of a tree with shapes and meshes; reports meshes that cannot be read.
 
-    Mesh files have to be in the URDF's folder or the one around it, or in the package that they name: a
-    folder of that name around the URDF, or a folder with a `package.xml` beside one of those around it.
+    A mesh file must be in the folder of the URDF, in its parent folder, or in the package of its name. A
+    package is a parent folder of that name, or a folder with a `package.xml` in one of the parent folders.
     """
     shapes: list[tuple[_Visual, Shape]] = []
     meshes: list[tuple[_Visual, Path, Array]] = []
@@ -88,7 +88,7 @@ def with_visuals(path: str, root: ET.Element, start: Start, tree: Tree, report: 
 
 
 def _visuals(root: ET.Element, start: Start, tree: Tree) -> list[_Visual]:
-    """Those of the links that are part of a body."""
+    """Return the visual elements of links that are part of a body."""
     bodies = {body.name: k for k, body in enumerate(tree.bodies)}
     colors = {m.get("name"): _rgba(m) for m in root.findall("material")}
     found = []
@@ -119,7 +119,7 @@ def _rgba(material: ET.Element) -> Color | None:
 
 
 def origin(element: ET.Element | None) -> Any:
-    """The pose that an <origin> gives, whose numbers have been checked."""
+    """Return the pose of a checked `<origin>`."""
     if element is None:
         return pin.SE3.Identity()
     rpy = [float(x) for x in element.get("rpy", "0 0 0").split()]
@@ -128,7 +128,7 @@ def origin(element: ET.Element | None) -> Any:
 
 
 def _primitive(visual: _Visual) -> Shape | None:
-    """The box, cylinder or sphere of a visual; None if it has none of them."""
+    """Return the box, cylinder or sphere of a visual; None for other shapes."""
     geometry = visual.element.find("geometry")
     box, cylinder, sphere = (
         None if geometry is None else geometry.find(kind) for kind in ("box", "cylinder", "sphere")
@@ -159,10 +159,10 @@ def _numbers(element: ET.Element, name: str, count: int) -> Array:
 
 
 def _mesh(urdf: Path, visual: _Visual) -> tuple[Path, Array]:
-    """The file of a visual's mesh, and its scale (3,)."""
+    """Return the file of a visual's mesh, and its scale (3,)."""
     mesh = visual.element.find("geometry/mesh")
     if mesh is None:
-        raise _Unusable("no box, cylinder, sphere or mesh, which are what is drawn")
+        raise _Unusable("it has no box, cylinder, sphere or mesh")
     scale = _numbers(mesh, "scale", 3) if mesh.get("scale") else np.ones(3)
     name = mesh.get("filename", "")
     home = urdf.resolve().parent
@@ -183,10 +183,10 @@ def _mesh(urdf: Path, visual: _Visual) -> tuple[Path, Array]:
 
 
 def packages(home: Path, name: str) -> list[Path]:
-    """The folders that may be a package, the nearest to `home` first; none is directly below `/`.
+    """Return the folders that may be a package, nearest to `home` first, never directly below `/`.
 
-    A folder beside those around `home` has to have a `package.xml`: any file of the disk could be named
-    otherwise.
+    A folder that does not contain `home` needs a `package.xml`. Otherwise a URDF could name any file of the
+    disk.
     """
     if name in ("", ".", "..") or "\0" in name:
         return []
@@ -202,12 +202,12 @@ def packages(home: Path, name: str) -> list[Path]:
 
 
 def _loaded(files: list[Path]) -> dict[Path, Mesh | None]:
-    """The meshes of files in the files' own coordinates; None for what no mesh can be read from."""
+    """Read mesh files, in the coordinates of the files; None for a file that cannot be read."""
     found: dict[Path, Mesh | None] = dict.fromkeys(files)
     if not files:
         return found
     with tempfile.TemporaryDirectory() as folder:
-        # by its path, without the packages around it: nothing but coal has to be imported
+        # run by path, so that the process imports coal only
         script = Path(__file__).with_name("load_meshes.py")
         memory = str(size_in_bytes("memory"))
         command = [sys.executable, "-P", str(script), folder, memory, *map(str, files)]
@@ -227,7 +227,7 @@ def _loaded(files: list[Path]) -> dict[Path, Mesh | None]:
 
 
 def _placed(visual: _Visual, mesh: Mesh, scale: Array) -> Mesh:
-    """A file's mesh where a visual has it in the world."""
+    """Place the mesh of a file at the pose of a visual."""
     vertices = (scale * mesh.vertices) @ visual.pose.rotation.T + visual.pose.translation
     turned = mesh.triangles if np.prod(scale) > 0.0 else mesh.triangles[:, ::-1]
     return Mesh(vertices, turned, visual.color)

@@ -1,7 +1,7 @@
-"""Elements and attributes of URDF files: those that are read, those that move nothing, and all others.
+"""Vocabulary of URDF files: elements and attributes that are read, that move nothing, and all others.
 
-URDF is extended by many tools, and parsers ignore what they do not know. An element that is in no list here
-may act, so a report counts it as not understood.
+Many tools extend URDF, and parsers ignore unknown elements. An element that is in no list of this module may
+act, and a report counts it as not understood.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ READ_ELEMENTS = {
         {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller"}
     ),
 }
-"""Elements that are read, by the element that they are in."""
+"""Elements that the reader imports, by parent element."""
 
 REPEATED_ELEMENTS = frozenset({"visual", "collision"})
-"""Elements of links of which each one counts; of all other elements parsers read the first."""
+"""Elements that a link may have several times; parsers read only the first of all other elements."""
 
 PASSIVE_ELEMENTS = {
     "robot": frozenset(
@@ -156,7 +156,7 @@ PASSIVE_ELEMENTS = {
     "transmission": frozenset({"drake:gear_ratio", "drake:rotor_inertia"}),
     "mujoco": frozenset({"compiler", "size"}),
 }
-"""Elements that exert no force and hold nothing, by the element that they are in."""
+"""Elements without forces and constraints, by parent element."""
 
 READ_ATTRIBUTES = {
     "origin": frozenset({"xyz", "rpy"}),
@@ -182,30 +182,30 @@ READ_ATTRIBUTES = {
     "parent": frozenset({"link", "joint"}),
     "child": frozenset({"link", "joint"}),
 }
-"""Attributes of the elements in which numbers act."""
+"""Known attributes of elements whose numbers act."""
 
 PASSIVE_PLUGIN = re.compile(
     r"control|state_?publisher|camera|imu|laser|ray|lidar|gps|gnss|p3d|ft_?sensor|force_?torque|sensor|"
     r"bumper|contact|range|odometry|ground_truth|video|range|joint_state|pose",
     re.IGNORECASE,
 )
-"""File names of Gazebo's plugins that exert nothing unless something is commanded."""
+"""File names of Gazebo's plugins that exert no force without a command."""
 
 ACTING_IN_TRANSMISSION = re.compile(r"inertia|stiff|damp|friction|backlash|spring|elastic", re.IGNORECASE)
-"""Parts of transmissions that would exert forces; the others say how commands become forces."""
+"""Parts of transmissions that exert forces; other parts map commands to forces."""
 
 ACTING_TAGS = re.compile(r"constraint|loop|closure|closing|weld|tendon|bushing|spring|coupl|equality", re.I)
-"""Tags of elements that hold bodies together or push them, in whatever tool."""
+"""Tags of elements that connect or push bodies, of any tool."""
 
 
 def tag_of(element: ET.Element) -> str:
-    """The tag as the file has it: Drake's elements with their prefix, others without a namespace."""
+    """Return the tag of an element: Drake's elements with their prefix, others without a namespace."""
     space, _, tag = element.tag.rpartition("}")
     return f"{DRAKE_PREFIX}{tag}" if "drake" in space.lower() else tag
 
 
 def check_expanded(path: str, error: type[FileError]) -> Callable[[str, dict[str, str], int], None]:
-    """Return what `scan` calls for each element to refuse SDF files and macros that xacro has to expand."""
+    """Return a callback for `scan` that refuses SDF files and macros of xacro."""
     seen: list[str] = []
 
     def begin(tag: str, attributes: dict[str, str], line: int) -> None:
@@ -226,9 +226,9 @@ def check_expanded(path: str, error: type[FileError]) -> Callable[[str, dict[str
 
 
 def unknown(root: ET.Element) -> Iterator[tuple[ET.Element, str]]:
-    """Elements that no rule knows, each with what reports call it; those that close loops are not among them.
+    """Yield elements that no rule of this module knows, with their names in reports.
 
-    Elements in `<gazebo>`, `<transmission>` and `<mujoco>` are looked through, too.
+    The search includes elements in `<gazebo>`, `<transmission>` and `<mujoco>`.
     """
     links = {link.get("name") for link in root.findall("link")}
     for element in root:
@@ -250,6 +250,7 @@ def unknown(root: ET.Element) -> Iterator[tuple[ET.Element, str]]:
                     yield part, f"<{own}> of {where if name else tag}"
         elif tag not in PASSIVE_ELEMENTS["robot"]:
             yield element, f"<{tag}>{f' {name!r:.100}' if name else ''}"
+    # repeated elements, and unknown attributes of elements that are read
     for element in (*root.findall("link"), *root.findall("joint")):
         yield from _repeated(element)
         for part in (*element, *element.findall("inertial/*")):
@@ -260,7 +261,7 @@ def unknown(root: ET.Element) -> Iterator[tuple[ET.Element, str]]:
 
 
 def _repeated(element: ET.Element) -> Iterator[tuple[ET.Element, str]]:
-    """Elements of a link or joint that parsers ignore, because they read only the first with the same tag."""
+    """Yield repeated elements of a link or joint; parsers read only the first of each tag."""
     where = f"{element.tag} {element.get('name')!r:.100}"
     for parent in (element, *element.findall("inertial")):
         for tag in sorted(READ_ELEMENTS[parent.tag] - REPEATED_ELEMENTS):
@@ -270,7 +271,7 @@ def _repeated(element: ET.Element) -> Iterator[tuple[ET.Element, str]]:
 
 def _inside(element: ET.Element, place: str, where: str) -> Iterator[tuple[ET.Element, str]]:
     known = READ_ELEMENTS.get(place, frozenset()) | PASSIVE_ELEMENTS[place]
-    if place.startswith("gazebo"):  # flags of links and joints are found on either, and do nothing there
+    if place.startswith("gazebo"):  # flags of joints on links, and of links on joints, do nothing
         known |= PASSIVE_ELEMENTS["gazebo link"] | PASSIVE_ELEMENTS["gazebo joint"]
     for part in element:
         tag = tag_of(part)
@@ -282,8 +283,8 @@ def _inside(element: ET.Element, place: str, where: str) -> Iterator[tuple[ET.El
 
 
 def report_unmoving(root: ET.Element, report: ImportReport) -> None:
-    """Count the elements that move nothing, and report why."""
+    """Report the numbers of elements that move nothing."""
     counts = Counter(tag_of(element) for element in root)
     for tag, count in counts.items():
         if tag not in ("link", "joint", "material"):
-            report.left_out(f"{count} <{tag}>", "its parts that are understood move nothing", inert=True)
+            report.left_out(f"{count} <{tag}>", "its known parts move nothing", inert=True)

@@ -118,7 +118,7 @@ def test_assets_elsewhere_are_a_question_of_trust(capsys: pytest.CaptureFixture[
 
 def test_a_chain_that_is_too_long_for_mujocos_parser() -> None:
     mujoco.MjModel.from_xml_string(mjcf.to_xml(load("chain", N=490)))
-    with pytest.raises(ModelError, match="491 bodies in one branch; .* at most 490"):
+    with pytest.raises(ModelError, match=r"491 bodies in one branch; .* at most 490"):
         mjcf.to_xml(load("chain", N=491))
 
 
