@@ -29,6 +29,15 @@ import numpy as np
 
 from mjcf.layout import element_name
 from mjcf.reading.bodies import GROUND, Bodies
+from mjcf.reading.force_limits import (
+    FORCE_LIMITS,
+    JOINT_TRANSMISSIONS,
+    actuator_force_unit,
+    distances_from_limits,
+    joint_force_unit,
+    joint_force_watch,
+    limited_tendon,
+)
 from mjcf.reading.forces import Forces, reduced_inertia
 from mjcf.reading.joints import FREE, Joints, Ties
 from mjcf.reading.laws import Acting, Affine, Drive, control_for, swinging
@@ -43,21 +52,6 @@ from newton_euler.reading.import_report import CONTROL, CONTROL_RANGE, FORCE, RO
 from newton_euler.scalars import Array
 
 TRANSMISSION, DYNAMICS, GAIN, BIAS = mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
-
-JOINT = mujoco.mjtJoint
-
-FORCE_UNITS = {
-    JOINT.mjJNT_SLIDE: "N",
-    JOINT.mjJNT_HINGE: "N m",
-    JOINT.mjJNT_BALL: "N m",
-    JOINT.mjJNT_FREE: "N, N m",
-}
-"""Units of forces by type of joint; a free joint has forces of both units."""
-
-JOINT_TRANSMISSIONS = (TRANSMISSION.mjTRN_JOINT, TRANSMISSION.mjTRN_JOINTINPARENT)
-
-FORCE_LIMITS = ("actuator_force", "tendon_actfrc", "jnt_actfrc")
-"""Prefixes of the force limits in MuJoCo's model."""
 
 ACTUATOR_GROUPS = 31
 """Number of groups of actuators that a file can disable."""
@@ -248,34 +242,16 @@ class Actuators:
             terms = tuple((self._joints.keys[k], moment) for k, moment in (moments or {}).items())
             constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
             moving = swinging(constant, tuple(self._swing_force(actuator, 1.0)))
-            unit = self._force_unit(actuator)
+            unit = actuator_force_unit(model, actuator)
             watch = Bounds(terms, low, high, unit, moving, law.by_length, law.by_rate)
             known = moments is not None or not (law.by_length or law.by_rate)
             why = f"its limit of the force, {low:g} to {high:g}"
             watches = [watch] if known else []
             report.left_out(element, why, topic="limit of the force", watches=watches, numbers=[low, high])
-        tendon = int(model.actuator_trnid[actuator, 0])
-        on_tendon = model.actuator_trntype[actuator] == TRANSMISSION.mjTRN_TENDON
-        if on_tendon and model.tendon_actfrclimited[tendon]:
+        if (tendon := limited_tendon(model, actuator)) is not None:
             low, high = (float(x) for x in model.tendon_actfrcrange[tendon])
             why = f"its tendon's limit of actuator forces, {low:g} to {high:g}"
             report.left_out(element, why, topic="limit of its tendon", numbers=[low, high])
-
-    def _force_unit(self, actuator: int) -> str:
-        """Return the unit of an actuator's force on the length or angle of its transmission."""
-        model, target = self._model, int(self._model.actuator_trnid[actuator, 0])
-        kind = TRANSMISSION(model.actuator_trntype[actuator])
-        if kind in JOINT_TRANSMISSIONS:
-            return FORCE_UNITS[JOINT(model.jnt_type[target])]
-        turns = kind == TRANSMISSION.mjTRN_SITE and not np.any(model.actuator_gear[actuator, :3])
-        return "N m" if turns else "N"
-
-    def _pull(self, tendon: int) -> float:
-        """Return the sum of the forces of all actuators on a tendon, N."""
-        model = self._model
-        on_tendons = model.actuator_trntype == TRANSMISSION.mjTRN_TENDON
-        outputs = model.actuator_outadr[on_tendons & (model.actuator_trnid[:, 0] == tendon)]
-        return float(np.sum(self._data.actuator_force[outputs]))
 
     def _report_joint_limit(self, joint: int) -> None:
         """Report a joint's limit of the sum of its actuator forces."""
@@ -287,7 +263,7 @@ class Actuators:
         if others := self._other_forces(joint):
             self._report.left_out(element, f"{why}, which includes {others}", topic=topic, numbers=bounds)
         elif key is not None and law is not None:
-            watch = _watch(law, low, high, FORCE_UNITS[JOINT(model.jnt_type[joint])])
+            watch = joint_force_watch(law, low, high, joint_force_unit(model, joint))
             watches = [watch] if watch else []
             self._report.left_out(element, why, topic=topic, watches=watches, numbers=bounds)
         elif data.qfrc_actuator[model.jnt_dofadr[joint]]:
@@ -385,23 +361,8 @@ class Actuators:
         if model.actuator_actlimited[actuator]:
             down, up = (float(x) for x in model.actuator_actrange[actuator])
             low, high = max(low, down), min(high, up)
-        # distances of forces from the limits of the actuator, its tendon and its joints
-        rooms = []
-        if model.actuator_forcelimited[actuator]:
-            force = float(data.actuator_force[model.actuator_outadr[actuator]])
-            rooms.append((gain, model.actuator_forcerange[actuator] - force))
-        tendon = int(model.actuator_trnid[actuator, 0])
-        if (
-            model.actuator_trntype[actuator] == TRANSMISSION.mjTRN_TENDON
-            and model.tendon_actfrclimited[tendon]
-        ):
-            rooms.append((gain, model.tendon_actfrcrange[tendon] - self._pull(tendon)))
-        for joint, moment in moments.items():
-            if model.jnt_actfrclimited[joint] and moment:
-                force = float(data.qfrc_actuator[model.jnt_dofadr[joint]])
-                rooms.append((gain * moment, model.jnt_actfrcrange[joint] - force))
-        for each, room in rooms:
-            down, up = sorted(float(x) / each for x in room)
+        for factor, room in distances_from_limits(model, data, actuator, moments):
+            down, up = sorted(float(x) / (gain * factor) for x in room)
             low, high = max(low, control + down), min(high, control + up)
         gains = {key: gain * x for key, x in shares.items()}
         self.drives[actuator] = Drive(control, gains, low, high, not self._is_direct(actuator))
@@ -444,22 +405,3 @@ class Actuators:
         self._forces.forces.append(Wrench(name, body, data.site_xpos[site].copy(), force, torque, frame))
         self._report_exactly(actuator, f"wrench {name!r}, constant in the {frame}", FORCE)
         return True
-
-
-def _watch(acting: Acting, low: float, high: float, unit: str) -> Bounds | None:
-    """Make the watch of a limit of actuator forces on a joint coordinate.
-
-    Returns:
-        The watch; None if stiffnesses and dampings of the feedback have different weights of coordinates.
-    """
-    keys, gains = list(acting.feedback), np.array(list(acting.feedback.values())).reshape(-1, 2)
-    moving = swinging(acting.constant, acting.swings)
-    if not keys:
-        return Bounds((), low, high, unit, moving)
-    first = int(np.argmax(np.abs(gains).max(axis=1)))
-    by_value, by_rate = gains[first]
-    factors = gains @ gains[first] / (gains[first] @ gains[first]) if np.any(gains) else np.ones(len(gains))
-    if not np.allclose(np.outer(factors, gains[first]), gains, rtol=1e-12, atol=0.0):
-        return None
-    terms = tuple(zip(keys, factors.tolist(), strict=True))
-    return Bounds(terms, low, high, unit, moving, -float(by_value), -float(by_rate))

@@ -16,7 +16,7 @@ from newton_euler import NewtonEulerError
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.reading.activity import Bounds
 from newton_euler.scalars import Array
-from urdf.reading.given import JOINTS
+from urdf.reading.given import KNOWN_JOINT_MODELS
 
 Q = np.array([-1.2, 0.9, -1.5])
 """rad, near to where the four-bar is closed."""
@@ -142,7 +142,7 @@ MADE: dict[str, Callable[[], Any]] = {
 """Joints that have to be told their axes."""
 
 
-@pytest.mark.parametrize("kind", JOINTS)
+@pytest.mark.parametrize("kind", KNOWN_JOINT_MODELS)
 def test_joint_kinds_are_verified_from_other_places_than_neutral(kind):
     joint = MADE.get(kind, getattr(pin, f"JointModel{kind}"))()
     turn = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 0.5), np.array([0.1, 0.2, 0.3]))

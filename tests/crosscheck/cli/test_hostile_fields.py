@@ -29,7 +29,7 @@ from newton_euler import Scene, simulate
 from newton_euler.analysis.identification.measurements import Measurements, measurements_from_csv
 from newton_euler.runs.assemble import initial_state
 from newton_euler.runs.moving_base import base_motion_from_csv
-from urdf.loops import KEYS, Loops, parse_loops
+from urdf.loops import LOOP_FILE_KEYS, Loops, parse_loops
 
 SAMPLED = pytest.mark.parametrize("step", [pytest.param(1, marks=pytest.mark.slow), 41])
 """All inputs, or one of 41: no period of the lists of values."""
@@ -150,8 +150,8 @@ def test_values_in_every_field_of_a_loop_file(step):
         "joint_type": ["SPHERICAL"], "coupled": [{"motor": 1.0, "elbow": [0.5, 0.1]}],
     }  # fmt: skip
     paths = [
-        *((key,) for key in KEYS),
-        *((key, 0) for key in KEYS),
+        *((key,) for key in LOOP_FILE_KEYS),
+        *((key, 0) for key in LOOP_FILE_KEYS),
         ("closed_loop", 0, 0),
         ("coupled", 0, "motor"),
     ]

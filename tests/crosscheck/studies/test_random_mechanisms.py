@@ -29,7 +29,7 @@ from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.wind import WindLoad
 from newton_euler.runs.assemble import initial_state
-from urdf.proximal import ITERATIONS, regularized
+from urdf.proximal import MAX_PROXIMAL_ITERATIONS, regularized
 
 COUNT = 16
 
@@ -146,7 +146,7 @@ def test_weak_closures_beside_redundant_ones():
     """An eigenvalue 1e-8 of the others: at a regularization of 1e-6 of them it is never seen."""
     jacobian = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1e-4, 0.0]])
     settings, ratio = regularized(jacobian, np.eye(3), redundant=1)
-    assert (settings.mu / (settings.mu + 1e-8)) ** ITERATIONS < 1e-16
+    assert (settings.mu / (settings.mu + 1e-8)) ** MAX_PROXIMAL_ITERATIONS < 1e-16
     assert ratio * settings.mu == pytest.approx(2.0 / 3.0)
     # no weak one, so what drift needs
     assert regularized(jacobian[:2], np.eye(3), redundant=1)[0].mu == pytest.approx(1e-6)
