@@ -1,7 +1,8 @@
-"""Applied forces of a scene: sums of their wrenches on the bodies, their energies and their power.
+"""Applied forces of a scene: sums of wrenches on the bodies, energies, and power.
 
-The same for all formulations, over generic scalars; each kind of force is in `newton_euler.model.forces`.
-Forces on joint coordinates act through these coordinates (`newton_euler.equations.couplings`).
+Both formulations use these sums, over generic scalars. Each kind of force is a class of
+`newton_euler.model.forces`. Forces on joint coordinates act through the coordinates
+(`newton_euler.equations.couplings`).
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ from newton_euler.scalars import Array, Scalar
 
 
 def surroundings(scene: Scene, state: State, time: float = 0.0) -> Surroundings:
-    """Compute what forces and armatures depend on at a state and a time in s.
+    """Compute the quantities that forces and armatures depend on, at a state and a time in s.
 
-    Angles have the revolutions of `State.angles`; those that are not there are within half a revolution.
+    Angles include the revolutions of `State.angles`. Angles without an entry there are within half a
+    revolution.
     """
     mechanism, frames = scene.mechanism, state.frames()
     acting = {each.key for each in (*scene.joint_forces, *scene.armatures) if not each.on_ball}
@@ -32,9 +34,9 @@ def surroundings(scene: Scene, state: State, time: float = 0.0) -> Surroundings:
 
 
 def applied_wrenches(scene: Scene, at: Surroundings) -> list[Array]:
-    """Compute the wrenches (6,) of forces on each body, without those on joint coordinates.
+    """Sum the wrenches (6,) of forces on each body, without forces on joint coordinates.
 
-    Force and torque about the center of mass, N and N m, world frame, ground first.
+    A wrench is a force and a torque about the center of mass, N and N m, world frame. The ground is first.
     """
     total: list[Array] = [np.zeros(6) for _ in at.frames]
     for force in scene.body_forces:
@@ -46,7 +48,7 @@ def applied_wrenches(scene: Scene, at: Surroundings) -> list[Array]:
 def energies(scene: Scene, frames: list[Frame], inertias: list[Array]) -> tuple[Scalar, Scalar]:
     """Compute the kinetic energy and the potential energy of gravity (zero at the world origin), J.
 
-    `inertias` are in the body frames that `frames` give the rotations of.
+    `inertias` (3, 3) are in the body frames; `frames` have the rotations of the body frames.
     """
     kinetic: Scalar = 0.0
     potential: Scalar = 0.0
@@ -60,7 +62,7 @@ def energies(scene: Scene, frames: list[Frame], inertias: list[Array]) -> tuple[
 
 
 def power(scene: Scene, at: Surroundings) -> Scalar:
-    """Compute the power, W, of control laws, dampers, wrenches and wind, which have no potential energy."""
+    """Sum the power, W, of forces without potential energy: control laws, dampers, wrenches and wind."""
     forces = (*scene.joint_forces, *scene.body_forces)
     return sum((term for force in forces for term in force.powers(at)), start=0.0)
 
@@ -77,7 +79,7 @@ def blamed(scene: Scene, state: State, reason: str, at: Surroundings) -> str:
 
 
 def _called(force: Element) -> str:
-    """Name a force; a spring and damper by the parts that it has."""
+    """Name a force for a message; a spring with a damper by the parts of nonzero strength."""
     if not isinstance(force, Spring):
         return force.element
     return force.element.replace("spring", " and ".join(force.active_parts) or "spring", 1)

@@ -1,65 +1,67 @@
-"""Numbers of a scene that may change from run to run without a new compilation.
+"""Parameters: numbers of a scene that may vary from run to run without a new compilation.
 
-`crosscheck list SCENE` has all of a scene, with units and values, and in Python
-`newton_euler.equations.parameters.parameter_values`. Each has a name and a value of the shape that the scene
-has there:
+`crosscheck list SCENE` lists the parameters of a scene with units and values; in Python
+`newton_euler.equations.parameters.parameter_values` returns the values. Each parameter has a name, and a
+value of the same shape as in the scene:
 
 - `gravity`, `BODY.mass`, `BODY.inertia` about the center of mass, in the body's frame;
-- `BODY.center_of_mass`, in the world at the initial pose: it moves in the body, and joint points stay where
-  they are on the body; `BODY.quaternion` of the body's frame there, of any length: with it the inertia turns;
-- `JOINT.point`, a displacement in the world at the initial pose, m: the joint is elsewhere on both of its
-  bodies; `JOINT.point_on_first` and `JOINT.point_on_second` displace the point on one body alone, as holes
-  that are not where the drawing has them. Displacements add up, and the scene's own value is 0;
+- `BODY.center_of_mass`, in the world at the initial pose: the center moves in the body, and joint points stay
+  where they are on the body; `BODY.quaternion` of the body's frame at the initial pose, of any length: the
+  inertia turns with the frame;
+- `JOINT.point`, a displacement of the joint on both bodies, in the world at the initial pose, m;
+  `JOINT.point_on_first` and `JOINT.point_on_second` displace the point on one body alone, such as a hole that
+  is not where the drawing has the hole. Displacements add up, and the scene's own value is 0;
 - `JOINT.axis`, `JOINT.axis_on_first`, `JOINT.axis_on_second`, of any length, in the world at the initial
-  pose, of both bodies as the description has them; `JOINT.1.axis` of a compound joint's second coordinate;
+  pose; `JOINT.1.axis` of a compound joint's second coordinate;
 - `JOINT.pitch` of a screw, `JOINT.length` of a rod, whose points stay on their bodies, `JOINT.offsets`
-  between the hinges of a compound joint, `JOINT.offset` between parallel hinges: both kinds of joints stay
-  closed at the initial pose;
+  between the hinges of a compound joint, `JOINT.offset` between parallel hinges. With other offsets a joint
+  stays closed at the initial pose;
 - `GEAR.ratio`, `COUPLING.terms`, the factors of a coupling's terms in their order, and
-  `COUPLING.coefficients` of a polynomial coupling, of the powers 1, 2, ...;
+  `COUPLING.coefficients` of a polynomial coupling, for the powers 1, 2, ...;
 - `JOINT.motion.function` of a prescribed motion;
 - `JOINT.stiffness`, `JOINT.damping`, `JOINT.target`, `JOINT.feedforward` of the control law at a joint,
-  `JOINT.1.target` for its second coordinate;
-- `JOINT.gains` of the state feedback at a joint, (K_p, K_d) of each coordinate that it reads, in their
+  `JOINT.1.target` for the joint's second coordinate;
+- `JOINT.gains` of the state feedback at a joint: (K_p, K_d) of each coordinate that the law reads, in their
   order, and `JOINT.targets` of other coordinates, one after the other;
 - `JOINT.period`, `JOINT.resolution`, `JOINT.force_limit`, `JOINT.slew_limit` and `JOINT.stroke` of a digital
-  law, beside those of the law that it executes;
+  law, in addition to the parameters of the law that the computer executes;
 - `JOINT.spring.stiffness`, `JOINT.spring.damping`, `JOINT.spring.rest` of the spring at a joint,
-  `JOINT.1.spring.rest` for its second coordinate;
+  `JOINT.1.spring.rest` for the joint's second coordinate;
 - `JOINT.ball.stiffness`, `JOINT.ball.damping`, `JOINT.ball.rest` of the spring of a joint's ball;
-- `NAME.stiffness`, `NAME.damping`, `NAME.rest_length` of a spring between points, and the displacements
-  `NAME.point_on_first`, `NAME.point_on_second` of these;
+- `NAME.stiffness`, `NAME.damping`, `NAME.rest_length` of a spring between points, and displacements
+  `NAME.point_on_first`, `NAME.point_on_second` of the two points;
 - `NAME.force`, `NAME.torque` of a wrench, and `NAME.point`, a displacement;
 - `NAME.direction`, `NAME.speed`, `NAME.air_density` of a wind load, `NAME.first_side` and
-  `NAME.second_side` of its plate, and `NAME.point`, a displacement;
+  `NAME.second_side` of the plate, and `NAME.point`, a displacement;
 - `JOINT.rotor.inertia`, `JOINT.1.rotor.inertia`, `JOINT.ball.rotor.inertia` of the armatures of a joint.
 
-Where one of these is a function of time, its value is all that the function is linear in: coefficients of
-polynomials, amplitude and offset of sines, values of splines and steps, one after the other. Names that go
-on, as in `JOINT.target.angular_frequency` and `NAME.speed.phase`, are the same of its sines, and a number if
-it has one sine. Times of samples do not vary. Nor do indices, counts, looks of bodies, settings of a run and
-what a controller knows of the mechanism: their names are refused with the reason.
+If an attribute is a function of time, the parameter's value is all numbers in which the function is
+linear, one after the other: coefficients of polynomials, amplitude and offset of sines, values of splines
+and steps. Names such as `JOINT.target.angular_frequency` and `NAME.speed.phase` are the frequencies and
+phases of the sines; the value is a number if there is one sine. Sample times, indices, counts, shapes of
+bodies, settings of a run and a controller's model of the mechanism do not vary: their names are refused
+with the reason.
 
-Joint coordinates of runs in batches, sweeps, sensitivities and fits stay zero where the bodies are oriented
-as in the initial pose, and a joint's points as far apart as they are described. Those of the scene that
-`with_parameters` makes of `point_on_first`, `point_on_second` and `length` are counted from its own initial
-pose, which is another one. Parameters of bodies' centers and frames, joints, couplings and motions move
-the closed configurations: `newton_euler.runs.starts` assembles a start for each run, and has
-initial coordinates as further parameters. The mechanism has the constraints that the description has: where
-its own numbers make some of them redundant, values with which they would lock it leave a loop open.
+Joint coordinates of runs in batches, sweeps, sensitivities and fits are zero at the orientations of the
+initial pose, with the points of each joint as far apart as the scene describes. `with_parameters` with
+`point_on_first`, `point_on_second` or `length` returns a scene with an initial pose of its own, from
+which coordinates are counted. Parameters of bodies' centers and frames, joints, couplings and motions
+move the closed configurations: `newton_euler.runs.starts` assembles a start for each run, and has initial
+coordinates as further parameters. A mechanism keeps the constraints of the description. If some
+constraints are redundant at the scene's own values, other values may leave a loop open that the full set
+would lock.
 
-A name may go on with one component of the value, which is then a number: `gravity.z`, `BODY.inertia.xy`,
-which is `yx` as well, `JOINT.point.z`, and places from 0 in other values, as in `JOINT.target.0` and
-`JOINT.gains.1.0`.
+A name may end in one component of the value, which is then a number: `gravity.z`, `BODY.inertia.xy` (the same
+as `yx`), `JOINT.point.z`; other values are indexed from 0, as in `JOINT.target.0` and `JOINT.gains.1.0`.
 
-A name that stands for two of these cannot be used; numbers say which is meant, as in `bodies[2].mass`,
+A name that stands for two parameters is refused. Numbers tell the two apart: `bodies[2].mass`,
 `joints[3].point`, `couplings[0].ratio`, `control[0].target`, `forces[1].stiffness`, `armatures[0].inertia`
-and `motions[0].function`. How near a configuration is to a singular one is judged by the scene's own
-values: masses that are many orders away from them make runs slower, not wrong.
+and `motions[0].function`. The distance to singular configurations is judged at the scene's own values: masses
+that are orders of magnitude away make runs slower, not wrong.
 
-Elements say which of their numbers vary (`newton_euler.model.variable`). What sampled controllers hold is a
-parameter of the code, `JOINT.held`, and so are the numbers of functions with knots between two of these, as
-`motions[0].function.piece`.
+Elements declare the numbers that vary (`newton_euler.model.fields`). Compiled code has two more kinds of
+parameters: `JOINT.held`, the force that a sampled controller holds, and numbers of a function between two
+knots, such as `motions[0].function.piece`.
 """
 
 from __future__ import annotations
@@ -109,7 +111,7 @@ class Place(NamedTuple):
 
 
 def _parts(scene: Scene) -> dict[str, list[Any]]:
-    """Return what has parameters."""
+    """Return the elements with parameters, by the field of the scene or mechanism."""
     return {
         "scene": [scene],
         "bodies": list(scene.mechanism.bodies),
@@ -124,7 +126,7 @@ def _parts(scene: Scene) -> dict[str, list[Any]]:
 
 @lru_cache(maxsize=8)  # scenes, most recently used
 def _owners(scene: Scene) -> dict[str, list[Owner]]:
-    """Find what names without components stand for."""
+    """Find the attributes that names without components stand for."""
     found: dict[str, list[Owner]] = {"gravity": [GRAVITY]}
     for what, elements in _parts(scene).items():
         for k, element in enumerate(elements):
@@ -146,9 +148,9 @@ def check_dynamic(scene: Scene, names: Iterable[str], where: str) -> None:
 
 
 def pieces(scene: Scene, time: float, smooth: bool = True) -> dict[str, Array]:
-    """Return the numbers of functions with knots between those around a time in s, by name.
+    """Return the numbers of functions with knots between the knots around a time in s, by name.
 
-    Without smooth ones only those of attributes that have functions which jump.
+    If not `smooth`, only attributes whose functions jump are included.
     """
     found = {}
     for owner, functions in scene.functions.items():
@@ -167,12 +169,12 @@ def pieces_along(
 
 
 def numbered(what: str, k: int, attribute: str) -> str:
-    """The name of a parameter that no other one can have: brackets are in no element's name."""
+    """Return the unique name of a parameter: element names have no brackets."""
     return f"{what}[{k}].{attribute}"
 
 
 def unambiguous(scene: Scene, name: str) -> str:
-    """Return the name of a parameter that stays its own if more elements are added behind the others.
+    """Return a name of a parameter that stays unique if more elements are appended to the scene.
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
@@ -184,7 +186,7 @@ def unambiguous(scene: Scene, name: str) -> str:
 
 
 def places(scene: Scene, names: Iterable[str]) -> dict[str, Place]:
-    """Find the places that names stand for.
+    """Find the places of parameters by their names.
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
@@ -213,7 +215,7 @@ def places(scene: Scene, names: Iterable[str]) -> dict[str, Place]:
 def _split(
     parts: dict[str, list[Any]], owners: dict[str, list[Owner]], name: str
 ) -> tuple[str, tuple[int, ...] | None]:
-    """Split a name into one without a component, and this."""
+    """Split a name into the name of the attribute and the component."""
     if name in owners:
         return name, None
     for dots in (1, 2) if isinstance(name, str) else ():
@@ -240,12 +242,12 @@ def _check_constant(parts: dict[str, list[Any]], name: str) -> None:
 
 
 def _place(what: str, element: Any) -> str:
-    """Return the beginning of names of an element's parameters."""
+    """Return the prefix of names of an element's parameters."""
     return element.name if what in ("scene", *MECHANICAL) else element.prefix
 
 
 def _component(shape: tuple[int, ...], ending: list[str]) -> tuple[int, ...] | None:
-    """Return the place in a value of its shape that the ending of a name stands for, None for no place."""
+    """Return the index into a value of the given shape that the ending of a name stands for, or None."""
     letters = ending[0] if len(ending) == 1 else ""
     if set(shape) == {3} and len(letters) == len(shape) and set(letters) <= set("xyz"):
         return tuple(sorted("xyz".index(letter) for letter in letters))  # matrices are symmetric
@@ -271,7 +273,7 @@ def _of_field(parts: dict[str, list[Any]], owners: dict[str, list[Owner]], name:
 
 
 def _nearest(owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
-    """Return names to propose instead of an unknown one, the nearest first; of its element if known."""
+    """Return names to propose for an unknown name, the nearest first; of the same element if known."""
     element, _, _ = str(name).partition(".")
     of_element = [each for each in owners if each.startswith(f"{element}.")]
     known = of_element or [each for each in owners if "[" not in each]
@@ -279,7 +281,7 @@ def _nearest(owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
 
 
 def _own(parts: dict[str, list[Any]], owner: Owner, piece: bool = False) -> Array:
-    """Return the value that a scene has of its own: of functions their numbers, or those of their piece."""
+    """Return the scene's own value; for functions of time their numbers, or the numbers of a piece."""
     what, k, attribute = owner
     if piece:
         return piece_numbers(functions_of(getattr(parts[what][k], attribute)), 0.0)
@@ -314,10 +316,7 @@ def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[s
 
 
 def origins(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
-    """Return the points that those of the parameters start from which displace one.
-
-    In the world at the initial pose, m.
-    """
+    """Return the undisplaced points of parameters that are displacements, in the world at the initial pose, m."""
     found: dict[str, Array] = {}
     for name, (owner, component, field) in places(scene, names).items():
         what, _, attribute = owner
@@ -332,7 +331,7 @@ def origins(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
 def parameter_layout(scene: Scene, names: Iterable[str]) -> tuple[tuple[object, ...], ...]:
     """Return names of parameters with their shapes and, of functions of time, counts of each term's numbers.
 
-    Code that has them as inputs depends on these, though on no samples.
+    Compiled code with these parameters as inputs depends on the layout, but not on the values.
     """
     names, functions = list(names), scene.functions
     values, found = parameter_values(scene, names), []
@@ -372,12 +371,12 @@ def element_of(scene: Scene, owner: Owner) -> Any:
 
 
 def own_value(scene: Scene, owner: Owner) -> Array:
-    """Return the value that a scene has of its own."""
+    """Return the scene's own value of an attribute."""
     return _own(_parts(scene), owner)
 
 
 def refusal(scene: Scene, values: Mapping[Owner, Array]) -> MechanismError | None:
-    """Return what is wrong with values of attributes of one element, None if it takes them."""
+    """Return the error that other values of attributes of one element raise; None for valid values."""
     try:
         element = element_of(scene, next(iter(values)))
         element.rebuilt({attribute: value for (_, _, attribute), value in values.items()})
@@ -387,7 +386,7 @@ def refusal(scene: Scene, values: Mapping[Owner, Array]) -> MechanismError | Non
 
 
 def rebuilt(scene: Scene, values: Mapping[str, Any]) -> Scene:
-    """The scene made anew with other values of some parameters, all of it checked."""
+    """Construct the scene again with other values of some parameters, with all checks."""
     parts = _substituted(scene, values, places(scene, values), checked=True)
     (changed,) = parts.pop("scene")
     mechanism = Mechanism(*(parts.pop(field) for field in MECHANICAL))
@@ -395,7 +394,7 @@ def rebuilt(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
 
 def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
-    """The scene with other values of some parameters, scalars of any kind, which are not checked."""
+    """Copy the scene with other values of some parameters; scalars of any kind, not checked."""
     parts = _substituted(scene, values, places(scene, values), checked=False)
     (changed,) = parts.pop("scene")
     size = scene.mechanism.size  # the description's own makes residuals dimensionless
@@ -407,21 +406,21 @@ def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
 
 def with_laws(scene: Scene, laws: Iterable[Law]) -> Scene:
-    """The scene with other control laws, which are not checked, for equations alone: nothing is output."""
+    """Copy the scene with other control laws, not checked, for equations only: without outputs."""
     changed = altered(scene, control=tuple(laws), outputs=frozenset())
     inherit_mobility(changed, scene)
     return changed
 
 
 def measuring(scene: Scene, keys: Iterable[Key]) -> Scene:
-    """Return the scene with laws of no force on these coordinates as its only control."""
+    """Return the scene with control laws of zero force on these coordinates, and no other control."""
     return with_laws(scene, [PD(joint, 0.0, 0.0, 0.0, k) for joint, k in dict.fromkeys(keys)])
 
 
 def _substituted(
     scene: Scene, values: Mapping[str, Any], found: Mapping[str, Place], checked: bool
 ) -> dict[str, list[Any]]:
-    """Return what has parameters, as of `_parts`, with other values of some at these places."""
+    """Return the elements of `_parts` with other values at these places."""
     parts = _parts(scene)
     fields: dict[tuple[str, int], dict[str, Any]] = {}
     for (what, k, attribute), value in _assigned(parts, values, found).items():
@@ -440,9 +439,9 @@ def _substituted(
 def _assigned(
     parts: dict[str, list[Any]], values: Mapping[str, Any], places: Mapping[str, Place]
 ) -> dict[Owner, Any]:
-    """Return the values of all parameters that are changed, components put into the scene's own.
+    """Return the values of all changed attributes; components are put into the scene's own value.
 
-    The pieces of functions are left out.
+    Pieces of functions are left out.
     """
     found: dict[Owner, Any] = {}
     for name, (owner, component, _) in places.items():
@@ -460,11 +459,11 @@ def _assigned(
 
 
 def _as_floats(value: Any) -> Any:
-    """Return an array of plain numbers as such, all else as it is."""
+    """Convert an array of plain numbers to floats; return any other value unchanged."""
     is_plain = isinstance(value, np.ndarray) and all(isinstance(x, NUMBERS) for x in value.flat)
     return np.asarray(value, dtype=float) if is_plain else value
 
 
 def _number(value: Any) -> Any:
-    """Return a scalar instead of an array () of floats."""
+    """Convert an array () of floats to a float; return any other value unchanged."""
     return float(value) if isinstance(value, np.ndarray) else value

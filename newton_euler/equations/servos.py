@@ -1,6 +1,6 @@
-"""Actuators of a scene and the joint coordinates that they move, chosen and checked once for all states.
+"""Actuators of a scene and the joint coordinates that the actuators move, checked once for all states.
 
-The forces themselves are `newton_euler.equations.formulation.Formulation.servo_forces`.
+`newton_euler.equations.formulation.Formulation.servo_forces` computes the forces.
 """
 
 from __future__ import annotations
@@ -23,8 +23,11 @@ from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
-CHOSEN = 1e-3  # dimensionless rate, independent of those chosen so far, below which one adds too little
-ALIKE = 6  # digits to which such velocities are compared, so that no processor chooses by its last ones
+MIN_INDEPENDENT_RATE = 1e-3
+"""Smallest dimensionless part of a row that is independent of the rows chosen before."""
+
+COMPARED_DIGITS = 6
+"""Digits in which rows are compared, so that the choice does not depend on the processor's round-off."""
 
 
 def servos_of(
@@ -36,13 +39,13 @@ def servos_of(
     """Check that actuators of a scene can give coordinates any accelerations.
 
     Args:
-        scene: the mechanism; its control laws are left out.
-        coordinates, actuators: of `Servos`.
-        form: of the equations whose rows of constraints are wanted.
+        scene: the mechanism; control laws are ignored.
+        coordinates, actuators: as in `Servos`.
+        form: the formulation whose constraint rows are returned.
 
     Raises:
-        MechanismError: naming a coordinate that is there twice, follows a prescribed motion, is moved by
-            others, or that no actuator moves, and for coordinates that leave other motions to actuators.
+        MechanismError: naming a coordinate that is given twice, follows a prescribed motion, depends on other
+            coordinates, or is moved by no actuator; and for fewer coordinates than degrees of freedom.
     """
     name = scene.mechanism.coordinate_name
     for what, keys in (("coordinate", coordinates), ("actuator", actuators)):
@@ -68,13 +71,13 @@ def servos_of(
 def fault(
     system: Relative, q: Array, servos: Servos, tolerance: float = RANK_TOLERANCE
 ) -> tuple[Key, str] | None:
-    """Find a coordinate that cannot get any acceleration in a configuration, and the reason; None if all can.
+    """Find a coordinate whose acceleration cannot be chosen in a configuration, and the reason; or None.
 
     Args:
-        system: of the scene that `measuring` returns for the coordinates and actuators.
-        q: (nq,).
-        servos: the choice.
-        tolerance: dimensionless, of singular values that count as zero.
+        system: equations of the scene that `measuring` returns for the coordinates and actuators.
+        q: (nq,) configuration.
+        servos: the coordinates and actuators.
+        tolerance: dimensionless limit below which a singular value counts as zero.
     """
     if not servos.coordinates:
         return None
@@ -107,20 +110,21 @@ def tangents(system: Relative, q: Array) -> Array:
 
 
 def independent_rows(rows: Array, chosen: Sequence[int], candidates: Iterable[int], count: int) -> list[int]:
-    """Choose rows of a dimensionless matrix one by one, always the one that adds the most to those before.
+    """Choose independent rows of a dimensionless matrix greedily: each time the row farthest from the span.
 
     Args:
-        rows: (k, n).
-        chosen: those that are chosen already, `count` at most.
-        candidates: others to choose from, until there are `count` or none adds more than `CHOSEN`.
+        rows: (k, n) matrix.
+        chosen: numbers of rows that are chosen already, at most `count`.
+        candidates: numbers of the other rows.
+        count: rows to choose; fewer if no row adds more than `MIN_INDEPENDENT_RATE`.
     """
     found, rest, left = list(chosen), list(candidates), rows.copy()
     for row in found:
         _remove(left, row)
     while rest and len(found) < count:
-        lengths = np.linalg.norm(left[rest], axis=1).round(ALIKE)
+        lengths = np.linalg.norm(left[rest], axis=1).round(COMPARED_DIGITS)
         best = int(np.argmax(lengths))
-        if lengths[best] < CHOSEN:
+        if lengths[best] < MIN_INDEPENDENT_RATE:
             break
         found.append(rest.pop(best))
         _remove(left, found[-1])
@@ -128,7 +132,7 @@ def independent_rows(rows: Array, chosen: Sequence[int], candidates: Iterable[in
 
 
 def _remove(rows: Array, row: int) -> None:
-    """Take the part along one of the rows off all of them."""
+    """Subtract from all rows their projection onto one row."""
     length = np.linalg.norm(rows[row])
     if length > 0.0:
         along = rows[row] / length

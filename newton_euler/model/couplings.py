@@ -11,7 +11,7 @@ import numpy as np
 from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number, items_of, quoted
 from newton_euler.model.fields import NumberField
 from newton_euler.model.joint import Key
-from newton_euler.model.variable import WHICH, Change, Variable
+from newton_euler.model.variable import COORDINATE_INDEX, Change, Variable
 from newton_euler.scalars import Array
 
 
@@ -73,7 +73,7 @@ class Gear(JointCoupling):
     follower_coordinate: int = 0
     kind: ClassVar[str] = "gear"
     number_fields: ClassVar = {"ratio": NumberField(shape=None, allowed="nonzero", moves_loops=True)}
-    constant: ClassVar = {"driver_coordinate": WHICH, "follower_coordinate": WHICH}
+    constant: ClassVar = {"driver_coordinate": COORDINATE_INDEX, "follower_coordinate": COORDINATE_INDEX}
 
     def factors(self) -> dict[tuple[str, int], float]:
         follower = self.follower, self.follower_coordinate
@@ -131,7 +131,7 @@ class PolynomialCoupling(JointCoupling):
     follower_coordinate: int = 0
     kind: ClassVar[str] = "polynomial coupling"
     number_fields: ClassVar = {"coefficients": NumberField(shape=None, moves_loops=True)}
-    constant: ClassVar = {"driver_coordinate": WHICH, "follower_coordinate": WHICH}
+    constant: ClassVar = {"driver_coordinate": COORDINATE_INDEX, "follower_coordinate": COORDINATE_INDEX}
 
     def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:
         return {name: tuple(value) for name, value in values.items()}

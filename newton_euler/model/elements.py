@@ -18,7 +18,7 @@ from newton_euler.model.constraints import Frame
 from newton_euler.model.fields import POINT
 from newton_euler.model.joint import Key, Pose
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_coordinate
-from newton_euler.model.variable import WHICH, Variable
+from newton_euler.model.variable import COORDINATE_INDEX, Variable
 from newton_euler.scalars import Array, Scalar, cross
 
 BALL = -1  # in place of the number of a joint coordinate: all three freedoms of the joint's ball
@@ -154,7 +154,7 @@ class OnCoordinate(OnJoint):
     """An element on a hinge or slide of a joint."""
 
     coordinate: int
-    constant: ClassVar = {"coordinate": WHICH}
+    constant: ClassVar = {"coordinate": COORDINATE_INDEX}
 
     @property
     def key(self) -> Key:

@@ -40,7 +40,7 @@ OutputName = Literal["velocities", "reactions", "actuation", "violation", "energ
 
 OUTPUTS: tuple[OutputName, ...] = get_args(OutputName)
 
-PARTS: dict[str, tuple[type, ...]] = {
+ELEMENT_KINDS: dict[str, tuple[type, ...]] = {
     "control": get_args(Law),
     "motions": (PrescribedMotion,),
     "forces": get_args(Force),
@@ -150,7 +150,7 @@ class Scene(Variable):
             raise MechanismError(where, f"outputs is {quoted(self.outputs)}", "a set of names")
         check_choices("output", outputs, OUTPUTS)
         object.__setattr__(self, "outputs", frozenset(outputs))
-        for field, kinds in PARTS.items():
+        for field, kinds in ELEMENT_KINDS.items():
             elements = elements_of(where, field, getattr(self, field), *kinds)
             check_elements(elements, self.mechanism)
             object.__setattr__(self, field, elements)

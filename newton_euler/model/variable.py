@@ -1,4 +1,7 @@
-"""Numbers of a description that may vary, as elements and functions of time give them and take other ones."""
+"""Numbers of a description that may vary from run to run, read and replaced by name.
+
+A `Variable` is an element with such numbers; a `Function` is a function of time with such numbers.
+"""
 
 from __future__ import annotations
 
@@ -16,18 +19,18 @@ from newton_euler.scalars import Array, Scalar
 T = TypeVar("T")
 
 Change = Callable[..., Any]
-"""Makes an object with other values of its fields: `altered`, which takes whatever they are, or `replace`."""
+"""Copies an object with other values of some fields: `altered` without checks, or `dataclasses.replace`."""
 
-PARTS = {"angular_frequency": "rad/s", "phase": "rad"}
+PART_UNITS = {"angular_frequency": "rad/s", "phase": "rad"}
 """Units of the numbers in which functions of time are not linear, by names that follow the attribute's."""
 
-WHICH = "which coordinate it is"  # reason why an index does not vary
+COORDINATE_INDEX = "which coordinate it is"  # reason in messages: an index does not vary
 
 
 def altered(thing: T, **fields: Any) -> T:
-    """Return a copy of a frozen object with other values, whatever they are.
+    """Copy a frozen object with other values of some fields, which are not checked.
 
-    It keeps nothing that was worked out of the old ones.
+    Cached properties are not copied, because they were computed from the old values.
     """
     changed = copy.copy(thing)
     for name in list(vars(changed)):
@@ -39,11 +42,12 @@ def altered(thing: T, **fields: Any) -> T:
 
 
 class Function:
-    """A function of time, by its numbers; smooth at all times if it redefines none of the properties.
+    """A function of time that is given by numbers. The base class is smooth at all times.
 
     Attributes:
-        parts: fields by what they are: those that the function is linear in by "", others by one of `PARTS`.
-        constant: fields that do not change, with what they are instead.
+        parts: names of fields by part. Part "" has the fields in which the function is linear; other parts
+            are the keys of `PART_UNITS`.
+        constant: reasons why fields do not vary, by the field's name.
     """
 
     parts: ClassVar[Mapping[str, tuple[str, ...]]]
@@ -51,26 +55,26 @@ class Function:
 
     @property
     def knots(self) -> tuple[float, ...]:
-        """Times, s, at which the function has other derivatives after than before."""
+        """Times, s, at which a derivative of the function jumps."""
         return ()
 
     @property
     def jumps(self) -> tuple[float, ...]:
-        """The knots at which its value jumps."""
+        """The knots, s, at which the value of the function jumps."""
         return ()
 
     @property
     def numbers(self) -> int:
-        """The count of numbers that say what it is between two knots."""
+        """The count of numbers that determine the function between two knots."""
         return 0
 
     @property
     def is_constant(self) -> bool:
-        """True if it has one value between two knots."""
+        """True if the value is constant between two knots."""
         return False
 
     def covers(self, begin: float, end: float) -> bool:
-        """Return True if the function is known from one time to another, s."""
+        """Return True if the function is known at all times from `begin` to `end`, s."""
         return True
 
     def value(self, time: Scalar) -> Scalar:
@@ -86,15 +90,15 @@ class Function:
         raise NotImplementedError
 
     def piece(self, time: float) -> tuple[float, ...]:
-        """Return the numbers of what the function is between the knots around a time in s."""
+        """Return the numbers that determine the function between the knots around a time in s."""
         return ()
 
     def on_piece(self, numbers: Sequence[Scalar]) -> Any:
-        """Return the smooth function of such numbers, scalars of any kind, which are not checked."""
+        """Return the smooth function that the numbers of a `piece` determine; they are not checked."""
         return self
 
     def part(self, name: str) -> list[Scalar]:
-        """Return the numbers of one of `parts`, none if the function does not have it."""
+        """Return the numbers of one of `parts`; an empty list for a part that the function lacks."""
         found: list[Scalar] = []
         for field in self.parts.get(name, ()):
             value = getattr(self, field)
@@ -102,7 +106,7 @@ class Function:
         return found
 
     def with_part(self, name: str, numbers: Any, change: Change) -> Self:
-        """Return the function with other numbers of one of `parts`."""
+        """Return the function with other numbers for one of `parts`."""
         fields: dict[str, Any] = {}
         for field in self.parts.get(name, ()):
             if isinstance(getattr(self, field), tuple | np.ndarray):
@@ -113,11 +117,11 @@ class Function:
 
 
 class Variable:
-    """An element with numbers that may change from run to run without a new compilation.
+    """An element with numbers that may vary from run to run without a new compilation.
 
     Attributes:
-        number_fields: declarations of the attributes that may change, by name.
-        constant: attributes that do not change, with what they are instead.
+        number_fields: declarations of the attributes that may vary, by name.
+        constant: reasons why other attributes do not vary, by the attribute's name.
     """
 
     number_fields: ClassVar[Mapping[str, NumberField]] = {}
@@ -125,19 +129,19 @@ class Variable:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Names of attributes that may change and are no points."""
+        """Names of attributes that may vary, without points."""
         return tuple(name for name, field in self.number_fields.items() if not field.displaces)
 
     @property
     def points(self) -> tuple[str, ...]:
-        """Names of attributes that are points of bodies, of which displacements vary."""
+        """Names of attributes that are points of bodies; the displacement of a point varies."""
         return tuple(name for name, field in self.number_fields.items() if field.displaces)
 
     def field_of(self, name: str) -> NumberField:
         """Return the declaration of one of `variables`."""
         attribute, _, part = name.partition(".")
         field = self.number_fields[attribute]
-        return replace(field, unit=PARTS[part], unit_about="") if part else field
+        return replace(field, unit=PART_UNITS[part], unit_about="") if part else field
 
     def set_numbers(self, where: str) -> None:
         """Replace numbers and arrays by floats and read-only arrays, checked by `number_fields`.
@@ -152,7 +156,7 @@ class Variable:
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """Names of all that may change: of attributes, and of functions of time `ATTRIBUTE.PART`."""
+        """Names of all numbers that may vary: `ATTRIBUTE`, and `ATTRIBUTE.PART` of functions of time."""
         names: list[str] = []
         parts: list[str] = []
         for name in self.parameters:
@@ -161,12 +165,12 @@ class Variable:
                 continue
             names.append(name)
             functions = functions_of(value)
-            parts += [f"{name}.{part}" for part in PARTS if any(f.part(part) for f in functions)]
+            parts += [f"{name}.{part}" for part in PART_UNITS if any(f.part(part) for f in functions)]
         return (*names, *self.points, *parts)
 
     @property
     def constants(self) -> dict[str, str]:
-        """Names of all numbers that do not change, and what they are instead."""
+        """Reasons why numbers do not vary, by their names."""
         of_functions = {
             f"{attribute}.{name}": reason
             for attribute, field in self.number_fields.items()
@@ -177,7 +181,7 @@ class Variable:
         return {**self.constant, **of_functions}
 
     def number(self, name: str) -> Array:
-        """Return what one of `variables` is at present, an array of floats; of points 0."""
+        """Return the present value of one of `variables` as an array of floats; zero for a point."""
         if name in self.points:
             return np.zeros(3)
         attribute, _, part = name.partition(".")
@@ -185,15 +189,19 @@ class Variable:
         return found.reshape(()) if part and found.size == 1 else found
 
     def varied(self, values: Mapping[str, Any]) -> Self:
-        """Return the element with other values of some `variables`, scalars of any kind, not checked."""
+        """Copy the element with other values of some `variables`; scalars of any kind, not checked."""
         return altered(self, **self.fields_with(values, altered))
 
     def rebuilt(self, values: Mapping[str, Any]) -> Self:
-        """Return the element with other values of some `variables`, made anew; raises `MechanismError`."""
+        """Construct the element again with other values of some `variables`.
+
+        Raises:
+            MechanismError: for a value that the constructor refuses.
+        """
         return replace(self, **self.fields_with(values, replace))  # type: ignore[type-var]
 
     def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:
-        """Return the fields that other values of some `variables` change."""
+        """Return the values of the fields that change if some `variables` have other values."""
         fields: dict[str, Any] = {}
         for name, value in values.items():
             attribute, _, part = name.partition(".")
@@ -203,14 +211,14 @@ class Variable:
 
 
 def functions_of(value: Any) -> tuple[Any, ...]:
-    """Return the functions of time that an attribute is or, as a mapping, has for values."""
+    """Return the functions of time in an attribute: the attribute itself, or values of a mapping."""
     if isinstance(value, Mapping):
         return tuple(each for each in value.values() if isinstance(each, Function))
     return (value,) if isinstance(value, Function) else ()
 
 
 def _numbers(value: Any, part: str) -> Any:
-    """Return the numbers of an attribute that are a part of it, "" for all that is no other part."""
+    """Return the numbers of one part of an attribute; part "" is everything that is in no named part."""
     if isinstance(value, Function):
         return value.part(part)
     if isinstance(value, Mapping):
@@ -220,7 +228,7 @@ def _numbers(value: Any, part: str) -> Any:
 
 
 def _changed(own: Any, part: str, value: Any, change: Change) -> Any:
-    """Return an attribute with other numbers of a part of it."""
+    """Return the value of an attribute with other numbers for one part."""
     if isinstance(own, Function):
         return own.with_part(part, (value,) if np.ndim(value) == 0 else tuple(value), change)
     if isinstance(own, Mapping):
@@ -229,7 +237,7 @@ def _changed(own: Any, part: str, value: Any, change: Change) -> Any:
 
 
 def _changed_values(own: Mapping[Any, Any], part: str, value: Any, change: Change) -> dict[Any, Any]:
-    """Return the same of a mapping."""
+    """Return a mapping with other numbers for one part, key by key."""
     if _is_table(own):
         return dict(zip(own, value, strict=True))
     found, numbers = dict(own), (value,) if np.ndim(value) == 0 else tuple(value)
@@ -243,5 +251,5 @@ def _changed_values(own: Mapping[Any, Any], part: str, value: Any, change: Chang
 
 
 def _is_table(values: Mapping[Any, Any]) -> bool:
-    """Tell if a mapping has the same count of numbers for each key."""
+    """Return True if a mapping has an array of numbers for each key."""
     return all(np.ndim(each) == 1 for each in values.values())

@@ -1,8 +1,8 @@
-"""Numbers of a scene that vary from run to run: checks of many runs at once, and the scene of a single one.
+"""Parameter values that vary from run to run: checks of many runs at once, and the scene of one run.
 
-What values an element may have is what its constructor takes. Of a number these are an interval with the
-element's own value in it, so that a few constructions tell for all runs; inertias and directions are judged
-all at once, and only those that are suspicious constructed.
+The constructor of an element decides which values the element may have. A constructor accepts an interval of
+values for a number, so that bisection with a few constructions checks all runs. Inertias and directions of
+all runs are first tested by array operations; only suspicious values go to the constructor.
 """
 
 from __future__ import annotations
@@ -38,31 +38,34 @@ from newton_euler.runs.initial_coordinates import RATE_SUFFIX, START_PREFIX, ini
 from newton_euler.runs.starts import Assembly, assembly_of
 from newton_euler.scalars import Array, Floats
 
-SHORT, LONG = 1e-100, 1e100  # lengths of directions beyond which their constructors are asked
-CAREFUL = 1e-9  # relative margin within which inertias are suspicious
-
+MIN_DIRECTION_LENGTH = 1e-100  # a shorter direction goes to the constructor
+MAX_DIRECTION_LENGTH = 1e100  # and so does a longer direction
+INERTIA_MARGIN = 1e-9  # relative distance from a singular inertia below which an inertia is suspicious
 
 Start: TypeAlias = Sequence[float] | Sequence[Sequence[float] | None] | Floats
 """Coordinate and rate of a joint, or of each of its coordinates."""
 
 
 class RunValues(NamedTuple):
-    """Values of parameters in n runs."""
+    """Values of parameters in n runs.
+
+    Attributes:
+        arrays: (n, ...) values by name; the scene's own value in a run with an error.
+        errors: the first value that the scene cannot have, by the number of the run.
+    """
 
     arrays: dict[str, Array]
-    """(n, ...) by name; the scene's own where a run has an error."""
     errors: dict[int, MechanismError]
-    """The first value that makes no sense, by the number of the run."""
 
 
 @checked
 def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
-    """Return the scene with other values of some parameters, all of it checked, its loops closed again.
+    """Return the scene with other values of some parameters, checked, with closed loops.
 
-    It is what a run of `simulate_batch` with these values is a run of; `simulate` alone goes over to other
-    constraint rows where those in use degenerate on the way. With `point_on_first`, `point_on_second` and
-    `length` of joints the scene is described at another initial pose, where its joints are closed: joint
-    coordinates are counted from there, those of the batch from the pose before. Poses are the same.
+    `simulate_batch` with these values runs the same scene. Only `simulate` changes to other constraint rows
+    if the rows in use become dependent during the run. If `point_on_first`, `point_on_second` or `length` of
+    a joint changes, the scene is described at another initial pose, at which the joints are closed. Joint
+    coordinates are then zero at the new pose, while a batch counts from the pose before. Poses are the same.
 
     Args:
         scene: the scene to change.
@@ -71,7 +74,7 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
-        MechanismError: for a value that the scene cannot have, and values with which a loop stays open.
+        MechanismError: for a value that the scene cannot have, and for values with which a loop cannot close.
 
     Examples:
         >>> heavy = with_parameters(load("pendulum"), {"dumbbell.mass": 3.0})
@@ -96,7 +99,12 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
 
 def checked_values(scene: Scene, values: Mapping[str, Any]) -> dict[str, Array]:
-    """Return values of parameters as arrays; raises `MechanismError` for what the scene cannot have."""
+    """Return values of parameters as arrays.
+
+    Raises:
+        UnknownNameError: for a name that is no parameter of the scene.
+        MechanismError: for a value that the scene cannot have.
+    """
     found = run_values(scene, {name: [value] for name, value in values.items()})
     for error in found.errors.values():
         raise of_single_run(scene, error)
@@ -104,16 +112,16 @@ def checked_values(scene: Scene, values: Mapping[str, Any]) -> dict[str, Array]:
 
 
 def of_single_run(scene: Scene, error: MechanismError) -> MechanismError:
-    """Return the error of a run without its number, where it is the only one."""
+    """Return the error of run 0 without the run's number, for a caller with a single run."""
     element = error.element.removeprefix("run 0").removeprefix(": ") or f"scene {scene.name!r}"
     return MechanismError(element, error.problem, error.needed)
 
 
 @checked
 def start(scene: Scene, /, **joints: Annotated[Start, UNCHECKED]) -> Scene:
-    """Return a scene that starts with these coordinates of joints and their rates.
+    """Return the scene with another start: given coordinates of joints and their rates.
 
-    All other coordinates start as near to those of the scene's own start as the loops let them.
+    All other coordinates start as close to the scene's own start as the loops allow.
 
     Args:
         scene: the scene to start.
@@ -123,8 +131,8 @@ def start(scene: Scene, /, **joints: Annotated[Start, UNCHECKED]) -> Scene:
 
     Raises:
         UnknownNameError: for an unknown joint.
-        MechanismError: naming the joint that has no coordinate, follows a prescribed motion, or is not let
-            there by loops and couplings.
+        MechanismError: naming a joint that has no coordinate, follows a prescribed motion, or cannot reach
+            the start because of loops and couplings.
 
     Examples:
         >>> scene = start(load("pendulum"), pivot=(0.5, -2.0))
@@ -154,7 +162,7 @@ def start(scene: Scene, /, **joints: Annotated[Start, UNCHECKED]) -> Scene:
 
 
 def _pose(scene: Scene, numbers: Mapping[str, Array]) -> State | None:
-    """Assemble the initial pose with other numbers; None where it is no pose that can be."""
+    """Assemble the initial pose with other numbers; None if the mechanism has no such pose."""
     still = replace(scene, motions=(), initial_state=None)
     named = places(scene, numbers)
     values = {name: value[None] for name, value in numbers.items() if named[name].owner[0] != "motions"}
@@ -178,7 +186,7 @@ def own_values(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
 
 
 def units_of(scene: Scene, names: Iterable[str]) -> dict[str, str]:
-    """Return units of parameters and initial coordinates; empty for pure numbers and mixed ones.
+    """Return SI units of parameters and initial coordinates; empty for pure numbers and mixed units.
 
     Raises:
         UnknownNameError: for a name that is none of these.
@@ -260,7 +268,7 @@ def _refuse(found: RunValues, run: int, name: str, problem: str, needed: str) ->
 
 
 def _check_element(scene: Scene, places_of: Mapping[str, Place], found: RunValues) -> None:
-    """Check the values of parameters of one element, by name, in all runs."""
+    """Check the values of parameters of one element, by name, in all runs; errors are added to `found`."""
     stacks: dict[Owner, Array] = {}
     fields: dict[Owner, NumberField] = {}
     for name, (owner, component, field) in places_of.items():
@@ -301,9 +309,11 @@ def _suspicious(scene: Scene, owner: Owner, field: NumberField, stack: Array) ->
             return np.flatnonzero(np.any(stack != own, axis=1))
         case "direction" | "axis":
             lengths = np.max(np.abs(stack), axis=1)
-            outside |= (lengths < SHORT) | (lengths > LONG)
+            outside |= (lengths < MIN_DIRECTION_LENGTH) | (lengths > MAX_DIRECTION_LENGTH)
             if field.allowed == "axis":  # the smallest component of an axis decides on the vectors across it
-                units = np.abs(stack) / np.maximum(np.linalg.norm(stack, axis=1, keepdims=True), SHORT)
+                units = np.abs(stack) / np.maximum(
+                    np.linalg.norm(stack, axis=1, keepdims=True), MIN_DIRECTION_LENGTH
+                )
                 outside |= np.argmin(units.round(6), axis=1) != np.argmin(np.abs(own).round(6))
             return np.flatnonzero(outside)
         case "nonzero":
@@ -322,7 +332,10 @@ def _suspicious(scene: Scene, owner: Owner, field: NumberField, stack: Array) ->
 def _interval(
     scene: Scene, owner: Owner, own: Array, component: tuple[int, ...], values: Array
 ) -> tuple[float, float]:
-    """Find the lowest and the highest of ascending values that a component, or its own value, may have."""
+    """Find the lowest and the highest of ascending values that the constructor accepts for a component.
+
+    The element's own value bounds a side on which no value is accepted.
+    """
 
     def refused(value: float) -> bool:
         changed = own.copy()
@@ -330,7 +343,7 @@ def _interval(
         return refusal(scene, {owner: changed}) is not None
 
     def farthest(ahead: Array) -> float:
-        """Return the last value that is not refused of some that lead away from the own one."""
+        """Return the last accepted value among values that lead away from the element's own value."""
         if len(ahead) and not refused(ahead[-1]):
             return float(ahead[-1])
         count = bisect_left(ahead, True, key=refused)
@@ -341,10 +354,10 @@ def _interval(
 
 
 def _realisable(inertia: Array, unrealisable: bool) -> Array:
-    """Tell for which inertias (n, 3, 3) there is no doubt that a body has them, (n,)."""
+    """Return for inertias (n, 3, 3) whether a rigid body can surely have them, (n,)."""
     scale = np.max(np.abs(inertia), axis=(1, 2))
     asymmetry = np.max(np.abs(inertia - np.swapaxes(inertia, 1, 2)), axis=(1, 2))
     usable = (scale > LEAST) & (scale < 1.0 / LEAST)
     a, b, c = np.linalg.eigvalsh(np.where(usable[:, None, None], inertia, np.eye(3))).T
-    fine = usable & (asymmetry == 0.0) & (a > CAREFUL * scale) & (a > 2.0 * LEAST)
+    fine = usable & (asymmetry == 0.0) & (a > INERTIA_MARGIN * scale) & (a > 2.0 * LEAST)
     return np.asarray(fine & (unrealisable | (a + b >= c * (1.0 + REALISABLE_TOLERANCE))))

@@ -52,7 +52,7 @@ class Lift(OnPoint):
 
 @pytest.fixture
 def lifted(monkeypatch):
-    monkeypatch.setitem(scene_module.PARTS, "forces", (*scene_module.PARTS["forces"], Lift))
+    monkeypatch.setitem(scene_module.ELEMENT_KINDS, "forces", (*scene_module.ELEMENT_KINDS["forces"], Lift))
     scene = pendulum()
     return replace(
         scene, forces=(*scene.forces, Lift("lift", scene.mechanism.body_names[1], [0.1, 0.0, 0.0]))

@@ -25,7 +25,7 @@ from newton_euler.model.motions import PrescribedMotion, Sum, TimeFunction
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Spline, Steps
 from newton_euler.model.state import State
-from newton_euler.model.variable import PARTS, Variable
+from newton_euler.model.variable import PART_UNITS, Variable
 
 SCENES = [*ELEMENTS.values(), *COUPLED.values(), *COMPOUNDS.values()]
 
@@ -138,10 +138,12 @@ def test_the_list_of_parameters_is_complete():
         on_joint = "ball" if isinstance(element, OnBall) else ""
         kind = f"{on_joint}{getattr(element, 'kind_of_parameters', '')}.".removeprefix(".")
         names |= {kind + re.sub(r"^\d\.", "", name) for name in element.variables}
-    of_functions = {name for name in names if name.endswith((*PARTS,))}
-    assert {name.rpartition(".")[2] for name in of_functions} == set(PARTS)
+    of_functions = {name for name in names if name.endswith((*PART_UNITS,))}
+    assert {name.rpartition(".")[2] for name in of_functions} == set(PART_UNITS)
     listed = {
-        name for name in documented if not name.startswith("newton_euler") and not name.endswith((*PARTS,))
+        name
+        for name in documented
+        if not name.startswith("newton_euler") and not name.endswith((*PART_UNITS,))
     }
     assert names - of_functions == listed | {"held"}
 
