@@ -316,7 +316,7 @@ def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[s
 
 
 def origins(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
-    """Return the undisplaced points of parameters that are displacements, in the world at the initial pose, m."""
+    """Return the undisplaced points of displacement parameters: world frame, initial pose, m."""
     found: dict[str, Array] = {}
     for name, (owner, component, field) in places(scene, names).items():
         what, _, attribute = owner
