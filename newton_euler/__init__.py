@@ -1,4 +1,8 @@
-"""Newton-Euler dynamics of any mechanism with closed loops, written by hand.
+"""Newton-Euler dynamics of mechanisms with closed loops.
+
+A `Scene` is a `Mechanism` of bodies and joints with forces, control laws, a start and a duration. `simulate`
+runs a scene and returns a `Trajectory`. Other functions compute poses, linear models, loads, sensitivities
+and fitted parameters. To read the source, start with `newton_euler.runs.simulate`.
 
 Examples in docstrings, here and in the other packages, follow `from newton_euler import *`,
 `from crosscheck.library import load`, `from crosscheck import *`, `from dataclasses import replace`,
