@@ -1,7 +1,8 @@
-"""Limits of what a file may ask for: in one table, to be seen and to be changed.
+"""Limits on the size of models, runs and files, in one table.
 
-They are what keeps a broken or hostile file from taking all memory or all day. Each is checked where its
-quantity is first known, before work begins. `crosscheck list` shows them, and `--set NAME=VALUE` changes one.
+Limits keep a broken or hostile file from taking all memory or hours of time. Each limit is checked where its
+quantity is first known, before work begins. `crosscheck list -v` shows all limits, and `--set NAME=VALUE`
+changes one limit.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ class Limit:
     """One limit.
 
     Attributes:
-        default: unless it is changed; None for a share of the memory that is free, see `memory_limit`.
-        unit: of the number, or the things that are counted.
-        meaning: for people.
+        default: value without a change; None for a share of the free memory, see `memory_limit`.
+        unit: unit of the number, or the things that are counted.
+        meaning: explanation for `crosscheck list -v`.
     """
 
     default: float | None
@@ -62,20 +63,20 @@ LIMITS = {
     "coverage_time": Limit(60, "s", "of processor time to work out what the motion covers"),
     "time": Limit(600, "s", "of processor time for the run of one engine, and for one comparison"),
 }
-"""By name."""
+"""Limits by their names."""
 
 MB = 1_000_000  # bytes
 
 MAX_BYTES = 2**62
-"""Largest number of bytes that operating systems take as a limit and that Python reads at once."""
+"""Largest byte count that operating systems accept as a limit and that Python reads at once."""
 
 MAX_MEMORY_MB = 4000
-"""Largest memory by default for a process that reads a file of others, which may be hostile. The largest
-public models known compile in 1400 MB."""
+"""Default memory limit, MB, of a process that reads a file from an untrusted source. The largest public
+models known compile in 1400 MB."""
 
 
 def limit(name: str) -> float:
-    """The limit of that name as it is now."""
+    """Return the present value of a limit by its name."""
     changes = _changes(os.environ.get(VARIABLE, ""))
     if name in changes:
         return changes[name]
@@ -84,15 +85,15 @@ def limit(name: str) -> float:
 
 
 def memory_limit() -> float:
-    """Compute the MB of memory that a process may take which reads a file of others.
+    """Compute the memory, MB, that a process may use while it reads a file from an untrusted source.
 
-    Half of what is free, so that the machine does not run out of it, and at most `MAX_MEMORY_MB`.
+    The limit is half of the free memory, and at most `MAX_MEMORY_MB`.
     """
     return float(min(MAX_MEMORY_MB, free_memory() // (2 * MB)))
 
 
 def exceeded(name: str, value: float) -> str:
-    """The problem with a value above a limit, and the setting that allows it; empty where there is none."""
+    """Describe a value above a limit with the setting that allows the value; empty for an allowed value."""
     most = limit(name)
     if value <= most:
         return ""
@@ -103,27 +104,27 @@ def exceeded(name: str, value: float) -> str:
 
 
 def too_small(name: str) -> str:
-    """The setting that raises a limit which something of unknown size has met."""
+    """Name a setting that raises a limit, for an object of unknown size that exceeds the limit."""
     return f"to allow more: --set {name}={number_text(4 * limit(name))}"
 
 
 def number_text(number: float) -> str:
-    """Return a number with six digits, or as Python shows it if that is shorter: 1e-320, not 9.99989e-321."""
+    """Format a number with six digits, or as Python does if shorter: 1e-320, not 9.99989e-321."""
     return min(f"{number:g}", repr(number), key=len)
 
 
 def size_in_bytes(name: str) -> int:
-    """Return a limit in MB in bytes, at most `MAX_BYTES`."""
+    """Convert a limit from MB to bytes, at most `MAX_BYTES`."""
     return int(min(limit(name) * MB, MAX_BYTES))
 
 
 @contextmanager
 def changed(changes: Mapping[str, str | float]) -> Iterator[None]:
-    """Have other limits in a block, also in processes that it starts.
+    """Change limits within a `with` block, also for processes that are started in the block.
 
     Raises:
-        UnknownNameError: for a name that is no limit's.
-        OptionError: for a value that is no positive number.
+        UnknownNameError: for an unknown limit.
+        OptionError: for a value that is not a positive number.
     """
     before = os.environ.get(VARIABLE)
     for name, value in changes.items():
@@ -140,7 +141,7 @@ def changed(changes: Mapping[str, str | float]) -> Iterator[None]:
 
 
 def _changes(text: str) -> dict[str, float]:
-    """The limits that a text changes; raises as `changed` does."""
+    """Parse the changed limits in a text; raises the errors of `changed`."""
     pairs = (pair.partition("=") for pair in text.split())
     return {name: _checked(name, value) for name, _, value in pairs}
 

@@ -1,7 +1,8 @@
-"""Elements of a scene, by the place where they act: joint coordinates, balls of joints, and points of bodies.
+"""Base classes of the elements of a scene, by the place where an element acts.
 
-Control laws, forces (`newton_euler.model.forces`) and armatures are such elements. Each measures its
-`Surroundings`, and has a name for messages and one for its parameters.
+Control laws, forces (`newton_euler.model.forces`), armatures and prescribed motions are elements. An element
+acts on a joint coordinate (`OnCoordinate`), on the ball of a joint (`OnBall`) or on points of bodies
+(`OnBodies`). Its methods take the state as `Surroundings`.
 """
 
 from __future__ import annotations
@@ -21,20 +22,20 @@ from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_coo
 from newton_euler.model.variable import COORDINATE_INDEX, Variable
 from newton_euler.scalars import Array, Scalar, cross
 
-BALL = -1  # in place of the number of a joint coordinate: all three freedoms of the joint's ball
+BALL = -1  # number of a "coordinate" that stands for all three rotations of a joint's ball
 
 
 class Surroundings(NamedTuple):
-    """State that elements depend on, over generic scalars; world frame, SI.
+    """The state on which forces and armatures depend, over generic scalars; world frame, SI.
 
     Attributes:
         mechanism: the bodies and joints.
-        poses: of all bodies, the reference poses of their frames at the initial pose.
-        frames: of all bodies, ground first.
-        measured: joint coordinates (m or rad), their rates, and further values that are not used here.
+        poses: reference poses of all body frames, at the initial pose.
+        frames: frames of all bodies, ground first.
+        measured: joint coordinates (m or rad) and their rates, the first two values of each sequence.
         time: s.
-        model: computes the forces (N or N m) that control laws get of a model of the mechanism; there are
-            none where no equations of motion are asked.
+        model: function that computes the forces (N or N m) of control laws with a model of the mechanism;
+            by default it returns no forces.
     """
 
     mechanism: Mechanism
@@ -88,7 +89,7 @@ class Element(Variable):
     """An element that acts in a scene.
 
     Attributes:
-        noun: messages begin with it.
+        noun: first word of messages about the element.
         body_fields: attributes that are names of bodies.
     """
 
@@ -111,12 +112,12 @@ class Element(Variable):
 
     @property
     def on_ball(self) -> bool:
-        """True if it acts on the ball of a joint."""
+        """True if the element acts on the ball of a joint."""
         return False
 
     @property
     def element(self) -> str:
-        """The element as errors call it."""
+        """The name of the element in error messages."""
         return f"{self.noun} {self.where}"
 
     @property
@@ -126,16 +127,16 @@ class Element(Variable):
 
     @property
     def identity(self) -> str:
-        """The part of the element's description that no other element of its kind in a scene has."""
+        """A text that is unique among the elements of one kind in a scene."""
         return self.element
 
     @property
     def prefix(self) -> str:
-        """The beginning of names of the element's parameters, see `newton_euler.equations.parameters`."""
+        """The prefix of names of the element's parameters, see `newton_euler.equations.parameters`."""
         raise NotImplementedError
 
     def check(self, mechanism: Mechanism) -> None:
-        """Raise `MechanismError` unless the mechanism has the place where it acts."""
+        """Raise `MechanismError` unless the mechanism has the place where the element acts."""
         raise NotImplementedError
 
 
@@ -247,11 +248,11 @@ class OnBodies(Element):
 
 
 class AppliedForce(Element):
-    """A force or a control law: does nothing, but for the methods that a kind of its own redefines.
+    """A force or a control law. Each kind redefines the methods for what it does.
 
     Attributes:
         kind: name of the kind of force in scene files.
-        may_jump: True if the force may jump where motion takes it.
+        may_jump: True if the force can jump during a motion.
     """
 
     kind: ClassVar[str]
@@ -262,7 +263,7 @@ class AppliedForce(Element):
         raise NotImplementedError
 
     def spans(self, at: Surroundings) -> tuple[Array, ...]:
-        """Compute the vectors (3,), m, whose directions the force needs, so that they may not be zero."""
+        """Compute the vectors (3,), m, whose directions the force depends on; they must not be zero."""
         return ()
 
     def check_start(self, at: Surroundings) -> None:
@@ -275,11 +276,11 @@ class AppliedForce(Element):
             )
 
     def reversing(self, at: Surroundings) -> Array:
-        """Compute a vector (k,) that reverses where the force jumps, if it may; zero for one that cannot."""
+        """Compute a vector (k,) that changes its sign where the force jumps; zero for a force that cannot."""
         raise NotImplementedError
 
     def wrenches(self, at: Surroundings) -> Iterable[tuple[int, Array]]:
-        """Compute what acts on bodies, by their numbers: force and torque (6,) about the center of mass."""
+        """Compute the wrenches on bodies, by body number: force and torque (6,) about the center of mass."""
         return ()
 
     def energy(self, at: Surroundings) -> Scalar:
@@ -287,11 +288,11 @@ class AppliedForce(Element):
         return 0.0
 
     def powers(self, at: Surroundings) -> Iterable[Scalar]:
-        """Compute the terms of the power, W, of what has no potential energy, in the order to add them in."""
+        """Compute the terms of the power, W, without potential energy, in the order of summation."""
         raise NotImplementedError
 
     def magnitude(self, at: Surroundings) -> float:
-        """Compute how large the force is, N; torques over the mechanism's size."""
+        """Compute the magnitude of the force, N; a torque is divided by the mechanism's size."""
         raise NotImplementedError
 
 
@@ -299,8 +300,8 @@ class OnPoint(OnBodies, AppliedForce):
     """A force and a torque at a point of one body.
 
     Attributes:
-        body: name of the body they act on; not the ground.
-        point: (3,) in the world at the initial pose, m; it moves with the body.
+        body: name of the body, not the ground.
+        point: (3,) in the world at the initial pose, m; the point moves with the body.
     """
 
     body: str
@@ -309,7 +310,7 @@ class OnPoint(OnBodies, AppliedForce):
     number_fields: ClassVar = {"point": POINT}
 
     def check(self, mechanism: Mechanism) -> None:
-        """Raise `MechanismError` unless the mechanism has its body, a moving one."""
+        """Raise `MechanismError` unless the mechanism has the body and the body moves."""
         super().check(mechanism)
         if mechanism.body_index(self.body) == 0:
             raise MechanismError(self.element, f"acts on the ground {quoted(self.body)}", "a body that moves")
@@ -334,7 +335,7 @@ class OnPoint(OnBodies, AppliedForce):
 
 
 class CoordinateForce(OnCoordinate, AppliedForce):
-    """A force on a joint coordinate; it acts through the coordinate, and so has no wrenches of its own."""
+    """A force on a joint coordinate. The force acts through the coordinate, without wrenches on bodies."""
 
     def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
         """Compute the force (N or N m) at coordinate x (m or rad), its rate, and a time in s."""
@@ -353,13 +354,13 @@ class CoordinateForce(OnCoordinate, AppliedForce):
 
 
 def check_known(element: str, problem: str, name: str, known: Sequence[str]) -> None:
-    """Raise `MechanismError` with a problem, and the name, unless that is among the known ones."""
+    """Raise `MechanismError` unless a name is among the known names."""
     if name not in known:
         raise MechanismError(element, f"{problem} {quoted(name)}", f"one of {listed(known)}")
 
 
 def check_elements(elements: Sequence[Element], mechanism: Mechanism) -> None:
-    """Raise `MechanismError` for an element whose place the mechanism lacks, or that is there twice."""
+    """Raise `MechanismError` for an element without a place in the mechanism, or a repeated element."""
     for element in elements:
         element.check(mechanism)
     for identity, count in Counter(element.identity for element in elements).items():

@@ -1,9 +1,9 @@
 """Forces: springs and dampers at joints and between points, constant wrenches, and inertias of rotors.
 
-Points are given in the world at the mechanism's initial pose, like those of joints, and move with
-their bodies. Each kind states its wrenches on bodies, energy and power over generic scalars (Nikravesh,
-Computer-Aided Analysis of Mechanical Systems, 1988, chapter 9, for the elements between two points);
-`newton_euler.equations.applied_forces` adds up those of a scene.
+Points are given in the world at the initial pose, as for joints, and move with their bodies. Each kind of
+force computes its wrenches on bodies, its energy and its power over generic scalars. The source of springs
+between two points is Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, chapter 9.
+`newton_euler.equations.applied_forces` sums the forces of a scene.
 """
 
 from __future__ import annotations
@@ -67,13 +67,13 @@ class Spring(AppliedForce):
 class JointSpring(CoordinateForce, Spring):
     """A spring and damper on a joint's hinge or slide: -(k (x - rest) + d dx/dt), N or N m.
 
-    It is named by its joint, which need not be actuated; damping alone is viscous friction.
+    The joint need not be actuated. Damping without stiffness is viscous friction.
 
     Attributes:
-        joint: name of the joint it acts on.
+        joint: name of the joint.
         stiffness: k in N/m or N m/rad, 0 or more.
         damping: d in N s/m or N m s/rad, 0 or more.
-        rest: joint coordinate without spring force, m or rad from the initial pose.
+        rest: joint coordinate at which the spring force is zero, m or rad from the initial pose.
         coordinate: which of the joint's coordinates, from 0.
 
     Raises:
@@ -118,12 +118,12 @@ class JointSpring(CoordinateForce, Spring):
 class BallSpring(OnBall, Spring):
     """A torsion spring and damper on a joint's ball, the same about all axes: -(k theta + d omega), N m.
 
-    theta is the rotation vector of the second body against the first, from where the spring rests, and
-    omega their relative angular velocity; the torque is that on the second body. theta is below half a
-    revolution: there the torque of a spring jumps to the other side.
+    theta is the rotation vector of the second body against the first, from the orientation of rest; omega is
+    the relative angular velocity. The torque acts on the second body, and the opposite torque on the first.
+    |theta| is at most half a revolution, where the torque of the spring jumps to the opposite direction.
 
     Attributes:
-        joint: name of the joint it acts on.
+        joint: name of the joint.
         stiffness: k in N m/rad, 0 or more.
         damping: d in N m s/rad, 0 or more.
         rest: (3,) rotation vector of the second body against the first where the spring rests, rad from
@@ -263,7 +263,7 @@ class PointSpring(OnBodies, Spring):
 
     @property
     def has_direction(self) -> bool:
-        """True if it needs its line; a spring of rest length 0 pulls in proportion to the distance."""
+        """True if the force needs the direction of the line; without rest length and damping it does not."""
         return not (self.rest_length == 0.0 and self.damping == 0.0)
 
     def line(self, at: Surroundings) -> Line:
@@ -288,7 +288,7 @@ class PointSpring(OnBodies, Spring):
         return (self.line(at).d,) if self.has_direction else ()
 
     def reversing(self, at: Surroundings) -> Array:
-        """Compute the line (3,), m, along which the spring pushes; dampers act alike on both sides."""
+        """Compute the line (3,), m, along which the spring pushes; a damper does not jump."""
         return np.zeros(3) if self.stiffness == 0.0 or self.rest_length == 0.0 else self.line(at).d
 
     def wrenches(self, at: Surroundings) -> Iterator[tuple[int, Array]]:
@@ -321,8 +321,8 @@ class Wrench(OnPoint):
 
     Attributes:
         name: unique among the forces of a scene; letters, digits, `_`, `.` and `-`.
-        body: name of the body they act on; not the ground.
-        point: (3,) in the world at the initial pose, m; it moves with the body.
+        body: name of the body, not the ground.
+        point: (3,) in the world at the initial pose, m; the point moves with the body.
         force: (3,) N, world components at the initial pose.
         torque: (3,) N m, world components at the initial pose.
         frame: "world", or "body" for a force and a torque that turn with the body.
@@ -381,10 +381,10 @@ Force = JointSpring | BallSpring | PointSpring | Wrench | WindLoad
 class Armature(OnCoordinate):
     """The inertia of a rotor that a joint coordinate turns through a gear, reflected to the joint.
 
-    It is a generalized force -a d2x/dt2 on a joint's hinge or slide x, and kinetic energy 1/2 a (dx/dt)^2:
-    a on the diagonal of the mass matrix in joint coordinates. The rotor itself is no body of the mechanism:
-    of its motion only the spin about its axis is taken into account, which is what a large gear ratio makes
-    large (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 9, on gears).
+    The armature adds the generalized force -a d2x/dt2 on a joint's hinge or slide x, and the kinetic energy
+    1/2 a (dx/dt)^2: a on the diagonal of the mass matrix in joint coordinates. The rotor is no body of the
+    mechanism. Only its spin about its axis is modeled, which dominates at a large gear ratio (Featherstone,
+    Rigid Body Dynamics Algorithms, 2008, chapter 9, on gears).
 
     Attributes:
         joint: name of the joint.

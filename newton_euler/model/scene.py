@@ -36,7 +36,7 @@ from newton_euler.model.variable import Variable, functions_of
 from newton_euler.scalars import Array
 
 OutputName = Literal["velocities", "reactions", "actuation", "violation", "energy"]
-"""What may be asked for beside the poses."""
+"""Optional outputs of a run, in addition to the poses."""
 
 OUTPUTS: tuple[OutputName, ...] = get_args(OutputName)
 
@@ -46,10 +46,10 @@ ELEMENT_KINDS: dict[str, tuple[type, ...]] = {
     "forces": get_args(Force),
     "armatures": (Armature, BallArmature),
 }
-"""Elements of a scene, and their kinds."""
+"""Classes of the elements in each field of a scene."""
 
 MAXIMUM_OUTPUTS = 1_000_000
-MAXIMUM_DURATION = 1e7  # s, four months: fixed steps of a millisecond would go on for a day
+MAXIMUM_DURATION = 1e7  # s, four months: fixed steps of a millisecond would take a day
 MAXIMUM_ANGLE = 1e9  # rad, in a state: more have fewer digits than a pose
 REDUNDANCY_TOLERANCE = 1e-4  # noise of files: points rounded to 1e-6 m on a mechanism of a centimeter
 
@@ -57,7 +57,7 @@ _NAME = re.compile(r"[A-Za-z0-9_.\-]{1,100}")
 
 
 def _knots(functions: Iterable[TimeFunction]) -> tuple[float, ...]:
-    """Return the knots of all, those that differ by round-off once."""
+    """Return the knots of several functions; knots that differ by round-off count once."""
     found: list[float] = []
     for knot in sorted({knot for function in functions for knot in function.knots}):
         if not found or knot - found[-1] > ROUND_OFF * abs(knot):
@@ -295,7 +295,7 @@ class Scene(Variable):
 
     @property
     def jumps(self) -> tuple[float, ...]:
-        """The same of attributes alone that have functions which jump."""
+        """Times, s, of the knots of attributes with functions that jump, ascending."""
         jumping = (functions for functions in self.functions.values() if any(f.jumps for f in functions))
         return _knots(function for functions in jumping for function in functions)
 
