@@ -81,9 +81,11 @@ def cut(program: Program) -> list[list[int]]:
     operations = [k for k, (op, _, _) in enumerate(program.nodes) if op not in LEAVES]
     if not operations:
         return []
+    # a checksum of the operations around each place, independent of where the place is
     sums = _checksums([program.nodes[k][0] for k in operations])
     around = np.pad(sums, REACH, constant_values=PRIME)
     least = np.lib.stride_tricks.sliding_window_view(around, 2 * REACH + 1).min(axis=1)
+    # cut after local minima of the checksum, unless the piece would be too short
     pieces: list[list[int]] = []
     start = 0
     for n in np.flatnonzero(sums == least).tolist():
@@ -119,6 +121,7 @@ def roll(program: Program) -> tuple[list[Piece], list[tuple[Piece, Instance]]]:
     order: list[tuple[Piece, Instance]] = []
     home: dict[int, tuple[Piece, int]] = {}
     used: set[int] = set(program.outputs)
+    # pieces of equal structure share one entry
     for nodes in cut(program):
         steps, instance = _structure(program, nodes, common)
         piece = pieces.setdefault(steps, Piece(len(pieces), steps))
@@ -126,6 +129,7 @@ def roll(program: Program) -> tuple[list[Piece], list[tuple[Piece, Instance]]]:
         order.append((piece, instance))
         home.update({node: (piece, place) for place, node in enumerate(nodes)})
         used.update(instance.values)
+    # each piece stores the values that other pieces or outputs use
     for node in sorted(used):
         if node in home:
             piece, place = home[node]
@@ -174,6 +178,7 @@ def _structure(program: Program, nodes: list[int], common: set[float]) -> tuple[
 def emit_rolled(program: Program, name: str, lanes: int = 1) -> str:
     """Emit the program as loops over its pieces; an `Emitter`."""
     pieces, order = roll(program)
+    # lay out the table of values: inputs, stored values of all instances, constants among the outputs
     place = {k: int(a) for k, (op, a, _) in enumerate(program.nodes) if op == "input"}
     size = program.inputs
     starts = []
@@ -187,6 +192,7 @@ def emit_rolled(program: Program, name: str, lanes: int = 1) -> str:
         place[k] = size
         size += 1
 
+    # tables of what each instance takes: places of values, and data
     values: list[int] = []
     data: list[float] = []
     value_starts, data_starts = [], []
@@ -207,6 +213,7 @@ def emit_rolled(program: Program, name: str, lanes: int = 1) -> str:
         _table("i32", f"{name}.data_starts", data_starts),
         _table("i32", f"{name}.starts", starts),
     ]
+    # code: constants, one function for each piece, and the loop that calls the functions
     constants = Instructions(lanes)
     for k in fixed:
         constants.store(f"%c{k}", constant(program.nodes[k][1], lanes), "%v", place[k])

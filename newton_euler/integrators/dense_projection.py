@@ -153,6 +153,7 @@ def factor_metric(closing: Closing) -> int:
     rows = closing.rows
     lower = closing.lower
     nonzeros = closing.found[2 * k :]
+    # scatter the nonzeros into the full matrices Phi_q and M
     for i in range(k * nv):
         rows[i] = 0.0
     for i in range(closing.on_jacobian):
@@ -161,6 +162,7 @@ def factor_metric(closing: Closing) -> int:
         lower[i] = 0.0
     for i in range(closing.on_mass):
         lower[int(places[closing.on_jacobian + i])] = nonzeros[closing.on_jacobian + i]
+    # metric: M, scaled to the largest diagonal element 1, plus J^T J
     largest = 0.0
     for i in range(nv):
         largest = max(largest, lower[nv * i + i])
@@ -171,6 +173,7 @@ def factor_metric(closing: Closing) -> int:
         for i in range(nv):
             for j in range(i + 1):
                 lower[nv * i + j] += rows[nv * row + i] * rows[nv * row + j]
+    # Cholesky factor L, column by column
     definite = 1
     for j in range(nv):
         for i in range(j, nv):
@@ -197,6 +200,7 @@ def orthogonalize(closing: Closing) -> None:
     lower = closing.lower
     basis = closing.basis
     lengths = closing.lengths
+    # solve L Y = J^T: rows become the columns of L^-1 J^T, with squared lengths
     for row in range(k):
         square = 0.0
         for i in range(nv):
@@ -207,6 +211,7 @@ def orthogonalize(closing: Closing) -> None:
             rows[nv * row + i] = rest
             square += rest * rest
         lengths[row] = square
+    # modified Gram-Schmidt with pivoting: take the longest column that is left
     longest = 0.0
     for r in range(k if k < nv else nv):
         place = 0
@@ -217,10 +222,12 @@ def orthogonalize(closing: Closing) -> None:
                 place = row
         longest = max(longest, most)
         scale = 1.0 / sqrt(most) if most > WEAK_CONSTRAINT_LENGTH * WEAK_CONSTRAINT_LENGTH * longest else 0.0
+        # normalize the column; a weak one becomes zero, so that it corrects nothing
         closing.chosen[r] = float(place)
         closing.inverse[r] = scale
         for i in range(nv):
             basis[nv * r + i] = scale * rows[nv * place + i]
+        # subtract its component from all columns
         for row in range(k):
             share = 0.0
             for i in range(nv):
@@ -246,18 +253,21 @@ def correct(closing: Closing, residuals: Vector) -> None:
         rest[row] = residuals[row]
     for i in range(nv):
         step[i] = 0.0
+    # forward substitution along the orthonormal vectors
     for r in range(k if k < nv else nv):
         length = rest[int(closing.chosen[r])] * closing.inverse[r]
         for row in range(k):
             rest[row] -= length * closing.shares[k * r + row]
         for i in range(nv):
             step[i] += length * closing.basis[nv * r + i]
+    # back substitution: L^T step = what was found
     for m in range(nv):
         i = nv - 1 - m
         left = step[i]
         for j in range(i + 1, nv):
             left -= lower[nv * j + i] * step[j]
         step[i] = left / lower[nv * i + i]
+    # from dimensionless numbers to SI
     for i in range(nv):
         step[i] = closing.units[i] * step[i]
 
@@ -285,6 +295,7 @@ def close_by(closing: Closing, x: Vector, y: Vector) -> None:
     y[nq + nv] = -1.0
     if k < 0:
         return
+    # start at the given state, with quaternions of norm 1
     for i in range(closing.inputs):
         at[i] = x[i]
     for i in range(nv):
@@ -295,6 +306,7 @@ def close_by(closing: Closing, x: Vector, y: Vector) -> None:
         at[i] = y[i]
     closing.evaluate(at, found)
     left = squared(k, found)
+    # positions: Newton's iteration, with a new Jacobian while the residual is large
     for number in range(MAX_DENSE_ITERATIONS):
         if number == 0 or left > REUSE_JACOBIAN_BELOW * REUSE_JACOBIAN_BELOW:
             if factor_metric(closing) == 0:
@@ -310,6 +322,7 @@ def close_by(closing: Closing, x: Vector, y: Vector) -> None:
             at[i] = moved[i]
         for i in range(nv):
             at[nq + i] = x[nq + i]
+        # accept the step if it reduces the residual by half at least, else stop
         before = left
         closing.evaluate(at, found)
         left = squared(k, found)
@@ -320,9 +333,11 @@ def close_by(closing: Closing, x: Vector, y: Vector) -> None:
             y[i] = at[i]
         if left < RESIDUAL_ROUND_OFF * RESIDUAL_ROUND_OFF:
             break
+    # fail if the loops stay open
     if not left <= CLOSURE_TOLERANCE * CLOSURE_TOLERANCE:
         return
-    for _time in range(2):  # once more for the digits
+    # velocities: two corrections, the second one for the digits
+    for _time in range(2):
         for i in range(nq + nv):
             at[i] = y[i]
         closing.evaluate(at, found)

@@ -419,7 +419,10 @@ def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853
 
 @native
 def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853) -> Status:
-    """Try a step, whose size is changed if it is not to be taken; returns a status."""
+    """Try a step (Hairer, Norsett, Wanner, sections II.4 to II.6); return a status.
+
+    If the step is rejected, only the size of the next try changes, and the status is `DONE`.
+    """
     n = system.n
     row = n + 1
     now = method.now
@@ -428,6 +431,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     counts = system.counts
     control = method.control
     stop = table.times[table.count - 1]
+    # step size: the last step ends with the run, unless steps may go beyond the end
     status = before_step(system, table, method.max_steps, control[Control.STEP], now)
     if status != Status.DONE:
         return status
@@ -438,29 +442,36 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     ):
         control[Control.STEP] = stop - now[n]
     h = control[Control.STEP]
+    # the other stages; the last one is evaluated at the end of the step, as the first of the next step
     pivot_ratio = HUGE
     for s in range(1, STAGES + 1):
         status = stage(system, method, s, h, end if s == STAGES else method.at)
         if status != Status.DONE:
             break
         pivot_ratio = min(pivot_ratio, k[row * s + n])
+    # reject a clipped step near a singular configuration: no step can end there, so that the
+    # last step goes beyond the end and the end is interpolated (step 5 of `singular`)
     if system.projecting == 1 and pivot_ratio < NEAR_PIVOT_RATIO and control[Control.UNCLIPPED_STEP] > h:
         counts[Count.REJECTED] += 1.0
         control[Control.OVERSHOOTS_END] = 1.0
         control[Control.STEP] = control[Control.UNCLIPPED_STEP]
         return Status.DONE
+    # reject a step with unsafe accelerations, once the run has left a singular start (step 3)
     if k[n] >= UNSAFE_PIVOT_RATIO:
         control[Control.STARTS_SINGULAR] = 0.0
     if pivot_ratio < UNSAFE_PIVOT_RATIO and control[Control.STARTS_SINGULAR] == 0.0:
         counts[Count.REJECTED] += 1.0
         control[Control.STEP] = UNSAFE_STEP_FACTOR * h
         return Status.DONE
+    # error estimate from the embedded formulas of orders 5 and 3
     pivot_ratio = min(pivot_ratio, k[n])
     error = FAILED_STEP_ERROR
     if status == Status.DONE:
         error = error_norm(system, h, 0.0, method)
         end[n] = now[n] + h
     excess = error
+    # measure round-off if the error estimate does not look like an error of the method: round-off of
+    # the rates is no reason to shorten the step (`newton_euler.integrators.round_off`)
     rough = 0
     if control[Control.ERROR_RATIO] < ROUGH_ERROR_RATIO or (
         control[Control.ROUND_OFF_MARK] == 1.0 and error >= 1.0
@@ -482,10 +493,12 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
             control[Control.ROUND_OFF_MARK] = (
                 0.0 if control[Control.ROUND_OFF_MARK] == 1.0 else 0.0 - STEPS_TO_NEXT_MEASUREMENT
             )
+    # near a singular configuration, the error is the error after projection (step 6)
     near = 0
     if system.projecting == 1 and pivot_ratio < NEAR_PIVOT_RATIO and status == Status.DONE:
         near = 1
         error = min(error, error_on_constraints(n, h, system.closing, method))
+    # and the step is placed so that the configuration lies between two stages (step 4)
     if near == 1 and control[Control.PLACEMENT_TRIES] < MAX_PLACEMENT_TRIES:
         shorter = SAFETY * error**ERROR_EXPONENT if error > 1.0 else 1.0
         wanted = crossing_factor(k[n], k[row * 9 + n], k[row * STAGES + n], shorter)
@@ -494,6 +507,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
             control[Control.PLACEMENT_TRIES] += 1.0
             control[Control.STEP] = wanted * h
             return Status.DONE
+    # reject the step for its error (section II.4)
     if not error < 1.0:
         counts[Count.REJECTED] += 1.0
         if status != Status.DONE and h < 1e-10 * (stop - table.times[0]):
@@ -501,6 +515,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         control[Control.STEP] = h * max(MIN_STEP_FACTOR, SAFETY * error**ERROR_EXPONENT)
         control[Control.MAX_GROWTH] = 1.0
         return Status.DONE
+    # project the end; the change by projection is the part of the error that opens constraints
     status = project_end(system, near, end, method.projected, method.at)
     moved = 0.0
     if status != Status.DONE:
@@ -518,6 +533,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         control[Control.MAX_GROWTH] = 1.0
         control[Control.PROJECTION_CHANGE] = moved
         return Status.DONE
+    # accept the step: record, count and write the outputs that the step has passed
     control[Control.PROJECTION_CHANGE] = HUGE
     control[Control.PROJECTION_NOISE] = moved if moved >= 1.0 else 0.0
     store_step(system.exchange, h, method, int(counts[Count.STEPS]))
@@ -529,6 +545,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         status = write_outputs(system, table, states, method, near)
         if status != Status.DONE:
             return status
+    # move to the end of the step, or of the run if the step went beyond it
     for i in range(n):
         now[i] = method.projected[i]
     now[n] = now[n] + h
@@ -537,6 +554,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
             now[i] = states[n * (table.count - 1) + i]
         now[n] = stop
         status = finish_step(system, near, now, end)
+    # exchange constraint rows, and evaluate the rates if the state or the rows have changed
     changed = exchange_rows(system.exchange, now)
     if changed == 1:
         copy_flags(system.exchange, now, method.at)
@@ -549,6 +567,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     if system.projecting == 0 and changed == 0:
         for i in range(n + 1):
             k[i] = k[row * STAGES + i]
+    # size of the next step (section II.4, equation 4.13)
     factor = (
         MAX_STEP_FACTOR if error == 0.0 else min(control[Control.MAX_GROWTH], SAFETY * error**ERROR_EXPONENT)
     )

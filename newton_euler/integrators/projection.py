@@ -98,6 +98,7 @@ def project(system: Equations, with_velocities: int, x: Vector) -> Status:
     lanes = system.lanes
     found = system.projection_work[lanes * system.inputs :]
     left = HUGE
+    # positions: Newton's iteration
     for step in range(MAX_NATIVE_ITERATIONS + 1):
         copy_to_lanes(system.inputs, lanes, x, system.projection_work)
         system.position(system.projection_work, found)
@@ -117,12 +118,14 @@ def project(system: Equations, with_velocities: int, x: Vector) -> Status:
         if left * left < QUADRATIC_RATE * found[lanes * (n + 1)] * system.tolerance * system.tolerance:
             left = 0.0  # so the next one would find
             break
+    # velocities: one linear least-norm problem
     if with_velocities == 1:
         copy_to_lanes(system.inputs, lanes, x, system.projection_work)
         system.velocity(system.projection_work, found)
         left = found[lanes * n]
         if left < HUGE and not found[lanes * (n + 1)] > MIN_PIVOT:
             return project_densely(system, x, found)
+    # check the residual of positions that is left
     if not left < HUGE:
         return Status.NOT_FINITE
     if left > system.open_tolerance * system.open_tolerance:
@@ -142,6 +145,7 @@ def project_side_by_side(system: Equations, with_velocities: int) -> int:
     work = system.projection_work
     found = work[lanes * system.inputs :]
     before = found[lanes * (n + 2) :]  # squared residual, 0 where nothing is left to do
+    # positions: at most a few steps of Newton's iteration in all lanes; give up if one lane needs more
     for lane in range(lanes):
         before[lane] = HUGE
     unsettled = lanes
@@ -168,6 +172,7 @@ def project_side_by_side(system: Equations, with_velocities: int) -> int:
             break
     if unsettled > 0:
         return 0
+    # velocities
     if with_velocities == 1:
         system.velocity(work, found)
         for lane in range(lanes):
@@ -197,6 +202,7 @@ def project_rows(
     with_velocities = 1 if table.output_state_size == n else 0
     row = first
     while system.projecting == 1 and row < end:
+        # project as many rows as there are lanes side by side
         together = 0
         if lanes > 1 and near == 0:
             for lane in range(lanes):
@@ -207,6 +213,7 @@ def project_rows(
                 for i in range(n + 1, system.inputs):
                     work[lanes * i + lane] = x[i]
             together = project_side_by_side(system, with_velocities)
+        # take the results, or project row by row if that failed
         for lane in range(lanes if row + lanes < end else end - row):
             state = states[n * row :]
             if together == 1:

@@ -173,6 +173,7 @@ def solve_stages(system: Equations, method: Radau, m: int, h: float) -> int:
     f = method.f
     change = method.change
     tolerance = max(10.0 * EPS / method.rtol, min(0.03, sqrt(method.rtol)))
+    # transform the stages: W = T^-1 Z ("The linear system")
     for s in range(3):
         for i in range(n):
             w[n * s + i] = (
@@ -183,12 +184,14 @@ def solve_stages(system: Equations, method: Radau, m: int, h: float) -> int:
     before = -1.0
     rate = -1.0
     for k in range(MAX_NEWTON_STEPS):
+        # evaluate the rates of the stages
         for s in range(3):
             for i in range(n):
                 at[i] = now[i] + z[n * s + i]
             at[n] = now[n] + NODES[s] * h
             if evaluate(system, at, f[(n + 1) * s :]) != Status.DONE:
                 return -1
+        # right-hand sides of the real and the complex system, and their solutions
         for i in range(n):
             f0 = f[i]
             f1 = f[n + 1 + i]
@@ -205,6 +208,8 @@ def solve_stages(system: Equations, method: Radau, m: int, h: float) -> int:
             )
         solve_real(n, m, method.real, method.pivots, change)
         solve_complex(n, m, method.re, method.im, method.pivots[n:], change[n:], change[2 * n :])
+        # norm of the correction, rate of convergence, and stop if convergence is too slow ("Stopping
+        # criterion")
         size = 0.0
         for s in range(3):
             part = scaled_norm(n, change[n * s :], now, method.rtol, method.atol)
@@ -217,6 +222,7 @@ def solve_stages(system: Equations, method: Radau, m: int, h: float) -> int:
             left = MAX_NEWTON_STEPS - 1 - k
             if size >= ROUND_OFF_CORRECTION and (rate >= 1.0 or rate**left / (1.0 - rate) * size > tolerance):
                 return -1
+        # correct W, and transform back: Z = T W
         for i in range(n):
             w[i] += change[i]
             w[n + i] += change[n + i]
@@ -300,7 +306,11 @@ def error_within(n: int, h: float, before_h: float, method: Radau) -> float:
 
 @native
 def run_radau(system: Equations, table: Table, states: Vector, method: Radau) -> Status:
-    """Integrate `now` from the first time on and write the states at all times; returns a status."""
+    """Integrate one run, and write its states at all times; return a status.
+
+    The steps follow Hairer, Wanner, section IV.8, with projection onto the constraints after each step.
+    Comments name subsections of IV.8.
+    """
     n = system.n
     now = method.now
     at = method.at
@@ -315,6 +325,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
     atol = method.atol
     projected = method.projected
     unprojected = method.w  # which is free between two steps
+    # start: project the state, evaluate its rates, choose the first step (volume I, section II.4)
     for i in range(system.inputs):
         at[i] = now[i]
         projected[i] = now[i]
@@ -340,12 +351,14 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
     for i in range(3 * n):
         z[i] = 0.0
     while due < table.count:
+        # clip the last step to the end of the run
         status = before_step(system, table, method.max_steps, h, now)
         if status != Status.DONE:
             return status
         if now[n] + h > stop or stop - now[n] - h < 1e-3 * h:
             h = stop - now[n]
             factored = 0
+        # factor the matrices of the linear systems, gamma/h - J and (alpha + i beta)/h - J
         if factored == 0:
             m = zero_block(n, method.matrix)
             if factor_matrices(n, m, h, method) == 1:
@@ -353,6 +366,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
                 h = 0.5 * h
                 continue
             factored = 1
+        # predict the stages by the collocation polynomial of the step before ("Starting values")
         if before_h > 0.0:
             for s in range(3):
                 interpolate_radau(n, n, 1.0 + NODES[s] * h / before_h, method.before, terms, at)
@@ -361,13 +375,16 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         else:
             for i in range(3 * n):
                 z[i] = 0.0
+        # solve for the stages by simplified Newton iterations
         taken = solve_stages(system, method, m, h)
         pivot_ratio = min(min(f[n], f[2 * n + 1]), f[3 * n + 2])
+        # reject a step with unsafe accelerations (step 3 of `singular`)
         if taken >= 0 and pivot_ratio < UNSAFE_PIVOT_RATIO and slope[n] >= UNSAFE_PIVOT_RATIO:
             counts[Count.REJECTED] += 1.0
             h = UNSAFE_STEP_FACTOR * h
             factored = 0
             continue
+        # if Newton's iteration fails, try a new Jacobian, then half the step
         if taken < 0:
             counts[Count.REJECTED] += 1.0
             if fresh == 0:
@@ -377,6 +394,8 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
                 h = 0.5 * h
             factored = 0
             continue
+        # error estimate of order 3; in the first step and after a rejection once more from a corrected
+        # start, because stiff components exaggerate the first estimate ("Step size selection")
         convergence = change[3 * n]
         error = error_of_step(n, m, h, method, slope)
         if error > 1.0 and (rejected == 1 or counts[Count.STEPS] == 0.0):
@@ -385,20 +404,24 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
             at[n] = now[n]
             if evaluate(system, at, f) == Status.DONE:
                 error = error_of_step(n, m, h, method, f)
+        # outputs within the step need the error of the interpolation, too
         if before_h > 0.0 and times[due] < now[n] + h and error <= 1.0 and n > 0:
             error = max(error, error_within(n, h, before_h, method))
+        # factor for the next step: by the error, and by the predictive controller of Gustafsson
         safety = 0.9 * (2.0 * MAX_NEWTON_STEPS + 1.0) / (2.0 * MAX_NEWTON_STEPS + taken)
         factor = MAX_STEP_FACTOR
         if error > 0.0:
             factor = error**-0.25
             if before_h > 0.0 and before_error > 0.0 and error <= 1.0:
                 factor = min(factor, factor * h / before_h * (before_error / error) ** 0.25)
+        # reject the step for its error
         if not error <= 1.0:
             counts[Count.REJECTED] += 1.0
             h = h * max(MIN_STEP_FACTOR, safety * factor) if error < HUGE else 0.2 * h
             factored = 0
             rejected = 1
             continue
+        # project the end; the change by projection is the part of the error that opens constraints
         for i in range(n):
             f[i] = now[i] + z[2 * n + i]
         f[n] = now[n] + h
@@ -417,6 +440,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
             factored = 0
             rejected = 1
             continue
+        # accept the step, and interpolate and project the outputs within it
         moved_before = HUGE
         moved_noise = moved if moved >= 1.0 else 0.0
         counts[Count.STEPS] += 1.0
@@ -432,16 +456,20 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         status = project_rows(system, table, states, first, due, 0, at)
         if status != Status.DONE:
             return status
+        # move to the end of the step; `before` follows angles that lose a revolution
         for i in range(n):
             revolutions = unprojected[i] - (now[i] + z[2 * n + i])
             method.before[i] = now[i] + revolutions
             now[i] = projected[i]
         now[n] = now[n] + h
+        # exchange constraint rows, and evaluate the rates
         changed = exchange_rows(system.exchange, now)
         if status == Status.DONE:
             status = evaluate(system, now, slope)
         if status != Status.DONE:
             return status
+        # keep the Jacobian while Newton's iteration converges fast, and the factors while the step
+        # hardly changes ("Step size selection")
         before_h = h
         before_error = max(error, 1e-2)
         fresh = 0

@@ -74,6 +74,7 @@ def estimate_errors(tangents: Tangents, h: float) -> None:
     threes = k[14 * row :]
     end = tangents.at[tangents.inputs * lanes :]
     begun = tangents.x[tangents.inputs * lanes :]
+    # embedded formulas of orders 5 and 3 for each element
     for i in range(size):
         five = ERROR_5[0] * k[i]
         three = ERROR_3[0] * k[i]
@@ -82,6 +83,7 @@ def estimate_errors(tangents: Tangents, h: float) -> None:
             three += ERROR_3[j] * k[row * j + i]
         fives[i] = five
         threes[i] = three
+    # norms of each lane: of coordinates and of velocities, in units of the largest of each
     for lane in range(lanes):
         place = 0.0
         fifth_place = 0.0
@@ -104,6 +106,7 @@ def estimate_errors(tangents: Tangents, h: float) -> None:
         of_speed = tangents.tolerance * max(speed, place) + SMALLEST_SCALE
         fifth = fifth_place / of_place / of_place + fifth_speed / of_speed / of_speed
         third = third_place / of_place / of_place + third_speed / of_speed / of_speed
+        # combined estimate, and the error in its own unit for the comparison with other lengths
         error = 0.0
         if fifth > 0.0 or third > 0.0:
             error = h * fifth / sqrt((fifth + 0.01 * third) * tangents.n)
@@ -218,6 +221,7 @@ def carry_tangents(tangents: Tangents, last: Vector) -> Status:
     at = tangents.at
     end = tangents.k[(2 * size + lanes) * 16 :]
     due = 0
+    # each step of the run: its state, and the tangents projected every few steps
     for number in range(tangents.count):
         step = tangents.steps[(known + 1) * number :]
         t = step[n]
@@ -228,12 +232,14 @@ def carry_tangents(tangents: Tangents, last: Vector) -> Status:
             at[i] = x[i]
         if number % STEPS_PER_PROJECTION == 0 or passes_singular(tangents) == 1:
             project_tangents(tangents)
+        # the first row of the table
         if due == 0:
             for i in range(size):
                 tangents.table[i] = x[along + i]
             for i in range(known - n - 1):
                 tangents.flags[i] = step[n + 1 + i]
             due = 1
+        # take the step in parts that keep the error of the tangents below the tolerance
         while t < stop:
             counts[TangentCount.PARTS] += 1.0
             counts[TangentCount.TIME_REACHED] = t
@@ -246,6 +252,7 @@ def carry_tangents(tangents: Tangents, last: Vector) -> Status:
             taken = take_part(tangents, t, h)
             if tangents.least[0] < tangents.floor:
                 return Status.SINGULAR
+            # the end of the part, and outputs within it
             for i in range(size):
                 end[i] = at[along + i]
                 end[size + i] = at[i]
@@ -254,6 +261,7 @@ def carry_tangents(tangents: Tangents, last: Vector) -> Status:
             for i in range(size):
                 x[along + i] = end[i]
             t = reached
+            # another part follows: its state, and its length by the error of this one
             if t < stop:  # of the state, which is as exact as its step
                 for i in range(size):
                     x[i] = end[size + i]
@@ -266,6 +274,7 @@ def carry_tangents(tangents: Tangents, last: Vector) -> Status:
             if t > tangents.times[tangents.rows - 1]:  # the run ends within its last step
                 for i in range(size):
                     x[along + i] = tangents.table[size * (tangents.rows - 1) + i]
+    # the end of the run
     copy_state(known, lanes, last, x)
     project_tangents(tangents)
     return Status.DONE
