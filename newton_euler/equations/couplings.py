@@ -1,9 +1,9 @@
-"""Joint coordinates that control laws, springs and couplings act on, and couplings: gears, screws, motions.
+"""Measured joint coordinates, and couplings between joint coordinates: gears, screws, prescribed motions.
 
-A slide is measured from the poses of its two bodies. They determine an angle only within a revolution; the
-number of revolutions follows from the integral of its rate, which is carried along in q and starts within
-half a revolution. Coordinates that depend on each other or on time are one thing, a sum of polynomials of
-the coordinates, most of them linear, that equals a function of time,
+The poses of two bodies determine a slide, but an angle only within a revolution. The number of revolutions
+follows from the integral of the rate, which is carried in q and starts within half a revolution. All
+couplings have one form: a sum of polynomials of joint coordinates, most of them linear, equals a function of
+time,
 
     Phi = sum_i p_i(x_i) - f(t),    Phi_q = sum_i p_i'(x_i) dx_i/dq,    Phi_t = -f'(t)
     gamma = sum_i p_i'(x_i) gamma_i - p_i''(x_i) (dx_i/dt)^2 + f''(t)
@@ -30,8 +30,8 @@ from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.state import State, whole_revolutions
 from newton_euler.scalars import Array, Scalar, arctan2, cos, sin
 
-MOST_REVOLUTIONS = 1000  # in an initial state, of the slowest of angles that are coupled only to each other
-SAME_POSE = 1e-6  # rad, to which angles agree with a pose: other revolutions hardly ever do by chance
+MAX_START_REVOLUTIONS = 1000  # revolutions of the slowest of several coupled angles in an initial state
+MAX_ANGLE_ERROR = 1e-6  # rad, between an angle and the pose; wrong revolutions rarely match by chance
 
 
 class Measured(NamedTuple):
@@ -50,9 +50,9 @@ class Coordinate:
     """A hinge or slide that is measured between two bodies.
 
     Attributes:
-        first, second: the bodies.
-        constraint: its residual is the coordinate.
-        carried: where in q its angle is carried; None for a slide, and where its revolutions do not matter.
+        first, second: numbers of the bodies.
+        constraint: constraint whose residual is the coordinate.
+        carried: index in q of the carried angle; None for a slide, or if revolutions have no effect.
     """
 
     first: int
@@ -188,7 +188,7 @@ def _polynomial(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
 
 
 def couplings(scene: Scene) -> tuple[Coupling, ...]:
-    """List all couplings of a scene: motions, screws, then those of the mechanism."""
+    """List all couplings of a scene: prescribed motions, screws, then couplings of the mechanism."""
     mechanism = scene.mechanism
     found = []
     for motion in scene.motions:
@@ -211,14 +211,14 @@ def couplings(scene: Scene) -> tuple[Coupling, ...]:
 
 
 def needed_coordinates(scene: Scene, couplings: Sequence[Coupling]) -> list[Key]:
-    """List the joint coordinates that forces and couplings of a scene depend on, each once."""
+    """List the joint coordinates on which forces and couplings of a scene depend, each once."""
     forces = [*(force.key for force in scene.joint_forces), *scene.sensed]
     coupled = [key for coupling in couplings for key in coupling.factors]
     return list(dict.fromkeys([*forces, *coupled]))
 
 
 def counted_angles(scene: Scene) -> tuple[Key, ...]:
-    """List the angles that forces and couplings of a scene depend on, whose revolutions runs carry."""
+    """List the angles on which forces and couplings of a scene depend; runs carry their revolutions."""
     needed = needed_coordinates(scene, couplings(scene))
     return tuple(key for key in needed if not scene.mechanism.is_slide(*key))
 
@@ -287,7 +287,7 @@ def _follow(couplings: Sequence[Coupling], wanted: dict[Key, Any]) -> None:
 
 
 def _first_to_turn(couplings: Sequence[Coupling], wanted: Mapping[Key, float], among: Collection[Key]) -> Key:
-    """Choose the angle whose revolutions are looked for first: one that most others follow."""
+    """Choose the angle whose revolutions are searched first: the angle that most others follow."""
     bent = [key for coupling in couplings for key in coupling.powers if key in among]
     if not bent:
         return min(among)
@@ -305,13 +305,13 @@ def _fewest_revolutions(
     wanted: Mapping[Key, float],
     x: Mapping[Key, float],
 ) -> dict[Key, float]:
-    """Find the smallest angles of these ratios that agree with their poses x, up to `MOST_REVOLUTIONS`.
+    """Find the smallest angles of these ratios that agree with their poses x, up to `MAX_START_REVOLUTIONS`.
 
     What follows from them and the wanted coordinates by the couplings has to agree, too. If there are no such
     angles, those of the slowest one within half a revolution.
     """
     slowest = min(ratios, key=lambda key: (abs(ratios[key]), key))
-    count = np.arange(MOST_REVOLUTIONS + 1)
+    count = np.arange(MAX_START_REVOLUTIONS + 1)
     count = np.stack([count, -count], axis=1).ravel()
     angle = x[slowest] + 2.0 * np.pi * count
     angle = angle[np.argsort(np.abs(angle), kind="stable")]
@@ -322,18 +322,18 @@ def _fewest_revolutions(
         _follow(couplings, known)
     away = [known[key] - x[key] for key in known.keys() - wanted.keys()]
     turned = np.array(away) / (2.0 * np.pi)
-    near = SAME_POSE / (2.0 * np.pi)
+    near = MAX_ANGLE_ERROR / (2.0 * np.pi)
     # angles of so many revolutions that their fractions are rounded off agree with nothing
     agree = np.all((np.abs(turned - np.round(turned)) < near) & (np.spacing(np.abs(turned)) < near), axis=0)
     for coupling in bent:
         if coupling.factors.keys() <= known.keys():
-            agree = agree & (np.abs(coupling.value(known)) < SAME_POSE)
+            agree = agree & (np.abs(coupling.value(known)) < MAX_ANGLE_ERROR)
     best = int(np.argmax(agree))
     return {key: float(values[best]) for key, values in angles.items()}
 
 
 class Residuals(NamedTuple):
-    """Residuals of couplings where bodies have some frames."""
+    """Residuals of couplings at given frames of the bodies."""
 
     phi: Array
     """(c,) m or rad."""
@@ -355,7 +355,7 @@ def residuals(
     time: float,
     known: Mapping[Key, float],
 ) -> Residuals:
-    """Compute residuals of couplings where bodies have these frames.
+    """Compute residuals of couplings at given frames of the bodies.
 
     The frames are those of the bodies of the mechanism. Angles are in the revolution of `revolutions`.
     """

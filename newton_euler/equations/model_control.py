@@ -1,9 +1,10 @@
-"""Forces of control laws that know the mechanism: computed torque, and gravity compensation.
+"""Forces of control laws with a model of the mechanism: computed torque and gravity compensation.
 
-Both are inverse dynamics of the controller's model, which is the scene without its control laws and without
-its wind, which no controller knows at each instant
-(`newton_euler.equations.formulation.Formulation.servo_forces`): with the accelerations that the laws command,
-and at rest with none. Other engines solve them with mass matrices, biases and Jacobians of their own.
+Both laws use inverse dynamics of the controller's model
+(`newton_euler.equations.formulation.Formulation.servo_forces`). The controller's model is the scene without
+control laws and without wind, because a controller cannot know the wind. Computed torque solves for the
+accelerations that the law commands; gravity compensation solves at rest for zero accelerations. Other engines
+solve the same problem with their own mass matrices, bias forces and Jacobians.
 """
 
 from __future__ import annotations
@@ -47,12 +48,12 @@ from newton_euler.scalars import Array, Scalar
 
 
 class Roles(NamedTuple):
-    """The coordinates whose control laws know the mechanism, and what they know of it.
+    """The joint coordinates whose control laws use a model of the mechanism.
 
     Attributes:
-        torque: of the laws of computed torque.
-        holding: of the laws that compensate gravity.
-        model: values of parameters of the controller's model that are not the scene's own.
+        torque: coordinates of laws of computed torque.
+        holding: coordinates of laws with gravity compensation.
+        model: parameter values of the controller's model that differ from the scene.
     """
 
     torque: tuple[Key, ...]
@@ -64,10 +65,14 @@ class Roles(NamedTuple):
 
 
 def roles(scene: Scene, digital: bool = False) -> Roles:
-    """Find the laws that know the mechanism: those of computers if `digital`, else all others.
+    """Find the control laws with a model of the mechanism.
+
+    Args:
+        scene: the scene with the laws.
+        digital: True for laws that a computer executes (`Digital`), False for laws in continuous time.
 
     Raises:
-        MechanismError: for laws whose models differ, as they act together.
+        MechanismError: for laws of computed torque whose models differ; the laws act together.
     """
     laws: list[DeclaredLaw] = []
     for law in scene.control:
@@ -87,7 +92,7 @@ def roles(scene: Scene, digital: bool = False) -> Roles:
 
 
 def known_scene(scene: Scene, model: Mapping[str, Any]) -> Scene:
-    """Return the scene with the values of the controller's model, and without wind.
+    """Return the controller's model: the scene with other parameter values, without wind.
 
     Raises:
         NewtonEulerError: for an unknown parameter, one of wind or of control laws, which the model does not
@@ -118,15 +123,18 @@ class ModelControl:
     """Inverse dynamics for the control laws of a formulation, in its coordinates.
 
     Attributes:
-        roles: of the laws.
-        torque, holding: coordinates with constraint rows in use; None for those without laws.
+        roles: coordinates of the laws.
+        torque, holding: coordinates with the constraint rows in use; None without such laws.
     """
 
     def __init__(self, system: Formulation, known: ModelControl | None = None) -> None:
-        """`known` is that of the same laws in floats where the system's parameters are generic scalars."""
+        """Prepare the inverse dynamics of a formulation.
+
+        `known` is the object for the same laws over floats, if the system's parameters are generic scalars.
+        """
         self.roles: Roles = known.roles if known else roles(system.scene)
         form: Any = type(system)
-        # generic scalars cannot be checked, and have been in floats
+        # generic scalars cannot be checked; the same values were checked as floats
         if known:
             scene = without_wind(with_values(system.scene, self.roles.model))
         else:
@@ -145,9 +153,9 @@ class ModelControl:
         """Compute the forces (N or N m) by coordinates at q (nq,) and v (nv,) of the system.
 
         Raises:
-            SingularityError: in floats, where the coordinates do not determine the motion.
+            SingularityError: over floats, in a state in which the coordinates do not determine the motion.
         """
-        # over generic scalars the bytes tell which objects they are, which the copies keep alive
+        # for generic scalars the bytes are identities of objects; the copies keep the objects alive
         state = q.dtype, q.tobytes(), v.tobytes(), id(system.time), id(system.scene)
         last = self._last  # other threads may replace it
         if last[0] != state:
@@ -171,9 +179,9 @@ def _servos(model: Formulation | None, keys: tuple[Key, ...]) -> Servos | None:
 
 
 def scaled(servos: Servos, system: Formulation) -> Servos:
-    """Return the same choice for a form of the equations, with usual sizes of pivots.
+    """Return the same actuators and coordinates for a formulation, with typical magnitudes of pivots.
 
-    None are known if no state of the mobility is regular.
+    The magnitudes are unknown (None) if no state of the mobility analysis is regular.
     """
     exchangeable = exchangeable_rows(system)
     used, pivots = rows_in_use(system, exchangeable=exchangeable), []
@@ -198,7 +206,7 @@ def _solve(
     v: Array,
     accelerations: Sequence[Scalar],
 ) -> dict[Key, Scalar]:
-    """Compute the forces on coordinates for their accelerations."""
+    """Compute the forces on coordinates that cause given accelerations."""
     if model is None or servos is None:
         return {}
     now = at_time(model, system.time)
@@ -212,7 +220,7 @@ def _solve(
 
 
 def model_control(system: Formulation) -> ModelControl:
-    """Return the inverse dynamics for a formulation's laws, made once for all of its copies."""
+    """Return the inverse dynamics for a formulation's laws, built once for all copies of the formulation."""
     if not system.model_control:
         system.model_control.append(ModelControl(system))
     found: ModelControl = system.model_control[0]
@@ -220,7 +228,7 @@ def model_control(system: Formulation) -> ModelControl:
 
 
 def share_model_control(system: Formulation, floats: Formulation) -> None:
-    """Give a formulation over generic scalars what only floats can choose for its control laws."""
+    """Copy choices that need floats, such as rows in use, to a formulation over generic scalars."""
     if roles(floats.scene):
         system.model_control.append(ModelControl(system, model_control(floats)))
 
@@ -232,14 +240,14 @@ class EngineModel(Protocol):
     couplings: TreeCouplings
 
     def servo_forces(self, q: Array, v: Array, keys: Sequence[Key], accelerations: Array) -> Array:
-        """Compute the forces on joint coordinates, N or N m, that give them accelerations."""
+        """Compute the forces on joint coordinates, N or N m, that cause given accelerations."""
 
 
 class EngineControl:
-    """Inverse dynamics of the controller's model, which has no wind, for the control laws of a scene."""
+    """Inverse dynamics of the controller's model, by the equations of another engine."""
 
     def __init__(self, scene: Scene, build: Callable[[Scene], EngineModel]) -> None:
-        """`build` makes the engine's model of a scene."""
+        """`build` returns the engine's model of a scene."""
         self._torque, self._holding, values = roles(scene)
         known = known_scene(scene, values)
         self._moving = build(measuring(known, self._torque)) if self._torque else None
@@ -255,10 +263,10 @@ class EngineControl:
         Args:
             q, v: (nq,) and (nv,) tree coordinates and velocities.
             time: s.
-            accelerations: that laws of computed torque command, in order.
+            accelerations: commanded by the laws of computed torque, in order, m/s^2 or rad/s^2.
         """
         state = q.tobytes(), v.tobytes(), time, tuple(accelerations)
-        if self._last[0] != state:  # the power asks for them as well
+        if self._last[0] != state:  # the power needs the same forces
             found: dict[Key, float] = {}
             wanted = np.zeros(len(self._holding)), np.array(accelerations)
             keys, models = (self._holding, self._torque), (self._resting, self._moving)
@@ -278,17 +286,18 @@ def servo_forces(
     keys: Sequence[Key],
     accelerations: Array,
 ) -> Array:
-    """Compute the forces on joint coordinates, N or N m, for accelerations that are further constraints.
+    """Compute the forces on joint coordinates, N or N m, with given accelerations as further constraints.
 
     Args:
-        system: an engine's, whose matrices these are.
-        tree: of its coordinates.
+        system: the engine's system with these matrices.
+        tree: spanning tree of the system's coordinates.
         mass_and_force: M (nv, nv) and f (nv,) of M vdot = f + J^T lambda.
         jacobian_and_gamma: J (k, nv) and gamma (k,) of J vdot = gamma.
-        keys, accelerations: the joint coordinates, none of which is cut, and m/s^2 or rad/s^2.
+        keys: joint coordinates of the tree, without cut joints.
+        accelerations: accelerations of these coordinates, m/s^2 or rad/s^2.
 
     Raises:
-        SingularityError: where the coordinates do not determine the motion.
+        SingularityError: in a state in which the coordinates do not determine the motion.
     """
     rows = np.zeros((len(keys), system.nv))
     places = [tree.place(*key) for key in keys]
