@@ -14,9 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
-from newton_euler.codegen.expression import Graph
-from newton_euler.codegen.fingerprint import fingerprint
+from newton_euler.codegen.compile import NativeFunction
+from newton_euler.codegen.program import native_program
 from newton_euler.compiled.equations import NOT_COMPILED_FIELDS
 from newton_euler.compiled.outputs import at_rows
 from newton_euler.equations.formulation import Servos
@@ -94,18 +93,16 @@ class InverseDynamics:
         rows = self._exchangeable.numbers
         ends = np.cumsum([self.system.nq, self.system.nv, len(rows), inputs, 1, *map(len, held.values())])
 
-        def traced() -> Traced:
-            graph = Graph()
-            q, v, flags, given, (time,), *numbers = np.split(graph.variables(int(ends[-1])), ends[:-1])
+        def traced(x: Array) -> tuple[list[Scalar], None]:
+            q, v, flags, given, (time,), *numbers = np.split(x, ends[:-1])
             scene = with_values(self.scene, dict(zip(held, numbers, strict=True)))
             servos = self.servos.with_flags(dict(zip(rows, flags, strict=True)))
-            program = graph.prune(trace(scene, servos, q, v, given, time))
-            return Traced(program, many=program.operations < LARGE)
+            return trace(scene, servos, q, v, given, time), None
 
         begun = [float(motion.function.value(0.0)) for motion in self.scene.motions]
-        chosen = self.servos.coordinates, self.servos.actuators, begun
-        known = fingerprint(self.scene, *chosen, neutral=NOT_COMPILED_FIELDS)
-        return NativeFunction(traced, known and f"{known} inverse dynamics {name}")
+        chosen = self.scene, self.servos.coordinates, self.servos.actuators, begun
+        name, neutral = f"inverse dynamics {name}", NOT_COMPILED_FIELDS
+        return native_program(name, int(ends[-1]), traced, *chosen, neutral=neutral, many=True)
 
     def _trace_forces(
         self, scene: Scene, servos: Servos, q: Array, v: Array, accelerations: Array, time: Scalar

@@ -25,9 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.codegen.compile import NativeFunction, Traced
-from newton_euler.codegen.expression import Graph
-from newton_euler.codegen.fingerprint import fingerprint
+from newton_euler.codegen.compile import NativeFunction
+from newton_euler.codegen.program import native_program
 from newton_euler.compiled.callbacks import raise_fatal
 from newton_euler.compiled.equations import CACHED_SCENES, NOT_COMPILED_FIELDS, CompiledEquations
 from newton_euler.compiled.formulations import formulate
@@ -365,13 +364,11 @@ class Assembly:
         """
         code = self.code
         moving = code.scene.motions, parameter_layout(code.scene, code.parameters)
-        known = fingerprint(self.scene, *chosen, *moving, neutral=NOT_COMPILED_FIELDS | {"outputs"})
+        neutral = NOT_COMPILED_FIELDS | {"outputs"}
 
-        def traced() -> Traced:
-            graph = Graph()
-            x = graph.variables(code.inputs)
+        def trace(x: Array) -> tuple[list[Scalar], None]:
             values = code.values(x)
             system = formulate(with_values(code.scene, values), code.formulation)
-            return Traced(graph.prune(compute(system, values, x[: system.nq], x[system.nq : code.size])))
+            return compute(system, values, x[: system.nq], x[system.nq : code.size]), None
 
-        return NativeFunction(traced, known and f"{known} {name}")
+        return native_program(name, code.inputs, trace, self.scene, *chosen, *moving, neutral=neutral)

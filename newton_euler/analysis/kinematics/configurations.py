@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
-from newton_euler.codegen.expression import Graph
-from newton_euler.codegen.fingerprint import fingerprint
+from newton_euler.codegen.compile import NativeFunction
+from newton_euler.codegen.program import native_program
 from newton_euler.compiled.equations import NOT_COMPILED_FIELDS
 from newton_euler.compiled.outputs import at_rows
 from newton_euler.equations.couplings import couplings
@@ -29,7 +28,7 @@ from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.state import State
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, Scalar
 
 MAX_JOINT_STEP = 0.2
 """Largest motion of a joint in one step, rad or sizes of the mechanism."""
@@ -185,12 +184,13 @@ class Chain:
     def function(self) -> NativeFunction:
         """Function of (q, step, 0): q moved by the step, phi, the axis, poses and nonzeros of Jacobians."""
         axis = self.axis and (self.axis.body, self.axis.axis)
-        known = fingerprint(self.driven, self.keys, axis, neutral=NOT_COMPILED_FIELDS)
-        return NativeFunction(self._trace, known and f"{known} configurations")
+        inputs, chosen = self.system.nq + self.system.nv + 1, (self.driven, self.keys, axis)
+        neutral = NOT_COMPILED_FIELDS
+        return native_program("configurations", inputs, self._trace, *chosen, neutral=neutral, many=True)
 
-    def _trace(self) -> Traced:
-        graph, system = Graph(), self.system
-        x = graph.variables(system.nq + system.nv + 1)
+    def _trace(self, x: Array) -> tuple[list[Scalar], list[tuple[int, int]]]:
+        """Trace the results, and the places of nonzeros in the Jacobians as their layout."""
+        system = self.system
         q, rest = system.retract(x[: system.nq], x[system.nq : -1]), np.zeros(system.nv)
         phi, rows = system.phi_and_jacobian(q)
         places = [(i, k) for i, row in enumerate(rows) for k in row]
@@ -203,8 +203,7 @@ class Chain:
             places += [(i, k) for i in range(len(rows), len(rows) + 3) for k in link.path]
             scalars += [*link.angular.ravel()]
         values = [*q, *phi, *axis, *state.position.ravel(), *state.quaternion.ravel(), *scalars]
-        program = graph.prune(values)
-        return Traced(program, program.operations < LARGE, places)
+        return values, places
 
     def at(self, q: Array, step: Array | None = None) -> Configurations:
         """Evaluate the configurations q (n, nq), moved by steps (n, nv) if given."""

@@ -24,9 +24,9 @@ import numpy as np
 from newton_euler.analysis.kinematics.freedoms import AXES, Freedom, chosen_freedoms, rates_of
 from newton_euler.analysis.linear.linear_model import LinearModel, label
 from newton_euler.arguments import checked
-from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
-from newton_euler.codegen.expression import Graph, differentiate_along
-from newton_euler.codegen.fingerprint import fingerprint
+from newton_euler.codegen.compile import NativeFunction
+from newton_euler.codegen.expression import differentiate_along
+from newton_euler.codegen.program import native_program
 from newton_euler.compiled.equations import CACHED_SCENES, NOT_COMPILED_FIELDS
 from newton_euler.compiled.outputs import at_rows
 from newton_euler.equations.dense import largest, singular_values
@@ -60,7 +60,7 @@ from newton_euler.model.state import State
 from newton_euler.runs.assemble import check_revolutions, initial_state
 from newton_euler.runs.controllers import Controllers
 from newton_euler.runs.intervals import with_held_values
-from newton_euler.scalars import Array, minimum, tilde
+from newton_euler.scalars import Array, Scalar, minimum, tilde
 
 MIN_SINGULAR_VALUE = 1e-9
 """Singular value of [J; J_z] below which the coordinates do not determine the motion."""
@@ -210,16 +210,22 @@ class Linearization:
         """Function of (q, v, inputs, a direction of all three, time), see `_trace`."""
         begun = [float(motion.function.value(0.0)) for motion in self.scene.motions]
         inputs = parameter_layout(self.scene, self.values)
-        chosen = tuple(label(freedom.name) for freedom in self.freedoms), self.measured, inputs, self.used
-        known = fingerprint(self.scene, *chosen, begun, neutral=NOT_COMPILED_FIELDS)
-        return NativeFunction(self._trace, known and f"{known} linearization")
+        names = tuple(label(freedom.name) for freedom in self.freedoms)
+        chosen = self.scene, names, self.measured, inputs, self.used, begun
+        count = 2 * self._count + 1
+        return native_program(
+            "linearization", count, self._trace, *chosen, neutral=NOT_COMPILED_FIELDS, many=True
+        )
 
-    def _trace(self) -> Traced:
+    @property
+    def _count(self) -> int:
+        """Number of (q, v, inputs)."""
+        return self.system.nq + self.system.nv + sum(value.size for value in self.values.values())
+
+    def _trace(self, variables: Array) -> tuple[list[Scalar], None]:
         """Trace zddot, its derivative, that of [J; J_z] v at constant v, and the pivot ratio."""
-        nq, nv, graph = self.system.nq, self.system.nv, Graph()
-        count = nq + nv + sum(value.size for value in self.values.values())
-        x, directions = graph.variables(count), graph.variables(count)
-        (time,) = graph.variables(1)
+        nq, nv, graph = self.system.nq, self.system.nv, variables[-1].graph
+        x, directions, (time,) = np.split(variables, [self._count, 2 * self._count])
         # accelerations of the independent coordinates
         q, v, given = np.split(x, [nq, nq + nv])
         system = at_time(Relative(with_values(self.scene, self._values(given))), time)
@@ -243,8 +249,7 @@ class Linearization:
             *differentiate_along(graph, rates, q.tolist(), directions[:nq].tolist()),
             minimum(solution.pivot_ratio, 1.0),
         ]
-        program = graph.prune(scalars)
-        return Traced(program, many=program.operations < LARGE)
+        return scalars, None
 
     @cached_property
     def _places(self) -> dict[str, slice]:
