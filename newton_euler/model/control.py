@@ -44,7 +44,7 @@ class Reference(NamedTuple):
 
 
 def reference(target: float | TimeFunction, time: Scalar) -> Reference:
-    """Return a target at a time in s."""
+    """Evaluate a target at a time in s: value, rate and acceleration."""
     if isinstance(target, TimeFunction):
         return Reference(target.value(time), target.rate(time), target.acceleration(time))
     return Reference(target, 0.0, 0.0)
@@ -56,7 +56,7 @@ class ControlLaw(CoordinateForce):
     noun = "control"
 
     def check(self, mechanism: Mechanism) -> None:
-        """Raise `MechanismError` unless the mechanism has its joint coordinate, an actuated one."""
+        """Raise `MechanismError` unless the mechanism has the joint coordinate and the joint is actuated."""
         super().check(mechanism)
         if not mechanism.joint(self.joint).actuated:
             raise MechanismError(self.element, "the joint is not actuated", "an actuated joint")
@@ -71,7 +71,8 @@ class DeclaredLaw(ControlLaw):
     """A control law that is a function of joint coordinates, their rates and time.
 
     Attributes:
-        target: of its own coordinate, m or rad from the initial pose.
+        target: set-point of the law's own coordinate, m or rad from the initial pose.
+        feedforward: u_0, N or N m, a number or a function of time.
     """
 
     target: float | TimeFunction
@@ -96,7 +97,7 @@ class DeclaredLaw(ControlLaw):
 
     @property
     def feedback(self) -> Mapping[Key, tuple[float, float]]:
-        """Gains (K_p, K_d), SI, of the coordinates that it reads."""
+        """Gains (K_p, K_d), SI, by the coordinates that the law reads."""
         raise NotImplementedError
 
     @property
@@ -104,7 +105,7 @@ class DeclaredLaw(ControlLaw):
         return tuple(self.feedback)
 
     def references(self, time: Scalar) -> dict[Key, Reference]:
-        """Return the wanted values of the coordinates that it reads, at a time in s."""
+        """Return the set-points of the coordinates that the law reads, at a time in s."""
         return {self.key: reference(self.target, time)}
 
     def feedforward_at(self, time: Scalar) -> Scalar:
@@ -124,9 +125,13 @@ class DeclaredLaw(ControlLaw):
         time: Scalar,
         model: Mapping[Key, Scalar] = NO_FORCES,
     ) -> Scalar:
-        """Compute the force (N or N m) at some readings, where other values may be wanted than its own.
+        """Compute the force (N or N m) for given set-points and readings.
 
-        `model` has the forces that come from a model of the mechanism.
+        Args:
+            references: set-points by coordinate, which may differ from the law's own targets.
+            readings: coordinates (m or rad) and rates.
+            time: s.
+            model: forces from a model of the mechanism, N or N m, by coordinate.
         """
         force = self.feedforward_at(time)
         for key, (k_p, k_d) in self.feedback.items():
@@ -141,18 +146,19 @@ class DeclaredLaw(ControlLaw):
 
 @dataclass(frozen=True)
 class PD(DeclaredLaw):
-    """u = u_0 - (K_p e + K_d de/dt) with e = x - r, eq. (23) with the sign that makes it stable.
+    """PD controller for one joint coordinate: u = u_0 + K_p (r - x) + K_d (dr/dt - dx/dt).
+
+    The equation is eq. (23) with the sign that makes the loop stable.
 
     Attributes:
-        joint: name of the joint it drives.
+        joint: name of the driven joint.
         stiffness: K_p in N/m or N m/rad.
         damping: K_d in N s/m or N m s/rad.
-        target: r, the wanted joint coordinate, m or rad from the initial pose, or a function of time for
-            that.
+        target: set-point r of the joint coordinate, m or rad from the initial pose, or a function of time.
         coordinate: which of the joint's coordinates, from 0.
         feedforward: u_0 in N or N m, a number or a function of time.
-        gravity_compensation: True adds the force with which all such laws of the scene hold their coordinates
-            at rest where they are, against gravity, springs and wrenches, but not the wind.
+        gravity_compensation: True adds the force that holds the coordinate at rest against gravity, springs
+            and wrenches, but not the wind. All such laws of a scene hold their coordinates together.
 
     Raises:
         MechanismError: naming the joint and the value at fault.
@@ -194,7 +200,7 @@ class StateFeedback(DeclaredLaw):
     """u = u_0 - sum_j (K_pj (x_j - r_j) + K_dj (dx_j/dt - dr_j/dt)) over several joint coordinates.
 
     Attributes:
-        joint: name of the joint it drives.
+        joint: name of the driven joint.
         gains: (K_pj, K_dj) of each coordinate that it reads, by the name of the joint, or by (name, number)
             for another one than the joint's first; SI.
         target: r of its own coordinate, m or rad from the initial pose, or a function of time for that.
@@ -276,20 +282,19 @@ class StateFeedback(DeclaredLaw):
 class ComputedTorque(DeclaredLaw):
     """Inverse dynamics for the acceleration d2r/dt2 - d (dx/dt - dr/dt) - k (x - r).
 
-    All such laws of a scene act together: their forces are those that give their coordinates these
-    accelerations in the controller's model, which knows poses and velocities, gravity, springs, dampers,
-    wrenches, rotors and prescribed motions, but neither the wind nor any other control law.
+    All laws of computed torque of a scene act together: their forces cause the commanded accelerations in
+    the controller's model. The model has the poses and velocities, gravity, springs, dampers, wrenches,
+    rotors and prescribed motions, but neither the wind nor other control laws.
 
     Attributes:
-        joint: name of the joint it drives.
+        joint: name of the driven joint.
         stiffness: k in 1/s^2, the square of the angular frequency with which errors vanish.
         damping: d in 1/s; 2 sqrt(k) is critical.
-        target: r, the wanted joint coordinate, m or rad from the initial pose, or a function of time for
-            that.
+        target: set-point r of the joint coordinate, m or rad from the initial pose, or a function of time.
         coordinate: which of the joint's coordinates, from 0.
         feedforward: u_0 in N or N m, added to the force, a number or a function of time.
-        model: values of the controller's model that are not the scene's, by names of parameters, such as
-            `{"panel.mass": 0.9}`; all such laws of a scene have the same.
+        model: parameter values of the controller's model that differ from the scene, by name, such as
+            `{"panel.mass": 0.9}`; the same for all laws of computed torque of a scene.
 
     Raises:
         MechanismError: naming the joint and the value at fault.

@@ -1,4 +1,4 @@
-"""Control laws in discrete time: their force is held from one sampling instant to the next."""
+"""Control laws in discrete time, whose force is held from one sampling instant to the next."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from newton_euler.model.variable import Change
 from newton_euler.scalars import Array, Floats, Scalar
 
 Controller = Callable[[float, Floats, Floats], float]
-"""time (s), coordinates (a,) and their rates (a,) of all laws of the scene, in order -> force, N or N m.
+"""Function of time (s), coordinates (a,) and rates (a,) that returns a force, N or N m.
 
-Coordinates that other laws read, and that have none of their own, come after these."""
+The coordinates of all laws of the scene come first, in order, then other coordinates that laws read."""
 
 
 Model = Callable[[Readings, Sequence[float], float], Mapping[Key, float]]
-"""Readings, accelerations that the laws of computed torque command, in order, and time (s) -> the forces that
-laws get of a model of the mechanism, N or N m."""
+"""Function of readings, commanded accelerations of the laws of computed torque, in order, and time (s) that
+returns the forces of laws with a model of the mechanism, N or N m."""
 
 
 SHORTEST_PERIOD = 1e-6  # s; no digital controller is quicker, and Python is called a million times a second
@@ -49,7 +49,7 @@ LONGEST_DELAY = 1_000_000  # samples: a second of the shortest period, and some 
 
 
 class HeldLaw(ControlLaw):
-    """A control law that is called at its period; its force is held in between.
+    """A control law that is evaluated once a period; the force is held in between.
 
     Attributes:
         period: s between its calls, at least `SHORTEST_PERIOD`; the first is at time 0.
@@ -81,11 +81,11 @@ class HeldLaw(ControlLaw):
         return super().rebuilt(values)
 
     def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
-        """Return the force (N or N m) that is held."""
+        """Return the held force, N or N m."""
         return self.held
 
     def controller_of(self, laws: Sequence[ControlLaw], model: Model | None = None) -> Controller:
-        """Return what is called in one run of a scene with these laws; its state is that of time 0.
+        """Return the controller for one run of a scene with these laws, in its state at time 0.
 
         `model` is for laws that know the mechanism.
         """
@@ -94,7 +94,7 @@ class HeldLaw(ControlLaw):
 
 @dataclass(frozen=True)
 class Sampled(HeldLaw):
-    """A controller in discrete time: called at its period, its force held in between.
+    """A controller in Python, called once a period; the force is held in between.
 
     Attributes:
         joint: name of the joint it drives.
@@ -238,7 +238,7 @@ class Digital(HeldLaw):
 
 
 class Computer:
-    """The computer of a `Digital` law in one run: what it has read and commanded."""
+    """State of the computer of a `Digital` law during one run: readings and commands."""
 
     def __init__(self, law: Digital, laws: Sequence[ControlLaw], model: Model | None) -> None:
         self._law, self._keys, self._model = law, sensed(laws), model
@@ -268,14 +268,14 @@ class Computer:
         return self._under_way.popleft()
 
     def _references(self, law: DeclaredLaw, time: float) -> dict[Key, Reference]:
-        """Return the wanted values of the coordinates that a law reads, within their strokes."""
+        """Return the set-points of the coordinates that a law reads, within their strokes."""
         return {
             key: self._others[key].within_stroke(wanted) if key in self._others else wanted
             for key, wanted in law.references(time).items()
         }
 
     def _read(self, x: Array, x_rate: Array) -> tuple[Array, Array]:
-        """Return what encoders make of coordinates (a,) and rates (a,)."""
+        """Quantize coordinates (a,) and rates (a,) as encoders do."""
         coarse = self._resolution > 0.0
         steps = np.where(coarse, self._resolution, 1.0)
         x = np.where(coarse, steps * np.round(x / steps), x)

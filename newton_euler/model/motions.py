@@ -1,4 +1,4 @@
-"""Prescribed joint motion, and the functions of time that it and control laws follow."""
+"""Prescribed motions of joint coordinates, and sums of functions of time for motions and control laws."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ TimeFunction = Polynomial | Sine | Spline | Steps | Sum
 
 
 def terms(function: TimeFunction) -> Iterator[Polynomial | Sine | Spline | Steps]:
-    """Yield the terms of sums, of sums within them, too."""
+    """Yield the terms of a function; sums within sums are resolved."""
     if isinstance(function, Sum):
         for term in function.terms:
             yield from terms(term)
@@ -110,7 +110,7 @@ def scaled(function: TimeFunction, factor: float) -> TimeFunction:
 
 
 def shifted(function: TimeFunction, by: float) -> TimeFunction:
-    """Return a function of time with a number added to its values."""
+    """Return a function of time with a constant added to the values."""
     if isinstance(function, Sum):
         return Sum((shifted(function.terms[0], by), *function.terms[1:]))
     if isinstance(function, Sine):
@@ -129,7 +129,7 @@ def piece_numbers(functions: Iterable[TimeFunction], time: float) -> Array:
 
 
 def on_piece(value: Any, numbers: list[Any]) -> Any:
-    """Return a function, or a mapping with functions, with what they are where they have these numbers."""
+    """Replace functions in an attribute by smooth pieces with these numbers, see `Function.on_piece`."""
     if isinstance(value, TimeFunction):
         return value.on_piece(numbers)
     changed = dict(value)
@@ -142,7 +142,7 @@ def on_piece(value: Any, numbers: list[Any]) -> Any:
 
 @dataclass(frozen=True)
 class PrescribedMotion(OnCoordinate):
-    """A joint coordinate that follows a function of time, whatever force that takes: x = f(t).
+    """A prescribed joint coordinate x = f(t). The joint applies whatever force the motion needs.
 
     Attributes:
         joint: name of the joint.
@@ -176,5 +176,5 @@ class PrescribedMotion(OnCoordinate):
         check_key(where, self.joint, self.coordinate)
 
     def held(self) -> PrescribedMotion:
-        """Return a motion that stays where this one is at time 0."""
+        """Return a constant motion at the value of time 0."""
         return replace(self, function=Polynomial((float(self.function.value(0.0)),)))

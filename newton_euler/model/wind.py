@@ -1,4 +1,4 @@
-"""Wind on flat plates such as solar panels: its load, and gusts and turbulence as functions of time."""
+"""Wind loads on flat plates such as solar panels; gusts and turbulence as functions of time."""
 
 from __future__ import annotations
 
@@ -120,25 +120,25 @@ class WindLoad(OnPoint):
 
     @property
     def lengths(self) -> Array:
-        """(2,) m, of the sides."""
+        """Lengths (2,) of the sides, m."""
         return np.array([sqrt(np.sum(side * side)) for side in (self.first_side, self.second_side)])
 
     @property
     def area(self) -> Scalar:
-        """m^2"""
+        """Area of the plate, m^2."""
         length, width = self.lengths.tolist()
         return length * width
 
     @property
     def axes(self) -> Array:
-        """(3, 3) columns: unit vectors along the sides and the normal, in the world at the initial pose."""
+        """Unit vectors along the sides and the normal, columns (3, 3), in the world at the initial pose."""
         length, width = self.lengths
         first, second = self.first_side / length, self.second_side / width
         return np.column_stack([first, second, cross(first, second)])
 
     @property
     def end_loss(self) -> Scalar:
-        """0.41 (1 - exp(-17 / R))"""
+        """Loss of the normal force at the ends of the plate: 0.41 (1 - exp(-17 / R))."""
         length, width = self.lengths.tolist()
         if isinstance(length, float) and isinstance(width, float):
             shorter, longer = min(length, width), max(length, width)
