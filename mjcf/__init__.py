@@ -1,6 +1,6 @@
 """MuJoCo as an engine for scenes, and reading and writing of MJCF files.
 
-`simulate` runs a scene by MuJoCo's time stepping, `write` writes a scene as MJCF, `read` imports an MJCF file
+`simulate` runs a scene by MuJoCo's time stepping. `write` writes a scene as MJCF. `read` imports an MJCF file
 as a scene with an import report. `mjcf.rigid` evaluates MuJoCo's equations under rigid constraints,
 `mjcf.soft` with MuJoCo's own soft constraints. MuJoCo is imported at its first use. Start reading at `write`
 and `reader`.

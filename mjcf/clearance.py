@@ -26,6 +26,7 @@ def clearances(mechanism: Mechanism, position: Array, quaternion: Array) -> Arra
     """
     import mujoco
 
+    # a model with a mocap body for each body
     root = ET.Element("mujoco")
     world = ET.SubElement(root, "worldbody")
     owners = []
@@ -40,6 +41,7 @@ def clearances(mechanism: Mechanism, position: Array, quaternion: Array) -> Arra
                 *((body.pose, body.quaternion) if k else (in_world, np.array([1.0, 0.0, 0.0, 0.0]))),
             )
             owners.append(k)
+    # pairs of shapes of bodies that no joint connects
     joined = {frozenset((joint.first, joint.second)) for joint in mechanism.joints}
     names = mechanism.body_names
     pairs = np.array(
@@ -53,6 +55,7 @@ def clearances(mechanism: Mechanism, position: Array, quaternion: Array) -> Arra
         return np.full(len(position), np.inf)
     model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
     data, (first, second) = mujoco.MjData(model), pairs.T
+    # smallest distance, by pairs in the order of the distance of their bounding spheres
     radii = model.geom_rbound[first] + model.geom_rbound[second]
     found = np.full(len(position), np.inf)
     for n in range(len(position)):

@@ -108,6 +108,7 @@ def read(
     """
     request = Request.of(options)
     with heard_warnings() as warnings:
+        # compile, or copy, and read
         if isinstance(model, str | os.PathLike):
             where = path_text(model, SourceError)
             made, sizes = compiled(where, None if root is None else path_text(root, SourceError))
@@ -118,6 +119,7 @@ def read(
         check_memory(where, made)
         found_of_file = [*mesh_findings(made), *key_findings(made, sizes)]
         found = _reading(where, copy.copy(made), key, request)
+        # reference models, excitation, likely mistakes and verification
         try:
             references = [_reference(copy.copy(made), key, found)]
             if made.nu:

@@ -67,6 +67,7 @@ def simulate(
         >>> mjcf.simulate(load("pendulum"), timestep=0.001)
         <Trajectory of mujoco: 1001 outputs to 10 s, bodies: 2, joints: 1>
     """
+    # steps of all intervals, and options
     wanted = _step(scene, timestep)
     plan = [
         (interval, [_fitting(float(length), wanted) for length in np.diff(interval.times)])
@@ -83,6 +84,7 @@ def simulate(
     system = SoftMuJoCo(scene)
     system.use_integrator(integrator)
 
+    # the run, then the evaluation of its outputs
     start = time.perf_counter()
     states, stopped = _run(system, plan, stiffness)
     wall_time = time.perf_counter() - start
@@ -222,6 +224,7 @@ def _run(
     with heard_warnings(data) as warnings:
         for interval, steps in plan:
             held |= pieces(given.scene, interval.middle, smooth=False)
+            # controls and set-points of the interval
             if interval.due:
                 try:
                     readings = np.array([*system.readings(data).values()])
@@ -233,6 +236,7 @@ def _run(
                 system.actuate()
             if interval.wanted[0]:
                 record()
+            # steps to the outputs of the interval
             with system.following():
                 for (number, size), wanted in zip(steps, interval.wanted[1:], strict=True):
                     system.use_step(size, solref)

@@ -1,6 +1,6 @@
 """Pinocchio as an engine for scenes, and reading and writing of URDF files with loop files.
 
-`simulate` runs a scene with Pinocchio's accelerations, `write` writes a scene as URDF and loop file, `read`
+`simulate` runs a scene with Pinocchio's accelerations. `write` writes a scene as URDF and loop file. `read`
 imports a URDF or a Pinocchio model as a scene with an import report. `urdf.dynamics` has the equations of
 motion. Pinocchio is imported at its first use. Start reading at `write`, `model` and `reader`.
 """

@@ -99,21 +99,23 @@ def joint_wrenches(
     """Compute the wrench of each joint of the welded mechanism on its second body, forces included.
 
     Args:
-        scene: for its gravity.
-        welded: its mechanism with closures that Pinocchio knows.
-        model, data: Pinocchio's, after `rnea` under the wrenches below.
-        closure_wrenches: (6,) for each cut, on its second body.
-        applied: (6,) for each body of that mechanism, of springs of balls and between points and of wrenches.
-        frames: of the bodies.
-        accelerations: (b, 6) of the bodies, linear and angular.
+        scene: scene with the gravity.
+        welded: mechanism of the scene with cut loops.
+        model: Pinocchio's model.
+        data: Pinocchio's data after `rnea` with the wrenches below.
+        closure_wrenches: (6,) for each loop closure, on its second body.
+        applied: (6,) for each body of the welded mechanism, of ball springs, point springs and wrenches.
+        frames: frames of the bodies.
+        accelerations: (b, 6) linear and angular accelerations of the bodies.
 
     Returns:
-        (joints, 6).
+        (joints, 6) wrenches.
     """
     joints, tree = welded.mechanism.joints, welded.tree
     wrenches = np.zeros((len(joints), 6))
     for cut, wrench in zip(tree.cuts, closure_wrenches, strict=True):
         wrenches[cut] = wrench
+    # tree joints from the leaves to the root
     for kept in reversed(tree.joints):
         if kept.joint >= len(joints):
             continue  # joints of bodies that only rods hold

@@ -143,6 +143,7 @@ def read(
         >>> len(found.scene.mechanism.bodies)
         6
     """
+    # options of both kinds of models, then those of one kind
     check_choice("base", base, BASES)
     request = Request.of(options)
     if gravity is not None:

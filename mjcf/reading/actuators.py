@@ -8,7 +8,7 @@ start, the force on the joint is
 
 a PD law with stiffness -g^2 b_1, damping -g^2 b_2, target 0, and the other terms as feedforward.
 
-If l is a sum of coordinates that gears couple, l - l_start = s x for each of them, and a law on the first
+If l is a sum of coordinates that gears couple, l - l_start = s x for each of them. A law on the first
 coordinate with s instead of g does the same work. If l = sum_j g_j q_j of independent coordinates, each of
 them has the state feedback
 

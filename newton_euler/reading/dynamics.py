@@ -29,7 +29,7 @@ ACCELERATION_LOSS = 100.0
 """Error of accelerations that are computed from accelerations of bodies, as a multiple of round-off."""
 
 LIGHT_BODY_LOSS = 1000.0
-"""The same multiple for bodies with 1e-9 of the inertia of other bodies, which an elimination mixes."""
+"""Error of accelerations, as a multiple of round-off, if inertias of bodies differ by a factor of 1e9."""
 
 
 def system_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:

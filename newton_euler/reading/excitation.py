@@ -357,6 +357,7 @@ def random_states(scene: Scene, count: int, seed: int = 0) -> list[State]:
     rng = np.random.default_rng(seed)
     states: list[State] = []
     x = code.packed(start, np.zeros(tree.nv))
+    # random displacements and velocities, projected on the constraints
     for _ in range(MAX_TRIES_PER_STATE * count):
         if len(states) == count:
             break
