@@ -253,7 +253,7 @@ def test_tight_pinocchio_has_what_its_recursion_has_no_place_for(scene: Scene, e
     rates = equations.rates(0.0, equations.start)
     assert system.map.v_from_pinocchio(rates[equations.nq :]) == pytest.approx(wanted, rel=1e-12)
     assert np.abs(wanted).max() > 1e-3
-    with pytest.raises(UrdfError, match=f"^{element}: Pinocchio's lcaba knows"):
+    with pytest.raises(UrdfError, match=f"^{element}: Pinocchio's lcaba supports only"):
         urdf_kernels.equations_of(scene, 10.0, (1e-6, 10))
 
 
