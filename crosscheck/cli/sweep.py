@@ -84,7 +84,7 @@ def sweep_command(
     """
     from crosscheck.loading.load import excited, load_scene
     from crosscheck.sweeps.distributions import parse_vary
-    from crosscheck.sweeps.store import NAME, interruptible
+    from crosscheck.sweeps.store import STORE_NAME, interruptible
     from crosscheck.sweeps.sweep import own_scene, sweep
 
     vary = parse_vary(varied)
@@ -93,7 +93,7 @@ def sweep_command(
     tell(scene, mapping, read)
     loaded = own_scene(scene, read)
     folder = output or Path("output/sweep") / loaded.name
-    with interruptible(folder / NAME), progress_shown() as progress:
+    with interruptible(folder / STORE_NAME), progress_shown() as progress:
         swept = sweep(loaded, vary, keep=keep, output=folder, progress=progress, **options)
         swept = replace(swept, options=given, mapping=mapping)
         if check != 0:
@@ -106,6 +106,8 @@ def sweep_command(
         written = swept.save(folder)
     look = [f"look  {next_step('view', path)}" for path in written if path.suffix == ".rrd"]
     beside = ", ".join(path.name for path in written if path.suffix == ".png")
-    more = f"more  -v; {next_step('report', folder)}; there {beside or 'no pictures'} and numbers, {NAME}"
+    more = (
+        f"more  -v; {next_step('report', folder)}; there {beside or 'no pictures'} and numbers, {STORE_NAME}"
+    )
     say(*look, more)
     return judged.exit_status(allow_reduced) if judged else AGREE

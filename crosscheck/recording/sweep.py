@@ -20,7 +20,7 @@ from crosscheck.recording.blueprint import laid_out, scene_view, send_layout
 from crosscheck.recording.log import PLAIN_COLOR, log_bodies, log_ground, log_text, send_columns
 from crosscheck.recording.shapes import Style
 from crosscheck.support.palette import palette, rgb
-from crosscheck.sweeps.analysis import LEVELS
+from crosscheck.sweeps.analysis import QUANTILE_LEVELS
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
@@ -90,7 +90,7 @@ def _log_envelope(
 ) -> None:
     known = envelope.sample[np.isfinite(envelope.sample).all(axis=1)]
     lines: dict[str, tuple[Array, rr.SeriesLines]] = {}
-    for name, level in LEVELS.items():
+    for name, level in QUANTILE_LEVELS.items():
         if len(known):
             look = rr.SeriesLines(colors=PLAIN_COLOR, names=name, widths=THIN)
             lines[name] = np.quantile(known, level, axis=0), look

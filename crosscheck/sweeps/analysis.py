@@ -1,4 +1,4 @@
-"""Quantiles of what a sweep kept, and how each varied parameter bears on it: ranks, shares of variance."""
+"""Statistics of a sweep: quantiles of kept outputs, rank correlations, and Sobol indices of parameters."""
 
 from __future__ import annotations
 
@@ -11,72 +11,78 @@ from typing import Any
 import numpy as np
 
 from crosscheck.sweeps.plan import Parameters
-from crosscheck.sweeps.results import Results
-from crosscheck.sweeps.sampling import Samples
+from crosscheck.sweeps.results import SweepResults
+from crosscheck.sweeps.sampling import SweepSamples
 from crosscheck.sweeps.store import SWEEP
 from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array
 
-MOST_NUMBERS = 2**25
-"""That are analyzed, 270 MB: of more runs than these are in, a sample."""
+MAX_ANALYZED_NUMBERS = 2**25
+"""Largest number of values that are analyzed (270 MB); of more runs a sample is analyzed."""
 
-MOST_SCALARS = 200
-"""Numbers of a run that are analyzed: as many of each variable at most, evenly spread over its places."""
+MAX_KEPT_NUMBERS = 200
+"""Largest number of kept numbers of a run that are analyzed, the same number for each variable."""
 
-MOST_SHARED, MOST_BASE = 2**17, 2**14
-"""Runs that shares are estimated from, and base samples of Saltelli's plan: to 0.5 % and to 1 %."""
+MAX_SHARE_RUNS, MAX_SALTELLI_SAMPLES = 2**17, 2**14
+"""Largest numbers of runs, and of base samples of Saltelli's design, for estimates of Sobol indices.
 
-BLOCK = 2**20
-"""Numbers that are read at a time."""
+They give an accuracy of 0.5 % and 1 %.
+"""
 
-LEVELS = {"least": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "most": 1.0}
-"""Shares of the runs below quantiles, by their names."""
+READ_NUMBERS = 2**20
+"""Number of values that are read at a time."""
 
-MOST_TERMS = 25
-"""Of the polynomial that tells what a parameter explains."""
+QUANTILE_LEVELS = {"least": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "most": 1.0}
+"""Probabilities of the reported quantiles, by name."""
 
-PER_TERM = 20
-"""Runs for each term of a polynomial at least."""
+MAX_POLYNOMIAL_TERMS = 25
+"""Largest number of terms of the polynomial that estimates a first-order Sobol index."""
 
-LEAST_BASE = 64
-"""Base samples of Saltelli's plan: of fewer its estimates are no better than guesses."""
+RUNS_PER_TERM = 20
+"""Smallest number of runs for each term of the polynomial."""
 
-LEAST_SHARED = 400
-"""Runs of which a share is known to 10 %: of fewer there are no shares, but ranks."""
+MIN_SALTELLI_SAMPLES = 64
+"""Smallest number of base samples of Saltelli's design for a usable estimate."""
 
-LEAST_RANKED = 4
-"""Runs that the error of a rank correlation is estimated from."""
+MIN_SHARE_RUNS = 400
+"""Smallest number of runs for Sobol indices, at an accuracy of 10 %; with fewer runs only ranks are
+reported."""
 
-TWO_SIDED = 1.96
-"""Standard errors that a 95 % interval has to either side."""
+MIN_RANK_RUNS = 4
+"""Smallest number of runs for the error of a rank correlation."""
 
-EXTREME = 0.1
-"""Share of the runs with the smallest and the largest values of a parameter, whose means are compared."""
+NORMAL_QUANTILE_95 = 1.96
+"""Half width of a 95 % confidence interval in standard errors."""
 
-ALIKE = 1.1
-"""Ratio of ranges below which numbers of a variable vary alike: which one more is a matter of the samples."""
+TAIL_FRACTION = 0.1
+"""Fraction of the runs with the smallest (largest) values of a parameter, whose means form the tornado
+chart."""
+
+SAME_SPREAD_RATIO = 1.1
+"""Ratio of spreads below which two numbers are considered to vary equally; the order of the samples
+decides."""
 
 EPSILON = float(np.finfo(float).eps)
 
-CONSTANT = 1e-9
-"""Range of a number, by the magnitude of its variable, below which it varies by errors of runs alone."""
+MIN_VARIATION = 1e-9
+"""Range of a number, relative to the magnitude of its variable, below which it is considered constant."""
 
 
 @dataclass(frozen=True, eq=False)
 class Effect:
-    """The effect of one parameter, or of several that are correlated, on a number.
+    """Effect of one parameter, or of a group of correlated parameters, on a number.
 
     Attributes:
-        name: of the parameter.
-        low, high: mean of the number where the parameter is among its lowest and its highest tenth; of
-            several parameters, where their regression is.
-        rank: Spearman's rank correlation; None of several parameters.
-        rank_error: half of a 95 % interval of the rank.
-        share: of the number's variance that is explained by the parameter alone (a first-order Sobol index);
-            None of too few runs.
-        error: half of a 95 % interval of the share.
-        bounds: whether the share may be larger, as a polynomial of second order explains that much.
-        total: share that the parameter takes part in; None but for Saltelli's plan.
+        name: name of the parameter or parameters.
+        low, high: means of the number over the runs with the lowest and highest tenth of the parameter; for a
+            group, of its regression.
+        rank: Spearman's rank correlation; None for a group.
+        rank_error: half width of the 95 % confidence interval of the rank.
+        share: first-order Sobol index: fraction of the variance explained by the parameter alone; None if
+            there are too few runs.
+        error: half width of the 95 % confidence interval of the share.
+        bounds: True if the share is a lower bound, estimated by a quadratic regression.
+        total: total-effect Sobol index; only from Saltelli's design.
     """
 
     name: str
@@ -91,25 +97,25 @@ class Effect:
 
     @property
     def size(self) -> float:
-        """The order of effects: the share, or the magnitude of the rank where there is none."""
+        """Magnitude of the effect for sorting: Sobol index, or absolute rank without one."""
         if self.share is None:
             return abs(self.rank or 0.0)
         return max(self.share, self.total or 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Scalar:
-    """A number that is kept of each run.
+class KeptNumber:
+    """One number that is kept of each run.
 
     Attributes:
-        variable: name of the array that it is in.
-        place: where in the array of a run.
-        names: of that place along each dimension, as a joint's.
-        unit: of its values.
-        values: (n,) of the runs that are analyzed, not a number where one could not go on.
-        runs: (n,) the numbers of these runs.
-        usual: median over runs of the variable's largest magnitude, beside which a number is round-off.
-        reacts: whether it depends on forces of constraints.
+        variable: name of the variable that contains the number.
+        place: index in the variable's array of a run.
+        names: labels of that index along each dimension, for example the name of a joint.
+        unit: unit of the values.
+        values: (n,) values of the analyzed runs; NaN for failed runs.
+        runs: (n,) numbers of these runs.
+        usual: median over runs of the variable's largest magnitude; the scale of round-off.
+        reacts: True if the number depends on constraint forces.
     """
 
     variable: str
@@ -123,61 +129,68 @@ class Scalar:
 
     @property
     def label(self) -> str:
-        """The variable and the place, as "peak:reaction_force slide_12"."""
+        """Variable and labels, as "peak:reaction_force slide_12"."""
         return " ".join([self.variable, *self.names])
 
     @property
     def heading(self) -> str:
-        """The label with the unit."""
+        """Label with unit."""
         return with_unit(self.label, self.unit)
 
     def scale(self, numbers: Array) -> float:
-        """Return what errors in a run are shares of: the largest of its numbers of the variable.
+        """Return the scale of errors in a run, given all numbers of the variable in that run.
 
-        A usual run's at least, and of lengths, angles and times 1 SI unit.
+        The scale is the largest magnitude in the run, at least that of a usual run, and at least 1 SI unit
+        for lengths, angles and times.
         """
         least = max(self.usual, 1.0 if self.unit in ("m", "rad", "1", "s") else 0.0)
         return float(np.max(np.abs(numbers), initial=least, where=np.isfinite(numbers)))
 
     @cached_property
     def quantiles(self) -> Array:
-        """Values below which the shares `LEVELS` of the runs lie; not a number if there are none."""
+        """Quantiles at `QUANTILE_LEVELS` over the successful runs; NaN if all runs failed."""
         known = self.values[np.isfinite(self.values)]
-        return np.quantile(known, list(LEVELS.values())) if len(known) else np.full(len(LEVELS), np.nan)
+        return (
+            np.quantile(known, list(QUANTILE_LEVELS.values()))
+            if len(known)
+            else np.full(len(QUANTILE_LEVELS), np.nan)
+        )
 
     @cached_property
     def deviation(self) -> float:
-        """Standard deviation of the runs that came to their end; 0 if there are none."""
+        """Standard deviation over the successful runs; 0 if all runs failed."""
         known = self.values[np.isfinite(self.values)]
         largest = float(np.max(np.abs(known), initial=0.0))
-        return largest * float((known / largest).std()) if largest else 0.0  # whose squares may be too large
+        return (
+            largest * float((known / largest).std()) if largest else 0.0
+        )  # scaled, so that squares do not overflow
 
     @property
     def spread(self) -> float:
-        """The range that 90 % of the runs are in, which a few extreme ones do not change."""
+        """Width of the interval that contains 90 % of the runs, robust against a few extreme runs."""
         return float(self.quantiles[3] - self.quantiles[1])
 
     @property
     def varies(self) -> bool:
-        """False where all runs have the same number, but for round-off."""
+        """False if the number is constant up to round-off."""
         low, high = self.quantiles[[0, -1]]
-        return bool(high - low > CONSTANT * max(abs(low), abs(high), self.usual))
+        return bool(high - low > MIN_VARIATION * max(abs(low), abs(high), self.usual))
 
     def extreme(self, largest: bool) -> int:
-        """Return the run with the largest or the least value."""
+        """Return the number of the run with the largest or smallest value."""
         return int(self.runs[np.nanargmax(self.values) if largest else np.nanargmin(self.values)])
 
 
 def with_unit(label: str, unit: str) -> str:
-    """Put a unit after a label, if there is one."""
+    """Append a unit to a label, if there is one."""
     return f"{label}, {unit}" if unit not in ("", "1") else label
 
 
 def thinned(count: int, most: int, block: int = 1) -> Array:
-    """Choose blocks of consecutive runs, one at random from each of `most` parts of as many; all if so few.
+    """Choose a sample of at most `most` blocks of consecutive runs: a random block from each of equal parts.
 
     Returns:
-        Numbers of runs, in their order.
+        Numbers of the runs, ascending.
     """
     blocks = count // block
     parts = min(blocks, most)
@@ -186,29 +199,29 @@ def thinned(count: int, most: int, block: int = 1) -> Array:
     return np.asarray((block * chosen[:, None] + np.arange(block)).ravel())
 
 
-def analyzed(swept: Results) -> Array:
+def analyzed(swept: SweepResults) -> Array:
     """Return the numbers of the runs that are analyzed."""
     count = sum(len(_places(swept, each.name)) for each in swept.plan.kept)
     block = swept.plan.samples.block
-    return thinned(swept.plan.samples.runs, max(1, MOST_NUMBERS // count // block), block)
+    return thinned(swept.plan.samples.runs, max(1, MAX_ANALYZED_NUMBERS // count // block), block)
 
 
-def _places(swept: Results, name: str) -> Array:
-    """Return the places of a variable that are analyzed, counted through its arrays."""
+def _places(swept: SweepResults, name: str) -> Array:
+    """Return the flat indices of a variable that are analyzed, evenly spaced."""
     size = int(np.prod(swept.dataset[name].shape[1:]))
-    most = max(1, MOST_SCALARS // len(swept.plan.kept))
+    most = max(1, MAX_KEPT_NUMBERS // len(swept.plan.kept))
     return np.linspace(0, size - 1, min(size, most)).round().astype(int)
 
 
-def scalars(swept: Results) -> list[Scalar]:
-    """Return the numbers that are kept of each run, in the order in which they are asked for."""
-    found: list[Scalar] = []
+def scalars(swept: SweepResults) -> list[KeptNumber]:
+    """Return the kept numbers of a run that are analyzed, in the order of `--keep`."""
+    found: list[KeptNumber] = []
     runs = analyzed(swept)
     for each in swept.plan.kept:
         variable = swept.dataset[each.name]
         places = _places(swept, each.name)
         columns = np.empty((len(places), len(runs)))
-        block = max(1, BLOCK // int(np.prod(variable.shape[1:])))
+        block = max(1, READ_NUMBERS // int(np.prod(variable.shape[1:])))
         for first in range(0, len(runs), block):
             part = swept.read(each.name, runs[first : first + block])
             columns[:, first : first + len(part)] = part.reshape(len(part), -1)[:, places].T
@@ -218,7 +231,7 @@ def scalars(swept: Results) -> list[Scalar]:
         for flat, values in zip(places, columns, strict=True):
             place = tuple(map(int, np.unravel_index(flat, variable.shape[1:])))
             names = tuple(_label(variable, d, k) for d, k in zip(variable.dims[1:], place, strict=True))
-            found.append(Scalar(each.name, place, names, each.unit, values, runs, usual, each.reacts))
+            found.append(KeptNumber(each.name, place, names, each.unit, values, runs, usual, each.reacts))
     return found
 
 
@@ -228,40 +241,52 @@ def _label(variable: object, dimension: str, place: int) -> str:
 
 
 class Analysis:
-    """The effects of what varied.
+    """Sensitivity analysis of a sweep.
 
     Attributes:
-        names: of parameters, or of several that are correlated, "a, b".
+        names: names of the parameters; correlated ones form a group, "a, b".
     """
 
-    def __init__(self, samples: Samples, runs: Array, inputs: Callable[[Array], Parameters]) -> None:
-        """Take the runs (n,) that are analyzed, and a function that returns the parameters of runs."""
+    def __init__(self, samples: SweepSamples, runs: Array, inputs: Callable[[Array], Parameters]) -> None:
+        """Read the parameters.
+
+        Args:
+            samples: samples of the sweep.
+            runs: (n,) numbers of the analyzed runs.
+            inputs: returns the parameters of runs.
+        """
         self._samples = samples
         self.names = [", ".join(names) for names, _ in samples.groups]
-        most = MOST_SHARED if samples.block == 1 else MOST_BASE
+        most = MAX_SHARE_RUNS if samples.block == 1 else MAX_SALTELLI_SAMPLES
         self._places = thinned(len(runs), most, samples.block)
         values = inputs(runs[self._places])
         self._inputs = [np.column_stack([values[name] for name in names]) for names, _ in samples.groups]
 
     @property
     def too_few(self) -> str:
-        """The reason why there are no shares; empty if there are, as that of a single parameter: all."""
+        """Reason why there are no Sobol indices; empty if there are. A single parameter explains
+        everything."""
         block = self._samples.block
         if len(self.names) == 1:
             return ""
-        runs, least = self._samples.runs, LEAST_BASE * block if block > 1 else LEAST_SHARED
-        return f"too few runs for shares of variance: {runs:,}; at least {least:,}" if runs < least else ""
+        runs, least = self._samples.runs, MIN_SALTELLI_SAMPLES * block if block > 1 else MIN_SHARE_RUNS
+        return (
+            f"too few runs for shares of variance: {runs:,}; needed: {least:,} or more"
+            if runs < least
+            else ""
+        )
 
-    def effects(self, scalar: Scalar) -> list[Effect]:
-        """Return the effects on a number, the largest first; empty if it does not vary, or in three runs."""
+    def effects(self, scalar: KeptNumber) -> list[Effect]:
+        """Return the effects on a number, the largest first; empty for a constant number, and for too few
+        runs."""
         from scipy.stats import rankdata
 
         values = scalar.values[self._places]
         known = np.isfinite(values)
         y = values[known]
-        # most runs of Saltelli's plan repeat numbers of others
+        # most runs of Saltelli's design repeat values of other runs
         independent = 2 * len(y) // self._samples.block if self._samples.block > 1 else len(y)
-        if not scalar.varies or independent < LEAST_RANKED or np.ptp(y) == 0.0:
+        if not scalar.varies or independent < MIN_RANK_RUNS or np.ptp(y) == 0.0:
             return []
         alone = len(self.names) == 1
         sobol = self._sobol(values) if self._samples.block > 1 and not alone else None
@@ -276,25 +301,25 @@ class Analysis:
                 of_x = rankdata(x)
                 rank = _rank(float(np.corrcoef(of_x, ranks)[0, 1]), independent)
                 share = {} if alone or sobol else _share(x, of_x, y)
-            elif len(y) >= LEAST_SHARED:
+            elif len(y) >= MIN_SHARE_RUNS:
                 share = {"share": 0.0}
             shares: dict[str, Any] = {"share": 1.0} if alone else sobol[k] if sobol else share
             found.append(Effect(name, **_tenths(x, own), **rank, **shares))
         return sorted(found, key=lambda effect: -effect.size)
 
     def _sobol(self, y: Array) -> list[dict[str, Any]]:
-        """Estimate Sobol indices from Saltelli's plan by SALib: first order, total, and the first's error.
+        """Estimate first-order and total-effect Sobol indices from Saltelli's design by SALib.
 
-        The runs of a base sample are of use together alone.
+        If a run of a base sample failed, the whole base sample is left out.
         """
         sobol = optional_package("SALib.analyze.sobol", SWEEP)
         whole = np.isfinite(y).reshape(-1, self._samples.block).all(axis=1)
         y = y[np.repeat(whole, self._samples.block)]
-        if whole.sum() < LEAST_BASE or np.ptp(y) == 0.0:
+        if whole.sum() < MIN_SALTELLI_SAMPLES or np.ptp(y) == 0.0:
             return [{}] * len(self.names)
-        # numbers about zero, as the estimators of products need
+        # the estimators use products, so that values must be centered
         y = (y - y.mean()) / y.std()
-        seed = self._samples.seed % (2**32 - 1) + 1  # of 0 it would make none
+        seed = self._samples.seed % (2**32 - 1) + 1  # SALib ignores the seed 0
         size = len(self.names)
         problem = {"num_vars": size, "names": self.names, "bounds": [[0.0, 1.0]] * size}
         found = sobol.analyze(problem, y, calc_second_order=False, seed=seed)
@@ -306,66 +331,64 @@ class Analysis:
 
 def _rank(rank: float, runs: int) -> dict[str, Any]:
     """Estimate the 95 % interval of a rank correlation (Bonett and Wright, Psychometrika 65, 2000)."""
-    half = TWO_SIDED * np.sqrt((1.0 + 0.5 * rank**2) / (runs - LEAST_RANKED + 1))
+    half = NORMAL_QUANTILE_95 * np.sqrt((1.0 + 0.5 * rank**2) / (runs - MIN_RANK_RUNS + 1))
     middle = np.arctanh(np.clip(rank, -1.0 + EPSILON, 1.0 - EPSILON))
     return {"rank": rank, "rank_error": float(0.5 * (np.tanh(middle + half) - np.tanh(middle - half)))}
 
 
 def _share(x: Array, ranks: Array, y: Array) -> dict[str, Any]:
-    """Estimate the share of the variance of y that x explains alone, from any runs: by a polynomial.
+    """Estimate the first-order Sobol index of x on y from any runs, by a polynomial regression.
 
-    Its terms are x, as trends are of values, and Legendre polynomials of the ranks of x, which a few runs far
-    out do not bend; of few values as many as these. Those from the first on are taken that predict best, by
-    generalized cross-validation (G. Golub et al., Technometrics 21, 1979).
+    The terms are x itself and Legendre polynomials of the ranks of x, which are robust against outliers. The
+    number of terms minimizes generalized cross-validation (G. Golub et al., Technometrics 21, 1979).
     """
     n, values = len(y), len(np.unique(ranks))
-    if n < LEAST_SHARED:
+    if n < MIN_SHARE_RUNS:
         return {}
-    most = min(n // PER_TERM, MOST_TERMS, values)
+    most = min(n // RUNS_PER_TERM, MAX_POLYNOMIAL_TERMS, values)
     terms = np.polynomial.legendre.legvander((2.0 * ranks - 1.0) / n - 1.0, most - 1)
     terms[:, 1] = (x - x.mean()) / x.std()
     y = y - y.mean()
     triangle = np.asarray(np.linalg.qr(np.column_stack([terms, y]), mode="r"))
-    # sums of squares that the first term, the first two and so on do not explain
+    # sums of squares that remain after the first term, the first two terms, and so on
     left = np.cumsum(triangle[::-1, -1] ** 2)[-2::-1]
     freedom = n - np.arange(1, most + 1)
     count = int(np.argmin(left / freedom**2)) + 1
     fitted = terms[:, :count] @ np.linalg.solve(triangle[:count, :count], triangle[:count, -1])
     share, error = _adjusted(y - fitted, y, count, most)
     if most < values:
-        # of a step, or a bend, more terms add as much as the second half of these
+        # for a step or a kink, further terms would add as much as the second half of the terms did
         half, whole = (left / freedom)[[most // 2 - 1, -1]] / (left / freedom)[0]
         error += max(0.0, float(half - whole))
     return {"share": share, "error": error}
 
 
 def _adjusted(residuals: Array, y: Array, coefficients: int, tried: int) -> tuple[float, float]:
-    """Return the share of the variance of y (n,) that is not in the residuals, and its error.
+    """Return the adjusted coefficient of determination R^2 of a regression, and its 95 % error.
 
-    Coefficients that explain nothing take their part of the residuals, which is given back (adjusted R^2).
-    The error is that of a ratio of two means over runs, whatever y is distributed as, and that of as many
-    squares of noise as coefficients were tried.
+    The error is that of a ratio of two means over runs, for any distribution of y (n,). The noise of the
+    coefficients that were tried is added.
     """
     n, squares, own = len(y), residuals**2, (y - y.mean()) ** 2
     unexplained = squares.sum() / own.sum()
     share = max(0.0, 1.0 - unexplained * (n - 1) / max(1, n - coefficients))
     variance = np.mean(((squares - unexplained * own) / own.mean()) ** 2) / n
     variance += 2.0 * (1.0 - share) ** 2 * (tried - 1) / n**2
-    return float(share), float(TWO_SIDED * variance**0.5)
+    return float(share), float(NORMAL_QUANTILE_95 * variance**0.5)
 
 
 def _regression(x: Array, y: Array) -> tuple[Array, Array, dict[str, Any]]:
-    """Fit y (n,) by a polynomial of second order in parameters x (n, k), or of first in few runs.
+    """Fit y (n,) by a quadratic polynomial of parameters x (n, k); by a linear one if there are few runs.
 
     Returns:
-        Its values, y of the same runs, from all parts of those where these are too many for memory, and the
-        share of the variance of y that it explains; none in fewer runs.
+        Fitted values and y of the same runs (a sample if all runs do not fit into memory), and the fraction
+        of the variance that the fit explains (empty if there are too few runs).
     """
     k = x.shape[1]
     count = 1 + k + k * (k + 1) // 2
-    if PER_TERM * count > min(len(y), MOST_NUMBERS // count):
+    if RUNS_PER_TERM * count > min(len(y), MAX_ANALYZED_NUMBERS // count):
         count = 1 + k
-    chosen = thinned(len(y), MOST_NUMBERS // count)
+    chosen = thinned(len(y), MAX_ANALYZED_NUMBERS // count)
     x, y = x[chosen], y[chosen]
     x = x - x.mean(axis=0)
     x /= np.maximum(x.std(axis=0), np.finfo(float).tiny)
@@ -374,7 +397,7 @@ def _regression(x: Array, y: Array) -> tuple[Array, Array, dict[str, Any]]:
         terms = np.column_stack([terms, *(x[:, i] * x[:, j] for i in range(k) for j in range(i + 1))])
     solution, _, rank, _ = np.linalg.lstsq(terms, y, rcond=None)
     fitted = terms @ solution
-    if len(y) < max(LEAST_SHARED, PER_TERM * rank):
+    if len(y) < max(MIN_SHARE_RUNS, RUNS_PER_TERM * rank):
         return fitted, y, {}
     share, error = _adjusted(y - fitted, y, int(rank), int(rank))
     return fitted, y, {"share": share, "error": error, "bounds": True}
@@ -382,29 +405,29 @@ def _regression(x: Array, y: Array) -> tuple[Array, Array, dict[str, Any]]:
 
 def _tenths(x: Array, y: Array) -> dict[str, Any]:
     ordered = np.sort(x)
-    count = max(1, int(EXTREME * len(x)))
+    count = max(1, int(TAIL_FRACTION * len(x)))
     low, high = y[x <= ordered[count - 1]], y[x >= ordered[-count]]
     return {"low": float(low.mean()), "high": float(high.mean())}
 
 
-@np.errstate(all="ignore")  # of ranges that vanish, or are not known
-def most_varying(found: Sequence[Scalar]) -> list[Scalar]:
-    """Sort numbers by their spreads: of each variable the one that varies most, then the next of each.
+@np.errstate(all="ignore")  # spreads can be 0 or NaN
+def most_varying(found: Sequence[KeptNumber]) -> list[KeptNumber]:
+    """Sort numbers by spread: first the number of each variable that varies most, then the next of each.
 
-    Those that vary alike stay in their order, so that more runs, or others, choose the same.
+    Numbers with similar spreads keep their order, so that additional runs do not change the choice.
     """
-    of_variable: dict[str, list[Scalar]] = {}
+    of_variable: dict[str, list[KeptNumber]] = {}
     for scalar in found:
         of_variable.setdefault(scalar.variable, []).append(scalar)
     for name, members in of_variable.items():
         spreads = np.array([scalar.spread for scalar in members])
         largest = np.max(spreads, initial=0.0, where=np.isfinite(spreads))
-        steps = np.floor(np.log(largest / spreads) / np.log(ALIKE))
+        steps = np.floor(np.log(largest / spreads) / np.log(SAME_SPREAD_RATIO))
         of_variable[name] = [members[k] for k in np.argsort(steps, kind="stable")]
     return [scalar for place in zip_longest(*of_variable.values()) for scalar in place if scalar is not None]
 
 
-def telling(found: Sequence[Scalar]) -> list[Scalar]:
-    """Choose one number for each variable: of those that vary the one that does so most."""
+def most_informative(found: Sequence[KeptNumber]) -> list[KeptNumber]:
+    """Choose one number of each variable: the one that varies most."""
     varying = [scalar for scalar in found if scalar.varies]
     return most_varying(varying)[: len({scalar.variable for scalar in varying})]

@@ -1,4 +1,4 @@
-"""Crosschecks of some runs of a sweep, at random and extreme ones, by all engines."""
+"""Crosschecks of some runs of a sweep, extreme and random ones, in all engines."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from crosscheck.compare.runs import FALLS
 from crosscheck.engines.engine import ENGINES, EXACT_ATOL, EXACT_RTOL, Engine
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.time_limits import paced
-from crosscheck.sweeps.analysis import Scalar
+from crosscheck.sweeps.analysis import KeptNumber
 from crosscheck.sweeps.expressions import Outputs
-from crosscheck.sweeps.plan import Plan, run_all
+from crosscheck.sweeps.plan import SweepPlan, run_all
 from crosscheck.sweeps.reductions import WHEN, Reduction
-from crosscheck.sweeps.results import Results
+from crosscheck.sweeps.results import SweepResults
 from newton_euler.equations.undetermined import undetermined_joints
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
 from newton_euler.model.scene import Scene
@@ -31,36 +31,36 @@ from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
 RUNS_PER_CHECK, DEFAULT_CHECKS = 1_000, (2, 6)
-"""Runs that take about as long as a check of one does, and the fewest and the most checks by default."""
+"""Number of runs that take about as long as one check, and the range of the default number of checks."""
 
-RANDOM = "at random"
-"""Why a run that is not extreme is checked."""
+CHOSEN_AT_RANDOM = "at random"
+"""Reason for checking a run that is not extreme."""
 
-FINER = 0.01
-"""Of a sweep's tolerances, at which its own error is measured."""
+FINER_TOLERANCE_FACTOR = 0.01
+"""Factor on the tolerances of a sweep for the repeated run that measures its error."""
 
-SOFT, NOT_UNIQUE = "soft constraints", "not unique"
-"""Why reactions are not judged."""
+SOFT_CONSTRAINTS, NOT_UNIQUE = "soft constraints", "not unique"
+"""Reasons why reactions are not judged."""
 
-KEPT = "kept"
-"""Level of figures that compare what a sweep keeps."""
+KEPT_LEVEL = "kept"
+"""Level of the checks of kept outputs."""
 
 
 @dataclass(frozen=True)
-class Checked:
-    """A run of a sweep that all engines made.
+class CheckedRun:
+    """Crosscheck of one run of a sweep.
 
     Attributes:
-        run: its number.
-        why: it was chosen.
-        complete: whether all engines came to the end.
-        agrees: whether the engines agree with each other, as by `crosscheck run`.
-        verdict: of its crosscheck, in a line.
-        kept: of each variable and engine the numbers, judged and not, that are nearest their limits.
-        moves: whether anything does.
-        untested: whether the motion tests none of the elements.
-        engines: that made it.
-        acting: elements of the model file that acted and were not simulated as the file has them.
+        run: number of the run.
+        why: reason why the run was chosen.
+        complete: True if all engines completed the run.
+        agrees: True if the engines agree with each other, as in `crosscheck run`.
+        verdict: verdict line of the crosscheck.
+        kept: for each variable and engine, the check closest to failing, among judged and not judged ones.
+        moves: True if the mechanism moves.
+        untested: True if the motion tests no element of the scene.
+        engines: names of the engines.
+        acting: elements of the model file that would have acted and were not simulated.
     """
 
     run: int
@@ -81,18 +81,22 @@ class Checked:
 
 
 def default_count(runs: int) -> int:
-    """Return how many of so many runs are checked unless told otherwise."""
+    """Return the default number of checks for a number of runs."""
     return int(np.clip(runs // RUNS_PER_CHECK, *DEFAULT_CHECKS))
 
 
-def chosen(swept: Results, kept: Sequence[Scalar], telling: Sequence[Scalar], count: int) -> dict[int, str]:
+def chosen(
+    swept: SweepResults, kept: Sequence[KeptNumber], most_informative: Sequence[KeptNumber], count: int
+) -> dict[int, str]:
     """Choose runs to check by number, each with the reason: extreme ones and others at random by turns."""
     known = kept[0].runs[~np.isin(kept[0].runs, swept.stopped)]
     generator = np.random.default_rng([swept.plan.samples.seed, swept.plan.samples.runs])
-    random = [(int(run), RANDOM) for run in generator.choice(known, min(count, len(known)), replace=False)]
+    random = [
+        (int(run), CHOSEN_AT_RANDOM) for run in generator.choice(known, min(count, len(known)), replace=False)
+    ]
     extreme = [
         (scalar.extreme(largest), f"{'most' if largest else 'least'} {scalar.label}")
-        for scalar in telling
+        for scalar in most_informative
         for largest in (True, False)
     ]
     found: dict[int, str] = {}
@@ -104,24 +108,24 @@ def chosen(swept: Results, kept: Sequence[Scalar], telling: Sequence[Scalar], co
 
 
 def check_runs(
-    swept: Results,
-    found: Sequence[Scalar],
+    swept: SweepResults,
+    found: Sequence[KeptNumber],
     runs: Mapping[int, str],
     engines: Sequence[Engine],
     progress: Callable[[str], None],
     mapping: ImportReport | None = None,
-) -> list[Checked]:
-    """Crosscheck runs, and compare what is kept of them.
+) -> list[CheckedRun]:
+    """Cross-check runs, and compare their kept outputs.
 
     Args:
         swept: the sweep.
-        found: all numbers that are kept.
-        runs: why each run was chosen, by its number.
-        engines: engines that make the runs.
-        progress: is told how far it is.
-        mapping: what became of the elements of a model file; None for a scene of this package's own.
+        found: the kept numbers.
+        runs: by number of a run, the reason why it was chosen.
+        engines: the engines.
+        progress: called with the name of each stage.
+        mapping: import report of a model file; None for other scenes.
     """
-    unverified = mapping.unverified() if mapping else None  # the file has other parameters than a run
+    unverified = mapping.unverified() if mapping else None  # a run has other parameters than the file
     said = [""]
 
     def tell(message: str) -> None:
@@ -129,7 +133,7 @@ def check_runs(
         progress(message)
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NearlyRedundantWarning)  # told of the sweep
+        warnings.simplefilter("ignore", NearlyRedundantWarning)  # the sweep has issued the warning
         return [
             _check(swept, found, run, why, engines, lambda stage: progress(f"{said[0]}: {stage}"), unverified)
             for run, why in paced(list(runs.items()), tell, "cross-check")
@@ -137,22 +141,22 @@ def check_runs(
 
 
 def _check(
-    swept: Results,
-    found: Sequence[Scalar],
+    swept: SweepResults,
+    found: Sequence[KeptNumber],
     run: int,
     why: str,
     engines: Sequence[Engine],
     progress: Callable[[str], None],
     mapping: ImportReport | None,
-) -> Checked:
+) -> CheckedRun:
     names = tuple(each.name for each in engines)
     try:
         result = crosscheck(swept.plan.scene_of(run), engines, progress, "", {}, mapping)
         kept = tuple(_compared(swept, found, run, result, engines))
     except (CrosscheckError, NewtonEulerError) as error:
-        return Checked(run, why, False, True, str(error), engines=names)
+        return CheckedRun(run, why, False, True, str(error), engines=names)
     complete = not (result.left_out or result.unfinished)
-    return Checked(
+    return CheckedRun(
         run,
         why,
         complete,
@@ -166,14 +170,14 @@ def _check(
     )
 
 
-def worded(checked: Sequence[Checked], extremes: Collection[int]) -> str:
-    """Word what crosschecks found: the first that is not in order, or what is nearest its limit.
+def worded(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str:
+    """Report the crosschecks in one line: the first failure, or the check closest to failing.
 
     Args:
-        checked: them.
-        extremes: numbers of all extreme runs, of which some may not have been checked.
+        checked: the crosschecks.
+        extremes: numbers of all extreme runs, including those that were not checked.
     """
-    count, random = len(checked), sum(each.why == RANDOM for each in checked)
+    count, random = len(checked), sum(each.why == CHOSEN_AT_RANDOM for each in checked)
     left = len(set(extremes).difference(each.run for each in checked))
     of_extremes = (
         f"{count - random} of {count - random + left} extremes" if left else f"{count - random} extreme"
@@ -194,12 +198,12 @@ def worded(checked: Sequence[Checked], extremes: Collection[int]) -> str:
     who += " alone" if len(engines) == 1 else ""
     found = f"{who} in all figures of {of_runs}"
     if judged:
-        found += f"; kept numbers as well, nearest its limit {_difference(max(judged, key=_share))}"
-    soft = sorted({figure.between[0] for figure in kept if figure.detail == SOFT})
+        found += f"; kept outputs agree too, closest to failing: {_difference(max(judged, key=_share))}"
+    soft = sorted({figure.between[0] for figure in kept if figure.detail == SOFT_CONSTRAINTS})
     unsettled = sum(bool(figure.unsettled) for figure in kept)
     open_ = [f"reactions of {name}, whose constraints are soft" for name in soft]
     open_ += ["reactions that are not unique"] * any(figure.detail == NOT_UNIQUE for figure in kept)
-    open_ += [f"{unsettled} numbers that finer runs change by more"] if unsettled else []
+    open_ += [f"{unsettled} numbers of unconverged runs"] if unsettled else []
     found += f"; not judged: {', '.join(open_)}" if open_ else ""
     return found if any(each.moves for each in checked) else f"{found}; nothing moves"
 
@@ -209,7 +213,7 @@ def _share(figure: Figure) -> float:
 
 
 def _difference(figure: Figure) -> str:
-    """Word the difference of a kept number between an engine and the sweep."""
+    """Report the difference of a kept number between an engine and the sweep."""
     name, _, unit = figure.quantity.rpartition(", ")
     quantity, unit = (name, f" {unit}") if name else (figure.quantity, "")
     compared = f"{figure.value:.1e} {'<' if figure.agrees else '>'} {figure.tolerance:.1e}{unit}"
@@ -217,17 +221,16 @@ def _difference(figure: Figure) -> str:
 
 
 def _compared(
-    swept: Results, found: Sequence[Scalar], run: int, result: Crosscheck, engines: Sequence[Engine]
+    swept: SweepResults, found: Sequence[KeptNumber], run: int, result: Crosscheck, engines: Sequence[Engine]
 ) -> Iterator[Figure]:
-    """Yield of each variable and engine the difference from the sweep that is nearest its limit.
+    """Yield for each variable and engine the check closest to failing.
 
-    One of numbers that are judged, and one for each reason of those that are not.
+    One check is yielded for the judged numbers, and one for each reason why numbers are not judged.
 
-    As whole runs may be off, kept numbers may: an engine's and newton_euler's fixed shares of
-    `Scalar.scale`; beyond these, what finer runs of the engine, at
-    any time, and of the sweep change, times `OWN_ERROR`. A number is not judged where that exceeds
-    `UNRESOLVED`, where the difference does not fall with finer runs, and where it is a reaction of soft
-    constraints, or one that redundant constraints leave open.
+    The tolerance is the fixed relative error of the engine and of newton_euler, times `KeptNumber.scale`. If
+    the difference is larger, both runs are repeated at finer tolerances, and their changes times `OWN_ERROR`
+    are added. A number is not judged in these cases: the tolerance exceeds `UNRESOLVED`; the difference does
+    not decrease in finer runs; the number is a reaction of soft or redundant constraints.
     """
     plan, scene = swept.plan, result.scene
     reductions = {each.name: each for each in plan.kept}
@@ -238,7 +241,10 @@ def _compared(
 
     @cache
     def change_of_sweep() -> tuple[dict[str, Array], dict[str, Array]]:
-        """The run made again, for what is stored must not excuse itself, and made more finely."""
+        """Return the kept outputs of the run repeated at the sweep's tolerance and at a finer one.
+
+        The stored run is repeated, since an error in the store must not increase its own tolerance.
+        """
         controls = plan.control, finer_control(plan.control)
         coarse, fine = (
             run_all(replace(plan, control=each), plan.parameters(run, run + 1)) for each in controls
@@ -252,10 +258,11 @@ def _compared(
         outputs, kept = kept_of(plan, run, trajectory)
         of_engine = cache(partial(_finer_of, plan, run, engine, scene))
         figures: dict[str, list[Figure]] = {}
+        # Compare each kept number with the sweep's
         for scalar in found:
             own, scale = float(numbers[scalar.variable][scalar.place]), scalar.scale(numbers[scalar.variable])
             value = float(kept[scalar.variable][scalar.place])
-            why = SOFT if engine.soft_start is not None and scalar.reacts else ""
+            why = SOFT_CONSTRAINTS if engine.soft_start is not None and scalar.reacts else ""
             if scalar.reacts and not shared.isdisjoint(reductions[scalar.variable].reacting(scalar.place)):
                 why = NOT_UNIQUE
             fixed = (engine.trajectory_error + ENGINES["newton_euler"].trajectory_error) * scale
@@ -272,7 +279,7 @@ def _compared(
                     unsettled = engine.name
             figures.setdefault(scalar.variable, []).append(
                 Figure(
-                    KEPT,
+                    KEPT_LEVEL,
                     scalar.heading,
                     (engine.name, "sweep"),
                     apart,
@@ -283,6 +290,7 @@ def _compared(
                     why,
                 )
             )
+        # Yield the check closest to failing of each variable and reason
         for of_variable in figures.values():
             for kind in sorted({(each.informs, each.detail) for each in of_variable}):
                 alike = [each for each in of_variable if (each.informs, each.detail) == kind]
@@ -290,35 +298,36 @@ def _compared(
 
 
 def finer_control(control: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a control of steps with a hundredth of the tolerances, or half the step."""
+    """Return the control of steps with a hundredth of the tolerances, or half the step."""
     finer = dict(control)
     for name, least in (("rtol", EXACT_RTOL), ("atol", EXACT_ATOL)):
         if name in control:
-            finer[name] = max(FINER * control[name], least)
+            finer[name] = max(FINER_TOLERANCE_FACTOR * control[name], least)
     if control.get("step"):
         finer["step"] = 0.5 * control["step"]
     return finer
 
 
-def _change(reduction: Reduction, scalar: Scalar, coarse: Outputs, fine: Outputs) -> float:
-    """Return by how much a finer run changes what a number is reduced from, at the most; of events 0.
+def _change(reduction: Reduction, scalar: KeptNumber, coarse: Outputs, fine: Outputs) -> float:
+    """Return the largest change, in a finer run, of the time series that a number is reduced from; 0 for
+    events.
 
-    The number itself may change by less, by chance, than by its error.
+    The change of the number itself can be smaller than its error by chance.
     """
     if reduction.kind == WHEN:
         return 0.0
     return float(np.abs(reduction.line(coarse, scalar.place) - reduction.line(fine, scalar.place)).max())
 
 
-Measured = tuple[Outputs, dict[str, Array]]
-"""Outputs of a run, and what is kept of it, by name."""
+KeptOutputs = tuple[Outputs, dict[str, Array]]
+"""Outputs of a run, and its kept outputs by name."""
 
 
-def _finer_of(plan: Plan, run: int, engine: Engine, scene: Scene) -> Measured:
+def _finer_of(plan: SweepPlan, run: int, engine: Engine, scene: Scene) -> KeptOutputs:
     return kept_of(plan, run, (engine.refined_in_full or engine.refined)(scene))
 
 
-def kept_of(plan: Plan, run: int, trajectory: Trajectory) -> Measured:
-    """Return the outputs of a run by any engine, and what is kept of them."""
+def kept_of(plan: SweepPlan, run: int, trajectory: Trajectory) -> KeptOutputs:
+    """Return the outputs of a run of any engine, and the kept outputs."""
     outputs = Outputs.of(plan.scene, replace(trajectory, mechanism=plan.mechanism_of(run)))
     return outputs, {each.name: each.of(outputs)[0] for each in plan.kept}

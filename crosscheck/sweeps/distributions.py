@@ -1,4 +1,4 @@
-"""Distributions of the numbers that a sweep varies, and their text form on the command line."""
+"""Probability distributions of varied parameters, and their text form on the command line."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import choices, is_finite_number, plain_number, quoted, real_array
 from newton_euler.scalars import Array
 
-LONGEST = 10_000
-"""Characters of a distribution's text, and numbers of a grid."""
+MAX_TEXT_LENGTH = 10_000
+"""Characters, longest text of a distribution; also the largest number of values of a grid."""
 
-ROUND_OFF = 1e-12
-"""Size of the smallest eigenvalue, negative by rounding, of a correlation that is singular."""
-
+EIGENVALUE_ROUND_OFF = 1e-12
+"""Magnitude of the smallest eigenvalue, negative by round-off, of a singular correlation matrix."""
 
 KINDS = {
     "values": ("A", "B", "..."),
@@ -29,9 +28,8 @@ KINDS = {
     "normal": ("MEAN", "DEVIATION"),
     "truncated_normal": ("MEAN", "DEVIATION", "LOW", "HIGH"),
 }
-"""Names of the numbers of distributions: values, equally likely, of which a full grid takes each; a grid of
-as many, evenly spaced; between two bounds, equally likely; Gauss's; Gauss's without what lies outside two
-bounds, by the numbers before."""
+"""Kinds of distributions and the names of their numbers: equally likely values; an evenly spaced grid of
+equally likely values; uniform; normal; normal truncated to an interval."""
 
 FORMS = "; ".join(f"{name}({', '.join(numbers)})" for name, numbers in KINDS.items())
 FORMS += (
@@ -41,14 +39,14 @@ FORMS += (
 
 @dataclass(frozen=True)
 class Distribution:
-    """The distribution of one number.
+    """Distribution of one parameter.
 
     Attributes:
         kind: one of `KINDS`.
-        numbers: its own.
+        numbers: numbers of the distribution, in the order of `KINDS`.
 
     Raises:
-        CrosscheckError: for numbers that it cannot have.
+        CrosscheckError: for invalid numbers.
     """
 
     kind: str
@@ -69,28 +67,28 @@ class Distribution:
                 raise CrosscheckError(f"{self.kind}: {name} is {quoted(value)}; needed: {needed}")
         object.__setattr__(self, "numbers", tuple(map(float, self.numbers)))
         steps = given.get("COUNT", 2.0)
-        if not (steps % 1.0 == 0.0 and 2 <= steps <= LONGEST):
-            raise CrosscheckError(f"grid: COUNT is {steps:g}; needed: a whole number, 2 to {LONGEST}")
+        if not (steps % 1.0 == 0.0 and 2 <= steps <= MAX_TEXT_LENGTH):
+            raise CrosscheckError(f"grid: COUNT is {steps:g}; needed: a whole number, 2 to {MAX_TEXT_LENGTH}")
         low, high = (given.get(name, bound) for name, bound in (("LOW", 0.0), ("HIGH", 1.0)))
         if not self.numbers or not low < high:
             needed = "LOW < HIGH" if self.numbers else "one number or more"
             raise CrosscheckError(f"{self} is an empty distribution; needed: {needed}")
         if not high - low < np.inf:
-            raise CrosscheckError(f"{self} is no distribution: HIGH - LOW is too large")
-        # of the others it is known, and SciPy's statistics, which say it, take a second to import
+            raise CrosscheckError(f"{self} is not a distribution: HIGH - LOW is too large")
+        # only this kind needs the check, and importing SciPy's statistics takes a second
         if self.kind == "truncated_normal" and not np.isfinite(self.quantile(np.array([0.5]))[0]):
-            raise CrosscheckError(f"{self} is an empty distribution: next to nothing lies between its bounds")
+            raise CrosscheckError(f"{self} is an empty distribution: the probability between its bounds is 0")
 
     @property
     def levels(self) -> tuple[float, ...]:
-        """The values that a full grid takes; empty for a distribution without gaps."""
+        """Values of a discrete distribution, which a full grid takes; empty for a continuous one."""
         if self.kind == "grid":
             low, high, count = self.numbers
             return tuple(np.linspace(low, high, int(count)).tolist())
         return self.numbers if self.kind == "values" else ()
 
     def quantile(self, u: Array) -> Array:
-        """Return the values (n,) below which shares u (n,) between 0 and 1 of all values lie."""
+        """Return the quantiles (n,) of probabilities u (n,) between 0 and 1."""
         if levels := self.levels:
             return np.array(levels)[np.minimum((u * len(levels)).astype(int), len(levels) - 1)]
         values = _continuous(self).ppf(u)
@@ -98,13 +96,13 @@ class Distribution:
         return np.clip(values, low, high)
 
     def deviations_of(self, value: float) -> float:
-        """Return how many standard deviations a number lies from the mean; 0 if there is one value alone."""
+        """Return the distance of a number from the mean in standard deviations; 0 for a single value."""
         of = np.array(self.levels) if self.levels else _continuous(self)
         deviation = float(of.std())
         return abs(value - float(of.mean())) / deviation if deviation else 0.0
 
     def of_normal(self, z: Array) -> Array:
-        """Return the values (n,) that are as likely as the standard normal z (n,)."""
+        """Return the quantiles (n,) of the probabilities of standard normal values z (n,)."""
         if self.kind == "normal":
             return self.numbers[0] + self.numbers[1] * z
         return self.quantile(ndtr(z))
@@ -115,7 +113,8 @@ class Distribution:
 
 @lru_cache(maxsize=1000)
 def _continuous(of: Distribution) -> Any:
-    """Return SciPy's object of a distribution, 10 kB that are not to be sent to workers with it."""
+    """Return SciPy's object of a distribution. It is cached here, since pickled distributions should be
+    small."""
     from scipy import stats
 
     if of.kind == "uniform":
@@ -129,21 +128,21 @@ def _continuous(of: Distribution) -> Any:
 
 
 def _texts(numbers: Iterable[float]) -> str:
-    """Write numbers as short as they are read back the same."""
+    """Format numbers with the fewest digits that are read back exactly."""
     return ", ".join(repr(float(number)).removesuffix(".0") for number in numbers)
 
 
 @dataclass(frozen=True, eq=False)
 class Correlated:
-    """Several numbers together: their distributions, and how these are correlated.
+    """Joint distribution of n correlated parameters.
 
     Attributes:
-        distributions: of each number, n.
-        correlation: (n, n) of the normal numbers that each is made of (a Gaussian copula): the correlation
-            itself where the distributions are normal.
+        distributions: (n) distribution of each parameter.
+        correlation: (n, n) correlation matrix of a Gaussian copula. For normal distributions it is the
+            correlation of the parameters.
 
     Raises:
-        CrosscheckError: for a matrix that is none of correlations.
+        CrosscheckError: for a matrix that is not a correlation matrix.
     """
 
     distributions: tuple[Distribution, ...]
@@ -158,7 +157,7 @@ class Correlated:
 
     @classmethod
     def normal(cls, means: Sequence[float], covariance: object) -> Correlated:
-        """Return normal numbers of some means (n,) and covariance (n, n)."""
+        """Return the multivariate normal distribution with means (n,) and covariance (n, n)."""
         matrix = _matrix("normal: covariance", covariance, len(means))
         deviations = np.sqrt(np.diag(matrix))
         normals = [Distribution("normal", pair) for pair in zip(means, deviations.tolist(), strict=True)]
@@ -167,9 +166,9 @@ class Correlated:
         return cls(normals, correlation)
 
     def quantile(self, u: Array) -> Array:
-        """Return the values (k, n) of independent shares u (k, n) between 0 and 1."""
+        """Return the values (k, n) for independent probabilities u (k, n) between 0 and 1."""
         root, z = _cholesky(self.correlation), ndtri(u)
-        # not a product of matrices, whose sums have an order that depends on their size
+        # not a matrix product, whose order of summation depends on the number of runs
         mixed = [sum(root[i, j] * z[:, j] for j in range(i + 1)) for i in range(len(root))]
         columns = [each.of_normal(z) for each, z in zip(self.distributions, mixed, strict=True)]
         return np.stack(columns, axis=1)
@@ -190,10 +189,10 @@ def _matrix(what: str, given: object, count: int) -> Array:
     if not np.all(np.diag(matrix) > 0.0):
         raise CrosscheckError(f"{what} has a diagonal that is not positive")
     scale = np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
-    if np.any(np.abs(matrix - matrix.T) > ROUND_OFF * scale):
+    if np.any(np.abs(matrix - matrix.T) > EIGENVALUE_ROUND_OFF * scale):
         raise CrosscheckError(f"{what} is not symmetric")
     matrix = 0.5 * (matrix + matrix.T)
-    if np.linalg.eigvalsh(matrix / scale)[0] < -ROUND_OFF:
+    if np.linalg.eigvalsh(matrix / scale)[0] < -EIGENVALUE_ROUND_OFF:
         raise CrosscheckError(f"{what} has a negative eigenvalue; no numbers vary together like that")
     return matrix
 
@@ -207,7 +206,7 @@ def _cholesky(matrix: Array) -> Array:
     root = np.zeros((count, count))
     for j in range(count):
         pivot = matrix[j, j] - sum(root[j, k] ** 2 for k in range(j))
-        if pivot <= ROUND_OFF:
+        if pivot <= EIGENVALUE_ROUND_OFF:
             continue
         root[j, j] = np.sqrt(pivot)
         for i in range(j + 1, count):
@@ -251,8 +250,8 @@ def parse(text: str) -> Distribution | Correlated:
     """
     found: object = None
     try:
-        if len(text) > LONGEST:
-            raise ValueError(f"is longer than {LONGEST} characters")
+        if len(text) > MAX_TEXT_LENGTH:
+            raise ValueError(f"is longer than {MAX_TEXT_LENGTH} characters")
         found = _read(ast.parse(text, mode="eval").body, text)
     except SyntaxError as error:
         raise CrosscheckError(wrong_syntax(error, text)) from None
@@ -266,7 +265,7 @@ def parse(text: str) -> Distribution | Correlated:
 
 
 def wrong_syntax(error: SyntaxError, text: str) -> str:
-    """Word what Python does not understand in a text, as brackets that are not closed."""
+    """Describe the syntax error of a text, for example an unclosed bracket."""
     if ";" in text:
         return "there is a semicolon, where commas are needed"
     return f"{error.msg} at character {min(error.offset or 1, len(text))} of {text[:100]!r}"

@@ -1,4 +1,4 @@
-"""Execution of a sweep's chunks: on threads, by any executor of concurrent.futures, on a Dask cluster."""
+"""Execution of the tasks of a sweep on threads, an executor of concurrent.futures, or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.processes import safe_path
 from crosscheck.support.time_limits import span
-from crosscheck.sweeps.store import KEPT_GOES_ON, SWEEP
+from crosscheck.sweeps.store import KEPT_REPEAT_COMMAND, SWEEP
 from newton_euler.errors import OptionError
 from newton_euler.optional_packages import optional_package
 from newton_euler.runs.batch import thread_count
@@ -33,34 +33,39 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-AHEAD = 2
-"""Tasks per worker that are given out: the next is there when one ends, and few are lost with a worker."""
+TASKS_PER_WORKER = 2
+"""Number of submitted tasks per worker: a worker need not wait for its next task, and a crash loses few
+tasks."""
 
-COUNT_AFTER = 2.0
-"""s after which workers are counted again: a scheduler has other things to answer."""
+RECOUNT_PERIOD_S = 2.0
+"""s between two counts of the workers; each count is a request to the scheduler."""
 
-USUAL_WORKERS = 32
-"""Of an executor that does not say how many it has."""
+ASSUMED_WORKERS = 32
+"""Number of workers of an executor that does not report it."""
 
-PROBE, LONG = 0.05, 1.0
-"""s that runs take by which their speed is told, and that one takes which is not made again for that."""
+MIN_PROBE_S, NO_REPEAT_ABOVE_S = 0.05, 1.0
+"""s, shortest time of runs from which their speed is estimated, and time of a single run above which the
+estimate is not repeated."""
 
-PATIENCE = 10.0
-"""s for a cluster to answer."""
+CONNECT_TIMEOUT_S = 10.0
+"""s, longest time that a cluster may need to answer."""
 
-NO_WORKERS = f"the cluster has no workers: waiting for some; Ctrl-C ends, {KEPT_GOES_ON}"
+NO_WORKERS = f"the cluster has no workers yet: waiting; press Ctrl-C to stop, {KEPT_REPEAT_COMMAND}"
 
-LOGS, SILENT = ("distributed.client", "distributed.protocol.core", "distributed.comm"), logging.CRITICAL + 1
-"""Logs of Dask that repeat what is raised, and a level above all of theirs."""
+DASK_LOGS, SILENT_LEVEL = (
+    ("distributed.client", "distributed.protocol.core", "distributed.comm"),
+    logging.CRITICAL + 1,
+)
+"""Loggers of Dask that repeat raised errors, and a log level above all of theirs."""
 
 
 @dataclass(frozen=True)
 class Workers:
-    """An executor of tasks, and what is known of it.
+    """An executor of tasks.
 
     Attributes:
-        executor: of tasks.
-        count: returns the number of workers at the moment.
+        executor: the executor.
+        count: returns the current number of workers.
     """
 
     executor: Executor
@@ -71,16 +76,16 @@ class Workers:
 def workers(
     threads: int | None = None, executor: Executor | None = None, cluster: Client | str | None = None
 ) -> Iterator[Workers]:
-    """Open workers: threads of this process, as many as it has processors unless told otherwise.
+    """Open workers: threads of this process, an executor, or a Dask cluster.
 
     Args:
-        threads: their number.
-        executor: to use instead, which stays open.
-        cluster: a Dask client or the address of a scheduler to use instead.
+        threads: number of threads; one per processor if no argument is given.
+        executor: an executor of concurrent.futures, which stays open.
+        cluster: a Dask client, or the address of a Dask scheduler.
 
     Raises:
-        CrosscheckError: for more than one of them, and a cluster that does not answer.
-        OptionError: for an impossible number of threads.
+        CrosscheckError: for more than one argument, and for a cluster that does not answer.
+        OptionError: for an invalid number of threads, executor or cluster.
     """
     given = {"threads": threads, "executor": executor, "cluster": cluster}
     named = [name for name, value in given.items() if value is not None]
@@ -88,14 +93,14 @@ def workers(
         raise CrosscheckError(f"{' and '.join(named)} are different places to run at; choose one")
     if cluster is not None:
         with _client(cluster) as client:
-            # what is sent along says all; a key made of it would be made anew for each task
+            # without `pure=False` Dask would hash the arguments of each task
             of_client = client.get_executor(pure=False)
             yield Workers(of_client, lambda: sum(client.ncores().values()))
     elif executor is not None:
         if not isinstance(executor, Executor):
             raise OptionError("executor", executor, "one of concurrent.futures")
-        count = getattr(executor, "_max_workers", USUAL_WORKERS)
-        with safe_path():  # processes start when they get their first task
+        count = getattr(executor, "_max_workers", ASSUMED_WORKERS)
+        with safe_path():  # an executor starts its processes with the first task
             yield Workers(executor, lambda: count)
     else:
         count = thread_count(threads)
@@ -105,18 +110,18 @@ def workers(
 
 @contextmanager
 def _client(cluster: Client | str) -> Iterator[Client]:
-    """Return the client itself, or connect one to an address and close it in the end."""
+    """Yield the client itself, or a client of an address that is closed at the end."""
     distributed = optional_package("distributed", SWEEP)
     if isinstance(cluster, distributed.Client):
         yield cluster
         return
     if not isinstance(cluster, str):
         raise OptionError("cluster", cluster, "a Client of Dask or an address such as tcp://10.0.0.1:8786")
-    # what goes wrong is raised; its log on standard error would be a second voice
-    logs = [logging.getLogger(name) for name in LOGS]
+    # errors are raised; Dask's logs on standard error would repeat them
+    logs = [logging.getLogger(name) for name in DASK_LOGS]
     levels = [log.level for log in logs]
     for log in logs:
-        log.setLevel(SILENT)
+        log.setLevel(SILENT_LEVEL)
     try:
         with _connected(cluster) as client:
             yield client
@@ -131,23 +136,24 @@ def _connected(address: str) -> Client:
     import distributed
 
     try:
-        if not dask.config.get("distributed.client.security-loader", None):  # which the client alone calls
-            # in a thread of its own: a notebook has an event loop already
+        # only a client can use the security loader, so that the check is skipped if one is configured
+        if not dask.config.get("distributed.client.security-loader", None):
+            # in a separate thread, since a notebook already has an event loop
             with ThreadPoolExecutor(1) as thread:
                 thread.submit(asyncio.run, _check_scheduler(address)).result()
-        return distributed.Client(address, timeout=PATIENCE, set_as_default=False)
-    except Exception as error:  # whatever Dask makes of an answer that is none of Dask's
+        return distributed.Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
+    except Exception as error:  # Dask raises many kinds of errors for an answer of another program
         reason = " ".join(str(error).split()) or "it does not answer"
         raise CrosscheckError(f"cannot reach a scheduler of Dask at {address}: {reason}"[:300]) from error
 
 
 async def _check_scheduler(address: str) -> None:
-    """Raise an error where something else than a scheduler listens: a client would wait for it for ever."""
+    """Raise an error unless a Dask scheduler listens; a client would wait forever for another program."""
     from distributed import Security, rpc
 
     secured = Security().get_connection_args("client")
-    async with asyncio.timeout(2.0 * PATIENCE):  # half of it for the connection itself
-        async with rpc(address, timeout=PATIENCE, connection_args=secured) as listener:
+    async with asyncio.timeout(2.0 * CONNECT_TIMEOUT_S):  # half of it for the connection itself
+        async with rpc(address, timeout=CONNECT_TIMEOUT_S, connection_args=secured) as listener:
             kind = (await listener.identity())["type"]
     if kind != "Scheduler":
         raise OSError(f"a {kind} listens there")
@@ -159,34 +165,34 @@ def in_any_order(
     at: Workers,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Generator[tuple[Item, Result]]:
-    """Execute a task for each item; yields items and results as they come.
+    """Execute a task for each item, and yield items and results in order of completion.
 
-    No more than `AHEAD` tasks per worker are given out at a time, so that a million of them are no burden.
-    What is running when this is left ends; what is waiting is not begun. While there are no workers, as
-    before a queue lets them start, it waits for them, which `progress` is told.
+    At most `TASKS_PER_WORKER` tasks per worker are submitted at a time. If the generator is closed, running
+    tasks complete, and waiting tasks are canceled. If the cluster has no workers yet, the function reports
+    that to `progress` and waits.
 
     Raises:
-        CrosscheckError: of a task, and where processes that make them are lost again and again.
+        CrosscheckError: if a task fails, or if its process or the cluster is lost.
     """
-    left, count, counted = iter(items), 1, -COUNT_AFTER
+    left, count, counted = iter(items), 1, -RECOUNT_PERIOD_S
     running: dict[Future[Result], Item] = {}
     try:
         while True:
-            if time.perf_counter() - counted > COUNT_AFTER:
+            if time.perf_counter() - counted > RECOUNT_PERIOD_S:
                 before, count, counted = count, at.count(), time.perf_counter()
                 if before and not count:
                     progress(NO_WORKERS)
-            room = AHEAD * max(1, count) - len(running)
+            room = TASKS_PER_WORKER * max(1, count) - len(running)
             for _, item in zip(range(room), left, strict=False):
                 running[at.executor.submit(task, item)] = item
             if not running:
                 return
-            for future in wait(running, COUNT_AFTER, FIRST_COMPLETED).done:
+            for future in wait(running, RECOUNT_PERIOD_S, FIRST_COMPLETED).done:
                 yield running.pop(future), _result(future)
     except BrokenExecutor as error:
-        raise CrosscheckError(f"a process of the executor died; {KEPT_GOES_ON}") from error
-    except (OSError, CancelledError) as error:  # of a scheduler that does not answer any more
-        raise CrosscheckError(f"the cluster was lost; {KEPT_GOES_ON}") from error
+        raise CrosscheckError(f"a process of the executor died; {KEPT_REPEAT_COMMAND}") from error
+    except (OSError, CancelledError) as error:  # the scheduler does not answer any more
+        raise CrosscheckError(f"the cluster was lost; {KEPT_REPEAT_COMMAND}") from error
     finally:
         for future in running:
             future.cancel()
@@ -199,20 +205,20 @@ def _result(future: Future[Result]) -> Result:
         raise
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise CrosscheckError(f"a worker failed: {reason:.300}; {KEPT_GOES_ON}") from error
+        raise CrosscheckError(f"a worker failed: {reason:.300}; {KEPT_REPEAT_COMMAND}") from error
 
 
 class Pace:
-    """Counts runs, and says how fast they come and how long the others take."""
+    """Counter of completed runs that reports their rate and the remaining time."""
 
     def __init__(self, runs: int, there: int, progress: Callable[[str], None]) -> None:
         self._runs, self._there, self._progress = runs, there, progress
         self._made, self._start = 0, time.perf_counter()
         if there:
-            progress(f"{there:,} of {runs:,} runs were there")
+            progress(f"{there:,} of {runs:,} runs are stored already")
 
     def add(self, runs: int) -> None:
-        """Count runs that were made, and tell."""
+        """Count completed runs, and report to `progress`."""
         self._made += runs
         rate = self._made / max(time.perf_counter() - self._start, 1e-9)
         there = self._there + self._made
@@ -221,17 +227,17 @@ class Pace:
 
 
 def probed(make: Callable[[int], Any], runs: int) -> float:
-    """Measure the runs per second of one worker with as few as tell it.
+    """Estimate the runs per second of one worker from as few runs as possible.
 
-    What seems to tell it is measured again, for code may have been compiled within: but for single long runs,
-    of which one has been made before.
+    The decisive measurement is repeated, as the first one can include compilation. A single long run is not
+    repeated, since a run was executed before.
     """
     count = 1
     while True:
         taken = _time(make, count)
-        if taken >= PROBE and (count > 1 or taken < LONG):
+        if taken >= MIN_PROBE_S and (count > 1 or taken < NO_REPEAT_ABOVE_S):
             taken = min(taken, _time(make, count))
-        if taken >= PROBE or count == runs:
+        if taken >= MIN_PROBE_S or count == runs:
             return count / max(taken, 1e-3)
         count = min(4 * count, runs)
 

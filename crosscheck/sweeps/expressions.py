@@ -1,11 +1,11 @@
 """Expressions over the outputs of many runs, such as `norm(panel_7.position - slider_2.position)`.
 
-A quantity is an array of a trajectory, `reaction_force`, that of one body, joint or actuator,
-`panel_7.quaternion`, or a component of it, `panel_7.position.z`; or a joint coordinate or its rate,
-`slide_12.coordinate`. Quantities are combined by + - * / **,
-numbers, vectors `[x, y, z]` and `FUNCTIONS`. An expression is parsed once and evaluated by NumPy for all
-times of many runs: next to the runs that takes little, and the compiled code of a scene is the same whatever
-is kept of it.
+A quantity is an array of a trajectory (`reaction_force`), the part of one body, joint or actuator
+(`panel_7.quaternion`), a component (`panel_7.position.z`), or a joint coordinate or its rate
+(`slide_12.coordinate`). Quantities are combined by + - * / **, numbers, vectors `[x, y, z]` and `FUNCTIONS`.
+
+An expression is parsed once, and evaluated by NumPy for all times of many runs. This takes little time
+compared with the runs, and the compiled code of a scene does not depend on the expressions.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from newton_euler.runs.assemble import initial_state
 from newton_euler.runs.batch import Batch
 from newton_euler.scalars import Array
 
-LONGEST = 2_000
-"""Characters of an expression."""
+MAX_EXPRESSION_LENGTH = 2_000
+"""Characters, longest text of an expression."""
 
 Dimensions = tuple[str, str]
-"""Names of the dimensions of elements and of components, each empty where there is none."""
+"""Names of the dimensions of elements and of components; empty for a missing dimension."""
 
-ELEMENTS = {"b": "body", "j": "joint", "a": "actuator"}
-PARTS = {"3": "axis", "4": "component"}
-"""Names of dimensions, by their letters in `SHAPES`."""
+ELEMENT_DIMENSIONS = {"b": "body", "j": "joint", "a": "actuator"}
+PART_DIMENSIONS = {"3": "axis", "4": "component"}
+"""Names of dimensions by their letters in `SHAPES`."""
 
 COMPONENTS = {"axis": tuple("xyz"), "component": tuple("wxyz")}
 
-SAME = "same"
-"""Unit of a result: that of what is combined, if all have one unit."""
+SAME_UNIT = "same"
+"""Stands for the unit of the operands, if all of them have the same unit."""
 
 
 def _named(letters: str, names: Mapping[str, str]) -> str:
@@ -52,28 +52,29 @@ def _named(letters: str, names: Mapping[str, str]) -> str:
 
 
 COORDINATES = {"coordinate": "coordinates", "rate": "rates"}
-"""Quantities of joints, counted and measured as `Trajectory.joint` does, and where it has them."""
+"""Quantities of joints, and the attributes of `Trajectory.joint` that contain them."""
 
 DIMENSIONS = {
-    name: (_named(SHAPES[name], ELEMENTS), _named(SHAPES[name], PARTS)) for name in QUANTITIES
+    name: (_named(SHAPES[name], ELEMENT_DIMENSIONS), _named(SHAPES[name], PART_DIMENSIONS))
+    for name in QUANTITIES
 } | dict.fromkeys(COORDINATES, ("coordinate", ""))
-"""Of quantities."""
+"""Dimensions of each quantity."""
 
-SOURCES = {name: quantity.output for name, quantity in QUANTITIES.items()} | dict.fromkeys(
+QUANTITY_OUTPUTS = {name: quantity.output for name, quantity in QUANTITIES.items()} | dict.fromkeys(
     COORDINATES, "velocities"
 )
-"""Outputs of scenes that quantities need; None for what all runs have."""
+"""Output of a scene that each quantity needs; None for quantities that every run has."""
 
 
 @dataclass(frozen=True, eq=False)
 class Value:
-    """Numbers of runs at times.
+    """Value of an expression.
 
     Attributes:
-        array: (runs, times, elements, components), 1 each where there are none, or where it is the same for
-            all.
-        dimensions: of elements and of components.
-        unit: empty where it is not known.
+        array: (runs, times, elements, components); the length is 1 along a missing dimension, and if values
+            do not depend on it.
+        dimensions: names of the dimensions of elements and of components.
+        unit: unit; empty if unknown.
     """
 
     array: Array
@@ -82,7 +83,7 @@ class Value:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Names of the dimensions that there are."""
+        """Names of the existing dimensions."""
         return tuple(filter(None, self.dimensions))
 
     def __str__(self) -> str:
@@ -91,13 +92,13 @@ class Value:
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """The outputs of runs of a scene.
+    """Outputs of runs of a scene.
 
     Attributes:
-        scene: their scene.
-        times: (n,) s.
-        stacked: an array (runs, n, ...) by the name of a quantity.
-        joint: coordinates (runs, n, k) by the name of a joint, and their rates.
+        scene: the scene.
+        times: (n,) s, output times.
+        stacked: returns the array (runs, n, ...) of a quantity.
+        joint: returns the coordinates (runs, n, k) of a joint and their rates.
     """
 
     scene: Scene
@@ -107,7 +108,7 @@ class Outputs:
 
     @classmethod
     def of(cls, scene: Scene, run: Trajectory) -> Outputs:
-        """Return those of one run, by any engine."""
+        """Return the outputs of one run of any engine."""
 
         def joint(name: str) -> JointMotion:
             names, coordinates, rates = run.joint(name)
@@ -117,19 +118,21 @@ class Outputs:
 
     @classmethod
     def of_batch(cls, scene: Scene, batch: Batch) -> Outputs:
-        """Return those of a batch, which may have fewer outputs than the scene."""
+        """Return the outputs of a batch, which may have fewer outputs than the scene."""
         return cls(scene, batch.scene.times, batch.stacked, cache(batch.joint))
 
     @cached_property
     def labels(self) -> dict[str, tuple[str, ...]]:
-        """Names along each dimension."""
+        """Labels of each dimension."""
         return labels(self.scene)
 
     def quantity(self, name: str, element: str, signed: bool) -> Value:
-        """Return a quantity, of one element or, if that is empty, of all.
+        """Return a quantity of an element, or of all elements.
 
         Args:
-            signed: whether signs of quaternions matter, which follow one another then.
+            name: name of the quantity.
+            element: name of a body, joint or actuator; empty for all elements.
+            signed: True to make the signs of quaternions continuous over time.
         """
         elements, parts = DIMENSIONS[name]
         if name in COORDINATES:
@@ -148,7 +151,7 @@ class Outputs:
         return Value(array, (elements, parts), self._unit(name, element))
 
     def _coordinates(self, name: str, element: str) -> Value:
-        """Return joint coordinates or their rates, one or, if no element is named, all."""
+        """Return the coordinates or rates of a joint, or of all joints if `element` is empty."""
         mechanism, columns, units = self.scene.mechanism, [], set()
         for (joint, k), label in mechanism.coordinate_labels.items():
             if element in ("", label):
@@ -170,7 +173,8 @@ class Outputs:
 
 
 def labels(scene: Scene) -> dict[str, tuple[str, ...]]:
-    """Return the names along each dimension of a scene's quantities; one, empty, where there is none."""
+    """Return the labels of each dimension of a scene's quantities; a missing dimension has one empty
+    label."""
     mechanism = scene.mechanism
     actuators = (coordinate_name(mechanism.joint(law.joint), law.coordinate) for law in scene.control)
     return {
@@ -184,45 +188,47 @@ def labels(scene: Scene) -> dict[str, tuple[str, ...]]:
 
 
 def _resting(mechanism: Mechanism, joint: str) -> JointMotion:
-    """Return a joint at rest in its initial pose."""
+    """Return zero coordinates and rates of a joint."""
     names = coordinate_names(mechanism.joint(joint))
     zeros = np.zeros((1, 2, len(names)))
     return JointMotion(names, zeros, zeros)
 
 
 Node = Callable[[Outputs], Value]
-"""Evaluates a part of an expression."""
+"""Function that evaluates a part of an expression."""
 
 
 class Expression:
-    """An expression over the quantities of a scene.
+    """Expression over the quantities of a scene.
 
     Attributes:
-        text: as it was given.
-        elements: names of bodies, joints and actuators whose quantities it takes, by quantity; an empty one
-            where it takes those of all.
-        signed: True if signs of quaternions matter to it, or revolutions, which are known from one time to
-            the next alone.
-        plain: True if it is no more than a quantity.
-        evaluate: returns the values at all times of all runs from their outputs.
-        example: its value of zeros, for dimensions and unit.
+        text: text of the expression.
+        elements: by quantity, names of the bodies, joints and actuators that occur; an empty name stands for
+            all.
+        signed: True if the value depends on signs of quaternions or on revolutions, which follow from all
+            earlier output times.
+        plain: True if the expression is a single quantity.
+        evaluate: returns the value at all times of all runs from their outputs.
+        example: value for outputs of zero, which shows dimensions and unit.
     """
 
     def __init__(self, text: str, scene: Scene) -> None:
         """Parse and check an expression.
 
         Raises:
-            CrosscheckError: saying what is wrong with it.
+            CrosscheckError: describing the error in the text.
         """
         self.text, self.signed, self.elements = text.strip(), False, dict[str, set[str]]()
         self._timed = False
         self._labels, self._works = labels(scene), bool(scene.control or scene.forces or scene.motions)
         try:
-            if len(text) > LONGEST:
-                raise ValueError(f"the expression is longer than {LONGEST} characters")
+            if len(text) > MAX_EXPRESSION_LENGTH:
+                raise ValueError(f"the expression is longer than {MAX_EXPRESSION_LENGTH} characters")
             self.evaluate = self._look_up(self.text) or self._node(ast.parse(self.text, mode="eval").body)
             if not (self.elements or self._timed):
-                raise ValueError("it names no output of a run, so that it is the same in all")
+                raise ValueError(
+                    "it contains no output of a run; name a quantity, for example panel_7.position"
+                )
             with np.errstate(all="ignore"):
                 zeros = Outputs(scene, np.array([0.0, 1.0]), self._zeros, partial(_resting, scene.mechanism))
                 self.example = self.evaluate(zeros)
@@ -233,14 +239,14 @@ class Expression:
 
     @property
     def quantities(self) -> set[str]:
-        """Names of those that it takes."""
+        """Names of the quantities in the expression."""
         return set(self.elements)
 
     def _zeros(self, name: str) -> Array:
         return np.zeros((1, 2, *(len(self._labels[each]) for each in DIMENSIONS[name])))
 
     def _look_up(self, text: str) -> Node | None:
-        """Return what looks up a quantity that is the whole text, whatever characters its element has."""
+        """Return the node of a text that is a single quantity; element names may contain any characters."""
         found = None
         with suppress(ValueError, UnknownNameError):
             found = self._quantity(text, signed=True)
@@ -248,7 +254,7 @@ class Expression:
         return found
 
     def _node(self, node: ast.expr) -> Node:
-        """Return what evaluates a part of the expression; raises `ValueError` for what is none."""
+        """Return the node of a part of the expression; raises `ValueError` for unknown syntax."""
         if isinstance(node, ast.BinOp) and type(node.op) in OPERATORS:
             return _applied(OPERATORS[type(node.op)], self._node(node.left), self._node(node.right))
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
@@ -277,7 +283,7 @@ class Expression:
         if len(arguments) != count:
             raise ValueError(f"{name} takes {count} arguments, not {len(arguments)}")
         first = None
-        if name == "direction":  # which is the same for both signs
+        if name == "direction":  # the direction does not depend on the sign of the quaternion
             first = self._quantity(ast.unparse(arguments[0]).strip("'"), signed=False)
         return _applied(function, first or self._node(arguments[0]), *map(self._node, arguments[1:]))
 
@@ -292,7 +298,7 @@ class Expression:
         return found
 
     def _quantity(self, text: str, signed: bool) -> Node | None:
-        """Return what looks up [ELEMENT.]QUANTITY[.COMPONENT]; None if no quantity is named."""
+        """Return the node of [ELEMENT.]QUANTITY[.COMPONENT]; None if the text names no quantity."""
         before, _, last = text.rpartition(".")
         component = ""
         if last not in DIMENSIONS:
@@ -301,11 +307,11 @@ class Expression:
             return None
         elements, parts = DIMENSIONS[last]
         if before and not elements:
-            raise ValueError(f"{last} is of the whole mechanism, not of {before!r:.100}")
+            raise ValueError(f"{last} belongs to the whole mechanism, not to {before!r:.100}")
         if before and before not in self._labels[elements]:
             raise UnknownNameError(elements, before, self._labels[elements])
         if last == "work" and not self._works:
-            raise ValueError("work is that of control, forces and motions, of which the scene has none")
+            raise ValueError("the scene has no control, forces or motions that do work")
         letters = COMPONENTS.get(parts, ())
         if component and component not in letters:
             raise ValueError(f"{last} has no component {component!r:.50}; {choices(component, letters)}")
@@ -327,29 +333,29 @@ def _applied(function: Callable[..., Value], *nodes: Node) -> Node:
 
 
 def _together(a: Dimensions, b: Dimensions) -> Dimensions:
-    """Return the dimensions of what combines two values; raises `ValueError` for different ones."""
+    """Return the dimensions of the combination of two values; raises `ValueError` if they do not match."""
     if any(one and two and one != two for one, two in zip(a, b, strict=True)):
         raise ValueError(f"{Value(np.zeros(0), a)} and {Value(np.zeros(0), b)} do not combine")
     return a[0] or b[0], a[1] or b[1]
 
 
 def _each(function: Callable[..., Array], unit: str = "") -> Callable[..., Value]:
-    """Apply a function of numbers to those of one or two values, its result in a unit."""
+    """Convert a function of arrays into a function of values, whose result has the given unit."""
 
     def apply(*values: Value) -> Value:
         units = {value.unit for value in values}
-        own = (units.pop() if len(units) == 1 else "") if unit == SAME else unit
+        own = (units.pop() if len(units) == 1 else "") if unit == SAME_UNIT else unit
         dimensions = reduce(_together, (value.dimensions for value in values))
         return Value(function(*(value.array for value in values)), dimensions, own)
 
     return apply
 
 
-NEGATIVE = _each(np.negative, SAME)
+NEGATIVE = _each(np.negative, SAME_UNIT)
 
 OPERATORS: Mapping[type[ast.operator], Callable[..., Value]] = {
-    ast.Add: _each(operator.add, SAME),
-    ast.Sub: _each(operator.sub, SAME),
+    ast.Add: _each(operator.add, SAME_UNIT),
+    ast.Sub: _each(operator.sub, SAME_UNIT),
     ast.Mult: _each(operator.mul),
     ast.Div: _each(operator.truediv),
     ast.Pow: _each(operator.pow),
@@ -357,7 +363,7 @@ OPERATORS: Mapping[type[ast.operator], Callable[..., Value]] = {
 
 
 def _vectors(a: Value, b: Value) -> Dimensions:
-    """Return the dimensions of what combines two vectors; raises `ValueError` for others."""
+    """Return the dimensions of the combination of two vectors; raises `ValueError` for other values."""
     for value in (a, b):
         if value.dimensions[1] != "axis":
             raise ValueError(f"{value} is not a vector")
@@ -367,7 +373,7 @@ def _vectors(a: Value, b: Value) -> Dimensions:
 def _dot(a: Value, b: Value) -> Value:
     elements, _ = _vectors(a, b)
     products = a.array * b.array
-    # element by element, in the same order for any number of runs
+    # explicit sums, whose order does not depend on the number of runs
     return Value(products[..., :1] + products[..., 1:2] + products[..., 2:], (elements, ""))
 
 
@@ -386,7 +392,7 @@ def _angle(a: Value, b: Value) -> Value:
 
 
 def _direction(quaternion: Value, vector: Value) -> Value:
-    """Return vectors of a body's frame along the world's axes."""
+    """Transform vectors from the body frame to the world frame."""
     if quaternion.dimensions[1] != "component":
         raise ValueError(f"{quaternion} is not a quaternion")
     turning = replace(quaternion, dimensions=(quaternion.dimensions[0], "axis"))
@@ -400,7 +406,7 @@ def _direction(quaternion: Value, vector: Value) -> Value:
 ARCTAN2 = _each(np.arctan2, "rad")
 
 FUNCTIONS: dict[str, tuple[Callable[..., Value], int]] = {
-    "abs": (_each(np.abs, SAME), 1),
+    "abs": (_each(np.abs, SAME_UNIT), 1),
     "sqrt": (_each(np.sqrt), 1),
     "sin": (_each(np.sin), 1),
     "cos": (_each(np.cos), 1),
@@ -411,5 +417,5 @@ FUNCTIONS: dict[str, tuple[Callable[..., Value], int]] = {
     "angle": (_angle, 2),
     "direction": (_direction, 2),
 }
-"""Functions by name, with how many arguments each takes: angle(a, b) between vectors, rad; direction(q, v) of
-a vector v in the frame of a body with the quaternion q."""
+"""Functions by name, with their numbers of arguments. `angle(a, b)` is the angle between vectors, rad;
+`direction(q, v)` transforms a vector v of a body with the quaternion q to the world frame."""

@@ -1,4 +1,4 @@
-"""Pictures of a sweep: tornado charts, histograms and scatter plots, as PNG."""
+"""Plots of a sweep: tornado charts, histograms and scatter plots, as PNG."""
 
 from __future__ import annotations
 
@@ -9,31 +9,35 @@ import numpy as np
 
 from crosscheck.report.plots import own_style, png
 from crosscheck.support.palette import ENGINE_COLORS
-from crosscheck.sweeps.analysis import Effect, Scalar, with_unit
+from crosscheck.sweeps.analysis import Effect, KeptNumber, with_unit
 from newton_euler.scalars import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MOST_DRAWN = 6
-"""Numbers in one picture."""
+MAX_PLOTTED_NUMBERS = 6
+"""Largest number of kept numbers in one picture."""
 
-MOST_BARS = 10
-"""Parameters in a tornado chart, those that matter most."""
+MAX_TORNADO_BARS = 10
+"""Largest number of parameters in a tornado chart, those with the largest effects."""
 
-MOST_POINTS = 5000
-"""Runs in a scatter plot."""
+MAX_SCATTER_POINTS = 5000
+"""Largest number of runs in a scatter plot."""
 
-NEARLY = 1e-2
-"""Range of values, by the largest, below which they are drawn from another number than 0."""
+NEARLY_EQUAL_RANGE = 1e-2
+"""Range of values relative to the largest, below which an offset is subtracted from the values in plots."""
 
-SIDE_BY_SIDE = 3
-"""Parameters beside a number in scatter plots."""
+SCATTER_COLUMNS = 3
+"""Number of parameters for each kept number in scatter plots."""
 
-LOW, HIGH, PLAIN = ENGINE_COLORS["newton_euler"], ENGINE_COLORS["mujoco"], ENGINE_COLORS["pinocchio"]
+LOW_COLOR, HIGH_COLOR, POINT_COLOR = (
+    ENGINE_COLORS["newton_euler"],
+    ENGINE_COLORS["mujoco"],
+    ENGINE_COLORS["pinocchio"],
+)
 
-Effects = Sequence[tuple[Scalar, Sequence[Effect]]]
-"""Numbers that vary, and the effects of parameters on each."""
+Effects = Sequence[tuple[KeptNumber, Sequence[Effect]]]
+"""Varying numbers, each with the effects of parameters."""
 
 
 def pictures(
@@ -43,22 +47,26 @@ def pictures(
     units: Mapping[str, str],
     nominal: Mapping[str, float],
 ) -> dict[str, bytes]:
-    """Draw what varies, by the names of files.
+    """Draw the plots of a sweep.
 
     Args:
-        effects: of each number, the largest first.
-        points: (n,) places of values that scatter plots have.
-        inputs, units: (n,) there by the name of a parameter, and of it.
-        nominal: numbers of the nominal run by their labels.
+        effects: varying numbers with their effects, the largest first.
+        points: (n,) indices of the runs in scatter plots.
+        inputs: (n,) values of each parameter in these runs.
+        units: unit of each parameter.
+        nominal: kept numbers of the nominal run by label.
+
+    Returns:
+        PNG files by name; empty if nothing varies.
     """
-    shown = effects[:MOST_DRAWN]
+    shown = effects[:MAX_PLOTTED_NUMBERS]
     if not shown:
         return {}
     return {
         "tornado.png": _rows(len(shown), 1, lambda axes: _tornado(axes[:, 0], shown), 2.6),
         "histograms.png": _rows(len(shown), 1, lambda axes: _histograms(axes[:, 0], shown, nominal), 2.0),
         "scatter.png": _rows(
-            len(shown), SIDE_BY_SIDE, lambda axes: _scatter(axes, shown, points, inputs, units), 2.4
+            len(shown), SCATTER_COLUMNS, lambda axes: _scatter(axes, shown, points, inputs, units), 2.4
         ),
     }
 
@@ -73,14 +81,14 @@ def _rows(rows: int, columns: int, draw: Callable[[Array], None], height: float)
 
 
 def _origin(values: Array) -> tuple[float, str]:
-    """Return a round number that values are drawn from, and how it is taken off in words.
+    """Return a round offset to subtract from values in a plot, and the text of the subtraction.
 
-    It is not 0 where they hardly differ: labels would have an offset beside the axis, or be too long to read.
+    The offset is 0 unless the values are nearly equal: then the labels of the axis would be too long.
     """
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
     spread, largest = high - low, max(abs(low), abs(high))
-    if not 0.0 < spread < NEARLY * largest:
+    if not 0.0 < spread < NEARLY_EQUAL_RANGE * largest:
         return 0.0, ""
     digits = int(np.ceil(np.log10(largest / spread)))
     origin = float(f"{0.5 * (low + high):.{digits}g}")
@@ -88,22 +96,22 @@ def _origin(values: Array) -> tuple[float, str]:
 
 
 def _label_numbers(ax: Axes, axis: Literal["x", "y"]) -> None:
-    """Label numbers along an axis without an offset, powers of ten beside it."""
+    """Label an axis without an offset, with powers of ten next to the axis."""
     ax.ticklabel_format(axis=axis, scilimits=(-3, 4), useMathText=True, useOffset=False)
     which = ax.xaxis if axis == "x" else ax.yaxis
     which.get_offset_text().set_fontsize("small")
 
 
 def _tornado(axes: Array, effects: Effects) -> None:
-    """Draw the means of the runs in which a parameter is low and high, and its share of the variance."""
+    """Draw the means of the runs with the lowest and highest tenth of each parameter, and its Sobol index."""
     for ax, (scalar, found) in zip(axes, effects, strict=True):
-        bars = list(found[:MOST_BARS])[::-1]
+        bars = list(found[:MAX_TORNADO_BARS])[::-1]
         beside = "rank" if bars and bars[0].share is None else "share of variance"
         if len(found) > len(bars):
             beside += f"; {len(found) - len(bars)} smaller ones are not shown"
         origin, less = _origin(np.array([end for bar in bars for end in (bar.low, bar.high)]))
         middle = float(np.nanmean(scalar.values)) - origin
-        for end, color, label in (("low", LOW, "lowest tenth"), ("high", HIGH, "highest tenth")):
+        for end, color, label in (("low", LOW_COLOR, "lowest tenth"), ("high", HIGH_COLOR, "highest tenth")):
             widths = [getattr(effect, end) - origin - middle for effect in bars]
             ax.barh([effect.name for effect in bars], widths, left=middle, color=color, label=label)
         for row, effect in enumerate(bars):
@@ -118,7 +126,7 @@ def _tornado(axes: Array, effects: Effects) -> None:
 
 
 def share_of(effect: Effect) -> str:
-    """Word the share of a parameter and its 95 % interval, or its rank where there is none."""
+    """Format the Sobol index of a parameter with its 95 % interval, or its rank without one."""
     if effect.share is None:
         return rank_of(effect)
     either_side = f" ± {np.ceil(100.0 * effect.error):.0f}" if effect.error else ""
@@ -127,7 +135,7 @@ def share_of(effect: Effect) -> str:
 
 
 def rank_of(effect: Effect) -> str:
-    """Word the rank correlation of a parameter and its 95 % interval."""
+    """Format the rank correlation of a parameter with its 95 % interval."""
     if effect.rank is None:
         return ""
     return f"{effect.rank:+.2f} ± {np.ceil(100.0 * effect.rank_error) / 100.0:.2f}"
@@ -137,10 +145,10 @@ def _histograms(axes: Array, effects: Effects, nominal: Mapping[str, float]) -> 
     for ax, (scalar, _) in zip(axes, effects, strict=True):
         known, own = scalar.values[np.isfinite(scalar.values)], nominal[scalar.label]
         origin, less = _origin(np.append(known, own))
-        ax.hist(known - origin, bins=60, color=LOW)
+        ax.hist(known - origin, bins=60, color=LOW_COLOR)
         for level in scalar.quantiles[[1, 2, 3]]:
             ax.axvline(level - origin, color="black", linewidth=0.8, linestyle=":")
-        ax.axvline(own - origin, color=HIGH, label="nominal")
+        ax.axvline(own - origin, color=HIGH_COLOR, label="nominal")
         _label_numbers(ax, "x")
         title = with_unit(scalar.label + less, scalar.unit)
         ax.set_title(f"{title}; dotted: 5 %, 50 %, 95 %", fontsize="small")
@@ -152,13 +160,15 @@ def _scatter(
     axes: Array, effects: Effects, points: Array, inputs: Mapping[str, Array], units: Mapping[str, str]
 ) -> None:
     for row, (scalar, found) in zip(axes, effects, strict=True):
-        names = [effect.name.partition(", ")[0] for effect in found[:SIDE_BY_SIDE]]
+        names = [effect.name.partition(", ")[0] for effect in found[:SCATTER_COLUMNS]]
         y, less = _origin(scalar.values[points])
         for ax, name in zip(row, names, strict=False):
             x, less_x = _origin(inputs[name])
-            ax.plot(inputs[name] - x, scalar.values[points] - y, ".", color=PLAIN, markersize=2.0, alpha=0.5)
+            ax.plot(
+                inputs[name] - x, scalar.values[points] - y, ".", color=POINT_COLOR, markersize=2.0, alpha=0.5
+            )
             label = with_unit(name.replace(".", ".\n", 1) + less_x, units[name])
-            ax.set_xlabel(label, fontsize="small")  # powers of ten stand beside it
+            ax.set_xlabel(label, fontsize="small")  # powers of ten are placed next to it
             ax.tick_params(labelsize="small")
             ax.xaxis.get_major_locator().set_params(nbins=4)  # three plots are side by side
             _label_numbers(ax, "x")

@@ -1,4 +1,4 @@
-"""The plan of a sweep: all that its runs depend on, and the results of any of them."""
+"""Plan of a sweep: everything that its runs depend on, and the functions that execute runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import numpy as np
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.sweeps.expressions import DIMENSIONS, Outputs, labels
 from crosscheck.sweeps.reductions import Reduction, pruned, reductions
-from crosscheck.sweeps.sampling import Samples
+from crosscheck.sweeps.sampling import SweepSamples
 from newton_euler.codegen.compile import lane_count, llvm_binding
 from newton_euler.codegen.fingerprint import SOURCE, fingerprint
 from newton_euler.equations.parameters import parameter_values, with_values
@@ -32,42 +32,42 @@ from newton_euler.runs.initial_coordinates import initial_numbers
 from newton_euler.runs.variation import with_parameters
 from newton_euler.scalars import Array
 
-ROOM = 48_000_000
-"""Bytes of the outputs of runs that are in memory together."""
+MAX_OUTPUT_BYTES = 48_000_000
+"""Bytes, largest memory of the outputs of runs that execute together."""
 
-UNSEEN = frozenset({"description", "shapes", "meshes"})
-"""Fields of scenes that no run depends on."""
+SCENE_FIELDS_WITHOUT_EFFECT = frozenset({"description", "shapes", "meshes"})
+"""Fields of scenes and bodies that do not affect a run."""
 
-RECORDED = ("numpy", "scipy", "xarray", "zarr")
-"""Packages whose versions are recorded."""
+RECORDED_PACKAGES = ("numpy", "scipy", "xarray", "zarr")
+"""Packages whose versions are stored with a sweep."""
 
-CONDITIONS = {
+CONDITION_DIFFERENCES = {
     "solver": "another version of newton_euler",
     "crosscheck": "another version of crosscheck",
     "processor": "another kind of processor",
     "samples": "other samples by the same seed, of other versions of packages,",
 }
-"""Conditions that results depend on beside the plan, where they differ."""
+"""Conditions besides the plan on which results depend; descriptions of a difference."""
 
-PLANS = 4
-"""Of which a process makes runs by turns."""
+CACHED_PLANS = 4
+"""Number of plans that a worker process keeps."""
 
-RESTORING = Lock()
-"""Held while a plan that was sent is restored: threads of a worker have the same one, and its code."""
+RESTORE_LOCK = Lock()
+"""Lock during unpickling of a plan, so that the threads of a worker share one plan and its compiled code."""
 
-DONE, STOPPED = 1, 2
-"""Status of a run that came to its end, and of one that could not; 0 of one that has not been made."""
+RUN_COMPLETED, RUN_FAILED = 1, 2
+"""Status of a run; 0 stands for a run that has not been executed."""
 
 Parameters = Mapping[str, Array]
 """Values (runs,) by the name of a parameter."""
 
 
 class Chunk(NamedTuple):
-    """Results of consecutive runs.
+    """SweepResults of consecutive runs.
 
     Attributes:
-        values: arrays (runs, ...) by the name of a parameter or of what is kept.
-        errors: (runs,) why a run could not go on, empty for others.
+        values: arrays (runs, ...) by name of a parameter or kept output.
+        errors: (runs,) reasons of failed runs, empty for others.
     """
 
     values: dict[str, Array]
@@ -75,20 +75,20 @@ class Chunk(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
-    """All that the runs of a sweep depend on; it may be sent to other processes.
+class SweepPlan:
+    """Everything that the runs of a sweep depend on. A plan can be pickled for other processes.
 
     Attributes:
-        scene: with its nominal values.
-        samples: values of its parameters for each run.
-        keep: texts of what is kept of each run, NAME=REDUCTION.
-        control: of the integrator's steps, as of `newton_euler.simulate`.
-        chunk: runs that are stored together.
-        needed: conditions of the process that sent the plan; empty in that.
+        scene: the scene with nominal values.
+        samples: values of the varied parameters for each run.
+        keep: texts of kept outputs, NAME=REDUCTION.
+        control: integrator and its options, as of `newton_euler.simulate`.
+        chunk: number of runs that are stored together.
+        needed: conditions of the process that pickled the plan; empty in that process.
     """
 
     scene: Scene
-    samples: Samples
+    samples: SweepSamples
     keep: tuple[str, ...]
     control: Mapping[str, Any]
     chunk: int
@@ -96,17 +96,17 @@ class Plan:
 
     @property
     def integrator(self) -> str:
-        """The method."""
+        """Name of the integrator."""
         return str(self.control.get("integrator", Options.integrator))
 
     @property
     def kept(self) -> tuple[Reduction, ...]:
-        """The reductions of each run."""
+        """Reductions that compute the kept outputs of a run."""
         return _kept(self.scene, self.keep, self.integrator)[0]
 
     @property
     def lean(self) -> Scene:
-        """The scene with those outputs alone that are needed: one for plans that keep the same."""
+        """The scene with only those outputs that the reductions need."""
         return _kept(self.scene, self.keep, self.integrator)[1]
 
     def parameters(self, first: int, last: int) -> Parameters:
@@ -115,21 +115,22 @@ class Plan:
         return {name: values[:, k].copy() for k, name in enumerate(self.samples.names)}
 
     def batch(self, parameters: Parameters, scene: Scene, threads: int | None = 1) -> Batch:
-        """Make runs on some threads, on all processors if None; `sweep` warns once for all of them."""
+        """Simulate runs with given parameters on a number of threads; on all processors if None."""
         return make_batch(scene, parameters=parameters, threads=threads, **self.control)
 
     def together(self, scene: Scene) -> int:
-        """Return the number of runs whose outputs are in memory at a time, of a scene as `lean`."""
+        """Return the number of runs that execute together, so that their outputs fit into
+        `MAX_OUTPUT_BYTES`."""
         names = labels(self.scene)
         numbers = sum(
             prod(len(names[dimension]) for dimension in DIMENSIONS[name])
             for name, quantity in QUANTITIES.items()
             if quantity.output is None or quantity.output in scene.outputs
         )
-        return max(lane_count(), ROOM // (8 * numbers * len(scene.times)))
+        return max(lane_count(), MAX_OUTPUT_BYTES // (8 * numbers * len(scene.times)))
 
     def mechanism_of(self, run: int) -> Mechanism:
-        """Return the mechanism of one run as the sweep counts its joint coordinates."""
+        """Return the mechanism of one run, with joint coordinates as the sweep measures them."""
         values = self.parameters(run, run + 1)
         initial = initial_numbers(self.scene, values)
         numbers = {name: float(value[0]) for name, value in values.items() if name not in initial}
@@ -145,7 +146,7 @@ class Plan:
         return with_parameters(self.scene, {name: float(value[0]) for name, value in values.items()})
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Send all that makes a plan, as bytes that a process reads once for all its tasks."""
+        """Pickle the plan as bytes that a process unpickles once for all its tasks."""
         return _restored, (self._content,)
 
     @cached_property
@@ -157,7 +158,7 @@ class Plan:
 
     @cached_property
     def conditions(self) -> dict[str, str]:
-        """Conditions of this process on which results depend beside the plan."""
+        """Conditions of this process on which results depend besides the plan."""
         return {
             "solver": SOURCE.hex(),
             "crosscheck": version(DISTRIBUTION),
@@ -166,26 +167,26 @@ class Plan:
         }
 
     def check_conditions(self) -> None:
-        """Raise `CrosscheckError` in a process that would make other runs than the one that sent the plan."""
+        """Raise `CrosscheckError` if results of this process would differ from those of the sending
+        process."""
         for name, needed in self.needed.items():
             if self.conditions[name] != needed:
-                what = CONDITIONS[name]
+                what = CONDITION_DIFFERENCES[name]
                 raise CrosscheckError(
                     f"a worker on {platform.node()} has {what} than this process; needed: the same"
                 )
 
     def record(self) -> dict[str, str | int | float]:
-        """Describe the plan for a file of results: another plan has another record.
-
-        Of texts and numbers, as netCDF has them.
+        """Describe the plan for the store, by texts and numbers (as netCDF needs); different plans differ
+        here.
 
         Raises:
-            CrosscheckError: for a scene with functions whose meaning is not in their numbers.
+            CrosscheckError: for a scene with objects of unknown classes, which have no fingerprint.
         """
-        known = fingerprint(self.scene, neutral=UNSEEN)
+        known = fingerprint(self.scene, neutral=SCENE_FIELDS_WITHOUT_EFFECT)
         if known is None:
-            problem = "has parts of classes that this package does not know, by which it is not known again"
-            raise CrosscheckError(f"scene {self.scene.name!r} {problem}; leave out the folder (output)")
+            problem = "contains objects of unknown classes, so that a stored sweep cannot be recognized"
+            raise CrosscheckError(f"scene {self.scene.name!r} {problem}; omit the folder (output)")
         return {
             "scene": self.scene.name,
             "fingerprint": known,
@@ -198,32 +199,33 @@ class Plan:
             "keep": ", ".join(self.keep),
             **self.control,
             "chunk": self.chunk,
-            "versions": json.dumps({name: version(name) for name in RECORDED}),
+            "versions": json.dumps({name: version(name) for name in RECORDED_PACKAGES}),
             **self.conditions,
         }
 
 
 def processor() -> str:
-    """Word what results depend on to the last bit: native code adds products in one operation if it can."""
+    """Describe the processor as far as it affects the last bits of results: architecture and FMA
+    instructions."""
     fused = llvm_binding().get_host_cpu_features().get("fma", False)
     return f"{platform.machine()} {'with' if fused else 'without'} FMA"
 
 
-@lru_cache(maxsize=PLANS)
+@lru_cache(maxsize=CACHED_PLANS)
 def _kept(scene: Scene, keep: tuple[str, ...], integrator: str) -> tuple[tuple[Reduction, ...], Scene]:
     kept = reductions(keep, scene)
     return kept, pruned(scene, kept, integrator)
 
 
 def _numbers(scene: Scene) -> dict[str, str]:
-    """Return the numbers of a scene by their names, by which it can be told what another one has changed."""
+    """Return the numbers of a scene by name; a comparison with another scene's shows what changed."""
     own = parameter_values(scene)
     own |= {name: np.array(getattr(scene, name)) for name in ("duration", "output_period")}
     return {name: " ".join(f"{number:.12g}" for number in value.flat) for name, value in own.items()}
 
 
 def _unseen(scene: Scene) -> Scene:
-    """Return a scene without meshes, which may be large."""
+    """Return the scene without meshes, which can be large."""
     mechanism = scene.mechanism
     if not any(body.meshes for body in mechanism.bodies):
         return scene
@@ -231,40 +233,44 @@ def _unseen(scene: Scene) -> Scene:
     return replace(scene, mechanism=Mechanism(bodies, mechanism.joints, mechanism.couplings))
 
 
-def _restored(content: bytes) -> Plan:
-    with RESTORING:
+def _restored(content: bytes) -> SweepPlan:
+    with RESTORE_LOCK:
         return _plan(content)
 
 
-@lru_cache(maxsize=PLANS)
-def _plan(content: bytes) -> Plan:
-    plan = Plan(*pickle.loads(content))
+@lru_cache(maxsize=CACHED_PLANS)
+def _plan(content: bytes) -> SweepPlan:
+    plan = SweepPlan(*pickle.loads(content))
     _kept(plan.scene, plan.keep, plan.integrator)
     return plan
 
 
-def make_runs(plan: Plan, runs: tuple[int, int]) -> Chunk:
-    """Make the runs from the first to before the second number: the same in any process, thread and order.
+def make_runs(plan: SweepPlan, runs: tuple[int, int]) -> Chunk:
+    """Execute a range of runs, with results that do not depend on process, thread and order.
+
+    Args:
+        plan: the plan.
+        runs: number of the first run, and one more than the number of the last run.
 
     Raises:
-        CrosscheckError: for a scene that cannot be run.
+        CrosscheckError: for a scene that cannot be simulated.
     """
     plan.check_conditions()
     try:
         return run_all(plan, plan.parameters(*runs))
-    except NewtonEulerError as error:  # which could not be sent to another process
+    except NewtonEulerError as error:  # a NewtonEulerError cannot be pickled
         raise CrosscheckError(str(error)) from error
 
 
-def run_all(plan: Plan, parameters: Parameters) -> Chunk:
-    """Make runs with some parameters and reduce them."""
+def run_all(plan: SweepPlan, parameters: Parameters) -> Chunk:
+    """Execute runs with given parameters and compute their kept outputs."""
     parts = list(_parts(plan, parameters))
     values = {name: np.concatenate([part.values[name] for part in parts]) for name in parts[0].values}
     return Chunk(values, np.concatenate([part.errors for part in parts]))
 
 
-def _parts(plan: Plan, parameters: Parameters) -> Iterator[Chunk]:
-    """Make and reduce as many runs at a time as there is room for."""
+def _parts(plan: SweepPlan, parameters: Parameters) -> Iterator[Chunk]:
+    """Yield the results of groups of runs, as many per group as memory allows."""
     count = len(next(iter(parameters.values())))
     parts = -(-count // plan.together(plan.lean))
     size = -(-count // (parts * lane_count())) * lane_count()
@@ -273,7 +279,7 @@ def _parts(plan: Plan, parameters: Parameters) -> Iterator[Chunk]:
         batch = plan.batch(own, plan.lean)
         outputs = Outputs.of_batch(plan.scene, batch)
         values = dict(own) | {each.name: each.of(outputs) for each in plan.kept}
-        # which are numbered within the batch
+        # errors are numbered within the batch
         errors = [str(batch.errors.get(k, "")).removeprefix(f"run {k}: ") for k in range(len(batch))]
         for run in batch.errors:
             for each in plan.kept:

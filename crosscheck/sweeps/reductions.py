@@ -1,7 +1,8 @@
-"""Reductions: the numbers that are kept of each run of a sweep, worked out for many runs at once.
+"""Reductions: the outputs that a sweep keeps of each run, computed for many runs at once.
 
-`peak:reaction_force` is the largest reaction of each joint, `final:panel_7.quaternion` where the panel ends,
-`tilt=final:angle(direction(panel_7.quaternion, [0, 0, 1]), [0, 0, 1])` an expression with a name of its own.
+Examples: `peak:reaction_force` is the largest reaction force of each joint, `final:panel_7.quaternion` the
+last orientation of the panel, and `tilt=final:angle(direction(panel_7.quaternion, [0, 0, 1]), [0, 0, 1])` a
+named expression.
 """
 
 from __future__ import annotations
@@ -14,25 +15,25 @@ from typing import Any
 import numpy as np
 
 from crosscheck.support.errors import CrosscheckError
-from crosscheck.sweeps.expressions import SOURCES, Expression, Outputs, Value, labels, norm
+from crosscheck.sweeps.expressions import QUANTITY_OUTPUTS, Expression, Outputs, Value, labels, norm
 from newton_euler.errors import choices, plain_number, quoted
 from newton_euler.integrators.options import FIXED
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
-ITEM = re.compile(
+REDUCTION_PATTERN = re.compile(
     r"(?:(?P<name>[A-Za-z_]\w*)\s*=)?\s*(?P<kind>\w+)(?:\((?P<times>[^()]*)\))?:(?P<of>.+)", re.DOTALL
 )
-"""Text of a reduction: [NAME=]KIND[(TIMES)]:EXPRESSION."""
+"""Form of the text of a reduction: [NAME=]KIND[(TIMES)]:EXPRESSION."""
 
-FORM = "[NAME=]KIND:OUTPUT, as peak:reaction_force"
+REDUCTION_FORM = "[NAME=]KIND:OUTPUT, as peak:reaction_force"
 
-SAME_TIME = 1e-9
-"""Share of the output period by which a time may differ from that of an output."""
+OUTPUT_TIME_TOLERANCE = 1e-9
+"""Largest difference between a requested time and an output, in output periods."""
 
 
 def _magnitude(value: Value) -> Value:
-    """Return lengths of vectors and magnitudes of numbers."""
+    """Return norms of vectors and absolute values of numbers."""
     if value.dimensions[1] == "axis":
         return norm(value)
     if value.dimensions[1] == "component":
@@ -41,7 +42,8 @@ def _magnitude(value: Value) -> Value:
 
 
 def _mean(array: Array, times: Array) -> Array:
-    """Average over time by the trapezoidal rule, in the same order for any number of runs."""
+    """Average over time by the trapezoidal rule, with an order of summation that does not depend on the
+    runs."""
     total = np.zeros(array[:, 0].shape)
     for k, step in enumerate(np.diff(times)):
         total += 0.5 * step * (array[:, k] + array[:, k + 1])
@@ -49,7 +51,7 @@ def _mean(array: Array, times: Array) -> Array:
 
 
 def _first_above(excess: Array, times: Array) -> Array:
-    """Return the times (runs,), s, at which a function of time (runs, n) is positive first."""
+    """Return the first times (runs,), s, at which a function of time (runs, n) is positive."""
     above = excess > 0.0
     k = np.argmax(above, axis=1)
     runs = np.arange(len(excess))
@@ -61,10 +63,11 @@ def _first_above(excess: Array, times: Array) -> Array:
 
 
 AT, WHEN = "at", "when"
-"""`at(0.5; 1)` takes the outputs at these times, s, and `at()` at all; `when:a > b` is the first time, s, at
-which a exceeds b, on a straight line between outputs, and not a number if it never does."""
+"""Reductions with a special form. `at(0.5; 1)` keeps the outputs at these times, s, and `at()` at all times.
+`when:a > b` is the first time, s, at which a exceeds b, interpolated linearly between outputs; NaN if a never
+exceeds b."""
 
-KINDS: dict[str, Callable[[Array, Array], Array]] = {
+REDUCTIONS: dict[str, Callable[[Array, Array], Array]] = {
     "final": lambda course, times: course[:, -1],
     "peak": lambda course, times: course.max(axis=1),
     "rms": lambda course, times: np.sqrt(_mean(course * course, times)),
@@ -73,26 +76,26 @@ KINDS: dict[str, Callable[[Array, Array], Array]] = {
     "maximum": lambda course, times: course.max(axis=1),
     WHEN: _first_above,
 }
-"""Reductions over time. Peak and rms are of magnitudes, those of vectors their lengths."""
+"""Functions of values (runs, n, ...) and times (n,) by reduction. Peak and rms apply to magnitudes."""
 
-OF_MAGNITUDES = ("peak", "rms")
+MAGNITUDE_REDUCTIONS = ("peak", "rms")
 
 REACTIONS = ("reaction_force", "reaction_torque")
-"""Quantities that forces of constraints decide."""
+"""Quantities that depend on constraint forces."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reduction:
-    """One thing that is kept of each run.
+    """One kept output of each run.
 
     Attributes:
-        name: of the variable that it becomes.
-        text: as it was given, without the name.
-        kind: one of `KINDS`, `AT` or `WHEN`.
-        places: numbers of the outputs that `AT` takes.
-        expression: over the outputs, of `WHEN` with the threshold subtracted.
-        dimensions: of the results after runs, and what is along each: names of elements, or times, s.
-        unit: of the results.
+        name: name of the variable.
+        text: text of the reduction, without the name.
+        kind: one of `REDUCTIONS` or `AT`.
+        places: numbers of the output times of `AT`.
+        expression: expression over the outputs; for `WHEN` the difference of both sides.
+        dimensions: by name of each dimension after the runs, its labels: names of elements, or times, s.
+        unit: unit of the results.
     """
 
     name: str
@@ -105,11 +108,12 @@ class Reduction:
 
     @property
     def reacts(self) -> bool:
-        """True if it depends on forces of constraints, which soft ones get wrong at any step."""
+        """True if the output depends on constraint forces, which soft constraints do not determine
+        exactly."""
         return not self.expression.quantities.isdisjoint(REACTIONS)
 
     def reacting(self, place: tuple[int, ...]) -> set[str]:
-        """Return the names of joints whose reactions the number at a place of the results depends on."""
+        """Return the names of joints whose reactions affect the number at a place of the results."""
         taken = set[str]().union(*(self.expression.elements.get(name, ()) for name in REACTIONS))
         if "" not in taken:
             return taken
@@ -123,34 +127,34 @@ class Reduction:
 
     @np.errstate(all="ignore")
     def of(self, outputs: Outputs) -> Array:
-        """Reduce the outputs of runs to an array (runs, *dimensions); not a number where they are not."""
+        """Reduce the outputs of runs to an array (runs, *dimensions); NaN where the outputs are NaN."""
         course = self.course(outputs)
         at = self.kind == AT
-        found = course[:, list(self.places)] if at else KINDS[self.kind](course, outputs.times)
-        return np.array(found, order="C")  # nothing that keeps all outputs in memory
+        found = course[:, list(self.places)] if at else REDUCTIONS[self.kind](course, outputs.times)
+        return np.array(found, order="C")  # a copy, since a view would keep all outputs in memory
 
     @np.errstate(all="ignore")
     def course(self, outputs: Outputs) -> Array:
-        """Return what is reduced, (runs, times, ...), of peaks and rms magnitudes."""
+        """Return the values (runs, times, ...) that are reduced; magnitudes for peak and rms."""
         value = self.expression.evaluate(outputs)
-        array = (_magnitude(value) if self.kind in OF_MAGNITUDES else value).array
+        array = (_magnitude(value) if self.kind in MAGNITUDE_REDUCTIONS else value).array
         runs, times = max(len(array), len(outputs.stacked("position"))), len(outputs.times)
         sizes = [len(names) for name, names in self.dimensions.items() if not name.startswith("time")]
         return np.broadcast_to(array, (runs, times, *array.shape[2:])).reshape(runs, times, *sizes)
 
     @np.errstate(all="ignore")
     def line(self, outputs: Outputs, place: tuple[int, ...]) -> Array:
-        """Return the course (runs, times) of what the number at a place of the results is reduced from."""
+        """Return the time series (runs, times) from which the number at a place of the results is reduced."""
         of_time: tuple[Any, ...] = place[1:] if self.kind == AT else place
         return self.course(outputs)[:, :, *of_time]
 
 
 Keep = str | Iterable[str] | Mapping[str, str]
-"""Texts of reductions, several in a text between commas; or by the names of what they become."""
+"""Texts of reductions, several in one text separated by commas; or a mapping from names to texts."""
 
 
 def reductions(keep: Keep, scene: Scene) -> tuple[Reduction, ...]:
-    """Parse and check what is kept of each run of a scene.
+    """Parse and check the kept outputs of each run of a scene.
 
     Raises:
         CrosscheckError: quoting the text at fault.
@@ -160,15 +164,15 @@ def reductions(keep: Keep, scene: Scene) -> tuple[Reduction, ...]:
     else:
         given = (keep,) if isinstance(keep, str) else tuple(keep)
         if wrong := [each for each in given if not isinstance(each, str)]:
-            raise CrosscheckError(f"keep holds {quoted(wrong[0])}; needed: text of the form {FORM}")
+            raise CrosscheckError(f"keep holds {quoted(wrong[0])}; needed: text of the form {REDUCTION_FORM}")
         texts = [part for each in given for part in _split(each)]
     found = [_reduction(text, scene) for text in texts]
     if not found:
-        raise CrosscheckError(f"nothing is kept; name what (--keep {FORM})")
+        raise CrosscheckError(f"nothing is kept; name an output (--keep {REDUCTION_FORM})")
     names = [each.name for each in found]
     for name in names:
         if names.count(name) > 1:
-            raise CrosscheckError(f"{name!r} is kept twice; keep it once, or give a name to the other")
+            raise CrosscheckError(f"{name!r} is kept twice; keep it once, or give the second a name")
     times = list(dict.fromkeys(each.places for each in found if each.kind == AT))
     names_of = {places: f"time{number or ''}" for number, places in enumerate(times)}
     return tuple(
@@ -193,9 +197,9 @@ def _split(text: str) -> list[str]:
 
 
 def _reduction(text: str, scene: Scene) -> Reduction:
-    parts = ITEM.fullmatch(text)
+    parts = REDUCTION_PATTERN.fullmatch(text)
     if parts is None:
-        raise CrosscheckError(f"--keep {text!r:.200} is not of the form {FORM}")
+        raise CrosscheckError(f"--keep {text!r:.200} is not of the form {REDUCTION_FORM}")
     try:
         return _parsed(text, parts, scene)
     except (CrosscheckError, ValueError) as error:
@@ -203,10 +207,10 @@ def _reduction(text: str, scene: Scene) -> Reduction:
 
 
 def _parsed(text: str, parts: re.Match[str], scene: Scene) -> Reduction:
-    """Make the reduction of a text of the form `ITEM`; raises `CrosscheckError` or `ValueError`."""
+    """Make the reduction of a matched text; raises `CrosscheckError` or `ValueError`."""
     kind, of, times = parts["kind"], parts["of"].strip(), parts["times"]
-    if kind not in (*KINDS, AT) or (times is None) != (kind != AT):
-        raise ValueError(f"unknown reduction; {choices(kind, [*KINDS, 'at(TIME; ...)'])}")
+    if kind not in (*REDUCTIONS, AT) or (times is None) != (kind != AT):
+        raise ValueError(f"unknown reduction; {choices(kind, [*REDUCTIONS, 'at(TIME; ...)'])}")
     if kind == WHEN:
         left, sign, right = of.partition(">" if ">" in of else "<")
         if not sign or not left.strip() or not right.strip():
@@ -216,7 +220,7 @@ def _parsed(text: str, parts: re.Match[str], scene: Scene) -> Reduction:
     expression = Expression(of, scene)
     if not expression.plain and not parts["name"]:
         raise ValueError(f"it is an expression; give it a name (--keep NAME={text:.100})")
-    example = _magnitude(expression.example) if kind in OF_MAGNITUDES else expression.example
+    example = _magnitude(expression.example) if kind in MAGNITUDE_REDUCTIONS else expression.example
     if kind == WHEN and example.named:
         raise ValueError(f"when compares numbers, not {example}")
     places = _places(times, scene) if kind == AT else ()
@@ -228,26 +232,28 @@ def _parsed(text: str, parts: re.Match[str], scene: Scene) -> Reduction:
 
 
 def _places(given: str, scene: Scene) -> tuple[int, ...]:
-    """Return the numbers of the outputs at times, s, of all if none is given; raises `ValueError`."""
+    """Return the numbers of the outputs at given times, s; of all outputs without times. Raises
+    `ValueError`."""
     if not given.strip():
         return tuple(range(len(scene.times)))
     if "," in given:
-        raise ValueError("times have semicolons between them, as at(0.5; 1)")
+        raise ValueError("separate times by semicolons, as in at(0.5; 1)")
     times = [plain_number(part.strip()) for part in given.split(";")]
     places = [int(np.argmin(np.abs(scene.times - time))) for time in times]
     for time, place in zip(times, places, strict=True):
-        if abs(scene.times[place] - time) > SAME_TIME * scene.output_period:
+        if abs(scene.times[place] - time) > OUTPUT_TIME_TOLERANCE * scene.output_period:
             period = f"outputs are every {scene.output_period:g} s up to {scene.duration:g} s"
             raise ValueError(f"there is no output at {time:.9g} s; {period}")
     return tuple(places)
 
 
 def pruned(scene: Scene, kept: Iterable[Reduction], integrator: str) -> Scene:
-    """Return the scene with the outputs alone that reductions take, and the last alone if that suffices.
+    """Return the scene with only those outputs that the reductions need, and only the last time if that
+    suffices.
 
-    Steps of fixed size divide the time between outputs, so that these methods need all.
+    Integrators with fixed steps keep all output times, as their steps divide the output period.
     """
-    asked = {SOURCES[name] for each in kept for name in each.expression.quantities}
+    asked = {QUANTITY_OUTPUTS[name] for each in kept for name in each.expression.quantities}
     outputs = frozenset(name for name in asked if name)
     alone = integrator not in FIXED and not any(each.needs_all_times for each in kept)
     return replace(scene, outputs=outputs, output_period=scene.duration if alone else scene.output_period)

@@ -1,4 +1,4 @@
-"""The report on a sweep: quantiles, what matters, crosschecks; its tables, pictures, recording and files."""
+"""Report on a sweep: quantiles, effects of parameters, crosschecks; tables, plots, recording and files."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ from crosscheck.report.table import (
 )
 from crosscheck.support.files import check_writable, write_files
 from crosscheck.sweeps.analysis import (
-    LEVELS,
+    QUANTILE_LEVELS,
     Analysis,
     Effect,
-    Scalar,
+    KeptNumber,
     analyzed,
+    most_informative,
     most_varying,
     scalars,
-    telling,
     thinned,
     with_unit,
 )
-from crosscheck.sweeps.checks import Checked, worded
+from crosscheck.sweeps.checks import CheckedRun, worded
 from crosscheck.sweeps.distributions import Distribution
 from crosscheck.sweeps.expressions import Outputs
-from crosscheck.sweeps.pictures import MOST_POINTS, pictures, rank_of, share_of
-from crosscheck.sweeps.plan import Plan, run_all
-from crosscheck.sweeps.results import Results
+from crosscheck.sweeps.pictures import MAX_SCATTER_POINTS, pictures, rank_of, share_of
+from crosscheck.sweeps.plan import SweepPlan, run_all
+from crosscheck.sweeps.results import SweepResults
 from newton_euler.equations.parameters import origins
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.runs.initial_coordinates import initial_numbers
@@ -59,61 +59,61 @@ if TYPE_CHECKING:
 
 FILES = ("sweep.json", "sweep.rrd", "tornado.png", "histograms.png", "scatter.png")
 
-MOST_ROWS, MOST_CHARTS, MOST_BARS, MOST_REASONS = 6, 2, 4, 3
-"""Of tables that are printed, so that all fits 25 lines."""
+MAX_PRINTED_ROWS, MAX_PRINTED_CHARTS, MAX_PRINTED_BARS, MAX_PRINTED_REASONS = 6, 2, 4, 3
+"""Largest numbers of rows, charts, bars and reasons in the terminal; the whole report is 25 lines long."""
 
-BAR = 10
-"""Characters of a bar of 100 %; Rerun's viewer has no blocks among its glyphs."""
+BAR_WIDTH = 10
+"""Characters of a bar of 100 %, made of "=", since Rerun's viewer has no block characters."""
 
-LEAST_DIGITS, MOST_DIGITS = 4, 11
-"""Of quantiles; the most show a number that barely varies."""
+MIN_QUANTILE_DIGITS, MAX_QUANTILE_DIGITS = 4, 11
+"""Significant digits of quantiles; numbers that vary little need many digits."""
 
-WIDE, MOST_WIDE_ROWS = 6, 3
-"""Digits beyond which a table is wider than a terminal and has each row twice, and its rows then."""
+WIDE_TABLE_DIGITS, MAX_WIDE_TABLE_ROWS = 6, 3
+"""Digits beyond which a table is wider than the terminal (each row takes two lines), and its number of
+rows."""
 
-NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.])")
-"""In the reason of a run; reasons that differ in numbers alone are one."""
+NUMBER_PATTERN = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.])")
+"""Numbers in the reason of a failed run; reasons that differ in numbers only are counted together."""
 
-FAR = 3.0
-"""Deviations from its mean at which the scene's own value is hardly one of a distribution."""
+FAR_NOMINAL_DEVIATIONS = 3.0
+"""Standard deviations from the mean beyond which a nominal value is reported as far from its distribution."""
 
-SAMPLE = 100
-"""Runs that envelopes over time are made of."""
+ENVELOPE_RUNS = 100
+"""Number of runs in the envelopes over time."""
 
-MOST_GHOSTS = 4
-"""Extreme runs in a recording."""
+MAX_RECORDED_EXTREMES = 4
+"""Largest number of extreme runs in a recording."""
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """The analysis of a sweep, and crosschecks of some of its runs.
+    """Analysis of a sweep, and crosschecks of some of its runs.
 
     Attributes:
-        swept: the sweep.
-        scalars: all numbers that are kept of a run.
+        swept: the runs of the sweep.
+        scalars: the kept numbers of a run.
         nominal: their values in the nominal run, by label.
-        effects: of parameters on the most telling number of each variable.
+        effects: effects of parameters on the number of each variable that varies most.
         checked: crosschecks of some runs.
-        too_few: why there are no shares of variance; empty if there are.
-        options: of the scene or the file.
-        start: lines about how a file is excited, and how far the start is from the file's.
+        too_few: reason why there are no Sobol indices; empty if there are.
+        options: options of the scene or model file.
+        start: lines about the excitation of a model file, and about a moved start.
     """
 
-    swept: Results
-    scalars: list[Scalar]
+    swept: SweepResults
+    scalars: list[KeptNumber]
     nominal: dict[str, float]
-    effects: list[tuple[Scalar, list[Effect]]]
-    checked: list[Checked]
+    effects: list[tuple[KeptNumber, list[Effect]]]
+    checked: list[CheckedRun]
     too_few: str
     options: Mapping[str, str]
     start: tuple[str, ...]
 
     @property
     def verdict(self) -> str:
-        """One line: whether the engines agree on the runs that were checked, and how many came to an end."""
+        """One line: whether the engines agree on the checked runs, and how many runs completed."""
         runs, stopped = self.swept.plan.samples.runs, len(self.swept.stopped)
-        of_runs = "1 run came to its" if runs == 1 else f"{runs:,} runs came to their"
-        ended = f"{runs - stopped:,} of {of_runs} end"
+        ended = f"{runs - stopped:,} of {runs:,} run{'s' * (runs != 1)} completed"
         found = f"{ended}; none was cross-checked"
         if self.checked:
             extremes = {scalar.extreme(largest) for scalar, _ in self.effects for largest in (True, False)}
@@ -123,7 +123,7 @@ class Findings:
 
     @property
     def outcome(self) -> Outcome | None:
-        """The outcome of the crosschecks; None if all runs came to their end and none was cross-checked."""
+        """Outcome of the crosschecks; None if all runs completed and no run was cross-checked."""
         if any(each.differs for each in self.checked):
             return Outcome.DISAGREE
         if len(self.swept.stopped) or not all(each.complete for each in self.checked):
@@ -131,7 +131,7 @@ class Findings:
         if not self.checked:
             return None
         if all(each.engines == ("newton_euler",) for each in self.checked):
-            return Outcome.ONE_ENGINE_ALONE  # which made the sweep, too
+            return Outcome.ONE_ENGINE_ALONE  # newton_euler also executed the sweep
         if any(each.acting for each in self.checked):
             return Outcome.AGREE_ON_A_REDUCED_MODEL
         if any(each.untested for each in self.checked):
@@ -140,7 +140,7 @@ class Findings:
 
     @property
     def _reduced(self) -> str:
-        """Word the elements that acted in runs that were checked and were not simulated."""
+        """Name the elements that would have acted in checked runs and were not simulated."""
         names = list(dict.fromkeys(what_acted(entry) for each in self.checked for entry in each.acting))
         if not names:
             return ""
@@ -156,16 +156,16 @@ class Findings:
 
     @property
     def judged(self) -> Cell:
-        """The outcome with its color."""
+        """The outcome as a table cell."""
         return Cell(self.outcome.value, self.outcome.judged) if self.outcome else Cell("made", "")
 
 
 def findings(
-    swept: Results, checked: Sequence[Checked], options: Mapping[str, str], start: tuple[str, ...]
+    swept: SweepResults, checked: Sequence[CheckedRun], options: Mapping[str, str], start: tuple[str, ...]
 ) -> Findings:
-    """Analyze a sweep of which some runs have been crosschecked."""
+    """Analyze a sweep; arguments as the attributes of `Findings`."""
     found, analysis = scalars(swept), Analysis(swept.plan.samples, analyzed(swept), swept.inputs)
-    effects = [(scalar, analysis.effects(scalar)) for scalar in telling(found)]
+    effects = [(scalar, analysis.effects(scalar)) for scalar in most_informative(found)]
     nominal = _nominal(swept.plan, found)
     without = [scalar.label for scalar, each in effects if each and each[0].share is None]
     lost = f"no shares of variance of {', '.join(without)}: too many runs without it" if without else ""
@@ -173,24 +173,26 @@ def findings(
     return Findings(swept, found, nominal, effects, list(checked), too_few, options, start)
 
 
-def _nominal(plan: Plan, found: Sequence[Scalar]) -> dict[str, float]:
+def _nominal(plan: SweepPlan, found: Sequence[KeptNumber]) -> dict[str, float]:
     own = own_values(plan.scene, plan.samples.names)
     values = run_all(plan, {name: value.reshape(1) for name, value in own.items()}).values
     return {each.label: float(values[each.variable][0][each.place]) for each in found}
 
 
 def report(found: Findings) -> Report:
-    """Make the tables of a sweep, and their short forms for the terminal."""
+    """Make the report: all tables, and their short form for the terminal."""
+    # Title: runs, sampling, and how many runs were executed now
     swept, samples = found.swept, found.swept.plan.samples
     of_runs = "1 run" if samples.runs == 1 else f"{samples.runs:,} runs"
     title = f"{swept.plan.scene.name}: {of_runs}, {samples.sampling}, seed {samples.seed}"
     if swept.made:
         title += f"; {swept.made:,} made at {swept.made / swept.wall_time:,.0f} per s"
     if swept.made < samples.runs:
-        title += f"; {samples.runs - swept.made:,} were there"
-    of_runs, notes, failed = "", [*swept.repaired[:MOST_REASONS]], _failures(found)
-    if (more := len(swept.repaired) - MOST_REASONS) > 0:
-        notes.append(f"{more} more files were damaged and their runs made again; -v prints all")
+        title += f"; {samples.runs - swept.made:,} were stored"
+    # Notes: damaged files, and what part of the runs and numbers is analyzed
+    of_runs, notes, failed = "", [*swept.repaired[:MAX_PRINTED_REASONS]], _failures(found)
+    if (more := len(swept.repaired) - MAX_PRINTED_REASONS) > 0:
+        notes.append(f"{more} more files were damaged and their runs repeated; -v prints all")
     if (count := len(analyzed(swept))) < samples.runs:
         of_runs = f"of {count:,} runs from all parts of the sweep"
         notes.append(f"quantiles and extremes are {of_runs}")
@@ -198,6 +200,7 @@ def report(found: Findings) -> Report:
         size = int(np.prod(swept.dataset[each.name].shape[1:]))
         if (count := sum(scalar.variable == each.name for scalar in found.scalars)) < size:
             notes.append(f"{each.name}: {count} of its {size:,} numbers of a run are analyzed, evenly spread")
+    # All tables
     parts: list[Part] = [_quantiles(found, found.scalars, f"quantiles {of_runs}".rstrip())]
     parts += [_effects(*each, None) for each in found.effects if each[1]]
     parts += [Lines("", [found.too_few])] if found.too_few else []
@@ -206,60 +209,61 @@ def report(found: Findings) -> Report:
     far, gaps = _far(swept.plan), _gaps(found)
     parts += [Lines("", list(lines)) for lines in (swept.repaired, found.notes, far, gaps) if lines]
     if failed:
-        parts.append(Lines("runs that could not go on", failed))
+        parts.append(Lines("failed runs", failed))
+    # Summary for the terminal: the numbers that vary most, in the order of `--keep`
     varying = [scalar for scalar in found.scalars if scalar.varies]
     if not varying:
         varying = found.scalars
         if len(swept.stopped) < samples.runs:
-            notes.append("what varies has no effect on what is kept")
-    first = most_varying(varying)[:MOST_ROWS]
-    if any(_digits(each) > WIDE for each in first):
-        first = first[:MOST_WIDE_ROWS]
+            notes.append("the varied parameters have no effect on the kept outputs")
+    first = most_varying(varying)[:MAX_PRINTED_ROWS]
+    if any(_digits(each) > WIDE_TABLE_DIGITS for each in first):
+        first = first[:MAX_WIDE_TABLE_ROWS]
     rows = sorted(first, key=found.scalars.index)
     summary: list[Part] = [_quantiles(found, rows, "")]
-    summary += [_effects(*each, MOST_BARS) for each in found.effects[:MOST_CHARTS] if each[1]]
+    summary += [_effects(*each, MAX_PRINTED_BARS) for each in found.effects[:MAX_PRINTED_CHARTS] if each[1]]
     notes += [
         *found.notes,
-        *far[:MOST_REASONS],
-        *gaps[:MOST_REASONS],
+        *far[:MAX_PRINTED_REASONS],
+        *gaps[:MAX_PRINTED_REASONS],
         *filter(None, [found.too_few]),
         *_not_shown(found, rows),
-        *failed[:MOST_REASONS],
+        *failed[:MAX_PRINTED_REASONS],
     ]
-    if len(failed) > MOST_REASONS:
-        notes.append(f"{len(failed) - MOST_REASONS} more reasons why runs could not go on; -v prints all")
+    if len(failed) > MAX_PRINTED_REASONS:
+        notes.append(f"{len(failed) - MAX_PRINTED_REASONS} more reasons of failed runs; -v prints all")
     summary.append(Lines("", notes))
     return Report(title, found.verdict, found.judged, parts, swept.wall_time, summary)
 
 
-def _not_shown(found: Findings, rows: Sequence[Scalar]) -> list[str]:
-    """Word what the terminal leaves out, and where it is."""
+def _not_shown(found: Findings, rows: Sequence[KeptNumber]) -> list[str]:
+    """List the numbers and charts that the terminal does not show."""
     counts = {
         "numbers that do not vary": sum(not each.varies and each not in rows for each in found.scalars),
         "numbers that vary less": sum(each.varies and each not in rows for each in found.scalars),
-        "charts of what matters": len(found.effects) - MOST_CHARTS,
+        "charts of effects": len(found.effects) - MAX_PRINTED_CHARTS,
     }
     said = [f"{what}: {count}" for what, count in counts.items() if count > 0]
     return [f"not shown, -v prints all: {'; '.join(said)}"] if said else []
 
 
 def _failures(found: Findings) -> list[str]:
-    """Word each reason why runs could not go on: how many, the first in full, and what may help."""
+    """Report each reason of failed runs: number of runs, the first reason in full, and a hint."""
     counts, firsts = Counter[str](), dict[str, tuple[int, str]]()
     for run, reason in found.swept.reasons():
-        kind = NUMBER.sub("#", reason)
+        kind = NUMBER_PATTERN.sub("#", reason)
         counts[kind] += 1
         firsts.setdefault(kind, (run, reason))
     lines = []
     for kind, count in counts.most_common():
         run, reason = firsts[kind]
-        which = f"run {run}" if count == 1 else f"{count} runs could not go on, as run {run}"
+        which = f"run {run}" if count == 1 else f"{count} runs failed, such as run {run}"
         lines.append(f"{which}: {reason}{_hint(found.swept.plan, reason)}")
     return lines
 
 
-def _hint(plan: Plan, reason: str) -> str:
-    """Name the distribution that keeps a normal number from values that make no sense."""
+def _hint(plan: SweepPlan, reason: str) -> str:
+    """Suggest a truncated distribution if a normal one gave an invalid value."""
     for (name, *_), each in plan.samples.groups:
         if isinstance(each, Distribution) and each.kind == "normal" and f"{name!r}" in reason:
             mean, deviation = each.numbers
@@ -267,9 +271,9 @@ def _hint(plan: Plan, reason: str) -> str:
     return ""
 
 
-def _quantiles(found: Findings, rows: Sequence[Scalar], title: str) -> Table:
+def _quantiles(found: Findings, rows: Sequence[KeptNumber], title: str) -> Table:
     wanted = slice(None if title else 1, None)
-    columns = [Column("of each run"), *figures("nominal", *list(LEVELS)[wanted])]
+    columns = [Column("of each run"), *figures("nominal", *list(QUANTILE_LEVELS)[wanted])]
     content: Rows = []
     for variable, members in groupby(rows, key=lambda each: each.variable):
         of_variable = list(members)
@@ -283,34 +287,34 @@ def _quantiles(found: Findings, rows: Sequence[Scalar], title: str) -> Table:
 
 
 def _number(value: float, digits: int) -> str:
-    """Word a number of a run; a dash where there is none, as of an event that does not happen."""
+    """Format a number; a dash for NaN, for example if an event does not occur."""
     return f"{value:.{digits}g}" if np.isfinite(value) else "-"
 
 
-def _digits(scalar: Scalar) -> int:
-    """Return the digits in which the quantiles of a number differ."""
+def _digits(scalar: KeptNumber) -> int:
+    """Return the number of digits in which the quantiles of a number differ."""
     if not scalar.varies:
-        return LEAST_DIGITS
+        return MIN_QUANTILE_DIGITS
     hidden = int(np.ceil(np.log10(np.max(np.abs(scalar.quantiles)) / scalar.deviation)))
-    return int(np.clip(hidden + 2, LEAST_DIGITS, MOST_DIGITS))
+    return int(np.clip(hidden + 2, MIN_QUANTILE_DIGITS, MAX_QUANTILE_DIGITS))
 
 
-def _effects(scalar: Scalar, found: Sequence[Effect], most: int | None) -> Table:
-    """Make the tornado chart: what matters for a number, the largest first."""
+def _effects(scalar: KeptNumber, found: Sequence[Effect], most: int | None) -> Table:
+    """Tabulate the effects of parameters on a number, the largest first, with bars."""
     rows: Rows = []
     for effect in found[:most]:
-        bar = "=" * round(BAR * min(1.0, effect.size))
+        bar = "=" * round(BAR_WIDTH * min(1.0, effect.size))
         shares = [] if effect.share is None else [share_of(effect)]
         rows.append([effect.name, *shares, rank_of(effect), bar])
     if len(found) > len(rows):
-        rows.append([f"{len(found) - len(rows)} more with less: -v"])
+        rows.append([f"{len(found) - len(rows)} smaller effects: -v"])
     heads = ["share of variance"] if found and found[0].share is not None else []
     columns = [Column(f"{scalar.label} by"), *figures(*heads, "rank"), Column("")]
-    return Table("" if most else f"what matters for {scalar.label}", columns, rows)
+    return Table("" if most else f"effects on {scalar.label}", columns, rows)
 
 
-def _checks(checked: Sequence[Checked]) -> list[Part]:
-    """Make the tables of runs that were cross-checked, and the verdicts of those that are not in order."""
+def _checks(checked: Sequence[CheckedRun]) -> list[Part]:
+    """Make the tables of cross-checked runs, and list the verdicts of runs that failed or differ."""
     rows: Rows = []
     kept: Rows = []
     for each in checked:
@@ -318,7 +322,7 @@ def _checks(checked: Sequence[Checked]) -> list[Part]:
         rows.append([str(each.run), each.why, verdict if each.complete else Cell("not all", "doubtful")])
         kept.append(f"run {each.run}")
         for figure in each.kept:
-            unsettled = "finer runs differ by more" if figure.unsettled else "not judged"
+            unsettled = "not converged" if figure.unsettled else "not judged"
             apart = judged(figure.value, figure.tolerance, figure.agrees)
             if figure.informs:
                 apart = Cell(f"{figure.value:.1e}, {figure.detail or unsettled}")
@@ -326,23 +330,25 @@ def _checks(checked: Sequence[Checked]) -> list[Part]:
     columns = [*figures("run"), *texts("chosen", "engines")]
     beside = [*texts("kept number", "engine"), *figures("difference")]
     parts: list[Part] = [Table("runs that were cross-checked", columns, rows, folded=True)]
-    parts.append(Table("kept numbers of these, each variable's nearest its limit", beside, kept, folded=True))
+    parts.append(Table("kept outputs of these runs, closest to failing", beside, kept, folded=True))
     wrong = [f"run {each.run}: {each.verdict}" for each in checked if not (each.agrees and each.complete)]
     return [*parts, Lines("", wrong)] if wrong else parts
 
 
-def _varied(plan: Plan) -> Table:
+def _varied(plan: SweepPlan) -> Table:
     own = own_values(plan.scene, plan.samples.names)
     units = units_of(plan.scene, plan.samples.names)
     rows: Rows = []
     for names, distribution in plan.samples.groups:
         nominal = ", ".join(f"{own[name] + 0.0:.6g}" for name in names)
         rows.append([", ".join(names), units[names[0]], nominal, str(distribution)])
-    return Table("what varies", texts("parameter", "unit", "nominal", "distribution"), rows, folded=True)
+    return Table(
+        "varied parameters", texts("parameter", "unit", "nominal", "distribution"), rows, folded=True
+    )
 
 
-def _far(plan: Plan) -> list[str]:
-    """Word which values of the scene lie far from what is drawn for them: of a slip of units, perhaps."""
+def _far(plan: SweepPlan) -> list[str]:
+    """Report nominal values that are far from their distribution, for example because of a wrong unit."""
     own = own_values(plan.scene, plan.samples.names)
     initial, lines = initial_numbers(plan.scene, plan.samples.names), []
     starting = origins(plan.scene, [name for name in plan.samples.names if name not in initial])
@@ -350,7 +356,7 @@ def _far(plan: Plan) -> list[str]:
         of_each = (given,) if isinstance(given, Distribution) else given.distributions
         for name, each in zip(names, of_each, strict=True):
             away = each.deviations_of(float(own[name]))
-            if away > FAR:
+            if away > FAR_NOMINAL_DEVIATIONS:
                 value = f"{own[name] + 0.0:.4g}"
                 if name in starting:
                     value += f", an offset from {starting[name] + 0.0:.4g}"
@@ -359,7 +365,7 @@ def _far(plan: Plan) -> list[str]:
 
 
 def _gaps(found: Findings) -> list[str]:
-    """Word of how many runs numbers are known, and of how many base samples of Saltelli's plan."""
+    """Report numbers that are NaN in some runs, and incomplete base samples of Saltelli's design."""
     lines, block = [], found.swept.plan.samples.block
     for scalar in found.scalars:
         known = np.isfinite(scalar.values)
@@ -381,7 +387,7 @@ def _gaps(found: Findings) -> list[str]:
 
 
 def write(found: Findings, made: Report, folder: Path) -> list[Path]:
-    """Write the findings beside the Zarr store: JSON, pictures and a recording, all of them or none.
+    """Write the findings next to the Zarr store: JSON, plots and a recording, all files or none.
 
     Raises:
         CrosscheckError: naming the path that cannot be written.
@@ -392,7 +398,7 @@ def write(found: Findings, made: Report, folder: Path) -> list[Path]:
     paths = [folder / name for name in FILES]
     check_writable(*paths)
     runs = analyzed(found.swept)
-    points = thinned(len(runs), MOST_POINTS)
+    points = thinned(len(runs), MAX_SCATTER_POINTS)
     inputs, plan = found.swept.inputs(runs[points]), found.swept.plan
     units = units_of(plan.scene, plan.samples.names)
     drawn = pictures(found.effects, points, inputs, units, found.nominal)
@@ -408,7 +414,7 @@ def write(found: Findings, made: Report, folder: Path) -> list[Path]:
 def to_record(found: Findings, made: Report) -> tuple[Any, ...]:
     """Return the arguments of `crosscheck.recording.sweep.log_sweep`."""
     text = markdown(replace(made, parts=made.summary))
-    return found.swept.plan.scene, *_made_again(found), text, made.title
+    return found.swept.plan.scene, *_repeated_runs(found), text, made.title
 
 
 def _data(found: Findings) -> dict[str, object]:
@@ -427,7 +433,9 @@ def _data(found: Findings) -> dict[str, object]:
         "errors": len(found.swept.stopped),
         "known": {each.label: int(np.isfinite(each.values).sum()) for each in found.scalars},
         "quantiles": {
-            each.label: dict(zip(map("{:g}".format, LEVELS.values()), each.quantiles.tolist(), strict=True))
+            each.label: dict(
+                zip(map("{:g}".format, QUANTILE_LEVELS.values()), each.quantiles.tolist(), strict=True)
+            )
             for each in found.scalars
         },
         "effects": {scalar.label: [asdict(each) for each in effects] for scalar, effects in found.effects},
@@ -436,22 +444,22 @@ def _data(found: Findings) -> dict[str, object]:
     }
 
 
-def _made_again(found: Findings) -> tuple[dict[str, Trajectory], list[Envelope]]:
-    """Make the nominal run, extreme ones and a sample again, as the sweep made them, at all output times.
+def _repeated_runs(found: Findings) -> tuple[dict[str, Trajectory], list[Envelope]]:
+    """Repeat the nominal run, the extreme runs and a sample of runs, with all output times.
 
     Returns:
-        The nominal run and the extreme ones by name, without any that cannot go on; and the course of telling
-        numbers over time of all that were made.
+        The nominal run and the extreme runs by name, except failed ones; and the time series of the numbers
+        that vary most, over all repeated runs.
     """
     from crosscheck.recording.sweep import Envelope
 
     plan = found.swept.plan
     extremes = list(
         dict.fromkeys(scalar.extreme(largest) for scalar, _ in found.effects for largest in (True, False))
-    )[:MOST_GHOSTS]
+    )[:MAX_RECORDED_EXTREMES]
     named = ["nominal", *(f"run {run}" for run in extremes)]
     own = own_values(plan.scene, plan.samples.names)
-    inputs = found.swept.inputs(np.array([*extremes, *thinned(plan.samples.runs, SAMPLE)]))
+    inputs = found.swept.inputs(np.array([*extremes, *thinned(plan.samples.runs, ENVELOPE_RUNS)]))
     values = {name: np.append(own[name], of_runs) for name, of_runs in inputs.items()}
     scene = replace(plan.lean, output_period=plan.scene.output_period)
     kept = {each.name: each for each in plan.kept}
@@ -464,7 +472,7 @@ def _made_again(found: Findings) -> tuple[dict[str, Trajectory], list[Envelope]]
         if not first:
             runs = {name: batch[k] for k, name in enumerate(named) if k not in batch.errors}
         outputs = Outputs.of_batch(plan.scene, batch)
-        # copies, for views of a batch would hold all of it
+        # copies, since a view would keep the whole batch in memory
         parts.append([kept[each.variable].line(outputs, each.place).copy() for each, _ in found.effects])
     envelopes = []
     for k, (scalar, _) in enumerate(found.effects):

@@ -1,4 +1,4 @@
-"""Results of sweeps: made chunk by chunk wherever they run, and taken up where they ended."""
+"""Results of a sweep: runs are executed in chunks, stored, and resumed after an interruption."""
 
 from __future__ import annotations
 
@@ -19,50 +19,59 @@ from crosscheck.support.files import check_writable
 from crosscheck.support.time_limits import tidied_up
 from crosscheck.sweeps.execute import Pace, Workers, in_any_order, probed
 from crosscheck.sweeps.expressions import labels
-from crosscheck.sweeps.plan import STOPPED, Chunk, Parameters, Plan, make_runs, run_all
-from crosscheck.sweeps.store import BLOCK, ERROR, NAME, OF_TASKS, STATUS, Store, intact, store_runs
+from crosscheck.sweeps.plan import RUN_FAILED, Chunk, Parameters, SweepPlan, make_runs, run_all
+from crosscheck.sweeps.store import (
+    ERROR,
+    STATUS,
+    STATUS_RUNS,
+    STORE_ID,
+    STORE_NAME,
+    Store,
+    intact,
+    store_runs,
+)
 from crosscheck.sweeps.store_files import locked
 from newton_euler.errors import NewtonEulerError
 from newton_euler.runs.starts import assembly_of
 from newton_euler.runs.variation import own_values, run_values
 from newton_euler.scalars import Array
 
-TASK = 1.0
-"""s that a task takes about: its overhead is small beside it, and little is lost with one."""
+TASK_DURATION_S = 1.0
+"""s, duration of a task: long compared with its overhead, and little work is lost if a task is lost."""
 
-OVERHEAD = 0.01
-"""s of processor time that a Dask scheduler takes for a task, so that tasks for many workers are longer."""
+SCHEDULER_TIME_PER_TASK_S = 0.01
+"""s, CPU time of a Dask scheduler per task. Tasks are longer if there are many workers."""
 
-PROBED = 64
-"""Runs by which speed is told at most where a sweep has fewer: some are made again."""
+MIN_TIMED_RUNS = 64
+"""Number of runs available for the estimate of speed; smaller sweeps repeat their runs for it."""
 
-TRIED = 1024
-"""Runs that are tried together where the first cannot start."""
+START_CHECK_RUNS = 1024
+"""Number of runs whose starts are checked together if the first run cannot start."""
 
-LARGEST_TASK, MOST_NUMBERS = 2**16, 2**22
-"""Runs of a task, and numbers that are kept of them, 34 MB."""
+MAX_TASK_RUNS, MAX_TASK_NUMBERS = 2**16, 2**22
+"""Largest number of runs of a task, and of numbers that are kept of them (34 MB)."""
 
-TIMES = re.compile(r"time\d*")
-"""Names of the times of what is kept at some."""
+TIME_DIMENSION = re.compile(r"time\d*")
+"""Pattern of the names of time dimensions of kept outputs."""
 
-VECTORS = "BODY.center_of_mass.x, BODY.inertia.xy, JOINT.point.z"
-"""Examples of numbers that vary alone."""
+COMPONENT_EXAMPLES = "BODY.center_of_mass.x, BODY.inertia.xy, JOINT.point.z"
+"""Examples of parameters that are single numbers."""
 
 
 @dataclass(frozen=True, eq=False)
-class Results:
-    """The runs of a sweep.
+class SweepResults:
+    """Runs of a sweep.
 
     Attributes:
-        plan: all that its runs depend on.
-        dataset: an xarray Dataset of what varied and what was kept, by runs; on disk where there is a path.
-        store: that holds it.
-        made: runs that were made now; the others were there.
-        wall_time: s that they took.
-        repaired: lines about files that were damaged, whose runs were made again.
+        plan: the plan of the sweep.
+        dataset: xarray Dataset of varied parameters and kept outputs by run; on disk if the store has a path.
+        store: the store of the dataset.
+        made: number of runs that were executed now; other runs were stored before.
+        wall_time: s, time of the execution.
+        repaired: lines about damaged files whose runs were repeated.
     """
 
-    plan: Plan
+    plan: SweepPlan
     dataset: Any
     store: Store
     made: int
@@ -71,7 +80,7 @@ class Results:
 
     @property
     def path(self) -> Path | None:
-        """Of the Zarr store; None in memory."""
+        """Path of the Zarr store; None in memory."""
         return self.store.path
 
     def inputs(self, runs: Array) -> Parameters:
@@ -79,39 +88,47 @@ class Results:
         return {name: self.read(name, runs) for name in self.plan.samples.names}
 
     def read(self, name: str, where: Any) -> Array:
-        """Return a part of a variable.
+        """Return the values of a variable at an index `where`.
 
         Raises:
-            CrosscheckError: for files that are damaged.
+            CrosscheckError: for damaged files.
         """
         with intact(self.path, name):
             return np.asarray(self.dataset[name][where].values)
 
     @cached_property
     def stopped(self) -> Array:
-        """The numbers of runs that could not go on."""
+        """Numbers of the failed runs."""
         parts = (
-            first + np.flatnonzero(self.read(STATUS, slice(first, first + BLOCK)) == STOPPED)
-            for first in range(0, self.plan.samples.runs, BLOCK)
+            first + np.flatnonzero(self.read(STATUS, slice(first, first + STATUS_RUNS)) == RUN_FAILED)
+            for first in range(0, self.plan.samples.runs, STATUS_RUNS)
         )
         return np.concatenate(list(parts))
 
     def reasons(self) -> Iterator[tuple[int, str]]:
-        """Yield the runs that could not go on and why, of which there may be too many for memory."""
-        for first in range(0, len(self.stopped), BLOCK):
-            runs = self.stopped[first : first + BLOCK]
+        """Yield number and reason of each failed run, in blocks that fit into memory."""
+        for first in range(0, len(self.stopped), STATUS_RUNS):
+            runs = self.stopped[first : first + STATUS_RUNS]
             yield from zip(runs.tolist(), map(str, self.read(ERROR, runs)), strict=True)
 
 
-def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[[str], None]) -> Results:
-    """Make the runs of a plan that are not in a folder yet; in memory if that is None.
+def results_of(
+    plan: SweepPlan, folder: Path | None, at: Workers, progress: Callable[[str], None]
+) -> SweepResults:
+    """Execute those runs of a plan that are not stored yet.
+
+    Args:
+        plan: the plan.
+        folder: folder of the store; None for results in memory.
+        at: workers that execute the runs.
+        progress: called with the number of completed runs.
 
     Raises:
-        CrosscheckError: for a folder with another plan, or that another process works at, a disk that is
-            full, and workers that fail.
-        NewtonEulerError: for a scene that cannot be run.
+        CrosscheckError: for a folder with another plan, a folder in use by another process, a full disk, and
+            workers that fail.
+        NewtonEulerError: for a scene that cannot be simulated.
     """
-    path = None if folder is None else folder / NAME
+    path = None if folder is None else folder / STORE_NAME
     start, repaired = time.perf_counter(), list[str]()
     with tidied_up(), locked(path):
         if path is not None and path.exists():
@@ -128,24 +145,26 @@ def results_of(plan: Plan, folder: Path | None, at: Workers, progress: Callable[
             store = Store.make(plan, path) if path else Store.in_memory(plan)
         made = _make(plan, store, store.missing(plan), at, progress)
         if lost := sum(last - first for first, last in store.missing(plan)):
-            problem = f"{lost:,} of {plan.samples.runs:,} runs are not in {path}"
-            raise CrosscheckError(f"{problem}; needed: a folder that all workers see")
+            problem = f"{lost:,} of {plan.samples.runs:,} runs are missing in {path}"
+            raise CrosscheckError(f"{problem}; needed: a folder that all workers can access")
     dataset = store.dataset()
     wall_time = time.perf_counter() - start
-    return Results(plan, dataset.load() if path is None else dataset, store, made, wall_time, tuple(repaired))
+    return SweepResults(
+        plan, dataset.load() if path is None else dataset, store, made, wall_time, tuple(repaired)
+    )
 
 
-def check_names(plan: Plan) -> None:
-    """Raise `CrosscheckError` for names that are taken, and for parameters that are no number."""
+def check_names(plan: SweepPlan) -> None:
+    """Raise `CrosscheckError` for names that are in use, and for parameters that are not a single number."""
     taken = {*plan.samples.names, STATUS, ERROR, "run", *labels(plan.scene)}
     for each in plan.kept:
-        if each.name in taken or TIMES.fullmatch(each.name):
-            raise CrosscheckError(f"{each.name!r} is the name of something else; keep it by another one")
+        if each.name in taken or TIME_DIMENSION.fullmatch(each.name):
+            raise CrosscheckError(f"{each.name!r} is the name of another variable; choose another name")
     for name in plan.samples.names:
         try:
             shape = own_values(plan.scene, [name])[name].shape
         except NewtonEulerError as error:
-            hint = f" (vectors by components, as {VECTORS}; starts as start.JOINT)"
+            hint = f" (vectors by components, as {COMPONENT_EXAMPLES}; starts as start.JOINT)"
             raise CrosscheckError(f"--vary {name}: {error}{hint}") from error
         if shape:
             parts = {(3,): "xyz", (3, 3): ("xx", "xy")}.get(shape, ())
@@ -153,11 +172,12 @@ def check_names(plan: Plan) -> None:
             raise CrosscheckError(f"--vary {name}: it has {np.prod(shape)} numbers; name one, {example}")
 
 
-def _check_starts(plan: Plan, progress: Callable[[str], None]) -> None:
-    """Raise `CrosscheckError` where no run can start: for values without sense, or loops that stay open."""
+def _check_starts(plan: SweepPlan, progress: Callable[[str], None]) -> None:
+    """Raise `CrosscheckError` if no run can start, because of invalid values or loops that cannot be
+    closed."""
     runs, reason = plan.samples.runs, ""
-    for first in range(0, runs, TRIED):
-        last = min(first + TRIED, runs)
+    for first in range(0, runs, START_CHECK_RUNS):
+        last = min(first + START_CHECK_RUNS, runs)
         values = run_values(plan.scene, plan.parameters(first, last))
         errors, assembly = dict(values.errors), assembly_of(plan.scene, plan.samples.names)
         if assembly.is_needed:
@@ -171,10 +191,11 @@ def _check_starts(plan: Plan, progress: Callable[[str], None]) -> None:
     raise CrosscheckError(f"{where}no run of {runs:,} can start: {reason}")
 
 
-def _task(plan: Plan, at: Workers, progress: Callable[[str], None]) -> int:
-    """Return how many runs take about as long as a task is to take: a power of 2, however few runs there are.
+def _task(plan: SweepPlan, at: Workers, progress: Callable[[str], None]) -> int:
+    """Choose the number of runs of a task so that a task takes about `TASK_DURATION_S`.
 
-    So a sweep that goes on with more of them has tasks that are as long.
+    The number is a power of 2 and does not depend on the number of runs, so that runs can be added to the
+    sweep.
     """
     runs = plan.samples.runs
 
@@ -183,24 +204,28 @@ def _task(plan: Plan, at: Workers, progress: Callable[[str], None]) -> int:
         run_all(plan, {name: np.resize(values, count) for name, values in own.items()})
 
     progress("timing some runs")
-    rate = probed(make, max(runs, PROBED))
+    rate = probed(make, max(runs, MIN_TIMED_RUNS))
     numbers = sum(prod(map(len, each.dimensions.values())) for each in plan.kept)
-    largest = min(LARGEST_TASK, MOST_NUMBERS // numbers)
-    about = max(1, min(int(max(TASK, OVERHEAD * at.count()) * rate), largest))
+    largest = min(MAX_TASK_RUNS, MAX_TASK_NUMBERS // numbers)
+    about = max(1, min(int(max(TASK_DURATION_S, SCHEDULER_TIME_PER_TASK_S * at.count()) * rate), largest))
     return 1 << (about.bit_length() - 1)
 
 
 def _make(
-    plan: Plan, store: Store, tasks: Sequence[tuple[int, int]], at: Workers, progress: Callable[[str], None]
+    plan: SweepPlan,
+    store: Store,
+    tasks: Sequence[tuple[int, int]],
+    at: Workers,
+    progress: Callable[[str], None],
 ) -> int:
-    """Make and write runs; returns how many these are."""
+    """Execute and store runs; return their number."""
     made = sum(last - first for first, last in tasks)
     pace = Pace(plan.samples.runs, plan.samples.runs - made, progress)
     if tasks:
-        progress(f"runs to make: {made:,}, workers: {at.count()}")
+        progress(f"runs to execute: {made:,}, workers: {at.count()}")
     task: Callable[[tuple[int, int]], Chunk | None] = partial(make_runs, plan)
     if store.path is not None:
-        task = partial(store_runs, plan, store.path.absolute(), store.group.attrs.get(OF_TASKS))
+        task = partial(store_runs, plan, store.path.absolute(), store.group.attrs.get(STORE_ID))
     with closing(in_any_order(task, tasks, at, progress)) as results:
         for (first, last), chunk in results:
             if chunk is not None:

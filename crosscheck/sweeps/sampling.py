@@ -1,4 +1,4 @@
-"""Samples of the numbers that a sweep varies, each run's its own whatever it is drawn together with."""
+"""Samples of the parameters that a sweep varies; the sample of a run does not depend on other runs."""
 
 from __future__ import annotations
 
@@ -18,45 +18,48 @@ from newton_euler.errors import check_choice, is_count, items_of, quoted
 from newton_euler.scalars import Array
 
 SamplingName = Literal["random", "latin_hypercube", "sobol", "saltelli", "grid"]
-"""Independent numbers; one in each of as many equal shares as there are runs; a sequence of low discrepancy,
-scrambled; the plan from which Sobol indices are estimated; all combinations of values."""
+"""Independent random numbers; Latin hypercube; scrambled Sobol sequence; Saltelli's design for Sobol indices;
+full factorial grid."""
 
 SAMPLINGS: tuple[SamplingName, ...] = get_args(SamplingName)
 
-EDGE = 2.0**-33
-"""Distance of shares from 0 and 1 at least; of 10^9 runs one in ten would come nearer."""
+MIN_PROBABILITY = 2.0**-33
+"""Smallest distance of probabilities from 0 and 1. Of 10^9 runs, one in ten would come closer."""
 
-MOST_RUNS = 2**32
-"""The bits of Sobol's sequence."""
+MAX_RUNS = 2**32
+"""Largest number of runs, from the bits of the Sobol sequence."""
 
-MOST_COLUMNS = 21_201
-"""Of Sobol's sequence, whose direction numbers are tabulated; Saltelli's plan takes two for a parameter."""
+MAX_SOBOL_COLUMNS = 21_201
+"""Largest dimension of the Sobol sequence in SciPy; Saltelli's design needs two dimensions per parameter."""
 
-LARGEST_DESIGN = 2**26
-"""Numbers of a Latin hypercube, 512 MB, which is made as a whole; others are made where they are needed."""
+MAX_HYPERCUBE_NUMBERS = 2**26
+"""Largest size (runs times parameters, 512 MB) of a Latin hypercube, which is generated as a whole."""
 
-DIGESTED = 1024
-"""Runs whose values are hashed."""
+HASHED_RUNS = 1024
+"""Number of runs whose values enter the digest of samples."""
 
-EXTENDED = ("random", "sobol", "saltelli")
-"""Samplings whose first runs are the same if more follow."""
+EXTENSIBLE_SAMPLINGS = ("random", "sobol", "saltelli")
+"""Samplings to which runs can be added: the first runs stay the same."""
 
-UNEXTENDED = {
-    ("latin_hypercube", "runs"): " (a Latin hypercube of more runs is another one; random and sobol go on)",
-    ("grid", "vary"): " (a grid of other values numbers its runs anew)",
+NOT_EXTENSIBLE_REASONS = {
+    (
+        "latin_hypercube",
+        "runs",
+    ): " (a Latin hypercube of more runs is a different one; random and sobol can grow)",
+    ("grid", "vary"): " (a grid of other values numbers its runs differently)",
 }
-"""Why others are not the same, by the part of the plan that differs."""
+"""Reasons why runs cannot be added, by sampling and by the part of the plan that differs."""
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
-    """Values of parameters for any run of a sweep.
+class SweepSamples:
+    """Values of the varied parameters for each run of a sweep.
 
     Attributes:
-        groups: names of parameters, one or several that are correlated, with their distribution.
+        groups: names of parameters (several if they are correlated), with their distribution.
         sampling: see `SamplingName`.
-        runs: their number.
-        seed: of all random numbers.
+        runs: number of runs.
+        seed: seed of all random numbers.
     """
 
     groups: tuple[tuple[tuple[str, ...], Distribution | Correlated], ...]
@@ -66,8 +69,8 @@ class Samples:
 
     def __post_init__(self) -> None:
         check_choice("sampling", self.sampling, SAMPLINGS)
-        if not is_count(self.runs) or self.runs > MOST_RUNS:
-            raise CrosscheckError(f"runs is {quoted(self.runs)}; needed: a whole number, 1 to {MOST_RUNS}")
+        if not is_count(self.runs) or self.runs > MAX_RUNS:
+            raise CrosscheckError(f"runs is {quoted(self.runs)}; needed: a whole number, 1 to {MAX_RUNS}")
         if not is_count(self.seed + 1 if isinstance(self.seed, int) else None) or self.seed >= 2**63:
             raise CrosscheckError(f"seed is {quoted(self.seed)}; needed: a whole number, 0 or more")
         if self.sampling == "saltelli":
@@ -78,28 +81,28 @@ class Samples:
                     f"saltelli takes a power of 2 times {self.block} runs: {near}, not {self.runs}"
                 )
         columns = {"sobol": 1, "saltelli": 2}.get(self.sampling, 0)
-        if columns * len(self.names) > MOST_COLUMNS:
-            problem = f"{self.sampling} takes {MOST_COLUMNS // columns} parameters at most"
+        if columns * len(self.names) > MAX_SOBOL_COLUMNS:
+            problem = f"{self.sampling} takes {MAX_SOBOL_COLUMNS // columns} parameters at most"
             raise CrosscheckError(f"{problem}, not {len(self.names)}; random has no limit")
-        if self.sampling == "latin_hypercube" and self.runs * len(self.names) > LARGEST_DESIGN:
-            most = LARGEST_DESIGN // len(self.names)
+        if self.sampling == "latin_hypercube" and self.runs * len(self.names) > MAX_HYPERCUBE_NUMBERS:
+            most = MAX_HYPERCUBE_NUMBERS // len(self.names)
             raise CrosscheckError(
                 f"latin_hypercube is made as a whole, of {most} runs at most; sobol has no limit"
             )
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The parameters, in the order of values."""
+        """Names of the parameters, in the order of `values`."""
         return tuple(name for names, _ in self.groups for name in names)
 
     @property
     def block(self) -> int:
-        """The number of runs that are of use together alone: of a base sample of Saltelli's plan."""
+        """Number of runs that belong together: those of a base sample in Saltelli's design, else 1."""
         return len(self.groups) + 2 if self.sampling == "saltelli" else 1
 
     @property
     def grid(self) -> list[tuple[float, ...]]:
-        """The values of each parameter of a full grid."""
+        """Values of each parameter of a full grid."""
         found = []
         for names, distribution in self.groups:
             levels = distribution.levels if isinstance(distribution, Distribution) else ()
@@ -117,7 +120,7 @@ class Samples:
             places = np.unravel_index(np.arange(first, last), [len(each) for each in self.grid])
             columns = [np.array(numbers)[k] for numbers, k in zip(self.grid, places, strict=True)]
             return np.stack(columns, axis=1)
-        u = np.clip(self._shares(first, last), EDGE, 1.0 - EDGE)
+        u = np.clip(self._shares(first, last), MIN_PROBABILITY, 1.0 - MIN_PROBABILITY)
         parts, start = [], 0
         for names, distribution in self.groups:
             own = u[:, start : start + len(names)]
@@ -129,11 +132,11 @@ class Samples:
         return np.concatenate(parts, axis=1)
 
     def digest(self, runs: int) -> str:
-        """Hash values of the first runs, of so many: other packages may draw others by the same seed."""
-        return sha256(self.values(0, min(runs, DIGESTED)).tobytes()).hexdigest()[:16]
+        """Hash the values of the first runs: other versions of packages may draw other values for a seed."""
+        return sha256(self.values(0, min(runs, HASHED_RUNS)).tobytes()).hexdigest()[:16]
 
     def _shares(self, first: int, last: int) -> Array:
-        """Return shares between 0 and 1 (last - first, parameters)."""
+        """Return probabilities between 0 and 1 (last - first, parameters)."""
         count, size = last - first, len(self.names)
         if self.sampling == "random":
             blocks = -(-size // 4)  # a step of Philox's counter gives four numbers
@@ -143,13 +146,14 @@ class Samples:
             return _sobol(size, self.seed, 32, first, last)
         if self.sampling == "saltelli":
             return self._saltelli(first, last)
-        with MAKING:
+        with DESIGN_LOCK:
             return _latin_hypercube(size, self.runs, self.seed)[first:last]
 
     def _saltelli(self, first: int, last: int) -> Array:
-        """Return shares of Saltelli's plan: of a base sample A, A with each parameter of B in turn, and B.
+        """Return probabilities of Saltelli's design: for each base sample A, A with one parameter of B, and
+        B.
 
-        Those that are correlated are one parameter (A. Saltelli, Computer Physics Communications 145, 2002).
+        Correlated parameters count as one (A. Saltelli, Computer Physics Communications 145, 2002).
         """
         block, size = self.block, len(self.names)
         base = first // block
@@ -160,46 +164,56 @@ class Samples:
         return rows[first - base * block : last - base * block]
 
 
-HERE = threading.local()
-"""The Sobol sequence of a thread."""
+THREAD_SEQUENCE = threading.local()
+"""Sobol sequence of each thread."""
 
 
 def _sobol(size: int, seed: int, bits: int, first: int, last: int) -> Array:
     """Return points (last - first, size) of a scrambled Sobol sequence.
 
-    SciPy passes all points before: each thread goes on where it was, as tasks come in their order.
+    SciPy must generate all earlier points. Therefore each thread keeps its sequence: tasks come in ascending
+    order.
     """
     from scipy.stats import qmc
 
     key = size, seed, bits
-    if getattr(HERE, "key", None) != key or HERE.sequence.num_generated > first:
-        HERE.key, HERE.sequence = key, qmc.Sobol(size, scramble=True, bits=bits, seed=seed)
-    sequence, count = HERE.sequence, last - first
+    if getattr(THREAD_SEQUENCE, "key", None) != key or THREAD_SEQUENCE.sequence.num_generated > first:
+        THREAD_SEQUENCE.key, THREAD_SEQUENCE.sequence = (
+            key,
+            qmc.Sobol(size, scramble=True, bits=bits, seed=seed),
+        )
+    sequence, count = THREAD_SEQUENCE.sequence, last - first
     if sequence.num_generated < first:
         sequence.fast_forward(first - sequence.num_generated)
-    # SciPy warns of first points whose number is no power of 2
+    # SciPy warns if the number of first points is not a power of 2
     drawn = count if first else 1 << (count - 1).bit_length()
     return np.asarray(sequence.random(drawn)[:count])
 
 
-MAKING = threading.Lock()
-"""Held while a design is made, so that threads share one."""
+DESIGN_LOCK = threading.Lock()
+"""Lock during the generation of a Latin hypercube, so that threads share one."""
 
 
 @lru_cache(maxsize=1)
 def _latin_hypercube(size: int, runs: int, seed: int) -> Array:
-    """Make all shares (runs, size), kept for the chunks that follow."""
+    """Generate all probabilities (runs, size), cached for the following chunks."""
     from scipy.stats import qmc
 
     return np.asarray(qmc.LatinHypercube(size, seed=seed).random(runs))
 
 
-def samples_of(vary: Vary, sampling: SamplingName, runs: int | None, seed: int) -> Samples:
-    """Return the samples of a sweep; `runs` may be None for a full grid, which has as many as it has.
+def samples_of(vary: Vary, sampling: SamplingName, runs: int | None, seed: int) -> SweepSamples:
+    """Make the samples of a sweep.
+
+    Args:
+        vary: distributions by parameter.
+        sampling: see `SamplingName`.
+        runs: number of runs; None for a full grid, whose size follows from its values.
+        seed: seed of all random numbers.
 
     Raises:
-        CrosscheckError: for nothing that varies, a parameter that varies twice, an empty distribution, and
-            numbers of runs that a plan cannot have.
+        CrosscheckError: for no parameter, a parameter that varies twice, an invalid distribution, and an
+            invalid number of runs.
     """
     check_choice("sampling", sampling, SAMPLINGS)
     runs = int(runs) if isinstance(runs, np.integer) else runs
@@ -217,13 +231,13 @@ def samples_of(vary: Vary, sampling: SamplingName, runs: int | None, seed: int) 
         if times > 1:
             raise CrosscheckError(f"{name} varies twice; name it once")
     if sampling == "grid":
-        size = prod(len(numbers) for numbers in Samples(tuple(groups), "grid", 1, 0).grid)
+        size = prod(len(numbers) for numbers in SweepSamples(tuple(groups), "grid", 1, 0).grid)
         if runs not in (None, size):
             raise CrosscheckError(f"the grid has {size} runs, not {runs}; leave the number of runs out")
         runs = size
     if runs is None:
         raise CrosscheckError(f"sampling {sampling} needs a number of runs (--runs N)")
-    return Samples(tuple(groups), sampling, runs, seed)
+    return SweepSamples(tuple(groups), sampling, runs, seed)
 
 
 def _distribution(names: tuple[str, ...], given: object) -> Distribution | Correlated:

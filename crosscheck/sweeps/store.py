@@ -1,10 +1,12 @@
-"""Results of sweeps on disk or in memory, in Zarr's format: written by chunks, read as an xarray Dataset.
+"""SweepResults of sweeps on disk or in memory, in Zarr's format: written by chunks, read as an xarray
+Dataset.
 
-A chunk counts when the status of its runs is there, which is written after all else; Zarr writes each file
-beside its place. So a sweep may be killed anywhere, and what is not there is made again.
+The status of the runs of a chunk is written last, and Zarr renames each file into place when it is complete.
+A sweep
+can therefore be killed at any time: runs without a status are repeated.
 
-Every chunk ends with a checksum, which is compared whenever the chunk is read. Runs with a damaged chunk are
-made again when the sweep resumes.
+Every chunk ends with a checksum, which is verified whenever the chunk is read. If a chunk is damaged, its
+runs are repeated when the sweep resumes.
 """
 
 from __future__ import annotations
@@ -23,37 +25,44 @@ import numpy as np
 
 from crosscheck.support.errors import CrosscheckError, short_of_memory
 from crosscheck.support.files import remove_abandoned
-from crosscheck.sweeps.plan import CONDITIONS, DONE, STOPPED, Chunk, Plan, make_runs
-from crosscheck.sweeps.sampling import EXTENDED, UNEXTENDED
+from crosscheck.sweeps.plan import (
+    CONDITION_DIFFERENCES,
+    RUN_COMPLETED,
+    RUN_FAILED,
+    Chunk,
+    SweepPlan,
+    make_runs,
+)
+from crosscheck.sweeps.sampling import EXTENSIBLE_SAMPLINGS, NOT_EXTENSIBLE_REASONS
 from crosscheck.sweeps.store_files import PARTIAL, check_files, chunk_file, stored_chunks
 from newton_euler.folders import make_folder
 from newton_euler.optional_packages import optional_package
 from newton_euler.runs.variation import units_of
 from newton_euler.scalars import Array
 
-NAME = "sweep.zarr"
+STORE_NAME = "sweep.zarr"
 
 STATUS, ERROR = "status", "error"
-"""Variables beside those that vary and those that are kept."""
+"""Names of the variables for the status and the error of each run."""
 
-BLOCK = 2**20
-"""Runs whose status is read at a time."""
+STATUS_RUNS = 2**20
+"""Number of runs whose status is read at a time."""
 
 SWEEP = "sweep"
-"""The extra of this distribution that installs what sweeps need."""
+"""Name of the extra that installs the packages of sweeps."""
 
-OF_TASKS = "tasks"
-"""Attribute by which tasks know the store that they are for: one of a worker that outlives its client does
-not write into another store that has taken the place, nor into one to which runs were added."""
+STORE_ID = "tasks"
+"""Attribute with a random identifier of a store. A worker that outlives its client thereby does not write
+into a later store at the same path, or into a store to which runs were added."""
 
-FREE = ("chunk", "versions", "numbers", OF_TASKS)
-"""Attributes that are not compared: of packages samples are, and of scenes fingerprints."""
+NOT_COMPARED = ("chunk", "versions", "numbers", STORE_ID)
+"""Attributes that are not compared with a plan; samples and fingerprints stand for packages and numbers."""
 
-ELSEWHERE = "name another folder (--output), or remove this one"
+CHOOSE_ANOTHER_FOLDER = "name another folder (--output), or remove this one"
 
-GOES_ON = "the same command goes on from there"
+REPEAT_COMMAND = "repeat the command to resume"
 
-KEPT_GOES_ON = f"what is stored is kept, {GOES_ON}"
+KEPT_REPEAT_COMMAND = f"stored runs are kept, {REPEAT_COMMAND}"
 
 
 def libraries() -> tuple[Any, Any]:
@@ -66,19 +75,19 @@ def libraries() -> tuple[Any, Any]:
 
 
 class Store:
-    """Results of a sweep.
+    """SweepResults of a sweep.
 
     Attributes:
-        group: of Zarr.
-        path: of its folder; None in memory.
+        group: the Zarr group.
+        path: folder of the store; None in memory.
     """
 
     def __init__(self, group: Any, path: Path | None) -> None:
         self.group, self.path = group, path
 
     @classmethod
-    def in_memory(cls, plan: Plan) -> Store:
-        """Make a store that is lost with the process."""
+    def in_memory(cls, plan: SweepPlan) -> Store:
+        """Make a store in memory."""
         _, zarr = libraries()
         store = cls(zarr.create_group(zarr.storage.MemoryStore()), None)
         store._create(plan, {})
@@ -86,7 +95,7 @@ class Store:
 
     @classmethod
     def at(cls, path: Path) -> Store:
-        """Open a store that is there, whose files have been checked.
+        """Open an existing store, whose files have been checked.
 
         Raises:
             CrosscheckError: for a folder that holds no sweep.
@@ -102,20 +111,22 @@ class Store:
 
     @classmethod
     def checked(cls, path: Path) -> Store:
-        """Open a store that is there, after its files were checked.
+        """Check the files of an existing store, and open it.
 
         Raises:
-            CrosscheckError: for a folder that holds no sweep, or other files than those of a sweep.
+            CrosscheckError: for a folder that holds no sweep, or files that do not belong to a sweep.
         """
         try:
             check_files(path)
         except CrosscheckError as error:
-            raise CrosscheckError(f"{path} holds no sweep of this version: {error}; {ELSEWHERE}") from error
+            raise CrosscheckError(
+                f"{path} holds no sweep of this version: {error}; {CHOOSE_ANOTHER_FOLDER}"
+            ) from error
         return cls.at(path)
 
     @classmethod
-    def make(cls, plan: Plan, path: Path) -> Store:
-        """Make a store on disk; it appears whole or not at all.
+    def make(cls, plan: SweepPlan, path: Path) -> Store:
+        """Make a store on disk. The store appears completely or not at all.
 
         Raises:
             CrosscheckError: naming the path that cannot be written.
@@ -127,14 +138,14 @@ class Store:
         try:
             with told(path):
                 make_folder(path.parent)
-                cls(zarr.create_group(made), made)._create(plan, record | {OF_TASKS: os.urandom(8).hex()})
+                cls(zarr.create_group(made), made)._create(plan, record | {STORE_ID: os.urandom(8).hex()})
                 made.rename(path)
         finally:
             shutil.rmtree(made, ignore_errors=True)
         return cls.at(path)
 
-    def _create(self, plan: Plan, attributes: Mapping[str, Any]) -> None:
-        """Make all variables, without values, and the names along their dimensions."""
+    def _create(self, plan: SweepPlan, attributes: Mapping[str, Any]) -> None:
+        """Create all variables without values, and the labels of their dimensions."""
         from zarr.codecs import Crc32cCodec
 
         self.group.update_attributes(dict(attributes))
@@ -161,27 +172,30 @@ class Store:
         for dimension, values in _coordinates(plan).items():
             kind, unit = (str, "") if values.dtype.kind == "O" else ("f8", "s")
             make(dimension, kind, {dimension: len(values)}, unit)[:] = values
-        make(ERROR, str, of_runs, about="why a run could not go on")
-        about = f"{DONE}: to its end, {STOPPED}: could not go on, 0: not made yet"
+        make(ERROR, str, of_runs, about="reason of a failed run")
+        about = f"{RUN_COMPLETED}: completed, {RUN_FAILED}: failed, 0: not executed yet"
         make(STATUS, "u1", of_runs, about=about)
 
-    def resumed(self, plan: Plan) -> Plan:
-        """Return the plan with the chunks of the store, to which runs are added if the plan has more.
+    def resumed(self, plan: SweepPlan) -> SweepPlan:
+        """Prepare the store for a plan, which may have more runs than the store.
+
+        Returns:
+            The plan with the chunk size of the store.
 
         Raises:
-            CrosscheckError: if the store is of another scene or plan.
+            CrosscheckError: if the store belongs to another scene or plan.
         """
         own, record, runs = dict(self.group.attrs), plan.record(), plan.samples.runs
-        if (more := own["runs"] < runs) and plan.samples.sampling in EXTENDED:
+        if (more := own["runs"] < runs) and plan.samples.sampling in EXTENSIBLE_SAMPLINGS:
             record |= {"runs": own["runs"], "samples": plan.samples.digest(own["runs"])}
         if what := _difference(own, record):
-            raise CrosscheckError(f"{self.path} holds a sweep of {what}; {ELSEWHERE}")
+            raise CrosscheckError(f"{self.path} holds a sweep of {what}; {CHOOSE_ANOTHER_FOLDER}")
         with intact(self.path), told(self.path):
             remove_abandoned(self.path.rglob(f"*{PARTIAL}") if self.path else ())
             if more:
-                new = {"runs": runs, "samples": plan.samples.digest(runs), OF_TASKS: os.urandom(8).hex()}
+                new = {"runs": runs, "samples": plan.samples.digest(runs), STORE_ID: os.urandom(8).hex()}
                 self.group.update_attributes(new)
-            # after that, and looked at each time: a process that is killed here is called with as many again
+            # arrays are resized last and checked each time, since a process can be killed in between
             for _, array in self.group.arrays():
                 if array.metadata.dimension_names[0] == "run" and array.shape[0] < runs:
                     array.resize((runs, *array.shape[1:]))
@@ -189,8 +203,8 @@ class Store:
             self._check_metadata(resumed)
         return resumed
 
-    def _check_metadata(self, plan: Plan) -> None:
-        """Raise `ValueError` for variables that are not described as those of a new store of the plan."""
+    def _check_metadata(self, plan: SweepPlan) -> None:
+        """Raise `ValueError` if the metadata of a variable differ from those of a new store of the plan."""
         own, new = (dict(group.arrays()) for group in (self.group, Store.in_memory(plan).group))
         for name in {**new, **own}:
             if name not in own:
@@ -202,11 +216,11 @@ class Store:
                 problem = f"{name}: {field} is {have.get(field)!s:.60}"
                 raise ValueError(f"{problem}; needed: {needed.get(field)!s:.60}")
 
-    def discard_damaged(self, plan: Plan) -> list[str]:
-        """Mark runs whose chunks are damaged or lost as not made, so that they are made again.
+    def discard_damaged(self, plan: SweepPlan) -> list[str]:
+        """Mark runs with damaged or lost chunks as not executed, so that they are repeated.
 
         Returns:
-            A line for each file: its path, its runs and what is done.
+            A line for each file with its path and its runs.
         """
         if self.path is None:
             return []
@@ -222,7 +236,7 @@ class Store:
             made, stopped = set[int](), set[int]()
             for start, status in self._statuses(plan):
                 chunks = np.arange(0, len(status), plan.chunk)
-                for marked, found in ((status != 0, made), (status == STOPPED, stopped)):
+                for marked, found in ((status != 0, made), (status == RUN_FAILED, stopped)):
                     of_chunks = np.logical_or.reduceat(marked, chunks)
                     found.update(((start + chunks[of_chunks]) // plan.chunk).tolist())
             for name in (*plan.samples.names, *(each.name for each in plan.kept), ERROR):
@@ -235,25 +249,26 @@ class Store:
         return lines
 
     def _discard(self, name: str, numbers: Iterable[int]) -> Iterator[int]:
-        """Remove the files of damaged chunks of a variable: part of a chunk cannot be written into them."""
+        """Remove the files of damaged chunks, since Zarr cannot write a part of a chunk into a damaged
+        file."""
         assert self.path is not None
         for number in numbers:
             chunk_file(self.path / name, number, self.group[name].ndim).unlink(missing_ok=True)
             yield number
 
-    def _line(self, name: str, number: int, plan: Plan) -> str:
+    def _line(self, name: str, number: int, plan: SweepPlan) -> str:
         assert self.path is not None
         first, last = number * plan.chunk, min((number + 1) * plan.chunk, plan.samples.runs) - 1
         file = chunk_file(self.path / name, number, self.group[name].ndim)
-        return f"{file} was damaged or lost: runs {first} to {last} are made again"
+        return f"{file} was damaged or lost: runs {first} to {last} are repeated"
 
-    def missing(self, plan: Plan) -> list[tuple[int, int]]:
-        """Return the runs that are not there: of each chunk the first of them and the first after them.
+    def missing(self, plan: SweepPlan) -> list[tuple[int, int]]:
+        """Return the ranges of runs that are not stored, as first number and last number plus one.
 
-        They are at its end, of the last chunk of a sweep to which runs were added.
+        There is at most one range per chunk, at its end.
 
         Raises:
-            CrosscheckError: for files that are damaged.
+            CrosscheckError: for damaged files.
         """
         runs, left = plan.samples.runs, list[tuple[int, int]]()
         with intact(self.path, STATUS):
@@ -266,26 +281,27 @@ class Store:
                 left += zip(firsts[some].tolist(), lasts[some].tolist(), strict=True)
         return left
 
-    def _statuses(self, plan: Plan) -> Iterator[tuple[int, Array]]:
-        """Yield the status of all runs in parts of whole chunks, each with the number of its first run."""
-        step = max(1, BLOCK // plan.chunk) * plan.chunk
+    def _statuses(self, plan: SweepPlan) -> Iterator[tuple[int, Array]]:
+        """Yield the status of all runs in parts of whole chunks, with the number of the first run of each
+        part."""
+        step = max(1, STATUS_RUNS // plan.chunk) * plan.chunk
         for start in range(0, plan.samples.runs, step):
             yield start, self.group[STATUS][start : start + step]
 
     def progress(self) -> str:
-        """Word how many of all runs are there.
+        """Report how many runs are stored.
 
         Raises:
-            CrosscheckError: for files that are damaged.
+            CrosscheckError: for damaged files.
         """
         with intact(self.path, STATUS):
             status = self.group[STATUS]
-            starts = range(0, status.shape[0], BLOCK)
-            there = sum(int(np.count_nonzero(status[start : start + BLOCK])) for start in starts)
+            starts = range(0, status.shape[0], STATUS_RUNS)
+            there = sum(int(np.count_nonzero(status[start : start + STATUS_RUNS])) for start in starts)
         return f"{there:,} of {status.shape[0]:,} runs"
 
     def write(self, first: int, chunk: Chunk) -> None:
-        """Write consecutive runs, their status last.
+        """Write consecutive runs, and then their status.
 
         Raises:
             CrosscheckError: naming the path that cannot be written.
@@ -293,37 +309,37 @@ class Store:
         last, stopped = first + len(chunk.errors), chunk.errors != ""
         with intact(self.path), told(self.path):
             for name, values in chunk.values.items():
-                # also where all are not a number: a chunk without a file counts as lost
+                # chunks of NaN are written too, since a chunk without a file counts as lost
                 self.group[name].with_config({"write_empty_chunks": True})[first:last] = values
             if stopped.any():
                 self.group[ERROR][first:last] = chunk.errors
-            self.group[STATUS][first:last] = np.where(stopped, STOPPED, DONE).astype("u1")
+            self.group[STATUS][first:last] = np.where(stopped, RUN_FAILED, RUN_COMPLETED).astype("u1")
 
     def dataset(self) -> Any:
-        """Return an xarray Dataset of all that is there; variables are read when they are used."""
+        """Return an xarray Dataset of all variables, which are read on access."""
         xarray, _ = libraries()
         with intact(self.path):
             return xarray.open_zarr(self.group.store, consolidated=False, chunks=None)
 
 
-def _coordinates(plan: Plan) -> dict[str, Any]:
-    """The names or times along the dimensions of what is kept."""
+def _coordinates(plan: SweepPlan) -> dict[str, Any]:
+    """Return the labels (names or times) of the dimensions of kept outputs."""
     found = {name: along for each in plan.kept for name, along in each.dimensions.items()}
     return {name: along if along.dtype.kind == "f" else along.astype(object) for name, along in found.items()}
 
 
 def _unreadable(array: Any, first: int, last: int) -> list[int]:
-    """The numbers of the chunks, from the first to before the last, whose files cannot be read.
+    """Return the numbers of the chunks in a range whose files cannot be read.
 
-    Many chunks are read together, and halved where that fails.
+    Many chunks are read together; if that fails, the range is bisected.
     """
     chunk = array.chunks[0]
-    if last - first > max(1, BLOCK // (chunk * prod(array.shape[1:]))):
+    if last - first > max(1, STATUS_RUNS // (chunk * prod(array.shape[1:]))):
         middle = (first + last) // 2
         return [*_unreadable(array, first, middle), *_unreadable(array, middle, last)]
     try:
         array[first * chunk : last * chunk]
-    except Exception as error:  # whatever codecs make of damaged bytes
+    except Exception as error:  # codecs raise many kinds of errors for damaged bytes
         if short_of_memory(error):
             raise
         if last - first == 1:
@@ -334,17 +350,18 @@ def _unreadable(array: Any, first: int, last: int) -> list[int]:
 
 
 def _difference(own: Mapping[str, Any], record: Mapping[str, Any]) -> str:
-    """Word the first difference of a store's attributes from the record of a plan; empty without one."""
-    follows = {*record} - {*CONDITIONS} | {"samples"}  # other versions have other fingerprints and plans
+    """Describe the first difference between a store's attributes and the record of a plan; empty if none."""
+    # other versions of packages also change fingerprints and plans, so that conditions are compared first
+    follows = {*record} - {*CONDITION_DIFFERENCES} | {"samples"}
     for name in sorted(_changed(own, record), key=follows.__contains__):
-        if name in CONDITIONS:
-            return CONDITIONS[name].rstrip(",")
+        if name in CONDITION_DIFFERENCES:
+            return CONDITION_DIFFERENCES[name].rstrip(",")
         if name == "fingerprint":
             old, new = (json.loads(each.get("numbers", "{}")) for each in (own, record))
             changes = [_change(number, old, new) for number in _changed(old, new)]
             return f"another scene: {next(iter(changes), 'its start or structure differs')}"
-        if name not in FREE:
-            why = UNEXTENDED.get((record["sampling"], name.partition(" ")[0]), "")
+        if name not in NOT_COMPARED:
+            why = NOT_EXTENSIBLE_REASONS.get((record["sampling"], name.partition(" ")[0]), "")
             return f"another plan: {_change(name, own, record)}{why}"
     return ""
 
@@ -354,7 +371,7 @@ def _changed(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
 
 
 def _change(name: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
-    """Word a part of a plan or a scene that differs: its name, what it was and what it is."""
+    """Describe a changed entry by its name, old value and new value."""
     was, is_ = (
         f"{value:g}" if isinstance(value, float) else f"{value!s:.200}"
         for value in (old.get(name, "not given"), new.get(name, "not given"))
@@ -364,8 +381,13 @@ def _change(name: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
 
 @contextmanager
 def intact(path: Path | None, name: str = "") -> Iterator[None]:
-    """A block in which files of a store that are damaged are one line; `name` is a variable to be read."""
-    what_to_do = f"the same command makes its runs again; otherwise {ELSEWHERE}" if name else ELSEWHERE
+    """Convert errors of damaged files of a store into `CrosscheckError`; `name` is the variable that is
+    read."""
+    what_to_do = (
+        f"repeat the command to execute its runs again, or {CHOOSE_ANOTHER_FOLDER}"
+        if name
+        else CHOOSE_ANOTHER_FOLDER
+    )
     try:
         yield
     except (OSError, RuntimeError, ValueError, KeyError) as error:
@@ -377,41 +399,45 @@ def intact(path: Path | None, name: str = "") -> Iterator[None]:
 
 @contextmanager
 def told(path: Path | None) -> Iterator[None]:
-    """A block in which a disk that is full, or cannot be written, is one line."""
+    """Convert errors of a full or read-only disk into `CrosscheckError`."""
     try:
         yield
     except OSError as error:
         reason = error.strerror or str(error)
-        raise CrosscheckError(f"cannot write {path}: {reason}; {KEPT_GOES_ON}") from error
+        raise CrosscheckError(f"cannot write {path}: {reason}; {KEPT_REPEAT_COMMAND}") from error
 
 
 @contextmanager
 def interruptible(path: Path) -> Iterator[None]:
-    """A block whose interrupt says how many runs are in the store at a path, if it is there."""
+    """Add the number of stored runs to a `KeyboardInterrupt`, if the store at the path exists."""
     try:
         yield
     except KeyboardInterrupt:
         if not path.exists():
             raise
-        raise KeyboardInterrupt(f"{Store.checked(path).progress()} are stored, {GOES_ON}") from None
+        raise KeyboardInterrupt(f"{Store.checked(path).progress()} are stored, {REPEAT_COMMAND}") from None
 
 
 def check_finished(folder: Path) -> None:
-    """Raise `CrosscheckError` for a folder with a sweep alone that did not come to its tables."""
-    if (folder / NAME).is_dir() and not any(folder.glob("*.json")):
-        there = Store.checked(folder / NAME).progress()
-        raise CrosscheckError(f"{folder} holds an unfinished sweep, {there}; {GOES_ON}")
+    """Raise `CrosscheckError` for a folder with an unfinished sweep."""
+    if (folder / STORE_NAME).is_dir() and not any(folder.glob("*.json")):
+        there = Store.checked(folder / STORE_NAME).progress()
+        raise CrosscheckError(f"{folder} holds an unfinished sweep, {there}; {REPEAT_COMMAND}")
 
 
-def store_runs(plan: Plan, path: Path, tasks: str | None, runs: tuple[int, int]) -> None:
-    """Make the runs from the first to before the second number, and write them where they are made.
+def store_runs(plan: SweepPlan, path: Path, tasks: str | None, runs: tuple[int, int]) -> None:
+    """Execute a range of runs and write them into the store at a path, unless another store has replaced it.
 
-    If the store there is that of the tasks by then.
+    Args:
+        plan: the plan.
+        path: path of the store.
+        tasks: identifier of the store.
+        runs: number of the first run, and one more than the number of the last run.
 
     Raises:
-        CrosscheckError: naming the path that cannot be written, and for a scene that cannot be run.
+        CrosscheckError: naming a path that cannot be written, and for a scene that cannot be simulated.
     """
     chunk = make_runs(plan, runs)
     store = Store.at(path)
-    if store.group.attrs.get(OF_TASKS) == tasks:
+    if store.group.attrs.get(STORE_ID) == tasks:
         store.write(runs[0], chunk)

@@ -1,7 +1,7 @@
-"""Files of a sweep's store: their lock, and what is checked of them before Zarr opens any.
+"""Files of a sweep's store: checks before Zarr opens them, and a lock.
 
-A store may come from anybody. Zarr would wait at a pipe for ever, and would read a link to a device until the
-memory is full.
+A store may come from an untrusted source. Zarr would wait forever for a named pipe, and would read a link to
+a device until the memory is full.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from newton_euler.limits import size_in_bytes
 METADATA = "zarr.json"
 
 CHUNKS = "c"
-"""Folder of an array's chunks, each by its number."""
+"""Name of the folder with the numbered chunks of an array."""
 
 CODECS = {
     "float64": ["bytes", "crc32c"],
     "uint8": ["bytes", "crc32c"],
     "string": ["vlen-utf8", "crc32c"],
 }
-"""Names of the codecs by the type of an array. The last one is a checksum, which finds every error within 32
-neighboring bits."""
+"""Names of the codecs by data type. The last one is a checksum, which detects every error within 32 adjacent
+bits."""
 
 CHECKSUM_BYTES = 4
 
 ITEM_BYTES = {"float64": 8, "uint8": 1}
-"""Bytes of a number by the type of an array. Nothing is compressed, so that the size of a file is known."""
+"""Bytes of a number by data type. Files are not compressed, so that their sizes are known."""
 
 MAX_RUNS, MAX_CHUNK = 2**32, 2**16
-"""Runs of a sweep and of a chunk."""
+"""Largest numbers of runs of a sweep and of a chunk."""
 
 PARTIAL = ".partial"
-"""Ending of files that Zarr has not finished, where a process was killed."""
+"""Ending of incomplete files that Zarr leaves if a process is killed."""
 
 Name = Annotated[str, StringConstraints(max_length=1000)]
 
@@ -54,7 +54,7 @@ class _Strict(BaseModel):
 
 
 class _Attributes(BaseModel):
-    """Attributes of a sweep: its plan, as texts and numbers."""
+    """Attributes of a sweep: the plan as texts and numbers."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, str | int | float]
@@ -106,10 +106,10 @@ class _Array(_Strict):
 
 
 def check_files(path: Path) -> None:
-    """Check the folder of a store: regular files alone, of the metadata and the sizes that a sweep has.
+    """Check the folder of a store: it contains only regular files with the metadata and sizes of a sweep.
 
     Raises:
-        CrosscheckError: naming the file.
+        CrosscheckError: naming the first file that fails a check.
     """
     _check_entry(path)
     group = read_json(path / METADATA, _Group)
@@ -129,7 +129,7 @@ def check_files(path: Path) -> None:
 
 
 def _check_array(file: Path, array: _Array, sweep: _Attributes) -> None:
-    """Check what concerns several fields of an array."""
+    """Check the consistency of the fields of an array's metadata."""
     codecs, needed_codecs = [codec.name for codec in array.codecs], CODECS[array.data_type]
     if codecs != needed_codecs:
         names, needed = ", ".join(codecs), ", ".join(needed_codecs)
@@ -143,7 +143,7 @@ def _check_array(file: Path, array: _Array, sweep: _Attributes) -> None:
 
 
 def _most_bytes(array: _Array) -> int:
-    """The bytes of a chunk: exactly of numbers, the largest of texts."""
+    """Return the largest size of a chunk in bytes; for numbers this is the exact size."""
     if array.data_type not in ITEM_BYTES:
         return size_in_bytes("array_size")
     numbers = math.prod(array.chunk_grid.configuration.chunk_shape)
@@ -151,7 +151,7 @@ def _most_bytes(array: _Array) -> int:
 
 
 def _entries(folder: Path) -> list[Path]:
-    """The entries of a folder, each checked to be a regular file or a folder."""
+    """Return the entries of a folder, and check that each is a regular file or a folder."""
     try:
         entries = sorted(folder.iterdir())
     except OSError as error:
@@ -181,12 +181,12 @@ def _check_entry(path: Path) -> None:
 
 
 def chunk_file(folder: Path, number: int, dimensions: int) -> Path:
-    """The file of a chunk of runs of an array, which is whole along all other dimensions."""
+    """Return the file of a chunk of runs; arrays are chunked along the runs only."""
     return folder.joinpath(CHUNKS, str(number), *["0"] * (dimensions - 1))
 
 
 def stored_chunks(folder: Path, dimensions: int) -> set[int]:
-    """The numbers of the chunks of runs of an array that have a file."""
+    """Return the numbers of the chunks of runs of an array that have a file."""
     try:
         names = os.listdir(folder / CHUNKS)
     except FileNotFoundError:
@@ -197,12 +197,13 @@ def stored_chunks(folder: Path, dimensions: int) -> set[int]:
 
 @contextmanager
 def locked(path: Path | None) -> Iterator[None]:
-    """A block in which no other process works at a store; the lock ends with the process, if it is killed.
+    """Lock a store against other processes. The operating system removes the lock if the process is killed.
 
-    Two with other numbers of runs would write the chunk at the end of one of them over each other.
+    Without a lock, two processes with different numbers of runs would overwrite each other's last chunk.
 
     Raises:
-        CrosscheckError: if another process does, naming a path that cannot be written or is a link.
+        CrosscheckError: if another process has the lock, and naming a path that cannot be written or is a
+            link.
     """
     if path is None:
         yield
@@ -217,8 +218,8 @@ def locked(path: Path | None) -> Iterator[None]:
                 raise CrosscheckError(f"cannot write {lock}: not a regular file")
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            what_to_do = "wait for its end, or name another folder (--output)"
-            raise CrosscheckError(f"another process works at {path}; {what_to_do}") from error
+            what_to_do = "wait until it has finished, or name another folder (--output)"
+            raise CrosscheckError(f"another process uses {path}; {what_to_do}") from error
         except OSError as error:
             is_link = os.path.islink(lock)
             reason = "a link, remove it" if is_link else error.strerror or error

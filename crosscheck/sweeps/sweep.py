@@ -1,4 +1,4 @@
-"""Sweeps from Python: `crosscheck.sweep(scene, vary, runs, keep)` and what it found."""
+"""Sweeps from Python: `crosscheck.sweep(scene, vary, runs, keep)`, and its result, a `Sweep`."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from crosscheck.report.run import moved_start_lines
 from crosscheck.report.table import Report
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import path_of
-from crosscheck.sweeps.analysis import scalars, telling
-from crosscheck.sweeps.checks import Checked, check_runs, chosen, default_count
+from crosscheck.sweeps.analysis import most_informative, scalars
+from crosscheck.sweeps.checks import CheckedRun, check_runs, chosen, default_count
 from crosscheck.sweeps.distributions import Vary
 from crosscheck.sweeps.execute import workers
-from crosscheck.sweeps.plan import Plan
+from crosscheck.sweeps.plan import SweepPlan
 from crosscheck.sweeps.reductions import Keep, reductions
 from crosscheck.sweeps.report import Findings, findings, report, to_record, write
-from crosscheck.sweeps.results import Results, check_names, results_of
+from crosscheck.sweeps.results import SweepResults, check_names, results_of
 from crosscheck.sweeps.sampling import SamplingName, samples_of
 from crosscheck.sweeps.store import libraries
 from newton_euler.arguments import checked
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 
 class Execution(StepControl, total=False):
-    """Options of `sweep`: a method and its steps, as of `newton_euler.simulate`, and where it runs."""
+    """Options of `sweep`: integrator and steps as of `newton_euler.simulate`, and where the runs execute."""
 
     integrator: IntegratorName
     threads: int | None
@@ -55,35 +55,39 @@ class Execution(StepControl, total=False):
     progress: Callable[[str], None]
 
 
-ATOL = 0.01
-"""Absolute tolerance of steps by the relative one unless told otherwise, SI, as `newton_euler` has it."""
+ATOL_PER_RTOL = 0.01
+"""Default ratio of the absolute (SI) and the relative tolerance, the same as in `newton_euler`."""
 
 
 def _control(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return all that is chosen of a method and its steps, whoever left what to defaults."""
+    """Return the complete integrator settings, with default values of settings that are not given."""
     method = given.get("integrator", Options.integrator)
     steps = cast(StepControl, {name: value for name, value in given.items() if name != "integrator"})
     options = Options.of(method, steps)
     chosen = {"integrator": method, "step": options.step, "most_steps": options.most_steps}
     if options.step is None:
-        chosen |= {"rtol": options.rtol, "atol": given.get("atol", ATOL * options.rtol), "rest": options.rest}
-    # numbers of Python, which the record of a sweep is made of
+        chosen |= {
+            "rtol": options.rtol,
+            "atol": given.get("atol", ATOL_PER_RTOL * options.rtol),
+            "rest": options.rest,
+        }
+    # Python numbers, since the record of a sweep is JSON
     return {name: np.asarray(value).item() for name, value in chosen.items() if value}
 
 
 def _quiet(stage: str) -> None:
-    """Tell nobody."""
+    """Ignore progress."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """The results of a sweep.
+    """Result of a sweep.
 
     Attributes:
-        results: its plan, its runs, and where they are.
-        checks: runs of it that all engines made.
-        options: of the scene or the file, as they were set or taken.
-        mapping: what became of the elements of a model file; None for a scene of this package's own.
+        results: plan, runs, and their store.
+        checks: runs that were cross-checked.
+        options: options of the scene or model file.
+        mapping: import report of a model file; None for other scenes.
 
     Examples:
         >>> swept = sweep("pendulum", {"dumbbell.mass": "normal(1, 0.1)"}, 100, "peak:reaction_force")
@@ -95,8 +99,8 @@ class Sweep:
         True
     """
 
-    results: Results
-    checks: tuple[Checked, ...] = ()
+    results: SweepResults
+    checks: tuple[CheckedRun, ...] = ()
     options: Mapping[str, str] = field(default_factory=dict)
     mapping: ImportReport | None = None
 
@@ -114,23 +118,23 @@ class Sweep:
 
     @property
     def dataset(self) -> Any:
-        """An xarray Dataset of what varied and what was kept, by runs; read from disk if it is there."""
+        """xarray Dataset of varied parameters and kept outputs by run; read from disk on access."""
         return self.results.dataset
 
     @cached_property
     def errors(self) -> Mapping[int, str]:
-        """Why runs could not go on, by their number."""
+        """Reasons of failed runs, by number of the run."""
         return dict(self.results.reasons())
 
     @cached_property
     def findings(self) -> Findings:
-        """Quantiles of what was kept, and shares of what varied in its variance."""
+        """Distributions of kept outputs, and the parameters that drive them."""
         start = start_lines(self.mapping, self.results.plan.scene)
         return findings(self.results, self.checks, self.options, start)
 
     @cached_property
     def report(self) -> Report:
-        """Tables of the findings."""
+        """Report with the tables of the findings."""
         return report(self.findings)
 
     @checked
@@ -140,31 +144,34 @@ class Sweep:
         engines: Sequence[str] = tuple(ENGINES),
         progress: Callable[[str], None] = _quiet,
     ) -> Sweep:
-        """Crosscheck some runs, extreme ones and others at random; returns the sweep with these checks.
+        """Cross-check some extreme runs and some random runs.
 
         Args:
-            runs: how many; one of 1,000 if not given, but 2 at least and 6 at most.
-            engines: names of those that make them.
-            progress: is told how far it is.
+            runs: number of runs; if None, one of 1,000, at least 2 and at most 6.
+            engines: names of the engines.
+            progress: called with the name of each stage.
+
+        Returns:
+            The sweep with these checks.
 
         Raises:
             CrosscheckError: for an unknown engine.
-            OptionError: for an impossible number of runs.
+            OptionError: for an invalid number of runs.
         """
         count = default_count(self.results.plan.samples.runs) if runs is None else runs
         if not is_count(count):
             raise OptionError("runs", runs, "a whole number, 1 or more")
         found = scalars(self.results)
-        picked = chosen(self.results, found, telling(found), count)
+        picked = chosen(self.results, found, most_informative(found), count)
         checked = check_runs(self.results, found, picked, choose(list(engines)), progress, self.mapping)
         return replace(self, checks=tuple(checked))
 
     @checked
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Write figures, pictures and the recording, as `crosscheck sweep --output FOLDER`.
+        """Write numbers, plots and the recording, as `crosscheck sweep --output FOLDER` does.
 
         Returns:
-            The files.
+            Paths of the files.
 
         Raises:
             CrosscheckError: naming a path that cannot be written.
@@ -172,22 +179,22 @@ class Sweep:
         return write(self.findings, self.report, path_of(folder))
 
     def show(self) -> None:
-        """Open the envelope and the extreme runs in the Rerun viewer, in a notebook below the cell.
+        """Show the envelope and the extreme runs in the Rerun viewer; in a notebook below the cell.
 
         Raises:
-            CrosscheckError: if none of these runs comes to its end.
+            CrosscheckError: if all these runs failed.
         """
         from crosscheck.recording.show import show
         from crosscheck.recording.sweep import log_sweep
 
         to_show = to_record(self.findings, self.report)
         if not to_show[1]:
-            raise CrosscheckError("no run to show came to its end")
+            raise CrosscheckError("nothing to show: the nominal run and the extreme runs failed")
         show(log_sweep, *to_show)
 
 
 def own_scene(model: Model, scene: Scene) -> Scene:
-    """Return a scene by the name of the file that it was loaded from, which may have another one inside."""
+    """Return the scene named after the file that it was loaded from; the name in the file may differ."""
     if isinstance(model, Scene) or not isinstance(model, str | os.PathLike):
         return scene
     return replace(scene, name=own_name(os.fspath(model)))
@@ -213,24 +220,24 @@ def sweep(
     output: str | os.PathLike[str] | None = None,
     **options: Unpack[Execution],
 ) -> Sweep:
-    """Run a scene many times with parameters from distributions, and keep chosen numbers of each run.
+    """Run a Monte Carlo or design-of-experiments study: vary parameters, and keep outputs of each run.
 
     Args:
         scene: as of `check`; files are excited like there.
-        vary: distributions by the names of parameters, see `newton_euler.equations.parameters`: texts such as
-            "normal(14, 0.5)", or numbers, one as likely as the other.
-        runs: their number; None for all combinations of a grid.
-        keep: reductions, as "peak:reaction_force, final:panel_7.quaternion".
+        vary: distributions by parameter name, see `newton_euler.equations.parameters`: texts such as
+            "normal(14, 0.5)", or a list of equally likely numbers.
+        runs: number of runs; None for all combinations of a grid.
+        keep: outputs of each run, for example "peak:reaction_force, final:panel_7.quaternion".
         sampling: "random", "latin_hypercube", "sobol", "saltelli" (for Sobol indices) or "grid".
-        seed: of all random numbers.
-        output: folder on disk; a sweep that was interrupted goes on there. In memory if None.
-        options: `threads`, `executor` (of concurrent.futures) or `cluster` (a Dask client or an address), on
-            which it runs; `progress`, which is told how far it is; `integrator`, `rtol`, `atol` (a hundredth
-            of rtol unless given), `step` as of `newton_euler.simulate`.
+        seed: seed of all random numbers.
+        output: folder on disk, where an interrupted sweep resumes; None to keep the results in memory.
+        options: `threads`, `executor` (of concurrent.futures) or `cluster` (a Dask client or its address), on
+            which the runs execute; `progress`, called with the name of each stage; `integrator`, `rtol`,
+            `atol` (0.01 `rtol` by default) and `step` as of `newton_euler.simulate`.
 
     Raises:
-        CrosscheckError, NewtonEulerError: for an unknown name, an impossible plan, a folder with another one,
-            a cluster that does not answer and a disk that is full.
+        CrosscheckError, NewtonEulerError: for an unknown name, an invalid plan, a folder with another sweep,
+            a cluster that does not answer, and a full disk.
 
     Examples:
         >>> swept = sweep("pendulum", {"dumbbell.mass": "normal(1, 0.1)"}, 8, "peak:reaction_force")
@@ -247,7 +254,7 @@ def sweep(
     cluster, progress = options.pop("cluster", None), options.pop("progress", _quiet)
     kept = reductions(keep, loaded)
     texts = tuple(each.text if each.name == each.text else f"{each.name}={each.text}" for each in kept)
-    plan = Plan(loaded, samples_of(vary, sampling, runs, seed), texts, _control(options), 1)
+    plan = SweepPlan(loaded, samples_of(vary, sampling, runs, seed), texts, _control(options), 1)
     check_names(plan)
     libraries()
     warn_of(plan.scene, mobility(plan.lean).nearly)

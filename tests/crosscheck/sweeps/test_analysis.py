@@ -10,8 +10,16 @@ from matplotlib.figure import Figure
 from scipy.stats import binom
 
 import crosscheck.sweeps.analysis
-from crosscheck.sweeps.analysis import MOST_SHARED, Analysis, Effect, Scalar, most_varying, telling, thinned
-from crosscheck.sweeps.pictures import SIDE_BY_SIDE, _scatter, share_of
+from crosscheck.sweeps.analysis import (
+    MAX_SHARE_RUNS,
+    Analysis,
+    Effect,
+    KeptNumber,
+    most_informative,
+    most_varying,
+    thinned,
+)
+from crosscheck.sweeps.pictures import SCATTER_COLUMNS, _scatter, share_of
 from crosscheck.sweeps.sampling import samples_of
 
 RUNS = 4096
@@ -30,7 +38,7 @@ def effects(function, vary, sampling="random", runs=RUNS, seed=5):
     values = function(*samples.values(0, samples.runs).T)
     runs, inputs = np.arange(samples.runs), samples.values(0, samples.runs)
     analysis = Analysis(samples, runs, lambda of: dict(zip(samples.names, inputs[of].T, strict=True)))
-    found = analysis.effects(Scalar("y", (), (), "", values, runs))
+    found = analysis.effects(KeptNumber("y", (), (), "", values, runs))
     return {effect.name: effect for effect in found}
 
 
@@ -171,7 +179,7 @@ def test_correlated_parameters_share_what_they_explain_together():
 def test_correlated_parameters_of_which_not_all_runs_fit_into_memory_are_analyzed(monkeypatch):
     """By as many runs as fit, from all parts of them, and by terms of second order all the same."""
     vary = {("a", "b"): "normal([0, 0], [[1, 0.5], [0.5, 1]])", "c": "normal(0, 0.5)"}
-    monkeypatch.setattr(crosscheck.sweeps.analysis, "MOST_NUMBERS", 6 * 1000)
+    monkeypatch.setattr(crosscheck.sweeps.analysis, "MAX_ANALYZED_NUMBERS", 6 * 1000)
     found = effects(lambda a, b, c: a * b + c, vary)
     # of a b the variance is 1.25; of 1000 runs errors of a share s are about 4 (1 - s) sqrt(s / 1000)
     assert found["a, b"].share == pytest.approx(1.25 / 1.5, abs=0.04)
@@ -182,8 +190,8 @@ def test_correlated_parameters_of_which_not_all_runs_fit_into_memory_are_analyze
 def test_runs_of_a_grid_that_are_analyzed_are_of_all_its_parts():
     grid = "grid(0, 1, 60)"
     found = effects(lambda a, b, c: a + b + c, {"a": grid, "b": grid, "c": grid}, "grid", None)
-    assert MOST_SHARED < 60**3
-    # errors of a share s of that many runs are about 2 s / sqrt(MOST_SHARED)
+    assert MAX_SHARE_RUNS < 60**3
+    # errors of a share s of that many runs are about 2 s / sqrt(MAX_SHARE_RUNS)
     assert [found[name].share for name in "abc"] == pytest.approx([1.0 / 3.0] * 3, abs=0.01)
     assert [found[name].rank for name in "abc"] == pytest.approx([found["a"].rank] * 3, abs=0.01)
 
@@ -227,9 +235,9 @@ def test_base_samples_with_runs_that_could_not_go_on_are_left_out():
 
 def test_the_telling_number_of_a_variable_is_the_one_that_varies_most():
     values = np.array([[1.0, 2.0, 9.0], [2.0, 4.0, 9.1]])
-    rows = [Scalar("peak", (k,), (str(k),), "N", values[:, k], np.arange(2)) for k in range(3)]
-    rows.append(Scalar("final", (), (), "m", values[:, 0], np.arange(2)))
-    assert [scalar.label for scalar in telling(rows)] == ["peak 1", "final"]
+    rows = [KeptNumber("peak", (k,), (str(k),), "N", values[:, k], np.arange(2)) for k in range(3)]
+    rows.append(KeptNumber("final", (), (), "m", values[:, 0], np.arange(2)))
+    assert [scalar.label for scalar in most_informative(rows)] == ["peak 1", "final"]
     assert [scalar.label for scalar in most_varying(rows)] == ["peak 1", "final", "peak 0", "peak 2"]
 
 
@@ -239,17 +247,17 @@ def test_numbers_that_vary_alike_are_chosen_by_their_order_whatever_the_samples(
         x, y = np.random.default_rng(seed).normal(size=(2, 300))
         far = np.where(np.arange(300) == seed, 1e6, 0.1 * x)
         columns = {"far": far, "one": x + 0.05 * y, "other": x - 0.05 * y}
-        rows = [Scalar("peak", (), (name,), "N", each, np.arange(300)) for name, each in columns.items()]
+        rows = [KeptNumber("peak", (), (name,), "N", each, np.arange(300)) for name, each in columns.items()]
         assert [scalar.label for scalar in most_varying(rows)] == ["peak one", "peak other", "peak far"]
 
 
 @pytest.mark.parametrize("size", [1e-4, 1.0, 1e5])
 def test_labels_of_scatter_plots_do_not_overlap_and_have_no_offset(size):
     values = np.linspace(-1.234, 1.234, 9)
-    scalar = Scalar("final", (), (), "m", 0.923879 + 1e-7 * values, np.arange(9))
+    scalar = KeptNumber("final", (), (), "m", 0.923879 + 1e-7 * values, np.arange(9))
     found = [(scalar, [Effect(name, 0.0, 0.0) for name in "abc"])]
     figure = Figure(figsize=(8.0, 2.4), layout="constrained")
-    axes = figure.subplots(1, SIDE_BY_SIDE, squeeze=False)
+    axes = figure.subplots(1, SCATTER_COLUMNS, squeeze=False)
     _scatter(axes, found, np.arange(9), dict.fromkeys("abc", 1.1 * size + 0.1 * size * values), UNITS)
     figure.draw_without_rendering()
     for ax in axes[0]:
@@ -264,5 +272,5 @@ def test_labels_of_scatter_plots_do_not_overlap_and_have_no_offset(size):
 
 @pytest.mark.parametrize("size", [1e-200, 1.0, 1e200])
 def test_deviations_are_those_of_numbers_of_any_size(size):
-    scalar = Scalar("final", (), (), "m", size * np.array([1.0, 3.0, np.nan]), np.arange(3))
+    scalar = KeptNumber("final", (), (), "m", size * np.array([1.0, 3.0, np.nan]), np.arange(3))
     assert scalar.deviation == pytest.approx(size, rel=1e-15)

@@ -102,7 +102,7 @@ def test_a_folder_that_workers_do_not_find_is_one_line(cluster, tmp_path, monkey
 @pytest.mark.parametrize("answer", [b"", b"HTTP/1.1 400 Bad Request\r\n\r\n"], ids=["silent", "HTTP"])
 @pytest.mark.filterwarnings("error")  # of what a client that never connected leaves behind
 def test_what_is_no_scheduler_is_one_line(capfd, monkeypatch, answer):
-    monkeypatch.setattr(crosscheck.sweeps.execute, "PATIENCE", 1.0)
+    monkeypatch.setattr(crosscheck.sweeps.execute, "CONNECT_TIMEOUT_S", 1.0)
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def serve() -> None:

@@ -25,7 +25,7 @@ from crosscheck.library import load
 from crosscheck.report.outcome import ExitStatus, Outcome
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.sweeps.checks import default_count
-from crosscheck.sweeps.report import MOST_GHOSTS, to_record
+from crosscheck.sweeps.report import MAX_RECORDED_EXTREMES, to_record
 from newton_euler import Revolute, with_parameters
 from newton_euler.codegen.compile import lane_count
 from newton_euler.errors import DISTRIBUTION
@@ -47,7 +47,7 @@ def test_a_sweep_prints_what_matters_and_writes_files(capsys, tmp_path, monkeypa
     assert len(lines) <= 25
     assert max(len(line) for line in lines if str(tmp_path) not in line) <= 80
     assert "pendulum: 64 runs, random, seed 0" in lines[0]
-    assert "64 of 64 runs came to their end; none was cross-checked" in out
+    assert re.search("64 of 64 runs.* cross-checked", out)
     assert "peak:reaction_force pivot, N" in out
     assert "; there tornado.png, histograms.png, scatter.png and numbers, sweep.zarr" in " ".join(out.split())
     names = {"sweep.zarr", "sweep.json", "sweep.rrd", "tornado.png", "histograms.png", "scatter.png"}
@@ -56,7 +56,7 @@ def test_a_sweep_prints_what_matters_and_writes_files(capsys, tmp_path, monkeypa
     first, second = content["effects"]["peak:reaction_force pivot"]
     assert (first["name"], first["share"]) == ("dumbbell.mass", None)
     assert first["rank"] - first["rank_error"] > 0.9 > second["rank_error"] > 0.2
-    assert "too few runs for shares of variance: 64; at least 400" in out
+    assert re.search("too few runs for shares of variance: 64.* 400", out)
     entities = {chunk.entity_path for chunk in RrdReader(str(tmp_path / "sweep.rrd")).stream()}
     assert "/mechanism/nominal/dumbbell" in entities
     assert any(str(path).startswith("/plots/0/") for path in entities)
@@ -185,7 +185,7 @@ def test_what_has_no_effect_is_said_and_checked_all_the_same():
     short = replace(load("pendulum"), duration=1.0)
     swept = sweep(short, {"dumbbell.mass": "uniform(1, 2)"}, 3, "final:dumbbell.position.z").check(1)
     assert [each.why for each in swept.checks] == ["at random"]
-    assert "what varies has no effect on what is kept" in str(swept)
+    assert "no effect" in str(swept)
     assert swept.report.verdict.startswith("AGREE: all engines in all figures of 1 run (1 at random); ")
 
 
@@ -203,8 +203,8 @@ def test_runs_that_fail_are_counted_by_reason(capsys, tmp_path):
     status, out, _ = run(capsys, "sweep", "pendulum", *vary, "--output", tmp_path)
     assert status == 3
     said = " ".join(out.split())
-    failed = 20 - int(said.partition("UNFINISHED: ")[2].partition(" of 20 runs came to their end")[0])
-    assert f"{failed} runs could not go on, as run " in said
+    failed = 20 - int(re.search(r"UNFINISHED: (\d+) of 20 runs", said)[1])
+    assert re.search(rf"{failed} runs failed.* run \d+", said)
     assert "; needed: a positive mass" in said
     assert "dumbbell.mass=truncated_normal(1, 2, LOW, HIGH) stays within bounds" in said
 
@@ -220,7 +220,7 @@ def test_numbers_that_hardly_vary_have_the_digits_to_tell():
 def test_where_no_run_ends_nothing_is_said_of_effects():
     swept = sweep("pendulum", {"dumbbell.mass": "uniform(1, 2)"}, 3, KEEP, most_steps=3)
     assert "no effect" not in str(swept)
-    assert "3 runs could not go on" in str(swept)
+    assert "3 runs failed" in str(swept)
 
 
 def test_a_nominal_value_far_from_its_distribution_is_named():
@@ -238,7 +238,7 @@ def test_a_nominal_value_far_from_its_distribution_is_named():
 def test_a_single_run_is_no_plural():
     said = str(sweep(replace(load("pendulum"), duration=0.1), {"dumbbell.mass": "uniform(1, 2)"}, 1, KEEP))
     assert "1 run, " in said
-    assert "1 of 1 run came to its end" in said
+    assert "1 of 1 run completed" in said
 
 
 def test_extreme_runs_and_others_are_checked_by_turns_and_engines_are_named():
@@ -281,7 +281,7 @@ def test_numbers_that_no_run_has_are_named():
 
 @pytest.mark.parametrize("keep", ["w=when:0/0 > 1", "w=final:0/0", "w=final:1", "w=peak:[1, 2, 3]"])
 def test_expressions_without_an_output_are_refused(keep):
-    with pytest.raises(CrosscheckError, match="it names no output of a run"):
+    with pytest.raises(CrosscheckError, match="no output of a run"):
         sweep("pendulum", {"dumbbell.mass": "uniform(1, 2)"}, 3, keep)
 
 
@@ -330,9 +330,9 @@ def test_runs_that_are_recorded_are_made_a_few_at_a_time(monkeypatch):
         return batch(scene, parameters=parameters, threads=threads, **control)
 
     monkeypatch.setattr(crosscheck.sweeps.plan, "make_batch", noted)
-    monkeypatch.setattr(crosscheck.sweeps.plan, "ROOM", 1)
+    monkeypatch.setattr(crosscheck.sweeps.plan, "MAX_OUTPUT_BYTES", 1)
     found = to_record(swept.findings, swept.report)[2]
-    assert max(count for count, _ in made) <= max(1 + MOST_GHOSTS, lane_count())
+    assert max(count for count, _ in made) <= max(1 + MAX_RECORDED_EXTREMES, lane_count())
     assert {threads for _, threads in made} == {None}
     for one, other in zip(found, of_all, strict=True):
         assert one.sample.shape == (30, len(scene.times))
@@ -451,7 +451,10 @@ def test_a_run_on_which_engines_differ_is_named(monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--vary", "dumbbell.mass", "--runs", "3", "--keep", KEEP), "not of the form NAME=DISTRIBUTION"),
+        (
+            ("--vary", "dumbbell.mass", "--runs", "3", "--keep", KEEP),
+            "not of the form NAME=DISTRIBUTION",
+        ),
         (("--vary", VARY, "--vary", VARY, "--runs", "3", "--keep", KEEP), "given twice"),
         (("--vary", VARY, "--keep", KEEP), "needs a number of runs (--runs N)"),
         (("--vary", VARY, "--runs", "-3", "--keep", KEEP), "runs is -3"),
@@ -465,7 +468,7 @@ def test_a_run_on_which_engines_differ_is_named(monkeypatch):
     ],
 )
 def test_bad_input_is_one_line(capsys, tmp_path, monkeypatch, arguments, words):
-    monkeypatch.setattr(crosscheck.sweeps.execute, "PATIENCE", 1.0)
+    monkeypatch.setattr(crosscheck.sweeps.execute, "CONNECT_TIMEOUT_S", 1.0)
     status, out, err = run(capsys, "sweep", "pendulum", *arguments, "--output", tmp_path / "out")
     assert (status, out) == (2, "")
     assert words in " ".join(err.split())

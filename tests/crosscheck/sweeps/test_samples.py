@@ -1,4 +1,4 @@
-"""Samples of sweeps: their distributions, their independence of chunks, and texts that are none."""
+"""SweepSamples of sweeps: their distributions, their independence of chunks, and texts that are none."""
 
 from __future__ import annotations
 
