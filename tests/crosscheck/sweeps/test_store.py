@@ -54,7 +54,7 @@ def test_an_interrupted_sweep_goes_on(reference, tmp_path):
     found = sweep(*ARGUMENTS, output=tmp_path, progress=told.append)
     assert found.results.made == 60 - there
     assert any(line.startswith(f"{there} of 60 runs") for line in told)
-    assert f"; {there} were there" in found.report.title
+    assert f"; {there} were stored" in found.report.title
     assert_equal(found, reference)
     assert sweep(*ARGUMENTS, output=tmp_path).results.made == 0
 
