@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crosscheck.compare.check import Check
 from crosscheck.compare.crosscheck import Crosscheck, crosscheck
 from crosscheck.compare.diagnosis import Diagnosis
-from crosscheck.compare.figure import Figure
 from crosscheck.engines.engine import ENGINES, choose
 from crosscheck.loading.load import excited, load_scene
 from crosscheck.report.outcome import Outcome
@@ -45,7 +45,7 @@ class Verdict:
         >>> verdict = check("pendulum")
         >>> verdict.agrees, worst(verdict) <= 1.0
         (True, True)
-        >>> f"in all {len(verdict.judged)} figures" in repr(verdict)
+        >>> f"in all {len(verdict.judged)} checks" in repr(verdict)
         True
         >>> verdict.trajectories["mujoco"].position.shape
         (1001, 2, 3)
@@ -64,13 +64,13 @@ class Verdict:
         return self.crosscheck.outcome
 
     @property
-    def figures(self) -> tuple[Figure, ...]:
-        """All figures, `judged` ones and those that inform, with tolerance and where each is worst."""
-        return self.crosscheck.figures
+    def checks(self) -> tuple[Check, ...]:
+        """All checks: `judged` ones, and checks without a verdict."""
+        return self.crosscheck.checks
 
     @property
-    def judged(self) -> tuple[Figure, ...]:
-        """Figures that decide the outcome; their number is that in the verdict's text."""
+    def judged(self) -> tuple[Check, ...]:
+        """Checks that decide the outcome; the verdict reports their number."""
         return self.crosscheck.judged
 
     @property
@@ -85,7 +85,7 @@ class Verdict:
 
     @cached_property
     def report(self) -> Report:
-        """Tables of all figures, settings and notes."""
+        """Tables of all checks, settings and notes."""
         return report(self.crosscheck)
 
     def __repr__(self) -> str:

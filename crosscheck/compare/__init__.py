@@ -1,1 +1,1 @@
-"""Comparison of engines: levels, energy, reactions, known figures."""
+"""Comparison of engines: levels, energy, reactions, reference values."""

@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 
 from crosscheck.compare.blame import SHARE, Cause, dynamic_cause
-from crosscheck.compare.figure import EPSILON, Figure, round_off
+from crosscheck.compare.check import EPSILON, Check, round_off
 from crosscheck.compare.samples import RATE_ERROR, Samples
 from newton_euler.equations.system import Evaluation
 from newton_euler.equations.undetermined import determined
@@ -26,7 +26,7 @@ order of 0.1 % however small the step, and by more where a mechanism is ill-cond
 shown beside the rigid ones."""
 
 
-def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:
+def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
     """Accelerations of bodies and joints, and reactions of joints.
 
     Tolerances are round-off magnified by the condition of the constraints and of the mass matrix; reactions
@@ -35,7 +35,7 @@ def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) ->
     """
     states = first.states
     constraints, masses = max(first.condition, second.condition), states.mass_condition
-    yield Figure(LEVEL, "condition of masses", pair, masses, 1.0 / EPSILON, "", informs=True)
+    yield Check(LEVEL, "condition of masses", pair, masses, 1.0 / EPSILON, "", judged=False)
     tolerance, looser = (
         round_off(condition * masses, states.noise) for condition in (constraints, constraints**2)
     )
@@ -45,11 +45,11 @@ def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) ->
     def cause() -> Cause | None:
         return dynamic_cause(first, second)
 
-    def row(quantity: str, gap: Array, tolerance: float, names: Sequence[str], moved: bool = False) -> Figure:
+    def row(quantity: str, gap: Array, tolerance: float, names: Sequence[str], moved: bool = False) -> Check:
         value, found = float(gap.max()), Cause(names[int(np.argmax(gap.max(axis=0)))])
         if not value <= tolerance and not moved:
             found = cause() or found
-        return Figure(LEVEL, quantity, pair, value, tolerance, found.where, detail=found.detail)
+        return Check(LEVEL, quantity, pair, value, tolerance, found.where, detail=found.detail)
 
     def apart(name: str) -> Array:
         return np.asarray(np.linalg.norm(first.stack(name) - second.stack(name), axis=-1))
@@ -96,19 +96,19 @@ def _is_another_point(torque: Array, force: Array) -> bool:
     return bool(np.all(along <= SHARE * largest[joint] * np.linalg.norm(force[:, joint], axis=1)))
 
 
-def softness_row(name: str, soft: Evaluation, rigid: Samples) -> Figure:
+def softness_row(name: str, soft: Evaluation, rigid: Samples) -> Check:
     """Compare reaction forces of an engine's soft constraints at the start."""
     states = rigid.states
     force = rigid.evaluations[0].reaction_force
     floor = states.energy / states.scene.mechanism.size
     gap = np.linalg.norm(soft.reaction_force - force, axis=1)
     gap = gap / max(floor, float(np.linalg.norm(force, axis=1).max()))
-    return Figure(
+    return Check(
         LEVEL,
         "reaction force, rel",
         (f"{name} soft", f"{name} rigid"),
         float(gap.max()),
         SOFTNESS,
         states.scene.mechanism.joint_names[int(np.argmax(gap))],
-        informs=True,
+        judged=False,
     )

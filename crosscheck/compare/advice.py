@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.compare.figure import Figure
+from crosscheck.compare.check import Check
 from crosscheck.compare.runs import rests
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.stiffness import is_stable_in_rk4, modes_of_run
@@ -51,7 +51,7 @@ class Advice:
 
 
 def advise(
-    scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory], rows: Sequence[Figure]
+    scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory], rows: Sequence[Check]
 ) -> tuple[Advice, ...]:
     """Give advice on what was measured; none where nothing is to be done.
 
@@ -83,7 +83,7 @@ MARGIN = 0.9
 
 
 def soft_advice(
-    scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory], rows: Sequence[Figure]
+    scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory], rows: Sequence[Check]
 ) -> Iterator[Advice]:
     """For runs of one model in which MuJoCo ran beside an engine whose constraints are rigid.
 

@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 
 from crosscheck.compare.changes import CHANGE, Element, Moment, elements
-from crosscheck.compare.figure import OWN_ERROR, POSES, ROUND_OFF, UNRESOLVED, Figure, reach
+from crosscheck.compare.check import OWN_ERROR, POSES, ROUND_OFF, UNRESOLVED, Check, reach
 from crosscheck.compare.joint_loads import JointLoads
 from crosscheck.compare.runs import orientations_apart, positions_apart
 from crosscheck.engines.engine import native_method, native_refined, native_run
@@ -97,7 +97,7 @@ class Coverage:
         return f"motion covers {tested} of {len(self.elements)} elements"
 
 
-def coverage(scene: Scene, runs: Mapping[str, Trajectory], rows: Sequence[Figure]) -> Coverage | None:
+def coverage(scene: Scene, runs: Mapping[str, Trajectory], rows: Sequence[Check]) -> Coverage | None:
     """Work out what compared runs cover, until the shortest ends, to the least tolerance of trajectories.
 
     None where no trajectories were compared.
@@ -105,7 +105,7 @@ def coverage(scene: Scene, runs: Mapping[str, Trajectory], rows: Sequence[Figure
     Raises:
         NewtonEulerError: for a scene that newton_euler does not run.
     """
-    compared = [row for row in rows if row.level == "trajectories" and not row.informs]
+    compared = [row for row in rows if row.level == "trajectories" and row.judged]
     length, angle = (
         min((row.tolerance for row in compared if row.quantity == quantity), default=None)
         for quantity in POSES

@@ -10,11 +10,11 @@ from typing import Any
 
 from crosscheck.compare.activity import reduction, watched
 from crosscheck.compare.advice import Advice, advise
+from crosscheck.compare.check import READING, Check, not_judged
 from crosscheck.compare.coverage import Coverage, coverage
 from crosscheck.compare.diagnosis import Diagnosis, diagnose
-from crosscheck.compare.figure import READING, Figure, not_judged
-from crosscheck.compare.known_figures import Measured, known_of, measure
 from crosscheck.compare.levels import in_order, reading_rows, stages
+from crosscheck.compare.reference_values import Measured, known_of, measure
 from crosscheck.compare.runs import errors_of_runs, rests
 from crosscheck.compare.singularity import Passage, passage
 from crosscheck.engines.engine import Engine
@@ -58,8 +58,8 @@ class Crosscheck:
         engines: those that can express the scene, in the order asked for.
         left_out: engines that cannot express the scene, and why.
         trajectories: by engine, as far as they came; none of an engine that came nowhere.
-        figures: all that were compared.
-        measured: figures that are known from elsewhere, as the engines give them.
+        checks: all checks.
+        measured: checks that are known from elsewhere, as the engines give them.
         wall_time: s, of everything.
         mapping: what became of the elements of a model file; None for a scene of this package's own.
         advice: what to do about what was measured, where that was asked for.
@@ -77,7 +77,7 @@ class Crosscheck:
     engines: tuple[Engine, ...]
     left_out: dict[str, str]
     trajectories: dict[str, Trajectory]
-    figures: tuple[Figure, ...]
+    checks: tuple[Check, ...]
     measured: tuple[Measured, ...]
     wall_time: float
     mapping: ImportReport | None = None
@@ -100,8 +100,8 @@ class Crosscheck:
 
     @property
     def differs(self) -> bool:
-        """True if any figure exceeds its tolerance."""
-        return not all(row.agrees for row in self.figures) or not all(known.agrees for known in self.measured)
+        """True if any check exceeds its tolerance."""
+        return not all(row.agrees for row in self.checks) or not all(known.agrees for known in self.measured)
 
     @property
     def outcome(self) -> Outcome:
@@ -144,14 +144,14 @@ class Crosscheck:
     @property
     def misread(self) -> bool:
         """True if the scene is not what the file says, whichever engine evaluates it."""
-        return _misread(self.engines, self.figures)
+        return _misread(self.engines, self.checks)
 
     @cached_property
     def diagnosis(self) -> tuple[Diagnosis, ...]:
         """Who differs, at the first level at which any engine does, and then without it."""
         names, stopped = [each.name for each in self.engines], {stop.what for stop in self.unfinished}
         soft = [each.name for each in self.engines if each.soft_start and each.name not in stopped]
-        return diagnose(names, self.figures, self.measured, soft, mobility(self.scene).nearly)
+        return diagnose(names, self.checks, self.measured, soft, mobility(self.scene).nearly)
 
     @property
     def _of_engines(self) -> str:
@@ -178,13 +178,13 @@ class Crosscheck:
         return f"{word}: {found}"
 
     def _judgment(self) -> tuple[str, str]:
-        """A word and what the figures say."""
+        """A word and what the checks say."""
         names = ", ".join(engine.name for engine in self.engines)
         if self.left_out and self._alone:
-            found = f"nothing could be compared on {self.title}, ran {names} alone; its own figures"
+            found = f"nothing could be compared on {self.title}, ran {names} alone; its own checks"
             return self.outcome, f"{found} {self._own_figures}"
         if self._alone:
-            found = f"ran {names} on {self.title}: nothing to compare it with; its own figures"
+            found = f"ran {names} on {self.title}: nothing to compare it with; its own checks"
             found += f" {self._own_figures}"
             return self.outcome, "; ".join(filter(None, [found, self._reduced]))
         if self.diagnosis:
@@ -195,7 +195,7 @@ class Crosscheck:
                 said.append(self._reduced)
             differ = "; ".join(filter(None, said))
             return f"{Outcome.DISAGREE}{self._of_engines}", f"{differ} ({self._failed})"
-        agree = f"{names} agree on {self.title} in all {len(self.judged)} figures{self._beside}"
+        agree = f"{names} agree on {self.title} in all {len(self.judged)} checks{self._beside}"
         if self._reduced:
             agree = f"{self._reduced}; {agree}"
         some = self.outcome in (Outcome.AGREE_OF_SOME_ENGINES, Outcome.UNFINISHED)
@@ -208,14 +208,14 @@ class Crosscheck:
 
     @property
     def _alone(self) -> bool:
-        """True if one engine has nothing to be compared with but its own figures."""
-        compared = any(len(row.between) > 1 for row in self.figures if not row.agrees)
+        """True if one engine has nothing to be compared with but its own checks."""
+        compared = any(len(row.between) > 1 for row in self.checks if not row.agrees)
         return len(self.engines) == 1 and not compared and all(known.agrees for known in self.measured)
 
     @property
     def _own_figures(self) -> str:
         """Those of a single engine."""
-        failed = next((row for row in self.figures if not row.agrees), None)
+        failed = next((row for row in self.checks if not row.agrees), None)
         if failed is None:
             return f"hold, all {len(self.judged)}{self._beside}"
         return (
@@ -224,24 +224,24 @@ class Crosscheck:
         )
 
     @property
-    def judged(self) -> tuple[Figure, ...]:
-        """Figures that decide the outcome; the verdict counts these."""
-        return tuple(row for row in self.figures if not row.informs)
+    def judged(self) -> tuple[Check, ...]:
+        """Checks that decide the outcome; the verdict counts these."""
+        return tuple(row for row in self.checks if row.judged)
 
     @property
     def _failed(self) -> str:
-        """Word the number of figures that fail."""
-        failed = sum(not row.agrees for row in self.figures)
+        """Word the number of checks that fail."""
+        failed = sum(not row.agrees for row in self.checks)
         if failed:
-            return f"{failed} of {len(self.judged)} figures fail"
+            return f"{failed} of {len(self.judged)} checks fail"
         wrong = sum(not measured.agrees for measured in self.measured)
-        return f"{wrong} of {len(self.measured)} known figures fail"
+        return f"{wrong} of {len(self.measured)} reference values fail"
 
     @property
     def _beside(self) -> str:
-        """Word what there is to say of figures that hold."""
+        """Word what there is to say of checks that hold."""
         said = f", and the reference in all {len(self.measured)}" if self.measured else ""
-        said += not_judged(self.figures)
+        said += not_judged(self.checks)
         said += "; nothing moves" if self.rests else ""
         if self.coverage:
             said += f"; {self.coverage}"
@@ -280,8 +280,8 @@ class Crosscheck:
             if self.mapping and (changed := self.mapping.changed_velocities)
             else None,
             "settings_of_the_file": self.mapping.settings if self.mapping else None,
-            "figures": [asdict(row) | {"agrees": row.agrees} for row in self.figures],
-            "known_figures": [measured.summary() for measured in self.measured],
+            "checks": [asdict(row) | {"agrees": row.agrees} for row in self.checks],
+            "known_values": [measured.summary() for measured in self.measured],
             "advice": [asdict(advice) for advice in self.advice],
             "coverage": self.coverage.summary() if self.coverage else None,
             "notes": list(self.notes),
@@ -312,7 +312,7 @@ def crosscheck(
 
     Raises:
         CrosscheckError: for a scene without the outputs that are compared, and where nothing can be: no
-            engine runs and no figure is had.
+            engine runs and no check is had.
         NewtonEulerError: for a scene that no engine can express.
     """
     for output in ("velocities", "reactions", "violation"):
@@ -320,7 +320,7 @@ def crosscheck(
             raise CrosscheckError(f"scene {scene.name!r} does not ask for the output {output!r}, needed here")
     start = time.perf_counter()
     able, left_out = _able(scene, engines)
-    rows: list[Figure] = []
+    rows: list[Check] = []
     unread: list[Stop] = []
     what = "comparing with the file"
     with as_far_as_it_goes(what, unread), limited(what, SHORTER, progress):
@@ -355,7 +355,7 @@ def crosscheck(
     known = known_of(source, options)
     for engine in able if known else ():
         if engine.name not in stopped:
-            what = f"{engine.name}: known figures"
+            what = f"{engine.name}: reference values"
             with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
                 measured.extend(measure(source, scene, engine, runs[engine.name], known))
     found: Coverage | None = None
@@ -396,7 +396,7 @@ def crosscheck(
     return replace(result, off_by=off_by, notes=tuple(map(str, beside)), wall_time=wall_time)
 
 
-def _misread(engines: Sequence[Engine], rows: Sequence[Figure]) -> bool:
+def _misread(engines: Sequence[Engine], rows: Sequence[Check]) -> bool:
     """Return True if every engine's equations of a scene differ from those of the file it was read from."""
     wrong = {row.between[0] for row in rows if row.level == READING and not row.agrees}
     return bool(engines) and wrong >= {engine.name for engine in engines}

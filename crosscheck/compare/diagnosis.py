@@ -12,8 +12,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from crosscheck.compare.figure import FILE, LEVELS, OF_RUNS, OPEN, READING, REFERENCE, Figure
-from crosscheck.compare.known_figures import Measured
+from crosscheck.compare.check import FILE, LEVELS, OF_RUNS, OPEN, READING, REFERENCE, Check
+from crosscheck.compare.reference_values import Measured
 from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.equations.redundancy import NearlyRedundant
 
@@ -26,7 +26,7 @@ OWNER = "newton_euler"
 """The engine of `SYSTEMS`."""
 
 MOMENTUM = "momentum balance, rel"
-"""The figure of one engine that is about its model, though its level is one of runs."""
+"""The check of one engine that is about its model, though its level is one of runs."""
 
 NEARER = 10.0
 """Times as far from a third as the other of two the odd one has to be: tolerances differ between pairs."""
@@ -55,9 +55,9 @@ class Diagnosis:
         parting: all participants that part at the level.
         agree: those that are not odd and agree with each other there.
         within: the largest judged difference of those, m, rad or relative: of all levels if they agree in
-            all figures, otherwise of this one. None of fewer than two.
-        everywhere: whether those agree in all figures.
-        level, quantity, value, tolerance, where, detail: of the first figure that fails.
+            all checks, otherwise of this one. None of fewer than two.
+        everywhere: whether those agree in all checks.
+        level, quantity, value, tolerance, where, detail: of the first check that fails.
         settled_by: "others", "nearness", "reference", or the quantity of the odd one's own that fails; "own"
             of several that fail by themselves.
         fault: a key of `FAULTS`; empty if nothing settles whose.
@@ -90,7 +90,7 @@ class Diagnosis:
         others = _listed(self.agree)
         agreement = ""
         if self.within is not None:
-            scope = "all figures" if self.everywhere else f"level '{self.level}'"
+            scope = "all checks" if self.everywhere else f"level '{self.level}'"
             agreement = f"{others} agree to {self.within:.0e} ({scope})"
         if not self.odd:
             return self._unsettled
@@ -123,7 +123,7 @@ class Diagnosis:
 
     @property
     def place(self) -> str:
-        """The first figure that fails."""
+        """The first check that fails."""
         figure = f"{self.quantity}: {self.value:.3g} > {self.tolerance:.3g}"
         if self.level == REFERENCE:
             return f"against the reference: {figure}, {self.where}"
@@ -149,7 +149,7 @@ def _listed(participants: Sequence[str]) -> str:
 
 def diagnose(
     engines: Sequence[str],
-    rows: Iterable[Figure],
+    rows: Iterable[Check],
     measured: Sequence[Measured] = (),
     soft: Collection[str] = (),
     nearly: Sequence[NearlyRedundant] = (),
@@ -158,13 +158,13 @@ def diagnose(
 
     Args:
         engines: their names, in the order of the comparison.
-        rows: all figures.
-        measured: figures that are known from elsewhere.
+        rows: all checks.
+        measured: checks that are known from elsewhere.
         soft: engines whose constraints give way, and so take nearly redundant ones as they are.
         nearly: nearly redundant constraints of the scene.
     """
     shown = "; ".join(str(each) for each in nearly if each.singular_value > FELT)
-    judged = [row for row in rows if not row.informs]
+    judged = [row for row in rows if row.judged]
     names = [*engines, *([FILE] if any(FILE in row.between for row in judged) else [])]
     wrong = {known.engine for known in measured if not known.agrees}
     found = []
@@ -187,7 +187,7 @@ def diagnose(
     return tuple(found)
 
 
-def _opening(row: Figure) -> str:
+def _opening(row: Check) -> str:
     """Word by how much joints come open in a run."""
     joint, _, time = row.where.partition(" at ")
     return f"{joint} opens by {row.value:.1e} (m or rad) at {time}"
@@ -198,7 +198,7 @@ def _blames(found: Diagnosis, engines: Collection[str]) -> bool:
     return bool(({found.odd} if found.odd else set(found.parting)) & set(engines))
 
 
-def _without(odd: str, names: Sequence[str], rows: Iterable[Figure]) -> tuple[list[str], list[Figure]]:
+def _without(odd: str, names: Sequence[str], rows: Iterable[Check]) -> tuple[list[str], list[Check]]:
     """Participants and figures without one; without a formulation the other stands for `OWNER`.
 
     Momentum is balanced with forces of `OWNER`, so that without it nothing is known of the others' balances.
@@ -212,22 +212,22 @@ def _without(odd: str, names: Sequence[str], rows: Iterable[Figure]) -> tuple[li
     return [name for name in names if name != odd], [row for row in rows if not gone & set(row.between)]
 
 
-def _by_system(names: Sequence[str], rows: Iterable[Figure]) -> tuple[list[str], list[Figure]]:
+def _by_system(names: Sequence[str], rows: Iterable[Check]) -> tuple[list[str], list[Check]]:
     """Participants and figures where the formulations stand for `OWNER`."""
     systems = [n for name in names for n in (SYSTEMS if name == OWNER else (name,))]
     return systems, [_renamed(row, {OWNER: SYSTEMS[0]}) for row in rows if _holds_of_systems(row)]
 
 
-def _holds_of_systems(row: Figure) -> bool:
-    """True unless a figure is one of the worse of the formulations under the name of `OWNER`."""
+def _holds_of_systems(row: Check) -> bool:
+    """True unless a check is one of the worse of the formulations under the name of `OWNER`."""
     return OWNER not in row.between or row.level in (READING, *OF_RUNS)
 
 
-def _renamed(row: Figure, others: Mapping[str, str]) -> Figure:
+def _renamed(row: Check, others: Mapping[str, str]) -> Check:
     return replace(row, between=tuple(others.get(name, name) for name in row.between))
 
 
-def _first(names: Sequence[str], rows: Sequence[Figure], wrong: Collection[str]) -> Diagnosis | None:
+def _first(names: Sequence[str], rows: Sequence[Check], wrong: Collection[str]) -> Diagnosis | None:
     """Who differs at the first level at which any of the participants does."""
     known = {*names, *(SYSTEMS if OWNER in names else ())}
     rows = [row for row in rows if set(row.between) <= known]
@@ -252,7 +252,7 @@ def _first(names: Sequence[str], rows: Sequence[Figure], wrong: Collection[str])
     return _diagnosis(odd, at_fault, others, at_level[0], rows, at_level[0].quantity if odd else "own")
 
 
-def _of_reading(names: Sequence[str], rows: Sequence[Figure]) -> Diagnosis | None:
+def _of_reading(names: Sequence[str], rows: Sequence[Check]) -> Diagnosis | None:
     """Blame the reading of the file, or an engine that alone differs from the file.
 
     None if the engines have to be told apart first. The reading is to blame if all engines' models agree
@@ -279,7 +279,7 @@ def _of_reading(names: Sequence[str], rows: Sequence[Figure]) -> Diagnosis | Non
 
 
 def _of_pairs(
-    names: Sequence[str], rows: Sequence[Figure], parted: Sequence[Figure], wrong: Collection[str]
+    names: Sequence[str], rows: Sequence[Check], parted: Sequence[Check], wrong: Collection[str]
 ) -> Diagnosis:
     """Who differs at a level at which pairs part."""
     level = parted[0].level
@@ -310,16 +310,16 @@ def _odd(
     odd: str,
     parting: Sequence[str],
     others: Sequence[str],
-    rows: Sequence[Figure],
-    parted: Sequence[Figure],
+    rows: Sequence[Check],
+    parted: Sequence[Check],
     by: str,
 ) -> Diagnosis:
     row = next(row for row in parted if odd in row.between)
     return _diagnosis(odd, parting, others, row, rows, by)
 
 
-def _is_nearer(near: str, far: str, third: str, row: Figure, rows: Sequence[Figure]) -> bool:
-    """True if one of two that part is much nearer to a third than the other, in the figure they part in."""
+def _is_nearer(near: str, far: str, third: str, row: Check, rows: Sequence[Check]) -> bool:
+    """True if one of two that part is much nearer to a third than the other, in the check they part in."""
     values = {
         frozenset(other.between): other.value
         for other in rows
@@ -330,9 +330,9 @@ def _is_nearer(near: str, far: str, third: str, row: Figure, rows: Sequence[Figu
 
 
 def _settled(
-    names: Sequence[str], rows: Sequence[Figure], level: str, wrong: Collection[str]
+    names: Sequence[str], rows: Sequence[Check], level: str, wrong: Collection[str]
 ) -> tuple[str, str] | None:
-    """The one of some that part that alone fails by itself, and the figure that does.
+    """The one of some that part that alone fails by itself, and the check that does.
 
     Runs are no evidence about models: an exact model may be integrated with a large error.
     """
@@ -351,7 +351,7 @@ def _settled(
 
 
 def _diagnosis(
-    odd: str, parting: Sequence[str], agree: Sequence[str], row: Figure, rows: Sequence[Figure], by: str = ""
+    odd: str, parting: Sequence[str], agree: Sequence[str], row: Check, rows: Sequence[Check], by: str = ""
 ) -> Diagnosis:
     """With how well those that are not odd agree, if they do."""
     among = [other for other in rows if set(other.between) <= set(agree)]
@@ -385,7 +385,7 @@ def _diagnosis(
 
 
 def _against_reference(
-    names: Sequence[str], rows: Sequence[Figure], measured: Sequence[Measured]
+    names: Sequence[str], rows: Sequence[Check], measured: Sequence[Measured]
 ) -> Diagnosis:
     """Of engines that agree with each other in what they were compared by."""
     failed = [known for known in measured if not known.agrees]

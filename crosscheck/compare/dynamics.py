@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from crosscheck.compare.blame import Cause, dynamic_cause
-from crosscheck.compare.figure import Figure, round_off
+from crosscheck.compare.check import Check, round_off
 from crosscheck.compare.samples import Samples, States
 from newton_euler.scalars import Array
 
@@ -16,7 +16,7 @@ Blamed = Callable[[bool], Cause | None]
 """What is to blame, forces in question or not."""
 
 
-def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:
+def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
     """Actuator forces, energies, and the free motion's inertia and force; its basis is the states'.
 
     Tolerances are round-off magnified by the condition of the constraints, which independent velocities
@@ -44,7 +44,7 @@ def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Ite
     yield from motion_rows(pair, first, second, cause)
 
 
-def motion_rows(pair: tuple[str, str], first: Samples, second: Samples, cause: Blamed) -> Iterator[Figure]:
+def motion_rows(pair: tuple[str, str], first: Samples, second: Samples, cause: Blamed) -> Iterator[Check]:
     """Energies, and the free motion's inertia and force, of two systems with the same bodies."""
     states = first.states
     condition = max(first.condition, second.condition)
@@ -70,7 +70,7 @@ def _row(
     unit: float,
     tolerance: float,
     cause: Blamed,
-) -> Figure:
+) -> Check:
     """`gap` has a first axis of states; the cause is asked for where it fails."""
     worst = gap.reshape(len(states.all), -1).max(axis=1)
     value = float(worst.max()) / unit
@@ -78,7 +78,7 @@ def _row(
     if not value <= tolerance:
         by_force = quantity not in ("kinetic energy, rel", "effective inertia, rel")
         found = cause(by_force) or found
-    return Figure("dynamics", quantity, pair, value, tolerance, found.where, detail=found.detail)
+    return Check("dynamics", quantity, pair, value, tolerance, found.where, detail=found.detail)
 
 
 def _apart(one: list[Array], two: list[Array], floor: float) -> tuple[Array, float]:

@@ -1,9 +1,9 @@
 """Comparison of engines, level by level, from the model itself to whole runs.
 
-Each `Figure` is one figure for one pair of engines (or one engine), with the tolerance it is held to
+Each `Check` is one figure for one pair of engines (or one engine), with the tolerance it is held to
 and the body, joint, term or time where it is worst. Levels of equations use each engine's rigid equations of
 motion at consistent states, so that a difference is one of the models; the later levels use runs.
-Relative figures are relative to what the mechanism does at all of the states together, never to what
+Relative checks are relative to what the mechanism does at all of the states together, never to what
 may be round-off: a mechanism at rest, in equilibrium or in free fall has nothing else.
 
 A pair is compared up to the first level at which it parts. Later ones would only say so again.
@@ -16,8 +16,8 @@ from functools import cache
 from itertools import combinations, product
 
 from crosscheck.compare.accelerations import acceleration_rows, softness_row
+from crosscheck.compare.check import FILE, LEVELS, READING, Check, in_full
 from crosscheck.compare.dynamics import dynamics_rows
-from crosscheck.compare.figure import FILE, LEVELS, READING, Figure, in_full
 from crosscheck.compare.kinematics import kinematics_rows
 from crosscheck.compare.model import model_rows
 from crosscheck.compare.momentum import momentum_row
@@ -31,7 +31,7 @@ from newton_euler.reading.import_report import ImportReport
 from newton_euler.reading.verify import verify
 from newton_euler.runs.assemble import initial_state
 
-Level = Callable[[tuple[str, str], Samples, Samples], Iterator[Figure]]
+Level = Callable[[tuple[str, str], Samples, Samples], Iterator[Check]]
 
 EQUATION_LEVELS: tuple[Level, ...] = (model_rows, kinematics_rows, dynamics_rows, acceleration_rows)
 """Those before runs, in their order."""
@@ -45,14 +45,14 @@ def compare_pair(
     first: Sequence[Samples],
     second: Sequence[Samples],
     levels: Sequence[Level] = EQUATION_LEVELS,
-) -> Iterator[Figure]:
+) -> Iterator[Check]:
     """Levels of equations of two engines, up to the first that disagrees.
 
     An engine with several rigid systems (formulations) enters with the one that is worst for
     its tolerance.
     """
     for level in levels:
-        found: dict[str, Figure] = {}
+        found: dict[str, Check] = {}
         for x, y in product(first, second):
             for row in level(pair, x, y):
                 known = found.setdefault(row.quantity, row)
@@ -63,7 +63,7 @@ def compare_pair(
             return
 
 
-def compare_equations(engines: Sequence[Engine], samples: EngineSamples) -> Iterator[Figure]:
+def compare_equations(engines: Sequence[Engine], samples: EngineSamples) -> Iterator[Check]:
     """Levels of equations of every pair of engines and of the systems of each engine.
 
     Systems of one engine that part are compared with every other engine too, and have momentum balances of
@@ -76,7 +76,7 @@ def compare_equations(engines: Sequence[Engine], samples: EngineSamples) -> Iter
     return in_full([*pairs, *(_within(engine, engines, samples) for engine in engines)])
 
 
-def _within(engine: Engine, engines: Sequence[Engine], samples: EngineSamples) -> Iterator[Figure]:
+def _within(engine: Engine, engines: Sequence[Engine], samples: EngineSamples) -> Iterator[Check]:
     """The systems of one engine against each other, and what tells more of them if they part."""
     parted = False
     for one, two in combinations(samples[engine.name], 2):
@@ -98,9 +98,9 @@ def sampled(engines: Sequence[Engine], states: States) -> EngineSamples:
     return {e.name: [Samples(system, states) for system in e.systems(states.scene)] for e in engines}
 
 
-def compare(scene: Scene, engines: Sequence[Engine], runs: Runs, states: int) -> list[Figure]:
+def compare(scene: Scene, engines: Sequence[Engine], runs: Runs, states: int) -> list[Check]:
     """All levels in their order; arguments as of `stages`."""
-    rows: list[Figure] = []
+    rows: list[Check] = []
     for stage in stages(scene, engines, runs, states).values():
         rows += stage(rows)
     return in_order(rows)
@@ -108,7 +108,7 @@ def compare(scene: Scene, engines: Sequence[Engine], runs: Runs, states: int) ->
 
 def stages(
     scene: Scene, engines: Sequence[Engine], runs: Runs, states: int, until: float | None = None
-) -> dict[str, Callable[[Sequence[Figure]], Iterator[Figure]]]:
+) -> dict[str, Callable[[Sequence[Check]], Iterator[Check]]]:
     """Parts of the comparison by what they do, one after the other; each is given the rows of those before.
 
     Args:
@@ -128,10 +128,10 @@ def stages(
         compared = others if others and start.is_singular else [*start.all, *others]
         return sampled(engines, States(scene, tuple(compared)))
 
-    def equations(_: Sequence[Figure]) -> Iterator[Figure]:
+    def equations(_: Sequence[Check]) -> Iterator[Check]:
         yield from compare_equations(engines, samples())
 
-    def trajectories(rows: Sequence[Figure]) -> Iterator[Figure]:
+    def trajectories(rows: Sequence[Check]) -> Iterator[Check]:
         ran = [engine for engine in engines if engine.name in runs]
         try:
             energy = samples()[engines[0].name][0].states.energy
@@ -142,7 +142,7 @@ def stages(
         if until is not None:
             yield from compare_runs_until(until, scene, ran, runs, energy, parted)
 
-    def momentum(_: Sequence[Figure]) -> Iterator[Figure]:
+    def momentum(_: Sequence[Check]) -> Iterator[Check]:
         yield from (momentum_row(engine.name, samples()[engine.name][0]) for engine in engines)
 
     return {
@@ -152,12 +152,12 @@ def stages(
     }
 
 
-def in_order(rows: Iterable[Figure]) -> list[Figure]:
+def in_order(rows: Iterable[Check]) -> list[Check]:
     """Rows by their levels."""
     return sorted(rows, key=lambda row: LEVELS.index(row.level))
 
 
-def reading_rows(engines: Sequence[Engine], report: ImportReport | None) -> Iterator[Figure]:
+def reading_rows(engines: Sequence[Engine], report: ImportReport | None) -> Iterator[Check]:
     """Figures of `newton_euler.reading.verify` for each engine; none for a scene that is from no file.
 
     Of the scene as the file says and with controls at random the one that is worst for its tolerance.
@@ -165,10 +165,10 @@ def reading_rows(engines: Sequence[Engine], report: ImportReport | None) -> Iter
     if report is None:
         return
     for engine in engines:
-        found: dict[str, Figure] = {}
+        found: dict[str, Check] = {}
         for reference, scene in report.references:
             for quantity, value, tolerance, where in verify(reference, engine.systems(scene)[0]):
-                row = Figure(READING, quantity, (engine.name, FILE), value, tolerance, where)
+                row = Check(READING, quantity, (engine.name, FILE), value, tolerance, where)
                 known = found.setdefault(quantity, row)
                 if not row.share <= known.share:
                     found[quantity] = row

@@ -6,14 +6,14 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from crosscheck.compare.figure import ROUND_OFF, Figure, both_values, reach
+from crosscheck.compare.check import ROUND_OFF, Check, both_values, reach
 from crosscheck.compare.samples import Samples
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.joint_geometry import NOWHERE, JointGeometry
 from newton_euler.scalars import Array
 
 
-def model_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:
+def model_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
     """Masses, centers of mass, inertias and frames of bodies; kinds, axes and points of joints."""
     scene = first.states.scene
     a, b = first.mass_properties, second.mass_properties
@@ -26,12 +26,12 @@ def model_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterat
         names: Sequence[str],
         values: Sequence[tuple[Array, Array]] = (),
         unit: str = "",
-    ) -> Figure:
+    ) -> Check:
         worst = int(np.argmax(gap))
         value, detail = float(gap[worst]), ""
         if values and value > tolerance:
             detail = both_values(pair, *values[worst], unit)
-        return Figure("model", quantity, pair, value, tolerance, names[worst], detail=detail)
+        return Check("model", quantity, pair, value, tolerance, names[worst], detail=detail)
 
     mass = np.abs(a.mass - b.mass)[1:] / np.abs(a.mass[1:])
     inertia = np.abs(a.inertia - b.inertia)[1:].max(axis=(1, 2)) / np.abs(a.inertia[1:]).max(axis=(1, 2))

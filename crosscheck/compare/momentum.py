@@ -1,4 +1,4 @@
-"""Momentum balance, a figure at the level "energy": Newton's and Euler's equations of each body.
+"""Momentum balance, a check at the level "energy": Newton's and Euler's equations of each body.
 
 Masses, inertias and what acts on the bodies are the scene's, by its numbers. Everything else is an engine's
 own answer, so that neither another engine nor its own equations of motion are asked.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crosscheck.compare.figure import Figure, round_off
+from crosscheck.compare.check import Check, round_off
 from crosscheck.compare.samples import Samples
 from newton_euler.equations.system import Evaluation
 from newton_euler.model.mechanism import Mechanism
@@ -17,7 +17,7 @@ from newton_euler.reading.wrenches import Wrenches
 from newton_euler.scalars import Array, cross
 
 
-def momentum_row(name: str, samples: Samples) -> Figure:
+def momentum_row(name: str, samples: Samples) -> Check:
     """The largest rate of momentum that no force accounts for, at any state; where is the body.
 
     Relative to the largest force, and as exact as reactions are.
@@ -28,7 +28,7 @@ def momentum_row(name: str, samples: Samples) -> Figure:
     states = samples.states
     tolerance = round_off(samples.condition**2 * states.mass_condition, states.noise)
     body = samples.states.scene.mechanism.body_names[1 + worst]
-    return Figure("energy", "momentum balance, rel", (name,), value, tolerance, body)
+    return Check("energy", "momentum balance, rel", (name,), value, tolerance, body)
 
 
 def momentum_residuals(samples: Samples) -> Array:

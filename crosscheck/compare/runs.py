@@ -12,18 +12,18 @@ from itertools import combinations
 
 import numpy as np
 
-from crosscheck.compare.energy import energy_balance
-from crosscheck.compare.figure import (
+from crosscheck.compare.check import (
     NOISE,
     OPEN,
     OWN_ERROR,
     POSES,
     ROUND_OFF,
     UNRESOLVED,
-    Figure,
+    Check,
     in_full,
     reach,
 )
+from crosscheck.compare.energy import energy_balance
 from crosscheck.compare.samples import States
 from crosscheck.engines.engine import Engine
 from crosscheck.support.errors import CrosscheckError
@@ -131,19 +131,19 @@ def compare_runs(
     runs: Runs,
     energy: float,
     parted: Collection[tuple[str, ...]] = (),
-) -> Iterator[Figure]:
+) -> Iterator[Check]:
     """Levels of runs, those of pairs that part at an earlier level or have `parted` left out.
 
     Runs that stopped are compared as far as they came, with finer ones as far as those come.
 
-    An engine may be off by its fixed share. Where a figure exceeds that, the engine is run again, once,
+    An engine may be off by its fixed share. Where a check exceeds that, the engine is run again, once,
     more finely, and may be off by what that shows as well: how far errors grow depends on the
     mechanism. Shares are of 1 rad for angles. For lengths they are of the mechanism's reach in the
     runs, but of 1 m at least: error control is relative to large coordinates and absolute for small
     ones. Energies are relative to the larger of the run's own and `energy`, J.
 
     What that shows holds of a run whose error falls then. Where it does not, and is not down to what engines
-    may be off anyway or to round-off, the figure is not judged.
+    may be off anyway or to round-off, the check is not judged.
     """
     bodies, joints, times = scene.mechanism.body_names, scene.mechanism.joint_names, scene.times
     noise = _noise(scene)
@@ -174,7 +174,7 @@ def compare_runs(
         return float(np.max(apart(runs[engine.name], finer[engine.name])))
 
     def restless(between: Sequence[Engine], gap: Callable[[Runs], Array], apart: Gap, least: float) -> str:
-        """The engine whose finer run excuses a figure without being nearer to the others'; empty if none.
+        """The engine whose finer run excuses a check without being nearer to the others'; empty if none.
 
         Nearer to their runs as they are, which costs nothing, or to their finer ones, in which their own
         errors hide nothing; or at `least`. Each figure is asked by itself: an engine may be no nearer to one
@@ -206,7 +206,7 @@ def compare_runs(
         fixed: float,
         unit: float,
         shown: float = 1.0,
-    ) -> Figure:
+    ) -> Check:
         """The largest of a gap and what it may be: `fixed` shares of the unit, and own errors while it
         exceeds that, quickest engine first; shown in multiples of `shown`."""
         gaps = gap(runs)
@@ -223,14 +223,14 @@ def compare_runs(
         excused = fixed * unit < value <= tolerance
         name = restless(between, gap, apart, max(fixed, ROUND_OFF) * unit) if excused else ""
         names = tuple(engine.name for engine in between)
-        return Figure(
+        return Check(
             level,
             quantity,
             names,
             value / shown,
             tolerance / shown,
             where,
-            informs=bool(name),
+            judged=not name,
             unsettled=name,
             detail="; ".join(coarse) if value > tolerance else "",
         )
@@ -244,7 +244,7 @@ def compare_runs(
     def between_two(a: Engine, b: Engine, apart: Gap) -> Callable[[Runs], Array]:
         return lambda of: apart(of[a.name], of[b.name])
 
-    def trajectories(a: Engine, b: Engine) -> Iterator[Figure]:
+    def trajectories(a: Engine, b: Engine) -> Iterator[Check]:
         fixed = a.trajectory_error + b.trajectory_error + noise
         for quantity, apart, unit in (
             (POSES[0], positions_apart, length((a, b))),
@@ -255,13 +255,13 @@ def compare_runs(
                 away.add((a.name, b.name))
             yield found
 
-    def drift(engine: Engine) -> Iterator[Figure]:
+    def drift(engine: Engine) -> Iterator[Check]:
         if runs[engine.name].constraint_violation is not None:
             violation, unit = partial(_violation, engine.name), length((engine,))
             fixed = engine.drift + noise
             yield row("drift", OPEN, (engine,), violation, _violations_apart, fixed, unit)
 
-    def kinetic_energy(a: Engine, b: Engine) -> Iterator[Figure]:
+    def kinetic_energy(a: Engine, b: Engine) -> Iterator[Check]:
         kinetic = runs[a.name].kinetic_energy
         if kinetic is not None and (a.name, b.name) not in away:
             unit = max(energy, float(np.max(kinetic[: len(runs[b.name].time)])))
@@ -269,7 +269,7 @@ def compare_runs(
             quantity = "kinetic energy, rel"
             yield row("energy", quantity, (a, b), gap, _kinetic_energies_apart, fixed, unit, unit)
 
-    def energy_less_work(engine: Engine) -> Iterator[Figure]:
+    def energy_less_work(engine: Engine) -> Iterator[Check]:
         balance = energy_balance(scene, runs[engine.name])
         if balance is not None:
             unit, apart = max(energy, balance.exchanged), _residuals_apart(scene)
@@ -295,7 +295,7 @@ def compare_runs_until(
     runs: Runs,
     energy: float,
     parted: Collection[tuple[str, ...]] = (),
-) -> Iterator[Figure]:
+) -> Iterator[Check]:
     """Compare trajectories up to a time, s, as `compare_runs` does over whole runs.
 
     Errors of whole runs excuse nothing there. There are no figures if only the start is before that time.

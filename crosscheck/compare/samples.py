@@ -9,8 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
+from crosscheck.compare.check import EPSILON
 from crosscheck.compare.energy import RANDOM_RATE, energy_scale
-from crosscheck.compare.figure import EPSILON
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.dense import numerical_rank, orthonormal_range, rank, singular_values
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, without

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from crosscheck.compare.figure import UNRESOLVED
+from crosscheck.compare.check import UNRESOLVED
 from crosscheck.library import FIGURES
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.system import Evaluation, System
@@ -75,7 +75,7 @@ class Engine:
         drift: share of the mechanism's reach, or rad, that its joints may be open during a run.
         energy_error: by what share of the largest energy its balance may be off.
         package: name of the package that does the work, for the record of versions.
-        exact: runs a scene at its most exact, for figures that are known to many digits; `refined` if None.
+        exact: runs a scene at its most exact, for checks that are known to many digits; `refined` if None.
         soft_start: the initial state under its own constraints where they are not rigid.
         refined_in_full: as `refined`, with reactions and forces of actuators, which that may leave out;
             `refined` if None.
@@ -221,7 +221,7 @@ def _mujoco_refined(scene: Scene, in_full: bool = False) -> Trajectory:
 
 
 def _motion_of(scene: Scene) -> Scene:
-    """The scene without the outputs that finer runs are asked for only where figures of a scene are known."""
+    """The scene without the outputs that finer runs are asked for only where checks of a scene are known."""
     if scene.name in FIGURES:
         return scene
     return replace(scene, outputs=scene.outputs - {"reactions", "actuation"})

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crosscheck.compare.figure import Figure
+from crosscheck.compare.check import Check
 from crosscheck.engines.engine import Engine
 from crosscheck.support.errors import CrosscheckError, reason_of
 from crosscheck.support.time_limits import SHORTER, limited
@@ -83,7 +83,7 @@ def as_far_as_it_goes(what: str, stops: list[Stop]) -> Iterator[None]:
         stops.append(Stop(what, reason_of(error).removeprefix(f"{what}: ")))
 
 
-def finite(rows: Iterable[Figure]) -> Iterator[Figure]:
+def finite(rows: Iterable[Check]) -> Iterator[Check]:
     """The rows that are finite; then raises `CrosscheckError` for the first that is not."""
     wrong = []
     for row in rows:
@@ -93,7 +93,7 @@ def finite(rows: Iterable[Figure]) -> Iterator[Figure]:
             wrong.append(row)
     for row in wrong:
         raise CrosscheckError(
-            f"no figure for {row.quantity} at level {row.level!r} between "
+            f"no check of {row.quantity} at level {row.level!r} between "
             f"{' and '.join(row.between)}: {row.value:g} at {row.where}"
         )
 

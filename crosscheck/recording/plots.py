@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from crosscheck.compare.figure import OPEN, POSES
+from crosscheck.compare.check import OPEN, POSES
 from crosscheck.compare.runs import orientations_apart, positions_apart
 from newton_euler.model.control import DeclaredLaw
 from newton_euler.model.digital_control import Digital

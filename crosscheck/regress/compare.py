@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.compare.activity import acted, watched_in_own_run, what_acted
-from crosscheck.compare.figure import Figure
+from crosscheck.compare.check import Check
 from crosscheck.regress.baseline import Baseline, Record, StoredFigure
 from crosscheck.regress.measure import MAIN, measure_group, regress_scene
 from crosscheck.report.outcome import Outcome
@@ -33,7 +33,7 @@ BETWEEN = ("baseline", "now")
 
 
 @dataclass(frozen=True)
-class Checked(Figure):
+class Checked(Check):
     """One stored figure against what it is now, where it moved most.
 
     Its level is the group of figures, its value the difference; infinite where there is nothing to compare.

@@ -21,8 +21,8 @@ from typing import Final, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from crosscheck.compare.check import OWN_ERROR, reach, round_off
 from crosscheck.compare.energy import energy_balance
-from crosscheck.compare.figure import OWN_ERROR, reach, round_off
 from crosscheck.compare.samples import Samples, States, admissible_basis
 from crosscheck.engines.engine import ENGINES
 from crosscheck.regress.baseline import (

@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from crosscheck.compare.check import OF_RUNS, Check
 from crosscheck.compare.crosscheck import Crosscheck
-from crosscheck.compare.figure import OF_RUNS, Figure
 from crosscheck.engines.engine import ENGINES
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.table import Report
@@ -23,7 +23,7 @@ PLAIN = re.compile(r"[\w:/.-]+", re.ASCII)
 """Addresses of entities whose names need no escapes."""
 
 MOMENT = re.compile(r"(?:(.*) at )?(\S+) s")
-"""Where a figure of runs is worst."""
+"""Where a check of runs is worst."""
 
 RECORDS = {
     "crosscheck": ("summary.json",),
@@ -79,14 +79,14 @@ def to_record(result: Crosscheck, report: Report) -> tuple[Any, ...]:
     word, found = report.headline
     text = f"# {word}\n\n" if word else ""
     text += markdown(replace(report, title="", verdict=found, parts=report.summary), links=links)
-    tolerances = {(row.quantity, *row.between): row.tolerance for row in result.figures}
-    return result.scene, result.trajectories, text, result.title, tolerances, list(_moments(result.figures))
+    tolerances = {(row.quantity, *row.between): row.tolerance for row in result.checks}
+    return result.scene, result.trajectories, text, result.title, tolerances, list(_moments(result.checks))
 
 
-def _moments(rows: Sequence[Figure]) -> Iterator[tuple[float, str]]:
+def _moments(rows: Sequence[Check]) -> Iterator[tuple[float, str]]:
     """Times, s, at which levels of the runs are worst, and what is worst there."""
     for level in OF_RUNS:
-        at_level = [row for row in rows if row.level == level and not row.informs]
+        at_level = [row for row in rows if row.level == level and row.judged]
         worst = max(at_level, key=lambda row: row.share, default=None)
         if worst and (found := MOMENT.fullmatch(worst.where)):
             place = ", ".join(filter(None, [found[1], worst.quantity]))

@@ -100,11 +100,11 @@ class Compared(Results):
 
     Attributes:
         engines: run time and error of each.
-        figures: their tolerances are drawn.
+        checks: checks whose tolerances are drawn.
     """
 
     engines: dict[str, Cost] = {}
-    figures: list[Bound] = []
+    checks: list[Bound] = []
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,7 @@ def _entry(file: Path, results: Results, anchor: str, progress: Progress) -> Ent
         costs, bounds = {}, {}
         if isinstance(results, Compared):
             costs = {name: (cost.wall_time, cost.off_by) for name, cost in results.engines.items()}
-            bounds = {(each.quantity, *each.between): each.tolerance for each in results.figures}
+            bounds = {(each.quantity, *each.between): each.tolerance for each in results.checks}
         entry.speed.extend(Picture(*each) for each in plots.speed(costs))
         entry.pictures.extend(Picture(*each) for each in plots.pictures(runs, bounds))
     for path in (path for path in beside if path.suffix == ".png"):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crosscheck.compare.figure import OPEN, POSES
+from crosscheck.compare.check import OPEN, POSES
 from crosscheck.report.table import seconds
 from crosscheck.support.palette import palette
 from newton_euler.model.euler_parameters import angle_between

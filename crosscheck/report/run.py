@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from crosscheck.compare.activity import acted
+from crosscheck.compare.check import FILE, Check, not_compared, not_settled
 from crosscheck.compare.coverage import Coverage
 from crosscheck.compare.crosscheck import Crosscheck
-from crosscheck.compare.figure import FILE, Figure, not_compared, not_settled
-from crosscheck.compare.known_figures import Measured
+from crosscheck.compare.reference_values import Measured
 from crosscheck.compare.runs import displacements
 from crosscheck.compare.samples import admissible_basis, body_units
 from crosscheck.compare.two_models.compare import Against
@@ -111,12 +111,12 @@ def tables(result: Crosscheck) -> Iterator[Table]:
     }
     engines = {engine.name for engine in result.engines}
     for part, title in titles.items():
-        rows = [row for row in result.figures if _part(row, engines) == part]
+        rows = [row for row in result.checks if _part(row, engines) == part]
         if rows:
             yield _table(title, rows)
     if result.measured:
         yield _measured_table(result.measured)
-    failed = [row for row in result.figures if not row.agrees]
+    failed = [row for row in result.checks if not row.agrees]
     if len(failed) > 1:
         yield Table(
             "where they part",
@@ -125,7 +125,7 @@ def tables(result: Crosscheck) -> Iterator[Table]:
         )
 
 
-def _part(row: Figure, engines: set[str]) -> str:
+def _part(row: Check, engines: set[str]) -> str:
     if len(row.between) == 1:
         return "single"
     if FILE in row.between:
@@ -133,7 +133,7 @@ def _part(row: Figure, engines: set[str]) -> str:
     return "pairs" if set(row.between) <= engines else "within"
 
 
-def _table(title: str, rows: list[Figure]) -> Table:
+def _table(title: str, rows: list[Check]) -> Table:
     """A row per quantity, a column per pair or engine, a section per level."""
     columns = list(dict.fromkeys(row.between for row in rows))
     lines: Rows = []
@@ -147,17 +147,17 @@ def _table(title: str, rows: list[Figure]) -> Table:
     return Table(title, [Column(""), *heads], lines)
 
 
-def _cell(row: Figure) -> Cell:
+def _cell(row: Check) -> Cell:
     about = f"worst at {row.where}"
     if row.unsettled:
         return Cell(f"{row.value:.1e} not judged", "", f"{not_settled([row.unsettled])}; {about}")
-    if row.informs:
+    if not row.judged:
         return Cell(f"{row.value:.1e}", "", about)
     return judged(row.value, row.tolerance, row.agrees, about)
 
 
 def _measured_table(measured: Sequence[Measured]) -> Table:
-    """A section per time, a row per known figure: first engine's value, reference, a cell per engine."""
+    """A section per time, a row per reference value: first engine's value, reference, a cell per engine."""
     columns = list(dict.fromkeys(found.engine for found in measured))
     rows: Rows = []
     for time in dict.fromkeys(found.known.time for found in measured):
@@ -172,7 +172,7 @@ def _measured_table(measured: Sequence[Measured]) -> Table:
             rows.append([label, *values, *(judged(each.value, each.tolerance, each.agrees) for each in mine)])
     heads = [Column(f"value,\n{columns[0]}", numeric=True), *figures("reference")]
     heads += [Column(name, numeric=True) for name in columns]
-    return Table("figures against the reference", [Column(""), *heads], rows)
+    return Table("reference values", [Column(""), *heads], rows)
 
 
 def _settings(result: Crosscheck) -> Iterator[tuple[str, str]]:
@@ -244,7 +244,7 @@ def notes(result: Crosscheck) -> Iterator[str]:
     if impossible and mapping is None:  # a finding of a file has the numbers
         broken = "two principal moments together less than the third"
         yield f"inertia that no mass has, {broken}: {', '.join(impossible)}"
-    yield from not_compared(result.figures)
+    yield from not_compared(result.checks)
     untested = result.coverage.untested if result.coverage else ()
     for why, shared in ((SAME_CODE, True), ("by the motion, 10 % more would not show", False)):
         if names := [covered.element for covered in untested if covered.shared == shared]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from crosscheck.compare.check import FILE, OF_EQUATIONS, OF_RUNS, OPEN, READING, REFERENCE, START, Check
 from crosscheck.compare.crosscheck import Crosscheck
-from crosscheck.compare.figure import FILE, OF_EQUATIONS, OF_RUNS, OPEN, READING, REFERENCE, START, Figure
 from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, figures, seconds
 
 MOST_NOTES = 3
@@ -36,19 +36,17 @@ def summary(result: Crosscheck, limits: Sequence[str], notes: Sequence[str]) -> 
     return parts
 
 
-def judged_figures(result: Crosscheck) -> list[Figure]:
+def judged_figures(result: Crosscheck) -> list[Check]:
     """All figures with a tolerance, those against the reference among them."""
-    found = [row for row in result.figures if not row.informs]
+    found = [row for row in result.checks if row.judged]
     for each in result.measured:
         place = f"{each.known.time:g} s"
-        found.append(
-            Figure(REFERENCE, each.known.quantity, (each.engine,), each.value, each.tolerance, place)
-        )
+        found.append(Check(REFERENCE, each.known.quantity, (each.engine,), each.value, each.tolerance, place))
     return found
 
 
 def levels_table(result: Crosscheck) -> Table:
-    """Make a row per level: how many figures hold, each engine's worst, and the one nearest its tolerance.
+    """Make a row per level: how many checks hold, each engine's worst, and the one nearest its tolerance.
 
     Beside an engine stands its worst difference from the first engine, or at levels of single engines its own
     figure. What is nearest its tolerance may be between any two.
@@ -70,19 +68,19 @@ def levels_table(result: Crosscheck) -> Table:
             for name in columns
         ]
         rows.append([level.partition(" and ")[0], held, *map(_worst, of_each), nearest(at_level)])
-    heads = [Column("worst of"), *figures("figures", *columns)]
+    heads = [Column("worst of"), *figures("checks", *columns)]
     return Table("", [*heads, Column("share of tolerance, where")], rows)
 
 
-def _worst(rows: Sequence[Figure]) -> Cell:
+def _worst(rows: Sequence[Check]) -> Cell:
     if not rows:
         return Cell("")
     worst = max(rows, key=lambda row: row.share)
     return Cell(f"{worst.value:.1e}", "" if worst.agrees else "fails")
 
 
-def nearest(rows: Sequence[Figure]) -> Cell:
-    """Word the figure that is nearest its tolerance or exceeds it most."""
+def nearest(rows: Sequence[Check]) -> Cell:
+    """Word the check that is nearest its tolerance or exceeds it most."""
     worst = max(rows, key=lambda row: row.share)
     share, (quantity, _, unit) = worst.share, worst.quantity.rpartition(", ")
     text = f"{100.0 * share:.0f} %" if share >= LEAST_SHARE else "<1 %"

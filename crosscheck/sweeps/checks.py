@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from crosscheck.compare.check import OWN_ERROR, UNRESOLVED, Check
 from crosscheck.compare.crosscheck import Crosscheck, crosscheck
-from crosscheck.compare.figure import OWN_ERROR, UNRESOLVED, Figure
 from crosscheck.compare.runs import FALLS
 from crosscheck.engines.engine import ENGINES, EXACT_ATOL, EXACT_RTOL, Engine
 from crosscheck.support.errors import CrosscheckError
@@ -68,7 +68,7 @@ class CheckedRun:
     complete: bool
     agrees: bool
     verdict: str
-    kept: tuple[Figure, ...] = ()
+    kept: tuple[Check, ...] = ()
     moves: bool = True
     untested: bool = False
     engines: tuple[str, ...] = ()
@@ -192,11 +192,11 @@ def worded(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str:
         if wrong:
             return f"{named}: {_difference(max(wrong, key=_share))}; {of_runs} cross-checked"
     kept = [figure for each in checked for figure in each.kept]
-    judged = [figure for figure in kept if not figure.informs]
+    judged = [figure for figure in kept if figure.judged]
     engines = checked[0].engines
     who = "all engines" if set(engines) == set(ENGINES) else ", ".join(engines)
     who += " alone" if len(engines) == 1 else ""
-    found = f"{who} in all figures of {of_runs}"
+    found = f"{who} in all checks of {of_runs}"
     if judged:
         found += f"; kept outputs agree too, closest to failing: {_difference(max(judged, key=_share))}"
     soft = sorted({figure.between[0] for figure in kept if figure.detail == SOFT_CONSTRAINTS})
@@ -208,11 +208,11 @@ def worded(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str:
     return found if any(each.moves for each in checked) else f"{found}; nothing moves"
 
 
-def _share(figure: Figure) -> float:
+def _share(figure: Check) -> float:
     return float(np.nan_to_num(figure.share, nan=np.inf))
 
 
-def _difference(figure: Figure) -> str:
+def _difference(figure: Check) -> str:
     """Report the difference of a kept number between an engine and the sweep."""
     name, _, unit = figure.quantity.rpartition(", ")
     quantity, unit = (name, f" {unit}") if name else (figure.quantity, "")
@@ -222,7 +222,7 @@ def _difference(figure: Figure) -> str:
 
 def _compared(
     swept: SweepResults, found: Sequence[KeptNumber], run: int, result: Crosscheck, engines: Sequence[Engine]
-) -> Iterator[Figure]:
+) -> Iterator[Check]:
     """Yield for each variable and engine the check closest to failing.
 
     One check is yielded for the judged numbers, and one for each reason why numbers are not judged.
@@ -257,7 +257,7 @@ def _compared(
             continue
         outputs, kept = kept_of(plan, run, trajectory)
         of_engine = cache(partial(_finer_of, plan, run, engine, scene))
-        figures: dict[str, list[Figure]] = {}
+        figures: dict[str, list[Check]] = {}
         # Compare each kept number with the sweep's
         for scalar in found:
             own, scale = float(numbers[scalar.variable][scalar.place]), scalar.scale(numbers[scalar.variable])
@@ -278,22 +278,22 @@ def _compared(
                 if limit > UNRESOLVED * scale or (apart <= limit and not falls):
                     unsettled = engine.name
             figures.setdefault(scalar.variable, []).append(
-                Figure(
+                Check(
                     KEPT_LEVEL,
                     scalar.heading,
                     (engine.name, "sweep"),
                     apart,
                     limit,
                     f"run {run}",
-                    bool(why or unsettled),
+                    not (why or unsettled),
                     unsettled,
                     why,
                 )
             )
         # Yield the check closest to failing of each variable and reason
         for of_variable in figures.values():
-            for kind in sorted({(each.informs, each.detail) for each in of_variable}):
-                alike = [each for each in of_variable if (each.informs, each.detail) == kind]
+            for kind in sorted({(not each.judged, each.detail) for each in of_variable}):
+                alike = [each for each in of_variable if (not each.judged, each.detail) == kind]
                 yield from sorted(alike, key=_share)[-1:]
 
 

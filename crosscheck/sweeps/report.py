@@ -324,7 +324,7 @@ def _checks(checked: Sequence[CheckedRun]) -> list[Part]:
         for figure in each.kept:
             unsettled = "not converged" if figure.unsettled else "not judged"
             apart = judged(figure.value, figure.tolerance, figure.agrees)
-            if figure.informs:
+            if not figure.judged:
                 apart = Cell(f"{figure.value:.1e}, {figure.detail or unsettled}")
             kept.append([figure.quantity, figure.between[0], apart])
     columns = [*figures("run"), *texts("chosen", "engines")]

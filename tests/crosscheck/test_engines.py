@@ -9,7 +9,7 @@ import pytest
 
 import mjcf
 import urdf
-from crosscheck.compare.figure import UNRESOLVED
+from crosscheck.compare.check import UNRESOLVED
 from crosscheck.compare.runs import compare_runs
 from crosscheck.engines.engine import ENGINES, LESS_REFINED, REFINED_RTOL
 from crosscheck.library import load

@@ -31,7 +31,7 @@ def test_a_scene_is_checked(verdict):
     assert verdict.agrees
     assert verdict.diagnosis == ()
     assert set(verdict.trajectories) == {"newton_euler", "pinocchio"}
-    assert all(figure.agrees for figure in verdict.figures)
+    assert all(figure.agrees for figure in verdict.checks)
     verdict.assert_agrees()
 
 
@@ -100,9 +100,9 @@ def test_options_are_not_of_scenes():
 def test_a_disagreement_is_an_assertion(verdict):
     wrong = [
         replace(row, value=1.0) if (row.quantity, row.between[0]) == ("mass, rel", "newton_euler") else row
-        for row in verdict.figures
+        for row in verdict.checks
     ]
-    found = crosscheck.Verdict(replace(verdict.crosscheck, figures=tuple(wrong)))
+    found = crosscheck.Verdict(replace(verdict.crosscheck, checks=tuple(wrong)))
     assert not found.agrees
     level = r"(?s)DISAGREE: .* level 'model': mass, rel: 1 > .*\nmodel +1/\d+ FAIL"
     with pytest.raises(AssertionError, match=level):

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from crosscheck.compare.check import Check
 from crosscheck.compare.coverage import Coverage, coverage
-from crosscheck.compare.figure import Figure
 from crosscheck.compare.runs import compare_runs
 from crosscheck.engines.engine import ENGINES, Engine
 from crosscheck.library import load
@@ -74,7 +74,7 @@ def check(scene: Scene, engine: str = "pinocchio") -> Checked:
     return Checked(said, (*wrong, *(f"{name} was not changed" for name in tested)))
 
 
-def _trajectories(scene: Scene, own: Engine, other: Engine, planted: Scene) -> Iterator[Figure]:
+def _trajectories(scene: Scene, own: Engine, other: Engine, planted: Scene) -> Iterator[Check]:
     """The level of trajectories between two engines, the other one of which has another scene."""
     name = "changed"
     engines = [

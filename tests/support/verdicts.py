@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from crosscheck.compare.figure import Figure
+from crosscheck.compare.check import Check
 from crosscheck.compare.levels import compare
 from crosscheck.engines.engine import ENGINES, Engine
 from newton_euler.model.scene import Scene
@@ -12,12 +12,12 @@ from newton_euler.model.scene import Scene
 ALL = tuple(ENGINES.values())
 
 
-def verdicts(scene: Scene, engines: Sequence[Engine] = ALL, states: int = 3) -> list[Figure]:
+def verdicts(scene: Scene, engines: Sequence[Engine] = ALL, states: int = 3) -> list[Check]:
     """All figures of the engines' runs and of their equations at some random states."""
     return compare(scene, engines, {engine.name: engine.simulate(scene) for engine in engines}, states)
 
 
-def figure(rows: Iterable[Figure], level: str, quantity: str, *between: str) -> Figure:
+def figure(rows: Iterable[Check], level: str, quantity: str, *between: str) -> Check:
     """The one figure of that name."""
     (row,) = (row for row in rows if (row.level, row.quantity, row.between) == (level, quantity, between))
     return row

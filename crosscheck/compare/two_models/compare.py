@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from crosscheck.compare.check import Check, not_judged
 from crosscheck.compare.crosscheck import Crosscheck, Progress
 from crosscheck.compare.diagnosis import Diagnosis
-from crosscheck.compare.figure import Figure, not_judged
 from crosscheck.compare.levels import compare_pair
 from crosscheck.compare.runs import compare_runs
 from crosscheck.compare.samples import Samples
@@ -53,7 +53,7 @@ class Against(Crosscheck):
 
     Attributes:
         models: the two.
-        unsimulated: what the files do not have alike and no figure is about.
+        unsimulated: what the files do not have alike and no check is about.
         notes: also what was taken for what, and all that differs.
     """
 
@@ -67,7 +67,7 @@ class Against(Crosscheck):
 
     @property
     def differs(self) -> bool:
-        """True if any figure exceeds its tolerance, or anything else differs that moves the mechanism."""
+        """True if any check exceeds its tolerance, or anything else differs that moves the mechanism."""
         return super().differs or any(other.moves for other in self.unsimulated)
 
     @property
@@ -90,12 +90,12 @@ class Against(Crosscheck):
     @property
     def verdict(self) -> str:
         """One line: whether they are the same, or the first level at which they are not, and where."""
-        judged = [row for row in self.figures if not row.informs]
+        judged = [row for row in self.checks if row.judged]
         failed = [row for row in judged if not row.agrees]
         names = " and ".join(model.title for model in self.models)
         ending = f"; {TO_THE_END}" if self.unfinished else ""
         if not failed:
-            agree = f"{names} agree in all {len(judged)} figures{not_judged(self.figures)}"
+            agree = f"{names} agree in all {len(judged)} checks{not_judged(self.checks)}"
             agree += "; nothing moves" if self.rests else ""
             if moving := [other for other in self.unsimulated if other.moves]:
                 more = f" (and {len(moving) - 1} more)" if len(moving) > 1 else ""
@@ -114,7 +114,7 @@ class Against(Crosscheck):
         return (
             f"DIFFERENT: {names} part at level '{row.level}': {row.quantity}: {row.value:.3g} > "
             f"{row.tolerance:.3g}, worst at {row.place} "
-            f"({len(failed)} of {len(judged)} figures fail{beside}){ending}"
+            f"({len(failed)} of {len(judged)} checks fail{beside}){ending}"
         )
 
     def summary(self) -> dict[str, Any]:
@@ -179,7 +179,7 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
         engines=tuple(engines),
         left_out={},
         trajectories=runs,
-        figures=tuple(rows),
+        checks=tuple(rows),
         measured=(),
         wall_time=time.perf_counter() - begun,
         mapping=first.mapping,
@@ -207,7 +207,7 @@ def _aligned_best(candidates: Sequence[Aligned], stops: list[Stop]) -> SharedSta
 
 def _equations_compared(
     pair: tuple[str, str], engines: Sequence[Engine], states: SharedStates
-) -> tuple[list[Figure], list[str]]:
+) -> tuple[list[Check], list[str]]:
     """Figures of equations up to the first level that disagrees, and what there is to say of the starts."""
     if states.aligned.second is None:
         return [bodies_row(pair, states.aligned)], []

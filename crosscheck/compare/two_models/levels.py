@@ -16,16 +16,16 @@ from numpy.typing import ArrayLike
 
 from crosscheck.compare.accelerations import acceleration_rows
 from crosscheck.compare.blame import Cause
-from crosscheck.compare.dynamics import motion_rows
-from crosscheck.compare.figure import (
+from crosscheck.compare.check import (
     ROUND_OFF,
     START,
-    Figure,
+    Check,
     both_values,
     reach,
     round_off,
     worst_figure,
 )
+from crosscheck.compare.dynamics import motion_rows
 from crosscheck.compare.kinematics import kinematics_rows
 from crosscheck.compare.levels import Level
 from crosscheck.compare.samples import Samples, States
@@ -102,7 +102,7 @@ class Difference(NamedTuple):
         """Numbers of those above the tolerance, the largest first."""
         return [int(k) for k in np.argsort(-self.values) if not self.values[k] <= self.tolerance]
 
-    def figure(self, level: str, pair: tuple[str, str]) -> Figure:
+    def figure(self, level: str, pair: tuple[str, str]) -> Check:
         """The largest difference, with all that differ named."""
         larger = self.larger
         found = worst_figure(level, self.quantity, pair, self.values, self.tolerance, self.names)
@@ -120,10 +120,10 @@ class Difference(NamedTuple):
         return self.names[int(np.argmax(self.values))]
 
 
-def bodies_row(pair: tuple[str, str], aligned: Aligned) -> Figure:
+def bodies_row(pair: tuple[str, str], aligned: Aligned) -> Check:
     """Count the bodies that have no partner."""
     alone = [name for names in aligned.alone for name in names]
-    return Figure("model", "bodies without partner", pair, float(len(alone)), 0.5, ", ".join(alone))
+    return Check("model", "bodies without partner", pair, float(len(alone)), 0.5, ", ".join(alone))
 
 
 def differences(states: SharedStates) -> Iterator[Difference]:
@@ -241,14 +241,14 @@ def _reactions(equations: JointEquations, frames: Sequence[Frame], arms: Array, 
     return orthonormal_range(np.hstack(parts).T)
 
 
-def model_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:
+def model_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
     """The largest of each of the `differences`, and how many joints are of other kinds, which the levels
     after this have to judge: a ball closes a plane loop as a hinge does."""
     states, aligned = _shared(first), _shared(first).aligned
     yield bodies_row(pair, aligned)
     other = [name for name in aligned.joints if not aligned.same_kind(name)]
-    yield Figure(
-        "model", "joints of another kind", pair, float(len(other)), 0.5, ", ".join(other), informs=True
+    yield Check(
+        "model", "joints of another kind", pair, float(len(other)), 0.5, ", ".join(other), judged=False
     )
     for difference in differences(states):
         yield difference.figure("model", pair)
@@ -299,7 +299,7 @@ def functions_apart(scene: Scene, one: Coupling, two: Coupling, scale: float) ->
     return float(np.max(np.abs(scale * b - a)) / max(float(np.max(np.abs(a))), 1e-12))
 
 
-def start_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:
+def start_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
     """Compare starting poses and velocities of bodies; tolerances are round-off times the condition of
     the constraints, which starts are assembled by."""
     states = _shared(first)
@@ -323,7 +323,7 @@ def start_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterat
         yield worst_figure(START, quantity, pair, values, tolerance, scene.mechanism.body_names)
 
 
-def term_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:
+def term_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
     """Gravity, rotors, what acts at joints and on bodies, each blamed on itself; energies, effective inertia
     and force after them. Tolerances are round-off times the condition of the constraints."""
     aligned, states = _shared(first).aligned, first.states.all
@@ -331,7 +331,7 @@ def term_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterato
     share = round_off(max(first.condition, second.condition), first.states.noise)
     scales, failed = first.scales, list[Cause]()
 
-    def term(quantity: str, values: Mapping[str, float], of_both: Callable[[str], str]) -> Figure:
+    def term(quantity: str, values: Mapping[str, float], of_both: Callable[[str], str]) -> Check:
         found = Difference(quantity, np.array(list(values.values())), share, tuple(values))
         row = found.figure("dynamics", pair)
         if not row.agrees:

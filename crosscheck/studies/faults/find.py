@@ -15,8 +15,8 @@ from itertools import combinations
 
 import numpy as np
 
+from crosscheck.compare.check import Check
 from crosscheck.compare.diagnosis import Diagnosis, diagnose
-from crosscheck.compare.figure import Figure
 from crosscheck.compare.levels import EQUATION_LEVELS, Level, compare_pair
 from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import ENGINES, Engine
@@ -53,7 +53,7 @@ READING = "the reading"
 
 
 @dataclass(frozen=True)
-class Detection(Figure):
+class Detection(Check):
     """First failing check that shows a fault. At the level `REFUSED` its quantity is the text of the error.
 
     Attributes:
@@ -63,9 +63,9 @@ class Detection(Figure):
     odd: str = ""
 
     @classmethod
-    def of(cls, figure: Figure | Diagnosis, odd: str = "") -> Detection:
+    def of(cls, figure: Check | Diagnosis, odd: str = "") -> Detection:
         """Make the detection of a failing check, or of the check that a diagnosis explains."""
-        between = figure.between if isinstance(figure, Figure) else figure.parting
+        between = figure.between if isinstance(figure, Check) else figure.parting
         place = figure.value, figure.tolerance, figure.where
         return cls(figure.level, figure.quantity, between, *place, odd=odd)
 
@@ -221,13 +221,13 @@ class FaultFree:
 
     def _compared(
         self, pair: tuple[str, str], samples: dict[str, Samples], levels: Sequence[Level]
-    ) -> Iterator[Figure]:
+    ) -> Iterator[Check]:
         return compare_pair(pair, [samples[pair[0]]], [samples[pair[1]]], levels)
 
     def diagnosed(self, name: str, faulty: Samples, levels: Sequence[Level]) -> Detection | None:
         """Diagnose all engines, with `faulty` as the samples of engine `name`; None if all checks pass."""
         samples = self._samples | {name: faulty}
-        rows: list[Figure] = []
+        rows: list[Check] = []
         try:
             for pair, known in self._rows.items():
                 rows += self._compared(pair, samples, levels) if name in pair else known

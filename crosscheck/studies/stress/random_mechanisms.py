@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crosscheck.compare.figure import Figure
+from crosscheck.compare.check import Check
 from crosscheck.compare.levels import compare_pair
 from crosscheck.compare.samples import Samples, States
 from crosscheck.studies.random_scenes import GRAVITY, random_scene
@@ -113,14 +113,14 @@ def compare(scene: Scene, setting: Setting) -> Worst | None:
     states = States(scene, (initial_state(scene),))
     try:
         pair = [Samples(Relative(scene), states)], [Samples(_system(setting.engine, scene), states)]
-        rows = [row for row in compare_pair(("relative", setting.engine), *pair) if not row.informs]
+        rows = [row for row in compare_pair(("relative", setting.engine), *pair) if row.judged]
     except (NewtonEulerError, CrosscheckError, np.linalg.LinAlgError) as error:
         return Worst(np.inf, str(error))
     worst = max(rows, key=_share)
     return Worst(_share(worst), f"{worst.level}: {worst.quantity} {worst.value:.1e}")
 
 
-def _share(row: Figure) -> float:
+def _share(row: Check) -> float:
     share = row.value / row.tolerance
     return np.inf if np.isnan(share) else share
 

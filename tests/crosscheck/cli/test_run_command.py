@@ -9,7 +9,7 @@ import pytest
 from command_line import check_refused, run, scene_file, verdict_of
 
 from crosscheck.cli.shared import scene_options
-from crosscheck.compare.figure import LEVELS, READING, Figure
+from crosscheck.compare.check import LEVELS, READING, Check
 from crosscheck.library import load
 from newton_euler.model.trajectory import load_arrays
 
@@ -23,7 +23,7 @@ def test_run_writes_everything_and_agrees(capsys, tmp_path, good):
     assert names == {"newton_euler.npz", "mujoco.npz", "pinocchio.npz", "summary.json", "scene.rrd"}
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["agrees"] is True
-    assert {figure["level"] for figure in summary["figures"]} == {*LEVELS} - {READING}
+    assert {figure["level"] for figure in summary["checks"]} == {*LEVELS} - {READING}
     assert set(summary["engines"]) == {"newton_euler", "mujoco", "pinocchio"}
     assert summary["versions"]["mujoco"].split(".")[0].isdigit()
     arrays = load_arrays(tmp_path / "out" / "mujoco.npz")
@@ -105,7 +105,7 @@ def test_what_nobody_foresaw_is_one_line_and_what_there_is_is_kept(tmp_path, cap
 
 
 def test_a_figure_that_is_not_a_number_is_none(tmp_path, capsys, good, monkeypatch):
-    row = Figure("drift", "open joints", ("mujoco",), float("nan"), 1.0, "elbow")
+    row = Check("drift", "open joints", ("mujoco",), float("nan"), 1.0, "elbow")
     monkeypatch.setattr(
         "crosscheck.compare.crosscheck.stages",
         lambda *_: {"comparing": lambda _: [row, replace(row, value=0.5)]},
@@ -113,8 +113,8 @@ def test_a_figure_that_is_not_a_number_is_none(tmp_path, capsys, good, monkeypat
     path, out = scene_file(tmp_path, good), tmp_path / "out"
     status, said, err = run(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", out)
     assert (status, err) == (3, "")
-    assert "no figure for open joints at level 'drift' between mujoco: nan at elbow; as far" in said
-    figures = json.loads((out / "summary.json").read_text())["figures"]
+    assert "no check of open joints at level 'drift' between mujoco: nan at elbow; as far" in said
+    figures = json.loads((out / "summary.json").read_text())["checks"]
     assert [figure["value"] for figure in figures] == [0.5]
 
 
@@ -139,12 +139,12 @@ def test_one_engine_alone_agrees_with_nobody(tmp_path, capsys, good):
 
 
 def test_one_engine_alone_can_fail(tmp_path, capsys, good, monkeypatch):
-    row = Figure("drift", "open joints, m or rad", ("mujoco",), 2.0, 1.0, "elbow at 0 s")
+    row = Check("drift", "open joints, m or rad", ("mujoco",), 2.0, 1.0, "elbow at 0 s")
     monkeypatch.setattr("crosscheck.compare.crosscheck.stages", lambda *_: {"comparing": lambda _: [row]})
     path = scene_file(tmp_path, good)
     status, out, _ = run(capsys, "run", path, "--engines", "mujoco", "--output", tmp_path / "out")
     assert status == 1
-    verdict = "its own figures fail at level 'drift': open joints, m or rad: 2 > 1, worst at elbow at 0 s"
+    verdict = "its own checks fail at level 'drift': open joints, m or rad: 2 > 1, worst at elbow at 0 s"
     assert verdict in verdict_of(out)
 
 

@@ -16,8 +16,8 @@ from mechanisms import GRAVITY, ball_loop, pendulum, planar_four_bar
 import mjcf
 import newton_euler
 from crosscheck.compare.advice import WANTED, Advice, fitting, redundancy_advice, soft_advice
+from crosscheck.compare.check import Check
 from crosscheck.compare.crosscheck import crosscheck
-from crosscheck.compare.figure import Figure
 from crosscheck.compare.runs import rests
 from crosscheck.engines.engine import ENGINES, choose
 from crosscheck.report.outcome import Outcome
@@ -33,9 +33,9 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory, distance
 from newton_euler.runs.assemble import initial_state
 
-AGREED = Figure("model", "mass, rel", ("newton_euler", "mujoco"), 0.0, 1e-12, "bar")
+AGREED = Check("model", "mass, rel", ("newton_euler", "mujoco"), 0.0, 1e-12, "bar")
 MODEL_APART = replace(AGREED, value=1.0)
-RUNS_APART = Figure("trajectories", "positions, m", ("newton_euler", "mujoco"), 1.0, 1e-9, "bar at 1 s")
+RUNS_APART = Check("trajectories", "positions, m", ("newton_euler", "mujoco"), 1.0, 1e-9, "bar at 1 s")
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def runs(loop: Scene) -> dict[str, Trajectory]:
     return {engine.name: engine.simulate(loop) for engine in choose(["newton_euler", "mujoco"])}
 
 
-def softness(scene: Scene, runs: dict[str, Trajectory], *rows: Figure) -> list[Advice]:
+def softness(scene: Scene, runs: dict[str, Trajectory], *rows: Check) -> list[Advice]:
     return list(soft_advice(scene, [ENGINES[name] for name in runs], runs, rows or (AGREED,)))
 
 
@@ -228,7 +228,7 @@ def test_a_run_in_which_nothing_moves_is_called_so_and_teaches_nothing() -> None
     result = crosscheck(resting, engines, lambda _: None, "a_scene", {}, advised=True)
     assert result.rests
     assert result.outcome.passes()
-    assert result.verdict.endswith("figures; nothing moves; motion covers 0 of 10 elements")
+    assert result.verdict.endswith("checks; nothing moves; motion covers 0 of 10 elements")
     assert [advice.topic for advice in result.advice] == ["redundancy"]  # of the equations, not the run
     (line,) = (line for line in notes(result) if line.startswith("nothing moves"))
     assert "it starts at rest in equilibrium" in line
@@ -279,7 +279,7 @@ def test_an_engine_that_others_deserted_agrees_with_nobody() -> None:
     assert result.verdict.startswith(
         "NOT COMPARED: nothing could be compared on pendulum, ran newton_euler alone"
     )
-    assert "; its own figures hold" in result.verdict
+    assert "; its own checks hold" in result.verdict
     assert "; mujoco left out: not in this world; pinocchio left out: not in this world; " in result.verdict
     asked = crosscheck(scene, [ENGINES["newton_euler"]], lambda _: None, "a_scene", {})
     assert asked.outcome is Outcome.ONE_ENGINE_ALONE

@@ -16,7 +16,7 @@ from test_two_ways import DURATION, PERIOD, whole, written_mjcf, written_urdf
 import mjcf
 import urdf
 from crosscheck.cli.run import _short_name
-from crosscheck.compare.figure import OF_EQUATIONS, OF_RUNS, START
+from crosscheck.compare.check import OF_EQUATIONS, OF_RUNS, START
 from crosscheck.compare.two_models import compare
 from crosscheck.compare.two_models.align import alignments
 from crosscheck.compare.two_models.compare import Against, against
@@ -77,10 +77,10 @@ def linkage(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 def first_failing(result: Against) -> tuple[str, str, str]:
     """Level, quantity and place of what the verdict names."""
-    row = next(row for row in result.figures if not row.agrees)
+    row = next(row for row in result.checks if not row.agrees)
     assert f"part at level '{row.level}': {row.quantity}: " in result.verdict
     assert f"worst at {row.place} (" in result.verdict
-    assert {r.level for r in result.figures if not r.agrees} == {row.level}  # none after it
+    assert {r.level for r in result.checks if not r.agrees} == {row.level}  # none after it
     return row.level, row.quantity.removesuffix(", rel"), row.where
 
 
@@ -91,10 +91,10 @@ def first_failing(result: Against) -> tuple[str, str, str]:
 def test_one_mechanism_cut_in_two_ways_is_the_same(tmp_path: Path, one: str, other: str) -> None:
     result = compared(read_mjcf(tmp_path, written_mjcf(one, sites=False)), read_urdf(tmp_path, other))
     assert result.verdict.startswith("SAME: a and b agree in all ")
-    assert {row.level for row in result.figures} == {*OF_EQUATIONS, *OF_RUNS, START} - {"drift"}
-    reactions = [row for row in result.figures if row.quantity.startswith("reaction")]
+    assert {row.level for row in result.checks} == {*OF_EQUATIONS, *OF_RUNS, START} - {"drift"}
+    reactions = [row for row in result.checks if row.quantity.startswith("reaction")]
     assert len(reactions) == 2
-    judged = [row for row in result.figures if not row.informs]
+    judged = [row for row in result.checks if row.judged]
     assert all(row.value < ROUND_OFF for row in judged if row.level in OF_EQUATIONS)
 
 
@@ -226,7 +226,7 @@ def test_the_point_of_a_hinge_may_be_anywhere_on_its_axis() -> None:
     """Its reaction is told at another point then, where the same force has another torque."""
     result = compared(pendulum(), injection.joint_point("pivot", np.array([0.0, 0.3, 0.0]))(pendulum()))
     assert result.verdict.startswith("SAME")
-    (torque,) = (row for row in result.figures if row.quantity == "reaction torque, rel")
+    (torque,) = (row for row in result.checks if row.quantity == "reaction torque, rel")
     assert torque.value < ROUND_OFF
 
 
@@ -362,7 +362,7 @@ def test_a_converted_model_is_the_same_on_the_command_line(capsys, tmp_path, fil
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["agrees"] is True
     assert [part["source"] for part in summary["models"]] == [str(model), str(converted)]
-    assert {figure["level"] for figure in summary["figures"]} == {*OF_EQUATIONS, *OF_RUNS, START} - {"drift"}
+    assert {figure["level"] for figure in summary["checks"]} == {*OF_EQUATIONS, *OF_RUNS, START} - {"drift"}
 
 
 @pytest.mark.parametrize(
@@ -455,7 +455,7 @@ def test_a_run_that_stops_of_models_that_agree_until_then_gives_no_verdict(monke
     stopped, agreed = result.verdict.split("; ")[:2]
     assert stopped == f"UNFINISHED: a, b: {STOPPED}"
     assert agreed.startswith("as far as compared a and b agree in all ")
-    assert {row.level for row in result.figures} >= {"model", "trajectories"}
+    assert {row.level for row in result.checks} >= {"model", "trajectories"}
 
 
 def test_models_that_part_are_different_on_the_command_line_whatever_stops(

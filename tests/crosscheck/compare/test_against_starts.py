@@ -12,7 +12,7 @@ from test_against import FAULT, ROUND_OFF, compared, first_failing
 from test_two_ways import states_of, whole
 
 import mjcf
-from crosscheck.compare.figure import START
+from crosscheck.compare.check import START
 from crosscheck.studies.faults import injection
 from crosscheck.studies.faults.injection import Injection
 from newton_euler.runs.assemble import assemble
@@ -75,5 +75,5 @@ def test_another_keyframe_of_one_file_is_another_start(tmp_path: Path, kind: str
     first, second = (mjcf.read(model, key).scene for key in ("k0", "k1"))
     result = compared(first, second)
     assert first_failing(result)[0] == START
-    figures = [row for row in result.figures if row.level == "model" and not row.informs]
+    figures = [row for row in result.checks if row.level == "model" and row.judged]
     assert all(row.value < ROUND_OFF for row in figures)

@@ -231,7 +231,7 @@ def test_two_models_are_told_apart_by_the_joint_of_the_ball(change: Injection, q
     spring, rotor = BallSpring("at_c", 3.0, 0.2, 0.5 * AXIS), BallArmature("at_c", 0.3)
     scene = replace(ball_loop(), forces=(spring,), armatures=(rotor,))
     result = compared(scene, change(scene))
-    row = next(row for row in result.figures if not row.agrees)
+    row = next(row for row in result.checks if not row.agrees)
     assert (row.level, row.quantity, row.where) == ("dynamics", f"{quantity}, rel", "at_c")
     joints = [
         replace(joint, first=joint.second, second=joint.first) if joint.name == "at_c" else joint

@@ -12,7 +12,7 @@ from mechanisms import GRAVITY, REGULAR, bar, pendulum, planar_four_bar, scaled,
 from verdicts import ALL, figure, verdicts
 
 import mjcf
-from crosscheck.compare.figure import OF_EQUATIONS, Figure, not_compared
+from crosscheck.compare.check import OF_EQUATIONS, Check, not_compared
 from crosscheck.compare.levels import compare, compare_equations, sampled
 from crosscheck.compare.momentum import momentum_row
 from crosscheck.compare.runs import compare_runs
@@ -103,7 +103,7 @@ def test_tracker_is_held_to_what_it_can_meet(tracker, tracker_run):
     rows = compare(tracker, engines, {"newton_euler": tracker_run(), "mujoco": mjcf.simulate(tracker)}, 5)
     assert_agrees(rows)
     for row in rows:
-        if row.level in OF_EQUATIONS and not row.informs:
+        if row.level in OF_EQUATIONS and row.judged:
             # round-off at condition 1e4, relative to the mechanism's motion. In differences over 1e-3 rad
             # the round-off of velocities, 1e-16, counts 1e3 times
             bound = 1e-12 if row.quantity == "joint acceleration, rel" else 1e-13
@@ -343,8 +343,8 @@ def test_a_mass_matrix_without_a_condition_is_named(monkeypatch):
         _ = states.mass_condition
 
 
-def test_a_figure_that_informs_is_not_judged():
-    row = Figure("drift", "open joints, m or rad", ("mujoco",), 0.5, 1e-2, "pin")
+def test_a_check_without_a_verdict_agrees():
+    row = Check("drift", "open joints, m or rad", ("mujoco",), 0.5, 1e-2, "pin")
     assert not row.agrees
-    assert replace(row, informs=True).agrees
+    assert replace(row, judged=False).agrees
     assert not replace(row, value=float("nan")).agrees

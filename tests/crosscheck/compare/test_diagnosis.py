@@ -13,9 +13,9 @@ from verdicts import verdicts
 import mjcf
 import newton_euler
 import urdf
+from crosscheck.compare.check import OF_EQUATIONS, OF_RUNS, Check
 from crosscheck.compare.crosscheck import crosscheck
 from crosscheck.compare.diagnosis import FILE, READING, diagnose
-from crosscheck.compare.figure import OF_EQUATIONS, OF_RUNS, Figure
 from crosscheck.compare.levels import compare_equations
 from crosscheck.compare.momentum import momentum_row
 from crosscheck.compare.samples import Samples, States
@@ -46,7 +46,7 @@ RIGID = [replace(engine, soft_start=None) for engine in ENGINES.values()]
 
 
 def row(level, between, value, tolerance=1.0, quantity="a"):
-    return Figure(level, quantity, tuple(between), value, tolerance, "bar")
+    return Check(level, quantity, tuple(between), value, tolerance, "bar")
 
 
 def pairs(level, *values, quantity="a"):
@@ -69,7 +69,7 @@ def test_who_parts_from_two_that_agree_is_odd(values, odd, agree):
     assert (found.within, found.everywhere) == (0.3, True)
     assert (found.level, found.quantity, found.where) == ("model", "a", "bar")
     assert found.value == 5.0
-    assert found.who == f"{odd} differs; {' and '.join(agree)} agree to 3e-01 (all figures)"
+    assert found.who == f"{odd} differs; {' and '.join(agree)} agree to 3e-01 (all checks)"
     assert found.blame == f"{odd}'s model is wrong"
 
 
@@ -190,7 +190,7 @@ def test_the_reading_is_to_blame_only_for_what_all_engines_share():
     agreed = pairs("model", 0.1, 0.1, 0.1)
     (found,) = diagnose(NAMES, [*from_file(5.0, 5.0, 5.0), *agreed])
     assert (found.odd, found.fault, found.agree) == (FILE, "reading", NAMES)
-    assert found.who == f"the file differs; {NE}, {MJ} and {PIN} agree to 1e-01 (all figures)"
+    assert found.who == f"the file differs; {NE}, {MJ} and {PIN} agree to 1e-01 (all checks)"
     (found,) = diagnose(NAMES, [*from_file(0.1, 5.0, 0.1), *pairs("model", 5.0, 0.1, 5.0)])
     assert (found.odd, found.level, found.fault) == (MJ, READING, "model")
     first, then = diagnose(NAMES, [*from_file(5.0, 5.0, 5.0), *pairs("model", 5.0, 0.1, 5.0)])
@@ -201,7 +201,7 @@ def test_the_reading_is_to_blame_only_for_what_all_engines_share():
 
 
 def test_figures_that_hold_or_only_inform_blame_nobody():
-    informing = replace(row("drift", (MJ,), 5.0), informs=True)
+    informing = replace(row("drift", (MJ,), 5.0), judged=False)
     assert diagnose(NAMES, [*pairs("model", 0.1, 0.1, 0.1), informing]) == ()
 
 
@@ -404,7 +404,7 @@ def test_a_soft_run_that_its_own_finer_one_changes_by_more_is_not_resolved(soft,
     """The difference is of a step that is too large, or of constraints that resist each other."""
 
     def row(between, value, detail=""):
-        return Figure("energy", "energy less work, rel", between, value, 1e-2, "0.01 s", detail=detail)
+        return Check("energy", "energy less work, rel", between, value, 1e-2, "0.01 s", detail=detail)
 
     rows = [row((name,), 1e-9) for name in ("newton_euler", "pinocchio")]
     rows.append(row(("mujoco",), 5.0, "mujoco's own run changes by 3 when refined"))
@@ -422,6 +422,6 @@ def test_an_engine_that_diverges_is_named_beside_what_the_others_say():
     assert found.verdict.startswith("UNFINISHED: mujoco: MuJoCo diverged at t = ")
     said = "as far as compared mujoco differs; newton_euler and pinocchio agree to "
     assert said in found.verdict
-    held = [row for row in found.figures if row.between == ("newton_euler", "pinocchio")]
+    held = [row for row in found.checks if row.between == ("newton_euler", "pinocchio")]
     assert {row.level for row in held} >= {"model", "trajectories", "energy"}
     assert all(row.agrees for row in held)

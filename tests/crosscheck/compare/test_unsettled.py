@@ -10,8 +10,8 @@ import pytest
 from mechanisms import pendulum
 from verdicts import figure, verdicts
 
+from crosscheck.compare.check import POSES, not_judged
 from crosscheck.compare.crosscheck import crosscheck as run_crosscheck
-from crosscheck.compare.figure import POSES, not_judged
 from crosscheck.engines.engine import ENGINES
 from crosscheck.report.output import write
 from crosscheck.report.page import write_report
@@ -80,12 +80,12 @@ def test_an_error_that_does_not_fall_excuses_nothing(far, finer, settled):
     row = figure(rows, "trajectories", "positions, m", "newton_euler", "mujoco")
     # 1e-11: what newton_euler's own runs differ by
     assert row.value == pytest.approx(far, abs=1e-11)
-    assert (row.agrees, row.informs) == (settled is not None, settled is False)
+    assert (row.agrees, not row.judged) == (settled is not None, settled is False)
     assert row.unsettled == ("mujoco" if settled is False else "")
     others = [row for row in rows if row.unsettled and row.quantity != "positions, m"]
     assert others == []
     more = (
-        "; 1 more figure is not judged: a finer run of mujoco reduces the difference too little"
+        "; 1 more check is not judged: a finer run of mujoco reduces the difference too little"
         if settled is False
         else ""
     )
@@ -154,7 +154,7 @@ def test_what_is_not_judged_is_said_in_the_verdict_tables_and_pages(tmp_path):
     engines = [ENGINES["newton_euler"], off("pinocchio", 1e-5, -1e-5)]
     result = run_crosscheck(scene, engines, lambda _: None, "pendulum.yaml", {})
     assert result.verdict.startswith("AGREE: newton_euler, pinocchio agree on pendulum in all ")
-    assert "figures; 1 more figure is not judged: a finer run of pinocchio reduces" in result.verdict
+    assert "checks; 1 more check is not judged: a finer run of pinocchio reduces" in result.verdict
     found = report(result)
     write(result, found, tmp_path, tmp_path / "pendulum.rrd", "pendulum")
     page = write_report(tmp_path, lambda _: None)

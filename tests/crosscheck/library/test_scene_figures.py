@@ -15,8 +15,8 @@ from crosscheck import check
 from crosscheck.cli import run_all
 from crosscheck.cli.run_all import Outcome, outcome, outcome_lines, outcomes_table
 from crosscheck.cli.shared import UNFINISHED
-from crosscheck.compare.figure import OWN_ERROR, UNRESOLVED
-from crosscheck.compare.known_figures import ROUND_OFF, known_of, measure
+from crosscheck.compare.check import OWN_ERROR, UNRESOLVED
+from crosscheck.compare.reference_values import ROUND_OFF, known_of, measure
 from crosscheck.engines import engine as engines
 from crosscheck.library import FIGURES, SCENES, load
 from crosscheck.library.measure import angle, position, spin, velocity
@@ -159,8 +159,8 @@ def test_run_prints_and_stores_known_figures(capsys, tmp_path):
     assert re.search(r"^reference +28 ok", out, re.MULTILINE)
     assert verdict_of(out).endswith(", and the reference in all 28; motion covers 0 of 2 elements")
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert {figure["engine"] for figure in summary["known_figures"]} == {"newton_euler", "pinocchio"}
-    (first, *_) = summary["known_figures"]
+    assert {figure["engine"] for figure in summary["known_values"]} == {"newton_euler", "pinocchio"}
+    (first, *_) = summary["known_values"]
     assert (first["quantity"], first["time"], first["reference"]) == ("omega_x", 0.5, 0.6263458468622101)
     assert first["difference"] <= first["allowed"] < 1e-9
 
@@ -174,7 +174,7 @@ def test_a_wrong_figure_is_status_1(capsys, tmp_path, monkeypatch):
     assert verdict.startswith(
         "DISAGREE: newton_euler and the reference part; against the reference: y: 0.00092 > "
     )
-    assert verdict.endswith("(2 of 10 known figures fail)")
+    assert verdict.endswith("(2 of 10 reference values fail)")
 
 
 def test_an_engine_that_cannot_express_a_scene_is_left_out(capsys, tmp_path, monkeypatch):

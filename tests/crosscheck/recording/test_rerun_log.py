@@ -22,7 +22,7 @@ from recordings import (
 )
 from rerun.chunk import RrdReader
 
-from crosscheck.compare.figure import OPEN
+from crosscheck.compare.check import OPEN
 from crosscheck.recording.blueprint import TIME
 from crosscheck.recording.log import (
     LONGEST_ARROW,

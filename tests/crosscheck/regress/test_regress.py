@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from command_line import run
 
-from crosscheck.compare.figure import OWN_ERROR
+from crosscheck.compare.check import OWN_ERROR
 from crosscheck.library import load
 from crosscheck.library.scene_file import write_scene
 from crosscheck.regress import measure

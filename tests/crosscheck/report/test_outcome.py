@@ -12,9 +12,9 @@ from mjcf_models import LOOP
 
 import crosscheck
 import mjcf
+from crosscheck.compare.check import READING
 from crosscheck.compare.crosscheck import MISREAD
 from crosscheck.compare.crosscheck import crosscheck as run_crosscheck
-from crosscheck.compare.figure import READING
 from crosscheck.engines.engine import ENGINES
 from crosscheck.engines.engine_runs import Stop, stops_text
 from crosscheck.loading.load import load_scene
@@ -67,7 +67,7 @@ def test_a_cube_that_falls_through_a_floor_is_no_plain_agreement(capsys, tmp_pat
     assert acting["topic"] == "contacts"
     assert {"floor", "cube"} <= set(acting["seen"].replace("'", " ").split())
     assert found["as_in_the_file_until"] == acting["since"] == pytest.approx(0.101, abs=0.001)
-    until = [row for row in found["figures"] if "until" in row["quantity"]]
+    until = [row for row in found["checks"] if "until" in row["quantity"]]
     assert {row["level"] for row in until} == {"trajectories"}
     assert len(until) == 2
     assert found["report"]["judged"] == {
@@ -188,7 +188,7 @@ def test_after_a_wrong_reading_no_engine_runs(tmp_path):
     assert time.perf_counter() - begin < 60.0
     assert found.outcome is Outcome.DISAGREE
     assert not found.trajectories
-    assert {row.level for row in found.figures} == {READING}
+    assert {row.level for row in found.checks} == {READING}
     assert found.notes == (MISREAD,)
     assert told == ["comparing with the file"]
 

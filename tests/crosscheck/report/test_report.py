@@ -15,7 +15,7 @@ import pytest
 from command_line import run, scene_file, short_example
 
 from crosscheck.cli import main
-from crosscheck.compare.figure import OPEN, POSES
+from crosscheck.compare.check import OPEN, POSES
 from crosscheck.library import SCENES
 from crosscheck.report.page import MOST_IN_FULL, PAGE, telling, write_report
 from crosscheck.report.plots import SPEED, pictures
@@ -144,7 +144,7 @@ def test_a_page_holds_what_a_run_found(folder, capsys):
     word, _, rest = summary["verdict"].partition(": ")
     assert {word, *found.text} == {*found.text}
     assert rest in found.words
-    for figure in summary["figures"]:
+    for figure in summary["checks"]:
         assert figure["level"] in found.words
         assert figure["quantity"] in found.words
         assert f"{figure['value']:.1e}" in found.words

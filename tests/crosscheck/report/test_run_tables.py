@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from crosscheck.compare.figure import Figure
-from crosscheck.compare.known_figures import Measured
+from crosscheck.compare.check import Check
+from crosscheck.compare.reference_values import Measured
 from crosscheck.library.references import Known
 from crosscheck.report.run import tables
 
@@ -14,7 +14,7 @@ def result(rows=(), measured=()):
     """What tables are made of."""
     engines = [SimpleNamespace(name=name) for name in ("newton_euler", "mujoco")]
     scene = SimpleNamespace(description="a bar on a hinge")
-    return SimpleNamespace(figures=rows, measured=measured, engines=engines, scene=scene, title="pendulum")
+    return SimpleNamespace(checks=rows, measured=measured, engines=engines, scene=scene, title="pendulum")
 
 
 def test_known_figures_stand_beside_what_was_found():
@@ -37,7 +37,7 @@ def test_known_figures_stand_beside_what_was_found():
 
 def test_a_figure_stands_under_the_engines_that_it_is_of():
     def figure(between, value):
-        return Figure("model", "mass, rel", between, value, 1e-12, "rod")
+        return Check("model", "mass, rel", between, value, 1e-12, "rod")
 
     pair = figure(("newton_euler", "mujoco"), 1e-3)
     found = tables(result(rows=[pair, figure(("mujoco",), 2e-13), figure(("relative", "cartesian"), 3e-13)]))

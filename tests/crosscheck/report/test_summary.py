@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 from command_line import run
 
-from crosscheck.compare.figure import FILE, REFERENCE, Figure
-from crosscheck.compare.known_figures import Measured
+from crosscheck.compare.check import FILE, REFERENCE, Check
+from crosscheck.compare.reference_values import Measured
 from crosscheck.engines.engine_runs import Stop
 from crosscheck.library.references import Known
 from crosscheck.report.render import terminal
@@ -37,11 +37,11 @@ def result(rows=(), **more):
         "advice": (),
         "differs": False,
     }
-    return SimpleNamespace(figures=rows, engines=engines, scene=scene, **nothing | more)
+    return SimpleNamespace(checks=rows, engines=engines, scene=scene, **nothing | more)
 
 
 def figure(level, between, value, tolerance=1e-6, quantity="mass, rel", where="rod"):
-    return Figure(level, quantity, between, value, tolerance, where)
+    return Check(level, quantity, between, value, tolerance, where)
 
 
 def cells(table):
@@ -65,7 +65,7 @@ def test_levels_have_the_worst_of_each_engine_and_the_one_nearest_its_tolerance(
 
 
 def test_what_is_not_judged_is_not_counted_and_files_and_known_figures_are():
-    informs = Figure("kinematics", "condition", ("newton_euler", "mujoco"), 1e3, 1.0, "", informs=True)
+    informs = Check("kinematics", "condition", ("newton_euler", "mujoco"), 1e3, 1.0, "", judged=False)
     known = Known(2.0, "angle", "rad", 0.25, 1e-9)
     measured = [Measured.of("mujoco", known, 0.25 + 2e-9, 1e-8)]
     found = cells(

@@ -19,8 +19,8 @@ import crosscheck.sweeps.checks
 import crosscheck.sweeps.execute
 import crosscheck.sweeps.plan
 from crosscheck import Sweep, sweep
+from crosscheck.compare.check import Check
 from crosscheck.compare.crosscheck import Crosscheck
-from crosscheck.compare.figure import Figure
 from crosscheck.library import load
 from crosscheck.report.outcome import ExitStatus, Outcome
 from crosscheck.support.errors import CrosscheckError
@@ -76,10 +76,10 @@ def test_extreme_runs_and_some_at_random_are_cross_checked():
     assert list(why.values()).count("at random") == 1
     assert all(each.complete and not each.differs for each in swept.checks)
     kept = {each.between[0]: each for each in swept.checks[0].kept}
-    assert kept["mujoco"].informs  # forces of its soft joints are some per mille off
+    assert not kept["mujoco"].judged  # forces of its soft joints are some per mille off
     assert 0.0 <= kept["pinocchio"].value <= kept["pinocchio"].tolerance < 1e-6 * forces.max()
     assert swept.report.verdict.startswith(
-        "AGREE: all engines in all figures of 3 runs (2 extreme, 1 at random); "
+        "AGREE: all engines in all checks of 3 runs (2 extreme, 1 at random); "
     )
 
 
@@ -168,7 +168,7 @@ def test_reactions_that_redundant_constraints_leave_open_are_not_judged(tmp_path
     checked = sweep(scene, {"a.mass": "uniform(1, 2)"}, 3, keep).check(1, ["newton_euler", "pinocchio"])
     assert checked.report.verdict.startswith("AGREE")
     assert "; not judged: reactions that are not unique; 3 of 3 runs" in checked.report.verdict
-    of = {(each.quantity, each.informs) for each in checked.checks[0].kept if "pinocchio" in each.between}
+    of = {(each.quantity, not each.judged) for each in checked.checks[0].kept if "pinocchio" in each.between}
     assert of == {
         ("peak:reaction_force pivot, N", False),
         ("peak:pivot.reaction_force, N", False),
@@ -186,7 +186,7 @@ def test_what_has_no_effect_is_said_and_checked_all_the_same():
     swept = sweep(short, {"dumbbell.mass": "uniform(1, 2)"}, 3, "final:dumbbell.position.z").check(1)
     assert [each.why for each in swept.checks] == ["at random"]
     assert "no effect" in str(swept)
-    assert swept.report.verdict.startswith("AGREE: all engines in all figures of 1 run (1 at random); ")
+    assert swept.report.verdict.startswith("AGREE: all engines in all checks of 1 run (1 at random); ")
 
 
 def test_motions_that_test_nothing_are_not_said_to_agree(capsys, tmp_path):
@@ -194,7 +194,7 @@ def test_motions_that_test_nothing_are_not_said_to_agree(capsys, tmp_path):
     others = ("--vary", VARY, "--runs", "3", "--keep", KEEP, "--output", tmp_path / "out")
     status, out, _ = run(capsys, "sweep", "pendulum", *at_rest, *others)
     assert status == 0
-    assert "\nAGREE AT RANDOM STATES ONLY: all engines in all figures of 1 run" in out
+    assert "\nAGREE AT RANDOM STATES ONLY: all engines in all checks of 1 run" in out
     assert "nothing moves" in out
 
 
@@ -248,7 +248,7 @@ def test_extreme_runs_and_others_are_checked_by_turns_and_engines_are_named():
     swept = swept.check(3, ["newton_euler"], told.append)
     why = [each.why for each in swept.checks]
     assert why == ["most final:kinetic_energy", "at random", "least final:kinetic_energy"]
-    words = "ONE ENGINE ALONE: newton_euler alone in all figures of 3 runs (2 of 3 extremes, 1 at random); "
+    words = "ONE ENGINE ALONE: newton_euler alone in all checks of 3 runs (2 of 3 extremes, 1 at random); "
     assert swept.report.verdict.startswith(words)
     assert told[0] == "cross-check 1 of 3, unknown time left"
     assert any(
@@ -424,13 +424,13 @@ def test_a_check_that_an_engine_was_in_the_way_of_is_made_again(monkeypatch, tmp
 
 
 def test_a_run_on_which_engines_differ_is_named(monkeypatch):
-    wrong = Figure("dynamics", "a fault", ("newton_euler", "mujoco"), 2.0, 1.0, "dumbbell")
+    wrong = Check("dynamics", "a fault", ("newton_euler", "mujoco"), 2.0, 1.0, "dumbbell")
 
     def planted(*arguments):
         result = Crosscheck.__new__(Crosscheck)
         result.__dict__.update(
             scene=arguments[0],
-            figures=(wrong,),
+            checks=(wrong,),
             measured=(),
             left_out={},
             unfinished=(),

@@ -12,8 +12,8 @@ from mechanisms import bar, pendulum, seven_hinges
 from scipy.integrate import solve_ivp
 
 import newton_euler
+from crosscheck.compare.check import OF_EQUATIONS
 from crosscheck.compare.crosscheck import crosscheck
-from crosscheck.compare.figure import OF_EQUATIONS
 from crosscheck.engines.engine import ENGINES, choose
 from crosscheck.report.outcome import Outcome
 from newton_euler.compiled.equations import OPEN_TOLERANCE
@@ -378,7 +378,7 @@ def test_runs_of_an_undetermined_start_are_not_compared():
     # round-off decides whether another engine leaves the singular configuration or stops there
     assert [stop.what for stop in found.unfinished if stop.undetermined] == ["newton_euler"]
     assert (found.diagnosis, found.notes, found.off_by) == ((), (), {})
-    levels = {row.level for row in found.figures}
+    levels = {row.level for row in found.checks}
     assert levels >= set(OF_EQUATIONS)
     assert not levels & {"trajectories", "drift"}
 

@@ -153,7 +153,7 @@ def test_crosscheck_run_compares_what_each_engine_computed(capsys, tmp_path):
     assert arrays["linear_velocity"][:, 1, 0] == pytest.approx(np.cosh(GROWTH * arrays["time"]), rel=1e-4)
     assert len(others["time"]) > 1
     assert np.isfinite(others["linear_velocity"]).all()
-    assert {"model", "trajectories", "drift"} <= {figure["level"] for figure in summary["figures"]}
+    assert {"model", "trajectories", "drift"} <= {figure["level"] for figure in summary["checks"]}
 
 
 def stopping(scene: Scene) -> Trajectory:
@@ -186,7 +186,7 @@ def pendulum_run(capsys, monkeypatch, folder, **changes) -> tuple[int, str, dict
 
 def levels(summary, *between):
     """The levels that some engines were compared at."""
-    return {figure["level"] for figure in summary["figures"] if figure["between"] == [*between]}
+    return {figure["level"] for figure in summary["checks"] if figure["between"] == [*between]}
 
 
 def test_an_engine_that_stops_is_compared_until_then(capsys, monkeypatch, tmp_path):
@@ -197,7 +197,7 @@ def test_an_engine_that_stops_is_compared_until_then(capsys, monkeypatch, tmp_pa
     (stop,) = summary["unfinished"]
     assert (stop["what"], stop["time"]) == ("newton_euler", 5.0)
     assert levels(summary, "newton_euler", "mujoco") >= {"model", "trajectories", "energy"}
-    assert {known["engine"] for known in summary["known_figures"]} == {"mujoco"}
+    assert {known["engine"] for known in summary["known_values"]} == {"mujoco"}
     assert {path.name for path in tmp_path.iterdir()} == {*FILES, "pendulum.rrd"}
     ends = {name: load_arrays(tmp_path / f"{name}.npz")["time"][-1] for name in ("newton_euler", "mujoco")}
     assert ends == {"newton_euler": 5.0, "mujoco": load("pendulum").duration}

@@ -12,8 +12,8 @@ import pytest
 from mjcf_models import BOX, model, reading
 
 import urdf
+from crosscheck.compare.check import OF_EQUATIONS, OF_RUNS
 from crosscheck.compare.crosscheck import crosscheck
-from crosscheck.compare.figure import OF_EQUATIONS, OF_RUNS
 from crosscheck.engines.engine import ENGINES
 from crosscheck.report.outcome import Outcome
 from crosscheck.studies.faults.find import find_in_reading
@@ -100,7 +100,7 @@ def test_loops_that_close_near_a_singular_configuration_are_not_misread(angles: 
     path = tmp_path / "bent.xml"
     path.write_text(far_open(angles), encoding="utf-8")
     verdict = check(str(path), ["newton_euler", "pinocchio"], key="bent", duration=0.01)
-    failing = [each for each in verdict.figures if each.level == "reading" and not each.agrees]
+    failing = [each for each in verdict.checks if each.level == "reading" and not each.agrees]
     assert not failing
 
 
@@ -243,4 +243,4 @@ def test_a_file_that_starts_in_a_singular_configuration_is_read_and_compared(tmp
     (said,) = (line for line in verdict.crosscheck.mapping.start if line.startswith("excited: "))
     assert "the start is a singular configuration" in said
     assert verdict.outcome is Outcome.AGREE_AT_RANDOM_STATES_ONLY
-    assert {figure.level for figure in verdict.figures} >= {*OF_EQUATIONS, *OF_RUNS}
+    assert {figure.level for figure in verdict.checks} >= {*OF_EQUATIONS, *OF_RUNS}

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.compare.figure import OWN_ERROR, REFERENCE, UNRESOLVED, Figure
+from crosscheck.compare.check import OWN_ERROR, REFERENCE, UNRESOLVED, Check
 from crosscheck.engines.engine import Engine
 from crosscheck.library import FIGURES, SCENES
 from crosscheck.library.measure import Quantity
@@ -22,17 +22,17 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 ROUND_OFF = 1e-14
-"""Share of a figure's largest value that some thousand steps of 1e-16 each leave of it."""
+"""Share of a check's largest value that some thousand steps of 1e-16 each leave of it."""
 
 Run = Callable[[Scene], Trajectory]
 
 
 @dataclass(frozen=True)
-class Measured(Figure):
-    """A known figure as one engine gives it: how far it is off, and may be.
+class Measured(Check):
+    """A reference value as one engine gives it: how far it is off, and may be.
 
     Attributes:
-        known: the figure.
+        known: the check.
         result: of the engine's most exact run.
     """
 
@@ -58,7 +58,7 @@ class Measured(Figure):
 
 
 def known_of(source: str, options: Mapping[str, str | float]) -> list[Known]:
-    """The known figures of a scene of the library under the options set; none for a scene file."""
+    """The reference values of a scene of the library under the options set; none for a scene file."""
     if source not in FIGURES:
         return []
     chosen = {name: str(option.default) for name, option in options_of(SCENES[source]).items()}
@@ -73,9 +73,9 @@ def known_of(source: str, options: Mapping[str, str | float]) -> list[Known]:
 def measure(
     source: str, scene: Scene, engine: Engine, run: Trajectory, known: list[Known]
 ) -> Iterator[Measured]:
-    """All known figures of a scene as an engine gives them.
+    """All reference values of a scene as an engine gives them.
 
-    A figure's own error is `OWN_ERROR` times what it changes until its time, at most, if tolerances are ten
+    A check's own error is `OWN_ERROR` times what it changes until its time, at most, if tolerances are ten
     or a hundred times or steps twice as coarse, and round-off; but no more than `UNRESOLVED` of its largest
     value is excused.
 
@@ -85,7 +85,7 @@ def measure(
         known: as `known_of` gives them.
 
     Raises:
-        CrosscheckError: for a figure between the output times.
+        CrosscheckError: for a check between the output times.
         NewtonEulerError: of the engine's finer run, where it can make none.
     """
     fine, coarse = _two_runs(scene, engine, run)

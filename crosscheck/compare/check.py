@@ -1,4 +1,4 @@
-"""Figures that a comparison yields, each with its tolerance, at one of the levels."""
+"""Checks that a comparison yields, each with its tolerance, at one of the levels."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OF_RUNS = ("trajectories", "drift", "energy")
 LEVELS = (READING, *OF_EQUATIONS, *OF_RUNS)
 
 REFERENCE = "reference"
-"""The level after all others: figures that are known from elsewhere."""
+"""The level after all others: checks that are known from elsewhere."""
 
 FILE = "file"
 """What engines are compared with at the level `READING`, see `newton_euler.reading.verify`."""
@@ -69,16 +69,16 @@ def round_off(condition: float, noise: float = 0.0) -> float:
 
 
 @dataclass(frozen=True)
-class Figure:
+class Check:
     """A compared value, its tolerance, and where it is worst.
 
     Attributes:
         level: one of `LEVELS`, or `START`.
         quantity: what is compared, with its unit.
         between: the engines or systems compared, one or two; or an engine and `FILE`.
-        value, tolerance: the figure and what it may be at most, or usually is where it only informs.
+        value, tolerance: the check and what it may be at most, or usually is where it only informs.
         where: the body, joint, term or time of the largest difference.
-        informs: a figure that says how an engine works and is not judged.
+        informs: a check that says how an engine works and is not judged.
         unsettled: the engine whose error does not fall where its step or tolerance is refined, so that the
             figure is not judged; empty if there is none.
         detail: the values that differ there, in words, as far as they are known.
@@ -90,7 +90,7 @@ class Figure:
     value: float
     tolerance: float
     where: str
-    informs: bool = False
+    judged: bool = True
     unsettled: str = ""
     detail: str = ""
 
@@ -102,7 +102,7 @@ class Figure:
     @property
     def agrees(self) -> bool:
         """NaN does not agree with anything."""
-        return self.informs or bool(self.value <= self.tolerance)
+        return not self.judged or bool(self.value <= self.tolerance)
 
     @property
     def share(self) -> float:
@@ -131,14 +131,14 @@ def both_values(pair: tuple[str, str], one: ArrayLike, two: ArrayLike, unit: str
 
 def worst_figure(
     level: str, quantity: str, between: tuple[str, ...], gap: Array, tolerance: float, names: Sequence[str]
-) -> Figure:
+) -> Check:
     """The largest of gaps (n,), or (m, n) at m states, of what goes by n names."""
     each = gap.max(axis=0) if gap.ndim == 2 else gap
     where = int(np.argmax(each))
-    return Figure(level, quantity, between, float(each[where]), tolerance, names[where])
+    return Check(level, quantity, between, float(each[where]), tolerance, names[where])
 
 
-def in_full(parts: Iterable[Iterator[Figure]]) -> Iterator[Figure]:
+def in_full(parts: Iterable[Iterator[Check]]) -> Iterator[Check]:
     """The rows of all parts, each as far as it goes; then raises the first error that ended one."""
     errors = []
     for part in parts:
@@ -150,19 +150,19 @@ def in_full(parts: Iterable[Iterator[Figure]]) -> Iterator[Figure]:
         raise errors[0]
 
 
-def not_judged(rows: Sequence[Figure]) -> str:
-    """Word the figures that are not judged for a verdict; empty if there are none."""
+def not_judged(rows: Sequence[Check]) -> str:
+    """Word the checks that are not judged for a verdict; empty if there are none."""
     found = [row.unsettled for row in rows if row.unsettled]
-    count = "1 more figure is" if len(found) == 1 else f"{len(found)} more figures are"
+    count = "1 more check is" if len(found) == 1 else f"{len(found)} more checks are"
     return f"; {count} not judged: {not_settled(found)}" if found else ""
 
 
 def not_settled(engines: Iterable[str]) -> str:
-    """Word why a figure is not judged: a finer run is not nearer by as much as its own error would be."""
+    """Word why a check is not judged: a finer run is not nearer by as much as its own error would be."""
     return f"a finer run of {' and '.join(dict.fromkeys(engines))} reduces the difference too little"
 
 
-def not_compared(rows: Sequence[Figure]) -> Iterator[str]:
+def not_compared(rows: Sequence[Check]) -> Iterator[str]:
     """A line for each level at which pairs part: those after it were not compared."""
     levels = ("model", START, *OF_EQUATIONS[1:], *OF_RUNS)
     pairs = (row.between for row in rows if len(row.between) == 2 and FILE not in row.between)
