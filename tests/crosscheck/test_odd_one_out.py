@@ -14,7 +14,7 @@ import mjcf
 import urdf
 from crosscheck.engines.engine import ENGINES
 from crosscheck.library.scene_file import write_scene
-from crosscheck.studies.faults import plant
+from crosscheck.studies.faults import injection
 from newton_euler.model.forces import JointSpring
 
 SIX_BAR = """<mujoco model="six_bar">
@@ -81,12 +81,12 @@ def heavier_pull(scene):
 
 
 def oblique(scene):
-    return plant.tilted(scene.mechanism.joint("wrist"), 1e-3)["about u"](scene)
+    return injection.tilted(scene.mechanism.joint("wrist"), 1e-3)["about u"](scene)
 
 
 def more_damping(scene):
     at_elbow = next(k for k, force in enumerate(scene.forces) if force.joint == "elbow")
-    return plant.entry("forces", at_elbow, damping=0.015)(scene)
+    return injection.entry("forces", at_elbow, damping=0.015)(scene)
 
 
 def more_dampers(scene):
@@ -109,11 +109,11 @@ def breaking(scene):
 
 MODELS = {
     "mass": (
-        with_model("mujoco", plant.mass("coupler", 1e-3)),
+        with_model("mujoco", injection.mass("coupler", 1e-3)),
         "mass, rel: 0.001 > 1e-12, worst at coupler: newton_euler 1.107, mujoco 1.108 kg",
     ),
     "inertia": (
-        with_model("pinocchio", plant.inertia_entry("link", 1, 1, 0.01)),
+        with_model("pinocchio", injection.inertia_entry("link", 1, 1, 0.01)),
         "inertia, rel: 0.01 > 1e-12, worst at link: newton_euler 0 0.08198 0, pinocchio 0 0.0828 0 kg m^2",
     ),
     "gravity": (

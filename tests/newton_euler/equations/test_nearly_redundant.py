@@ -15,7 +15,7 @@ import urdf
 from crosscheck.compare.crosscheck import crosscheck
 from crosscheck.engines.engine import ENGINES
 from crosscheck.report.run import redundancy_lines
-from crosscheck.studies.stress.noise import MECHANISMS, SENSITIVITY, flat_four_bar
+from crosscheck.studies.stress.noise import MECHANISMS, NOISE_SENSITIVITY, flat_four_bar
 from mjcf import read
 from mjcf.rigid import RigidMuJoCo
 from newton_euler.analysis.identification.measurements import Measurements
@@ -63,7 +63,7 @@ def test_noise_of_files_moves_bodies_by_its_own_size(name):
     for form in FORMS if name == "flat_four_bar" else FORMS[::3]:
         # the rest is the error of the runs, at rtol 1e-10 and with gains of 10 1/s
         found = run(MECHANISMS[name](noise), *form)
-        assert np.abs(found - design).max() < SENSITIVITY * noise + 1e-10, form
+        assert np.abs(found - design).max() < NOISE_SENSITIVITY * noise + 1e-10, form
 
 
 @pytest.mark.parametrize("tilt", [1e-12, 1e-5])
@@ -76,7 +76,7 @@ def test_a_parallelogram_passes_its_flat_configuration(tilt):
     runs["pinocchio"] = urdf.simulate(scene).position
     for name, found in runs.items():
         # the tilt has no effect to first order; at a bifurcation round-off is magnified
-        assert np.abs(found - wanted).max() < 1e-7 + SENSITIVITY * tilt, name
+        assert np.abs(found - wanted).max() < 1e-7 + NOISE_SENSITIVITY * tilt, name
 
 
 def test_an_offset_of_a_file_does_not_keep_it_from_passing(tmp_path):
@@ -86,7 +86,7 @@ def test_an_offset_of_a_file_does_not_keep_it_from_passing(tmp_path):
         path = tmp_path / f"finger_{noise:g}.xml"
         path.write_text(finger(1.0, noise))
         runs.append([run(read(path, duration=0.5).scene, form) for form in ("relative", "cartesian")])
-    assert np.abs(np.array(runs[1]) - runs[0][0]).max() < SENSITIVITY * tilt
+    assert np.abs(np.array(runs[1]) - runs[0][0]).max() < NOISE_SENSITIVITY * tilt
 
 
 @pytest.mark.parametrize("name", MECHANISMS)
