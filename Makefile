@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PART ?= newton_euler/equations tests/newton_euler/equations
 
-.PHONY: run test test-slow mutants lint figures pictures docs clean
+.PHONY: run test test-slow mutants lint figures snapshots pictures docs clean
 
 run: $(VENV)/installed
 	$(BIN)/crosscheck run tracker
@@ -26,6 +26,10 @@ lint: $(VENV)/installed
 
 figures: $(VENV)/installed
 	$(BIN)/crosscheck figures
+
+# what commands print and write, with which tests/test_snapshots.py compares
+snapshots: $(VENV)/installed
+	$(BIN)/python tests/support/snapshots.py
 
 # needs Chromium and, for Rerun, a Vulkan driver, as Debian's chromium, mesa-vulkan-drivers and libvulkan1
 pictures: $(VENV)/docs-installed
