@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import json
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -44,7 +43,7 @@ def test_a_motion_that_tests_nothing_is_no_plain_agreement(capsys, tmp_path):
     status, text, _ = run(capsys, "run", path, *options)
     assert status == 0
     verdict = verdict_of(text)
-    assert verdict.startswith("AGREE AT RANDOM STATES ONLY: newton_euler, mujoco, pinocchio agree on balls")
+    assert verdict.startswith("AGREE AT RANDOM STATES ONLY: ")
     assert "; motion covers 0 of 20 elements" in verdict
     names = [f"{what} of body 'b{k}'" for k in range(10) for what in ("mass", "inertia")]
     (line,) = [line for line in text.splitlines() if line.startswith("untested by the motion")]
@@ -97,12 +96,10 @@ def test_an_mjcf_is_run_with_its_report(capsys, tmp_path):
     assert "elements of the file: 7 elements read exactly" in lines
     assert lines.count("the file: 7 elements read exactly") == 2  # among all notes, and in the summary
     assert "  equality 'c': spherical joint 'c'" in out
-    assert re.fullmatch(
-        r"AGREE: newton_euler, mujoco, pinocchio agree on model \(duration=0.1\) in all \d+ checks; "
-        r"motion covers 10 of 10 elements",
-        next(line for line in lines if line.startswith("AGREE")),
-    )
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["outcome"] == "AGREE"
+    assert len(summary["coverage"]) == 10
+    assert all(element["tested"] for element in summary["coverage"])
     assert {entry["fate"] for entry in summary["mapping"]} == {"exactly", "left out"}
     assert summary["start"][0].startswith("starts from qpos0")
     (start,) = [line for line in lines if line.startswith("start: same pose to ")]

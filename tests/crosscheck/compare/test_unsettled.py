@@ -153,7 +153,7 @@ def test_what_is_not_judged_is_said_in_the_verdict_tables_and_pages(tmp_path):
     scene = replace(pendulum(), duration=0.1)
     engines = [ENGINES["newton_euler"], off("pinocchio", 1e-5, -1e-5)]
     result = run_crosscheck(scene, engines, lambda _: None, "pendulum.yaml", {})
-    assert result.verdict.startswith("AGREE: newton_euler, pinocchio agree on pendulum in all ")
+    assert result.outcome == "AGREE"
     assert "checks; 1 more check is not judged: a finer run of pinocchio reduces" in result.verdict
     found = report(result)
     write(result, found, tmp_path, tmp_path / "pendulum.rrd", "pendulum")

@@ -185,7 +185,7 @@ def test_an_engine_that_cannot_express_a_scene_is_left_out(capsys, tmp_path, mon
     monkeypatch.setitem(engines.ENGINES, "pinocchio", unable)
     status, out, _ = run(capsys, "run", "pendulum", "--output", tmp_path)
     assert status == UNFINISHED
-    assert "AGREE (2 of 3 engines): newton_euler, mujoco agree on pendulum in all " in out
+    assert verdict_of(out).startswith("AGREE (2 of 3 engines): newton_euler, mujoco ")
     said = (
         "; pinocchio left out: no word for joint 'pivot'; to do without, name the others (--engines newton_"
     )
@@ -194,7 +194,7 @@ def test_an_engine_that_cannot_express_a_scene_is_left_out(capsys, tmp_path, mon
         "pinocchio": "no word for joint 'pivot'"
     }
     path = scene_file(tmp_path, short_example())
-    with pytest.raises(AssertionError, match=r"AGREE \(2 of 3 engines\): newton_euler, mujoco agree"):
+    with pytest.raises(AssertionError, match=r"AGREE \(2 of 3 engines\): newton_euler, mujoco "):
         check(str(path)).assert_agrees()
     others = ("--engines", "newton_euler,mujoco", "--output", tmp_path / "others")
     assert run(capsys, "run", path, *others)[0] == 0

@@ -193,7 +193,6 @@ def test_an_engine_that_stops_is_compared_until_then(capsys, monkeypatch, tmp_pa
     status, verdict, summary = pendulum_run(capsys, monkeypatch, tmp_path, simulate=stopping)
     assert status == UNFINISHED
     assert verdict.startswith("UNFINISHED: newton_euler: integration stopped at t = 5 s: by joint 'crank'; ")
-    assert "as far as compared newton_euler, mujoco agree on pendulum in all " in verdict
     (stop,) = summary["unfinished"]
     assert (stop["what"], stop["time"]) == ("newton_euler", 5.0)
     assert levels(summary, "newton_euler", "mujoco") >= {"model", "trajectories", "energy"}
