@@ -36,6 +36,24 @@ ROOMS: dict[str, set[str]] = {
 }
 """Rooms of newton_euler, and the rooms that each may import."""
 
+CORE: dict[str, set[str]] = {
+    "support": set(),
+    "library": {"support", "loading"},
+    "loading": {"support", "library"},
+    "engines": {"support", "library", "compare"},
+    "compare": {"support", "library", "loading", "engines", "report"},
+    "report": {"support", "loading", "engines", "compare", "recording"},
+    "recording": {"support", "compare", "report"},
+    "regress": {"support", "library", "loading", "engines", "compare", "report", "recording"},
+}
+"""Rooms of crosscheck that `crosscheck run` and `regress` need, and the rooms that each may import."""
+
+OPTIONAL = {"design", "solar", "studies", "sweeps"}
+"""Rooms of crosscheck that may import each room of the core and themselves."""
+
+LOADING_OPTIONAL = ("crosscheck.cli.", "crosscheck.library.tracker_sun")
+"""Modules that import optional rooms, inside functions only, so that other commands do not load them."""
+
 GROUND = {
     "newton_euler.arguments",
     "newton_euler.errors",
@@ -107,8 +125,11 @@ def test_modules_do_not_import_each_other_in_a_circle(package):
         pytest.fail(" imports ".join(reversed(error.args[1])))
 
 
-def test_every_folder_is_a_room():
-    assert {path.parent.name for path in (ROOT / "newton_euler").glob("*/__init__.py")} == set(ROOMS)
+@pytest.mark.parametrize(
+    ("package", "rooms"), [("newton_euler", set(ROOMS)), ("crosscheck", {*CORE, *OPTIONAL, "cli"})]
+)
+def test_every_folder_is_a_room(package, rooms):
+    assert {path.parent.name for path in (ROOT / package).glob("*/__init__.py")} == rooms
 
 
 @pytest.mark.parametrize("room", ROOMS)
@@ -119,6 +140,18 @@ def test_rooms_import_one_way(room):
             for module, _ in imports_of(source):
                 own = module.startswith("newton_euler")
                 assert not own or module in GROUND or module.startswith(allowed), f"{name} imports {module}"
+
+
+@pytest.mark.parametrize("room", [*CORE, *sorted(OPTIONAL), "cli"])
+def test_rooms_of_crosscheck_import_one_way(room):
+    allowed = {room, *CORE.get(room, CORE)}
+    for name, source in modules("crosscheck").items():
+        if f"{name}.".startswith(f"crosscheck.{room}."):
+            for module, inside in imports_of(source):
+                other = f"{module}..".split(".")[1]
+                lazy = other in OPTIONAL and inside and name.startswith(LOADING_OPTIONAL)
+                foreign = not module.startswith("crosscheck.")
+                assert foreign or other in allowed or lazy, f"{name} imports {module}"
 
 
 @cache

@@ -26,7 +26,6 @@ from crosscheck.cli.shared import (
     without_excitation,
 )
 from crosscheck.report.render import as_json, terminal
-from crosscheck.studies.faults import INJECTED_ENGINES
 from crosscheck.support.errors import CrosscheckError
 
 
@@ -273,18 +272,29 @@ def stress_command(full: bool, output: Path, letters: str) -> int:
     return AGREE
 
 
+def _injected_engines(_: click.Context, __: click.Parameter, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return engines to inject faults into, each once; all of them by default."""
+    from crosscheck.studies.faults import INJECTED_ENGINES
+    from newton_euler.errors import choices
+
+    for name in names:
+        if name not in INJECTED_ENGINES:
+            raise CrosscheckError(f"--engine {name!r}: {choices(name, INJECTED_ENGINES)}")
+    return tuple(dict.fromkeys(names)) or INJECTED_ENGINES
+
+
 @cli.command("faults")
 @click.argument("scene", default="tracker")
 @setting_options
 @click.option(
     "--engine",
     "names",
-    type=click.Choice(INJECTED_ENGINES),
     multiple=True,
-    default=INJECTED_ENGINES,
+    metavar="ENGINE",
+    callback=_injected_engines,
     help="Engine into whose model faults are injected; repeatable.  [default: all, alternately]",
 )
-@click.option("--reading", is_flag=True, help="Injection them in what was read from the model file SCENE.")
+@click.option("--reading", is_flag=True, help="Inject faults into the import of the model file SCENE.")
 @folder_option("output/faults/SCENE")
 @verbose_option
 def faults_command(
@@ -319,7 +329,7 @@ def faults_command(
             search = find_in_reading(mapping, progress)
         else:
             tell(scene, mapping, loaded)
-            search = find_faults(loaded, progress, names=tuple(dict.fromkeys(names)))
+            search = find_faults(loaded, progress, names=names)
     wall_time = time.perf_counter() - start
     found = report(loaded.name, search, wall_time)
     write_files({path: as_json({"source": scene, **data(loaded.name, options, search)}, found)})

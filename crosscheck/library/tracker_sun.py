@@ -9,15 +9,13 @@ import numpy as np
 
 from crosscheck.library.tracker import tracker_gravity
 from crosscheck.library.tracker_wind import DAMPING, STIFFNESS
-from crosscheck.solar.day import following
-from crosscheck.solar.place import Place, day_times, sun_over
-from crosscheck.solar.tracking import Tracking
 from newton_euler import PD, Axis
 from newton_euler.model.scene import Scene
 
 PANEL_NORMAL = Axis("panel_7", np.array([0.0, 0.0, 1.0]))
 
-PLACES = {"phnom_penh": Place(11.56, 104.92), "seville": Place(37.39, -5.99), "potsdam": Place(52.4, 13.07)}
+PLACES = {"phnom_penh": (11.56, 104.92), "seville": (37.39, -5.99), "potsdam": (52.4, 13.07)}
+"""Latitude and longitude by name, degrees."""
 
 DATES = {"march": "2026-03-21", "june": "2026-06-21", "september": "2026-09-23", "december": "2026-12-21"}
 
@@ -47,7 +45,12 @@ def tracker_sun_day(
         place: location of the tracker.
         date: first day of a season of 2026.
     """
-    at = PLACES[place]
+    # other scenes need no solar positions
+    from crosscheck.solar.day import following
+    from crosscheck.solar.place import Place, day_times, sun_over
+    from crosscheck.solar.tracking import Tracking
+
+    at = Place(*PLACES[place])
     day = day_times(DATES[date], at.zone, FASTER)
     noon = len(day) // 2
     sun = sun_over(at, day[noon - SET_POINTS + 1 : noon + 1])

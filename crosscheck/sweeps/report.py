@@ -55,7 +55,7 @@ from newton_euler.runs.variation import own_values, units_of
 from newton_euler.scalars import Array
 
 if TYPE_CHECKING:
-    from crosscheck.recording.sweep import Envelope
+    from crosscheck.sweeps.recording import Envelope
 
 FILES = ("sweep.json", "sweep.rrd", "tornado.png", "histograms.png", "scatter.png")
 
@@ -393,7 +393,7 @@ def write(found: Findings, made: Report, folder: Path) -> list[Path]:
         CrosscheckError: naming the path that cannot be written.
     """
     from crosscheck.recording.log import recorded
-    from crosscheck.recording.sweep import log_sweep
+    from crosscheck.sweeps.recording import log_sweep
 
     paths = [folder / name for name in FILES]
     check_writable(*paths)
@@ -412,7 +412,7 @@ def write(found: Findings, made: Report, folder: Path) -> list[Path]:
 
 
 def to_record(found: Findings, made: Report) -> tuple[Any, ...]:
-    """Return the arguments of `crosscheck.recording.sweep.log_sweep`."""
+    """Return the arguments of `crosscheck.sweeps.recording.log_sweep`."""
     text = markdown(replace(made, parts=made.summary))
     return found.swept.plan.scene, *_repeated_runs(found), text, made.title
 
@@ -451,7 +451,7 @@ def _repeated_runs(found: Findings) -> tuple[dict[str, Trajectory], list[Envelop
         The nominal run and the extreme runs by name, except failed ones; and the time series of the numbers
         that vary most, over all repeated runs.
     """
-    from crosscheck.recording.sweep import Envelope
+    from crosscheck.sweeps.recording import Envelope
 
     plan = found.swept.plan
     extremes = list(

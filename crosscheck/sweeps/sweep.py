@@ -185,7 +185,7 @@ class Sweep:
             CrosscheckError: if all these runs failed.
         """
         from crosscheck.recording.show import show
-        from crosscheck.recording.sweep import log_sweep
+        from crosscheck.sweeps.recording import log_sweep
 
         to_show = to_record(self.findings, self.report)
         if not to_show[1]:
