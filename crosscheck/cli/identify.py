@@ -34,9 +34,11 @@ from crosscheck.report.render import as_json
     multiple=True,
     required=True,
     metavar="NAME",
-    help="Parameter to fit, such as panel_7.mass, ball_57.point.z, start.slide_12; repeatable.",
+    help="Parameter to fit, such as panel_7.mass, ball_57.point.z or start.slide_12. Repeatable.",
 )
-@click.option("--rtol", type=float, default=1e-10, show_default=True, help="Relative tolerance of steps.")
+@click.option(
+    "--rtol", type=float, default=1e-10, show_default=True, help="Relative tolerance of the integrator."
+)
 @folder_option("output/identify/SCENE")
 def identify_command(
     scene: str,
@@ -46,9 +48,10 @@ def identify_command(
     rtol: float,
     output: Path | None,
 ) -> int:
-    """Fit parameters of SCENE to measured motion, one CSV per run.
+    """System identification: fit parameters of SCENE to measured motion, one CSV file per run.
 
-    SCENE is a name or a file, as of run. Columns are time and joint coordinates, rates, poses or forces; SI.
+    SCENE is the name of a library scene or a model file (see run). The columns of a CSV
+    file are the time and joint coordinates, rates, poses or forces, in SI units.
     """
     from crosscheck.design.identification import data, report
     from crosscheck.report.output import usual_folder

@@ -32,7 +32,7 @@ from crosscheck.support.errors import CrosscheckError
 @cli.command("figures")
 @folder_option("output/figures")
 def figures_command(output: Path) -> int:
-    """Redraw the paper's Figures 5 to 9 from the three engines."""
+    """Reproduce Figures 5 to 9 of the paper with the three engines."""
     from crosscheck.studies.paper_figures import draw
 
     with progress_shown() as progress:
@@ -46,16 +46,20 @@ def figures_command(output: Path) -> int:
 @click.argument("scene", default="tracker")
 @setting_options
 @click.option(
-    "--error", type=float, default=1e-6, show_default=True, help="Error to name the cheapest settings for."
+    "--error",
+    type=float,
+    default=1e-6,
+    show_default=True,
+    help="Report the fastest settings of each engine below this error, m or rad.",
 )
-@click.option("--rhs", is_flag=True, help="Time one right-hand side of each engine instead of whole runs.")
+@click.option("--rhs", is_flag=True, help="Time one evaluation of the equations of motion instead of runs.")
 @click.option(
     "--batch",
     type=click.IntRange(2, 10_000_000),
     metavar="RUNS",
-    help="Runs per second from random states instead.",
+    help="Measure the throughput of a batch of this many runs from random states instead.",
 )
-@click.option("--sensitivities", is_flag=True, help="Time derivatives of runs by parameters instead.")
+@click.option("--sensitivities", is_flag=True, help="Time parameter sensitivities instead.")
 @folder_option("output/bench/SCENE")
 @verbose_option
 def bench_command(
@@ -67,9 +71,9 @@ def bench_command(
     sensitivities: bool,
     output: Path | None,
 ) -> int:
-    """Measure run time against error of every engine.
+    """Benchmark all engines: run time against error (work-precision).
 
-    SCENE is a name or a file, as of run.
+    SCENE is the name of a library scene or a model file (see run).
     """
     from crosscheck.loading.load import excited
     from crosscheck.studies.benchmark.run import BenchmarkRequest, bench
@@ -93,10 +97,11 @@ def bench_command(
 @setting_options
 @engines_option
 def controllers_command(scene: str, settings: tuple[str, ...], engines: list[str] | None) -> int:
-    """Compare tracking error, effort and energy of controllers in all engines.
+    """Compare controllers: tracking error, effort and energy in all engines.
 
-    SCENE is a name or a file, as of run; one with the option controller is run with each of its values. The
-    default makes 12 runs in some minutes; --engines newton_euler takes seconds.
+    SCENE is the name of a library scene or a model file (see run). A scene with the option `controller` is
+    simulated with each value of the option. The default scene takes 12 runs and some minutes, or seconds with
+    --engines newton_euler.
     """
     from crosscheck.design.controllers import compared
     from crosscheck.engines.engine import ENGINES
@@ -116,13 +121,15 @@ def controllers_command(scene: str, settings: tuple[str, ...], engines: list[str
     "cases",
     multiple=True,
     metavar="NAME:OPTION=VALUE,...",
-    help="A load case, and its options beside those of --set; repeatable.  [default: one, as --set has it]",
+    help="Load case and its options in addition to --set. Repeatable.  [default: one case without options]",
 )
-@click.option("--at-rest", is_flag=True, help="Hold cases at rest in their initial poses instead of runs.")
+@click.option(
+    "--at-rest", is_flag=True, help="Compute static loads in the initial pose instead of loads over a run."
+)
 @click.option(
     "--allow-reduced",
     is_flag=True,
-    help="Exit with 0 if elements of the file act that are not simulated.",
+    help="Exit with 0 even if elements of the file act that are not simulated.",
 )
 @folder_option("output/loads/SCENE")
 def loads_command(
@@ -133,11 +140,11 @@ def loads_command(
     allow_reduced: bool,
     output: Path | None,
 ) -> int:
-    """Compute loads of joints and actuators over load cases.
+    """Compute joint reactions and actuator loads, with their maxima over several load cases.
 
-    By newton_euler; reactions of all engines agree where a crosscheck does.
+    newton_euler computes the loads. `crosscheck run` compares the reactions of all engines.
 
-    SCENE is a name or a file, as of run.
+    SCENE is the name of a library scene or a model file (see run).
     """
     from crosscheck.design.loads import loads, parse_cases
     from crosscheck.loading.load import load_scene
@@ -163,21 +170,27 @@ def loads_command(
 @cli.command("modes")
 @click.argument("scene", default="tracker")
 @setting_options
-@click.option("--at-start", is_flag=True, help="Linearize at the start, not at the equilibrium near it.")
-@click.option("--open-loop", is_flag=True, help="Hold the forces of control laws as they are there.")
+@click.option(
+    "--at-start", is_flag=True, help="Linearize at the initial state instead of the nearest equilibrium."
+)
+@click.option(
+    "--open-loop",
+    is_flag=True,
+    help="Keep the forces of controllers constant instead of linearizing the control laws.",
+)
 @click.option(
     "--save",
     type=click.Path(path_type=Path),
     default=None,
-    help="Recording.  [default: output/modes/SCENE/modes.rrd]",
+    help="File of the Rerun recording.  [default: output/modes/SCENE/modes.rrd]",
 )
 @verbose_option
 def modes_command(
     scene: str, settings: tuple[str, ...], at_start: bool, open_loop: bool, save: Path | None
 ) -> int:
-    """Compute natural frequencies, damping and shapes of modes.
+    """Modal analysis: natural frequencies, damping ratios and mode shapes at an equilibrium.
 
-    SCENE is a name or a file, as of run.
+    SCENE is the name of a library scene or a model file (see run).
     """
     from crosscheck.recording.log import recorded
     from crosscheck.recording.modes import log_modes, report
@@ -214,16 +227,16 @@ def modes_command(
     multiple=True,
     required=True,
     metavar="JOINT=LOW:HIGH[:POINTS]",
-    help="Range of a joint coordinate from the initial pose, m or rad; one for each degree of freedom.",
+    help="Range of a joint coordinate relative to the initial pose, m or rad. One per degree of freedom.",
 )
-@click.option("--axis", metavar="BODY=X,Y,Z", help="Axis in the frame of a body whose direction is mapped.")
+@click.option("--axis", metavar="BODY=X,Y,Z", help="Map the direction of an axis that is fixed in a body.")
 @folder_option("output/workspace/SCENE")
 def workspace_command(
     scene: str, settings: tuple[str, ...], ranges: tuple[str, ...], axis: str | None, output: Path | None
 ) -> int:
-    """Map the poses that joint coordinates reach, and what bounds them.
+    """Map the workspace: reachable poses, singularities and the joints that bound the range.
 
-    SCENE is a name or a file, as of run.
+    SCENE is the name of a library scene or a model file (see run).
     """
     from crosscheck.design import workspace
     from crosscheck.report.output import usual_folder
@@ -248,12 +261,22 @@ def workspace_command(
 
 @cli.command("stress")
 @click.option(
-    "--full/--ci", "full", default=True, show_default=True, help="All cases, or a short form of them."
+    "--full/--ci",
+    "full",
+    default=True,
+    show_default=True,
+    help="Run all cases, or the short selection for CI.",
 )
 @folder_option("output/stress")
-@click.option("--only", "letters", default="", metavar="LETTERS", help="Topics, such as bd.  [default: all]")
+@click.option(
+    "--only",
+    "letters",
+    default="",
+    metavar="LETTERS",
+    help="Run these topics only, such as bd.  [default: all]",
+)
 def stress_command(full: bool, output: Path, letters: str) -> int:
-    """Push every engine until something breaks, and report where."""
+    """Stress-test all engines with extreme parameter values and report where each engine fails."""
     from crosscheck.studies.stress.report import FILES, report, write
     from crosscheck.studies.stress.topics import stress
     from crosscheck.support.files import check_writable
@@ -292,7 +315,7 @@ def _injected_engines(_: click.Context, __: click.Parameter, names: tuple[str, .
     multiple=True,
     metavar="ENGINE",
     callback=_injected_engines,
-    help="Engine into whose model faults are injected; repeatable.  [default: all, alternately]",
+    help="Engine whose model gets faults: newton_euler, mujoco, pinocchio. Repeatable.  [default: all]",
 )
 @click.option("--reading", is_flag=True, help="Inject faults into the import of the model file SCENE.")
 @folder_option("output/faults/SCENE")
@@ -304,9 +327,9 @@ def faults_command(
     reading: bool,
     output: Path | None,
 ) -> int:
-    """Inject single faults into a model and report which ones crosscheck detects and locates correctly.
+    """Fault injection: report which single faults crosscheck detects and locates correctly.
 
-    Each is in one engine's model of SCENE, or with --reading in what was read from its file.
+    Each fault is in one engine's model of SCENE, or with --reading in the import of the model file SCENE.
     """
     from crosscheck.loading.load import load_scene
     from crosscheck.report.output import usual_folder
@@ -340,12 +363,10 @@ def faults_command(
 @cli.command("report")
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 def report_command(folder: Path) -> int:
-    """Write one HTML page of results, DIR/report.html.
+    """Write the results of other commands in DIR as one HTML page, DIR/report.html.
 
-    It is about what other commands wrote to DIR.
-
-    DIR is the folder of run, run --all, regress, faults, stress, bench, sweep, loads or identify, with
-    whatever options, or one that holds such folders, as output does.
+    DIR is the output folder of run, run --all, regress, faults, stress, bench, sweep, loads or identify, or a
+    folder of such folders, for example `output`.
     """
     from crosscheck.report.page import write_report
     from crosscheck.sweeps.store import check_finished

@@ -30,19 +30,23 @@ _file = click.Path(path_type=Path)
 @cli.command("regress")
 @click.argument("sources", nargs=-1, metavar="[SCENE]...")
 @setting_options
-@click.option("--baseline", type=_file, help="Baseline of one SCENE.  [default: of a file, beside it]")
-@click.option("--update", "reason", metavar="REASON", help="Make the baselines anew and keep why with them.")
+@click.option(
+    "--baseline", type=_file, help="File of the baseline; needs one SCENE.  [default: next to the model file]"
+)
+@click.option(
+    "--update", "reason", metavar="REASON", help="Write new baselines and store the reason in them."
+)
 @click.option(
     "--output",
     type=_file,
     default=Path("output/regress"),
     show_default=True,
-    help="Folder for reports (JSON, JUnit XML, markdown) and recordings.",
+    help="Folder for reports (JSON, JUnit XML, Markdown) and recordings.",
 )
 @click.option(
     "--allow-reduced",
     is_flag=True,
-    help="Exit with 0 although elements of a file act that are not simulated.",
+    help="Exit with 0 even if elements of a file act that are not simulated.",
 )
 @verbose_option
 def regress_command(
@@ -53,12 +57,12 @@ def regress_command(
     output: Path,
     allow_reduced: bool,
 ) -> int:
-    """Compare figures with stored baselines.
+    """Regression test: compare results with stored baselines.
 
-    SCENEs are names or model files. If none is given, the library is compared, without the scenes whose
-    optional packages are not installed. Exit status 1 if a figure moved by more than its tolerance, 4 if
-    elements of a file act that are not simulated. A cost (operations, steps, evaluations) that fell is an
-    improvement and never fails. What `crosscheck report` makes a page of is in OUTPUT.
+    SCENEs are names of library scenes or model files (default: all library scenes whose optional packages are
+    installed). Exit status: 1 if a value moved by more than its tolerance, 4 if elements of a file act that
+    are not simulated. A lower cost (operations, steps, evaluations) is an improvement and never fails.
+    `crosscheck report OUTPUT` writes a page of the results.
     """
     from crosscheck.regress.report import outcome, report, tables, verdict
     from crosscheck.regress.run import check, update

@@ -62,27 +62,41 @@ WIDTH = 80
 
 @cli.command("run")
 @click.argument("scene", required=False)
-@click.option("--all", "library", is_flag=True, help="Run all scenes of the library, a line each.")
+@click.option("--all", "library", is_flag=True, help="Run all library scenes and print one line per scene.")
 @engines_option
 @setting_options
-@click.option("--against", metavar="MODEL", help="Compare with another model instead, by newton_euler alone.")
 @click.option(
-    "--against-set", "against_settings", multiple=True, metavar="OPTION=VALUE", help="Option of that model."
+    "--against",
+    metavar="MODEL",
+    help="Compare SCENE with another model instead, both simulated by newton_euler.",
+)
+@click.option(
+    "--against-set",
+    "against_settings",
+    multiple=True,
+    metavar="OPTION=VALUE",
+    help="Option of the model of --against. Repeatable.",
 )
 @click.option(
     "--output",
     type=click.Path(path_type=Path),
     default=None,
-    help="Folder.  [default: output/ and SCENE's name or its file's without suffix; output with --all]",
+    help="Folder for results.  [default: output/NAME, NAME being that of SCENE; output with --all]",
 )
-@click.option("--advice", is_flag=True, help="Work out what to do about what is found, by more runs.")
+@click.option(
+    "--advice",
+    is_flag=True,
+    help="Make further runs and print advice, such as the time step and solref that MuJoCo needs.",
+)
 @click.option(
     "--allow-reduced",
     is_flag=True,
-    help="Exit with 0 if the engines agree on a model without elements of the file that act.",
+    help="Exit with 0 if the engines agree but elements of the file that act are not simulated.",
 )
 @verbose_option
-@click.option("--save", type=click.Path(path_type=Path), help="Recording's file.  [default: OUTPUT/NAME.rrd]")
+@click.option(
+    "--save", type=click.Path(path_type=Path), help="File of the Rerun recording.  [default: OUTPUT/NAME.rrd]"
+)
 def run_command(
     scene: str | None,
     library: bool,
@@ -94,12 +108,12 @@ def run_command(
     allow_reduced: bool,
     **files: Path | None,
 ) -> int:
-    """Run a model through the engines and compare them.
+    """Simulate a model in all engines and compare the results.
 
-    With --against it is compared with another model instead.
+    With --against, compare two models instead.
 
-    SCENE is a name, a scene file, an MJCF or a URDF; the tracker if not given. What OPTION can be is told
-    by crosscheck list.
+    SCENE is the name of a library scene (default: tracker), a scene file (YAML, JSON), an MJCF file or a
+    URDF file. `crosscheck list` prints the scenes and their options.
     """
     from crosscheck.engines.engine import ENGINES
 
@@ -279,7 +293,8 @@ class _NoPandas(MetaPathFinder):
 def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
     """List scenes, engines and options, or the parameters of SCENE.
 
-    SCENE is a name or a file, as of run. Parameters are what sweep varies and identify fits.
+    SCENE is the name of a library scene or a model file (see run). sweep varies its parameters and identify
+    fits them.
     """
     if scene is not None:
         for line in _parameters(load_and_tell(scene, scene_options(settings))):
@@ -352,9 +367,9 @@ def _numbers(row: Array, largest: float) -> str:
 @setting_options
 @verbose_option
 def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int:
-    """Write a model in another format.
+    """Convert a model to another format.
 
-    IN is a scene, MJCF or URDF; OUT is in the format that its name ends in.
+    IN is a library scene, a scene file, an MJCF file or a URDF file. The suffix of OUT selects the format.
     """
     from crosscheck.loading.convert import check_target, files_of, scene_report, write_as
     from crosscheck.loading.load import load_scene
@@ -378,7 +393,7 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int
 
 @cli.command("view")
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--web", is_flag=True, help="Show them in a browser instead of a window.")
+@click.option("--web", is_flag=True, help="Show the recordings in a browser instead of a window.")
 def view_command(files: tuple[Path, ...], web: bool) -> int:
     """Open recordings in the Rerun viewer, side by side."""
     for file in files:

@@ -59,7 +59,7 @@ class Commands(click.Group):
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="crosscheck-dynamics", prog_name="crosscheck")
 def cli() -> None:
-    """Compare closed-loop mechanism dynamics between engines."""
+    """Find errors in mechanism models by simulating them in three independent dynamics engines."""
 
 
 def setting_options(command: Callable[..., int]) -> Callable[..., int]:
@@ -70,7 +70,7 @@ def setting_options(command: Callable[..., int]) -> Callable[..., int]:
         multiple=True,
         metavar="OPTION=VALUE",
         callback=_heed_limits,
-        help="Option of the scene or model file, or a limit, see crosscheck list; repeatable.",
+        help="Option of the scene or model file, or a limit; crosscheck list prints all. Repeatable.",
     )
     return option(command)
 
@@ -105,7 +105,9 @@ def folder_option(default: str) -> Callable[[Callable[..., int]], Callable[..., 
     """Parse the folder of results; it is None by default where that depends on the scene."""
     fixed = None if "SCENE" in default else Path(default)
     folder = click.Path(path_type=Path)
-    return click.option("--output", type=folder, default=fixed, help=f"Folder.  [default: {default}]")
+    return click.option(
+        "--output", type=folder, default=fixed, help=f"Folder for results.  [default: {default}]"
+    )
 
 
 def engines_option(command: Callable[..., int]) -> Callable[..., int]:
@@ -118,7 +120,7 @@ def engines_option(command: Callable[..., int]) -> Callable[..., int]:
             return None
         return [engine.name for engine in choose([name.strip() for name in given.split(",") if name.strip()])]
 
-    text = "With commas between.  [default: all]"
+    text = "Engines to run, separated by commas.  [default: all]"
     return click.option("--engines", metavar="NAMES", callback=names, help=text)(command)
 
 
@@ -145,7 +147,7 @@ def verbose_option(command: Callable[..., int]) -> Callable[..., int]:
     def keep(context: click.Context, _: click.Parameter, wanted: bool) -> None:
         context.meta[VERBOSE] = wanted
 
-    text = "Print everything: figures, notes, elements of files, limits."
+    text = "Print everything: figures, notes, elements of model files, limits."
     option = click.option("-v", "--verbose", is_flag=True, expose_value=False, callback=keep, help=text)
     return option(command)
 

@@ -13,25 +13,51 @@ from crosscheck.support.errors import CrosscheckError
 
 @cli.command("sun")
 @click.option(
-    "--latitude", "latitudes", type=float, multiple=True, required=True, help="Degrees north; repeatable."
+    "--latitude",
+    "latitudes",
+    type=float,
+    multiple=True,
+    required=True,
+    help="Latitude, degrees north. Repeatable.",
 )
-@click.option("--longitude", type=float, default=0.0, show_default=True, help="Degrees east.")
-@click.option("--altitude", type=float, default=0.0, show_default=True, help="Meters above the sea.")
+@click.option("--longitude", type=float, default=0.0, show_default=True, help="Longitude, degrees east.")
+@click.option("--altitude", type=float, default=0.0, show_default=True, help="Altitude above sea level, m.")
 @click.option(
-    "--date", "dates", multiple=True, required=True, metavar="YYYY-MM-DD", help="Day there; repeatable."
+    "--date", "dates", multiple=True, required=True, metavar="YYYY-MM-DD", help="Local date. Repeatable."
 )
 @click.option(
-    "--zone", metavar="ZONE", help="As Asia/Phnom_Penh.  [default: hours from Greenwich by longitude]"
+    "--zone",
+    metavar="ZONE",
+    help="Time zone, such as Asia/Phnom_Penh.  [default: whole hours from the longitude]",
 )
-@click.option("--period", type=float, default=60.0, show_default=True, help="Seconds between set-points.")
-@click.option("--deadband", type=float, default=0.0, show_default=True, help="Degrees off before it moves.")
-@click.option("--most-tilt", type=float, default=30.0, show_default=True, help="Degrees from the horizontal.")
-@click.option("--pitch", type=float, default=float("inf"), help="Distance of rows in lengths of the panel.")
-@click.option("--stow", type=float, help="Wind, m/s, from which the panel lies flat; needs --wind.")
+@click.option("--period", type=float, default=60.0, show_default=True, help="Time between set-points, s.")
+@click.option(
+    "--deadband",
+    type=float,
+    default=0.0,
+    show_default=True,
+    help="Pointing error that makes the tracker move, degrees.",
+)
+@click.option(
+    "--most-tilt",
+    type=float,
+    default=30.0,
+    show_default=True,
+    help="Largest tilt from the horizontal, degrees.",
+)
+@click.option(
+    "--pitch",
+    type=float,
+    default=float("inf"),
+    help="Distance between rows in panel lengths, for backtracking.",
+)
+@click.option(
+    "--stow", type=float, help="Wind speed above which the panel is stowed flat, m/s; needs --wind."
+)
 @click.option(
     "--wind",
     metavar="SPEED|CSV",
-    help="Wind over the day, m/s, or time (s) and speed in a CSV; needs --stow.",
+    help="Wind speed, m/s, or a CSV file of time (s) and speed; needs --stow.",
 )
 @folder_option("output/sun")
 @verbose_option
@@ -45,9 +71,9 @@ def sun_command(
     output: Path,
     **numbers: float,
 ) -> int:
-    """Follow the sun with the tracker for a day: set-points, motion, error, sunlight.
+    """Simulate a day of solar tracking: set-points, motion, pointing error and irradiance.
 
-    Of several latitudes or dates a table compares the days.
+    With several latitudes or dates, a table compares the days.
     """
     from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
     from crosscheck.solar.day import check_period, tracker_day

@@ -32,39 +32,43 @@ from crosscheck.cli.shared import (
     multiple=True,
     required=True,
     metavar="NAME=DISTRIBUTION",
-    help="Parameter and its distribution, as normal(14, 0.5), uniform(LOW, HIGH), truncated_normal(MEAN, "
-    "DEVIATION, LOW, HIGH), values(A, B, ...), grid(LOW, HIGH, COUNT); repeatable.",
+    help="Parameter and its distribution: normal(MEAN, DEVIATION), uniform(LOW, HIGH), "
+    "truncated_normal(MEAN, DEVIATION, LOW, HIGH), values(A, B, ...) or grid(LOW, HIGH, COUNT). Repeatable.",
 )
-@click.option("--runs", type=int, default=None, help="How many.  [default: all of a grid]")
+@click.option("--runs", type=int, default=None, help="Number of runs.  [default: all points of a grid]")
 @click.option(
     "--keep",
     multiple=True,
     required=True,
     metavar="KIND:OUTPUT,...",
-    help="Numbers to keep of each run, as peak:reaction_force,final:panel_7.quaternion; repeatable.",
+    help="Results to store for each run, such as peak:reaction_force,final:panel_7.quaternion. Repeatable.",
 )
 @click.option(
     "--sampling",
     metavar="PLAN",
     default="random",
     show_default=True,
-    help="random, latin_hypercube, sobol, saltelli or grid.",
+    help="Sampling plan: random, latin_hypercube, sobol, saltelli or grid.",
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Of all random numbers.")
-@click.option("--rtol", type=float, default=1e-10, show_default=True, help="Relative tolerance of steps.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random numbers.")
+@click.option(
+    "--rtol", type=float, default=1e-10, show_default=True, help="Relative tolerance of the integrator."
+)
 @click.option(
     "--check",
     type=click.IntRange(0, 100),
     default=None,
-    help="Runs to cross-check, half of them extreme, the others at random; each takes some seconds.  "
+    help="Number of runs to cross-check in all engines: half with extreme results, half at random.  "
     "[default: 1 of 1,000, at least 2, at most 6]",
 )
 @click.option(
     "--allow-reduced",
     is_flag=True,
-    help="Exit with 0 if the engines agree on a model without elements of the file that act.",
+    help="Exit with 0 if the engines agree but elements of the file that act are not simulated.",
 )
-@click.option("--cluster", metavar="ADDRESS", help="Scheduler of a Dask cluster, as tcp://10.0.0.1:8786.")
+@click.option(
+    "--cluster", metavar="ADDRESS", help="Address of a Dask scheduler, such as tcp://10.0.0.1:8786."
+)
 @folder_option("output/sweep/SCENE")
 @verbose_option
 def sweep_command(
@@ -77,10 +81,10 @@ def sweep_command(
     output: Path | None,
     **options: Any,
 ) -> int:
-    """Run a scene many times with other numbers, and tell what comes of it and what matters.
+    """Run a Monte Carlo or design-of-experiments study and report distributions and sensitivities.
 
-    SCENE is a name or a file, which is excited, as of run. A sweep that was interrupted goes on where it
-    was.
+    SCENE is the name of a library scene or a model file (see run). To resume an interrupted sweep, repeat the
+    command.
     """
     from crosscheck.loading.load import excited, load_scene
     from crosscheck.sweeps.distributions import parse_vary
