@@ -18,7 +18,7 @@ from crosscheck.compare.reference_values import Measured, known_of, measure
 from crosscheck.compare.runs import errors_of_runs, rests
 from crosscheck.compare.singularity import Passage, passage
 from crosscheck.engines.engine import Engine
-from crosscheck.engines.engine_runs import Stop, as_far_as_it_goes, each_run, finite, stops_text
+from crosscheck.engines.engine_runs import Stop, collecting_errors, finite, run_engines, stops_text
 from crosscheck.library.options import titled
 from crosscheck.loading.load import told_options
 from crosscheck.report.outcome import Outcome
@@ -150,7 +150,9 @@ class Crosscheck:
     def diagnosis(self) -> tuple[Diagnosis, ...]:
         """Who differs, at the first level at which any engine does, and then without it."""
         names, stopped = [each.name for each in self.engines], {stop.what for stop in self.unfinished}
-        soft = [each.name for each in self.engines if each.soft_start and each.name not in stopped]
+        soft = [
+            each.name for each in self.engines if each.evaluate_soft_constraints and each.name not in stopped
+        ]
         return diagnose(names, self.checks, self.measured, soft, mobility(self.scene).nearly)
 
     @property
@@ -323,7 +325,7 @@ def crosscheck(
     rows: list[Check] = []
     unread: list[Stop] = []
     what = "comparing with the file"
-    with as_far_as_it_goes(what, unread), limited(what, SHORTER, progress):
+    with collecting_errors(what, unread), limited(what, SHORTER, progress):
         for row in finite(reading_rows(able, mapping)):
             rows.append(row)  # not all at once: those before an error are kept
     if _misread(able, rows):
@@ -332,20 +334,20 @@ def crosscheck(
         return Crosscheck(
             source, options, scene, tuple(able), left_out, {}, tuple(rows), (), took, mapping, notes=noted
         )
-    runs, stops = each_run(scene, able, progress)
+    runs, stops = run_engines(scene, able, progress)
     stopped = {stop.what for stop in stops}
     stops += unread
     beside: list[Stop] = []
     if mapping and runs:
         what = "watching what was left out"
         unseen, mapping = mapping, mapping.unwatched()  # which counts if watching stops
-        with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
+        with collecting_errors(what, beside), limited(what, SHORTER, progress):
             mapping = watched(scene, unseen, next(iter(runs.values())))
     until = mapping.acting[0].since if mapping and mapping.acting else None
     # runs of a motion that the scene does not determine say nothing about each other
     comparable = {} if any(stop.undetermined for stop in stops) else runs
     for what, stage in stages(scene, able, comparable, _random_states(scene), until).items():
-        with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
+        with collecting_errors(what, stops), limited(what, SHORTER, progress):
             for row in finite(stage(tuple(rows))):
                 rows.append(row)
     if not (rows or runs):
@@ -356,20 +358,20 @@ def crosscheck(
     for engine in able if known else ():
         if engine.name not in stopped:
             what = f"{engine.name}: reference values"
-            with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
+            with collecting_errors(what, stops), limited(what, SHORTER, progress):
                 measured.extend(measure(source, scene, engine, runs[engine.name], known))
     found: Coverage | None = None
     what = "working out what the motion covers"
-    with as_far_as_it_goes(what, beside), limited(what, NO_VERDICT, progress, "coverage_time"):
+    with collecting_errors(what, beside), limited(what, NO_VERDICT, progress, "coverage_time"):
         found = coverage(scene, comparable, rows)
     singular: Passage | None = None
     what = "searching singular configurations"
-    with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
+    with collecting_errors(what, beside), limited(what, SHORTER, progress):
         singular = passage(scene, next(iter(runs.values()))) if runs else None
     advice: tuple[Advice, ...] = ()
     if advised and not stops:
         what = "working out advice"
-        with as_far_as_it_goes(what, beside), limited(what, "there is none", progress):
+        with collecting_errors(what, beside), limited(what, "there is none", progress):
             advice = advise(scene, able, runs, rows)
     result = Crosscheck(
         source,
@@ -390,7 +392,7 @@ def crosscheck(
     off_by: dict[str, float] = {}
     odd = {diagnosis.odd for diagnosis in result.diagnosis}
     what = "measuring each engine's error"
-    with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
+    with collecting_errors(what, beside), limited(what, SHORTER, progress):
         off_by = errors_of_runs(scene, [engine for engine in able if engine.name not in odd], comparable)
     wall_time = time.perf_counter() - start
     return replace(result, off_by=off_by, notes=tuple(map(str, beside)), wall_time=wall_time)

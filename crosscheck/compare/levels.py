@@ -89,8 +89,10 @@ def _within(engine: Engine, engines: Sequence[Engine], samples: EngineSamples) -
             if other is not engine:
                 yield from compare_pair((one.name, other.name), [one], samples[other.name])
     rigid = samples[engine.name][0]
-    if engine.soft_start is not None and rigid.states.all[0] is initial_state(rigid.states.scene):
-        yield softness_row(engine.name, engine.soft_start(rigid.states.scene), rigid)
+    if engine.evaluate_soft_constraints is not None and rigid.states.all[0] is initial_state(
+        rigid.states.scene
+    ):
+        yield softness_row(engine.name, engine.evaluate_soft_constraints(rigid.states.scene), rigid)
 
 
 def sampled(engines: Sequence[Engine], states: States) -> EngineSamples:

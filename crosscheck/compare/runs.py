@@ -92,7 +92,7 @@ def errors_of_runs(scene: Scene, engines: Sequence[Engine], runs: Runs) -> dict[
     Raises:
         NewtonEulerError, CrosscheckError: where that run does not come to its end.
     """
-    rigid = next((engine for engine in engines if engine.soft_start is None), None)
+    rigid = next((engine for engine in engines if engine.evaluate_soft_constraints is None), None)
     if rigid is None or not runs:
         return {}
     finest = rigid.refined(scene)
@@ -115,7 +115,7 @@ def rests(scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory
     Soft constraints give way a little even so: engines that have them are asked if there are no others.
     """
     ran = [engine for engine in engines if engine.name in runs]
-    asked = [engine for engine in ran if engine.soft_start is None] or ran
+    asked = [engine for engine in ran if engine.evaluate_soft_constraints is None] or ran
     return bool(asked) and stays({engine.name: runs[engine.name] for engine in asked}, scene)
 
 
@@ -173,7 +173,9 @@ def compare_runs(
             refine(engine)
         return float(np.max(apart(runs[engine.name], finer[engine.name])))
 
-    def restless(between: Sequence[Engine], gap: Callable[[Runs], Array], apart: Gap, least: float) -> str:
+    def unconverged_engine(
+        between: Sequence[Engine], gap: Callable[[Runs], Array], apart: Gap, least: float
+    ) -> str:
         """The engine whose finer run excuses a check without being nearer to the others'; empty if none.
 
         Nearer to their runs as they are, which costs nothing, or to their finer ones, in which their own
@@ -221,7 +223,7 @@ def compare_runs(
             if OWN_ERROR * change > UNRESOLVED * unit:
                 coarse.append(f"{engine.name}'s own run changes by {change / shown:.2g} when refined")
         excused = fixed * unit < value <= tolerance
-        name = restless(between, gap, apart, max(fixed, ROUND_OFF) * unit) if excused else ""
+        name = unconverged_engine(between, gap, apart, max(fixed, ROUND_OFF) * unit) if excused else ""
         names = tuple(engine.name for engine in between)
         return Check(
             level,

@@ -1,4 +1,4 @@
-"""The engines that are compared, what each contributes, and how exact each is expected to be."""
+"""Registry of the engines: how each one simulates a scene, and how accurate its runs are expected to be."""
 
 from __future__ import annotations
 
@@ -21,64 +21,65 @@ from newton_euler.model.trajectory import StoppedError, Trajectory, distance
 from newton_euler.runs.assemble import initial_state
 
 REFINED_RTOL, REFINED_ATOL = 1e-12, 1e-14
-"""A hundredth of what runs have by default; DOP853's own limit is near 2e-14."""
+"""Tolerances of refined runs, a hundredth of the default ones. DOP853 accepts no rtol below 2.2e-14."""
 
 EXACT_RTOL, EXACT_ATOL = 1e-13, 1e-15
-"""For figures of twelve digits; round-off takes over below."""
+"""Tolerances of runs for reference values of twelve digits; tighter ones only add round-off."""
 
-STEPS = 500
-"""Of a run in MuJoCo, at least, whatever its duration: steps of 1 ms are long for a machine that is at 1000
-rad/s after 50 of them."""
+MIN_MUJOCO_STEPS = 500
+"""Smallest number of steps of a run in MuJoCo. Steps of 1 ms are too long for a machine that reaches 1000
+rad/s after 50 ms."""
 
-HALVINGS = 4
-"""Of MuJoCo's step where a run diverges. Then `IMPLICIT` is taken, of order 1, at the smallest of these."""
+MAX_HALVINGS = 4
+"""Largest number of halvings of MuJoCo's step if a run diverges. After them `IMPLICIT`, a method of order 1,
+runs at the smallest step."""
 
-RK4_STEPS = 100_000
+MAX_RK4_STEPS = 100_000
 """Largest number of steps of MuJoCo's RK4 that stability or accuracy may ask for; they take some seconds. If
 the stability of stiff dampers, which are explicit in RK4, asks for more, `IMPLICIT` is used instead."""
 
 IMPLICIT: Final = "implicitfast"
 
-NATIVE_STABILITY_STEPS, PYTHON_STABILITY_STEPS = 100_000, 60
-"""Largest numbers of steps of DOP853 for stability alone; above them Radau runs instead, see
-`crosscheck.engines.stiffness`. In native code so many take some seconds. Where Python evaluates the
-equations, so
-many (or one for each output of the run, if these are more) cost about as much as Radau: DOP853 made 4 to 7
-times as many on damped trackers and servo-driven arms, at 13 evaluations each, Radau 500 to 900 for a second
-of an arm's motion, at 7."""
+NATIVE_STEP_BUDGET, PYTHON_STEP_BUDGET = 100_000, 60
+"""Largest numbers of steps that DOP853 may need for stability; beyond them Radau runs instead, see
+`crosscheck.engines.stiffness`. In native code so many steps take some seconds. If Python evaluates the
+equations, so many steps (or one per output, if there are more outputs) cost about as much as Radau. DOP853
+took 4 to 7 times as many steps on damped trackers and servo-driven arms, with 13 evaluations each. Radau took
+500 to 900 steps for a second of an arm's motion, with 7 evaluations each."""
 
 NATIVE_MAX_STEPS, PYTHON_MAX_STEPS = 200_000, 10_000
-"""Steps of an adaptive method after which a run is given up, so that it does not last for hours."""
+"""Largest numbers of steps of an adaptive run, which otherwise could last for hours."""
 
 STIFF_RTOL, STIFF_ATOL = 1e-8, 1e-10
-"""Of Radau, a method of order 5: a hundred times tighter it would need ten times as many steps."""
+"""Tolerances of Radau. Since its order is 5, tolerances a hundred times tighter need ten times as many
+steps."""
 
 STIFF_REFINEMENT = 0.1
-"""Of these, in refined runs."""
+"""Factor on the tolerances of Radau in refined runs."""
 
-LESS_REFINED = 5.0
-"""Factor on the tolerances of a refined run in Python that stops: accelerations of nearly singular loops and
-of stiff machines hold no more digits."""
+LOOSER_TOLERANCE_FACTOR = 5.0
+"""Factor on the tolerances if a refined run in Python stops: accelerations of nearly singular loops and of
+stiff machines have too few digits for tighter tolerances."""
 
 
 @dataclass(frozen=True)
 class Engine:
-    """One engine.
+    """An engine.
 
     Attributes:
-        name: as in files and options.
-        simulate: runs a scene at this engine's default settings.
-        refined: runs a scene at half the step or a hundredth of the tolerance, to measure errors that
-            exceed the three below.
-        systems: its rigid equations of motion, for the levels before trajectories.
-        trajectory_error: share of the mechanism's reach, and rad, that its own run may be off.
-        drift: share of the mechanism's reach, or rad, that its joints may be open during a run.
-        energy_error: by what share of the largest energy its balance may be off.
-        package: name of the package that does the work, for the record of versions.
-        exact: runs a scene at its most exact, for checks that are known to many digits; `refined` if None.
-        soft_start: the initial state under its own constraints where they are not rigid.
-        refined_in_full: as `refined`, with reactions and forces of actuators, which that may leave out;
-            `refined` if None.
+        name: name in files and options.
+        simulate: simulates a scene at crosscheck's default settings for the engine.
+        refined: simulates a scene at half the step or a hundredth of the tolerance. The change measures
+            errors that exceed the three expected errors below.
+        systems: returns the equations of motion with rigid constraints, for the levels before trajectories.
+        trajectory_error: expected error of a run, relative to the mechanism's reach and in rad.
+        drift: expected constraint violation of a run, relative to the mechanism's reach and in rad.
+        energy_error: expected energy balance error, relative to the largest energy.
+        package: name of the engine's package, whose version is recorded.
+        exact: simulates a scene as accurately as possible, for reference values; `refined` if None.
+        evaluate_soft_constraints: evaluates the initial state with the engine's soft constraints; None if its
+            constraints are rigid.
+        refined_in_full: as `refined`, but always with reactions and actuator forces; `refined` if None.
     """
 
     name: str
@@ -90,23 +91,23 @@ class Engine:
     energy_error: float
     package: str
     exact: Callable[[Scene], Trajectory] | None = None
-    soft_start: Callable[[Scene], Evaluation] | None = None
+    evaluate_soft_constraints: Callable[[Scene], Evaluation] | None = None
     refined_in_full: Callable[[Scene], Trajectory] | None = None
 
 
 def native_method(scene: Scene, refined: bool) -> dict[str, Any]:
-    """Choose the method, tolerances and largest number of steps for newton_euler's runs."""
-    return {"most_steps": NATIVE_MAX_STEPS} | _by_stiffness(scene, NATIVE_STABILITY_STEPS, refined)
+    """Choose integrator, tolerances and largest number of steps for runs in native code."""
+    return {"most_steps": NATIVE_MAX_STEPS} | _by_stiffness(scene, NATIVE_STEP_BUDGET, refined)
 
 
 def python_method(scene: Scene, refined: bool) -> dict[str, Any]:
-    """Choose the same for runs whose equations Python evaluates."""
-    steps = max(PYTHON_STABILITY_STEPS, len(scene.times))
+    """Choose integrator, tolerances and largest number of steps for runs whose equations Python evaluates."""
+    steps = max(PYTHON_STEP_BUDGET, len(scene.times))
     return {"most_steps": PYTHON_MAX_STEPS} | _by_stiffness(scene, steps, refined)
 
 
 def _by_stiffness(scene: Scene, stability_steps: int, refined: bool) -> dict[str, Any]:
-    """Choose Radau for a scene in which stability costs DOP853 more steps than these, and tolerances."""
+    """Choose Radau if the stability of DOP853 needs more than `stability_steps` steps, and the tolerances."""
     from crosscheck.engines.stiffness import explicit_steps
 
     if explicit_steps(scene) > stability_steps:
@@ -117,7 +118,7 @@ def _by_stiffness(scene: Scene, stability_steps: int, refined: bool) -> dict[str
 
 @lru_cache(maxsize=1)
 def native_run(scene: Scene) -> Trajectory:
-    """newton_euler's run, made once for all that it is compared with."""
+    """Simulate a scene in newton_euler; the last run is cached, since several comparisons use it."""
     from newton_euler import simulate
 
     return simulate(scene, **native_method(scene, refined=False))
@@ -125,7 +126,7 @@ def native_run(scene: Scene) -> Trajectory:
 
 @lru_cache(maxsize=1)
 def native_refined(scene: Scene) -> Trajectory:
-    """newton_euler's finer run, made once as well."""
+    """Simulate a scene in newton_euler at refined tolerances; the last run is cached."""
     from newton_euler import simulate
 
     return simulate(scene, **native_method(scene, refined=True))
@@ -144,7 +145,7 @@ def _newton_euler_systems(scene: Scene) -> tuple[System, ...]:
 
 
 def _way(scene: Scene) -> Trajectory | None:
-    """newton_euler's run as far as it comes: where other engines will come by."""
+    """Return newton_euler's run, or its part before it stopped: the expected path of other engines."""
     try:
         return native_run(scene)
     except StoppedError as error:
@@ -155,35 +156,42 @@ def _way(scene: Scene) -> Trajectory | None:
 
 @lru_cache(maxsize=1)
 def _mujoco_run(scene: Scene) -> Trajectory:
-    """Run MuJoCo at its default step or a whole part of it: `STEPS` at least, stable, and without divergence.
+    """Simulate a scene in MuJoCo, at the default step divided by a whole number.
 
-    If the run is far from newton_euler's, the step is halved while that changes MuJoCo's run as much.
-    Fast machines are beyond the accuracy of RK4 at the default step, and loops of very different masses soft.
+    The step gives at least `MIN_MUJOCO_STEPS`, is stable in RK4, and does not diverge. If the run is still
+    far from newton_euler's, the step is halved: RK4 is too coarse for fast machines, and loops with very
+    different masses are soft.
+
+    Raises:
+        DivergenceError: with the step that RK4 would need, if all steps diverge.
     """
     import mjcf
     from crosscheck.engines.stiffness import is_stable_in_rk4, modes_of_run
     from mjcf.errors import DivergenceError
     from mjcf.simulate import default_timestep
 
+    # The candidate steps
     step = default_timestep(scene)
-    step /= max(1.0, np.ceil(STEPS * step / scene.duration * (1.0 - 1e-9)))
+    step /= max(1.0, np.ceil(MIN_MUJOCO_STEPS * step / scene.duration * (1.0 - 1e-9)))
     way = _way(scene)
     modes = modes_of_run(scene, way)
-    halvings = max(HALVINGS, int(np.log2(max(1.0, RK4_STEPS * step / scene.duration))))
+    halvings = max(MAX_HALVINGS, int(np.log2(max(1.0, MAX_RK4_STEPS * step / scene.duration))))
     steps = [step * 0.5**k for k in range(halvings + 1)]
-    for tried in [each for each in steps if is_stable_in_rk4(modes, each)][: HALVINGS + 1]:
+    # The first stable step at which RK4 does not diverge; else the implicit method
+    for tried in [each for each in steps if is_stable_in_rk4(modes, each)][: MAX_HALVINGS + 1]:
         with suppress(DivergenceError):
             return _resolved(scene, mjcf.simulate(scene, timestep=tried), way)
     try:
-        return mjcf.simulate(scene, timestep=steps[HALVINGS], integrator=IMPLICIT)
+        return mjcf.simulate(scene, timestep=steps[MAX_HALVINGS], integrator=IMPLICIT)
     except DivergenceError as error:
+        # Explain a divergence by the fastest decay of the motions
         rate = max(0.0, -float(np.min(modes.real, initial=0.0)))
         if RK4_LIMIT / steps[-1] >= rate:
             raise
         stiff = (
             f"motions decay at up to {rate:.2g} 1/s, for which RK4 needs steps below {RK4_LIMIT / rate:.2g} s"
         )
-        alone = f"{IMPLICIT} at {steps[HALVINGS]:.2g} s leaves the forces of constraints explicit"
+        alone = f"{IMPLICIT} at {steps[MAX_HALVINGS]:.2g} s leaves the forces of constraints explicit"
         cause = DivergenceError(error.time, f"{error.reason}; {stiff}, and {alone}")
         cause.partial = error.partial
         raise cause from error
@@ -199,7 +207,7 @@ def _resolved(scene: Scene, run: Trajectory, way: Trajectory | None) -> Trajecto
     size = scene.mechanism.size
     while distance(run, way, length=size) > UNRESOLVED:
         half = 0.5 * run.settings["timestep"]
-        if scene.duration > half * RK4_STEPS:
+        if scene.duration > half * MAX_RK4_STEPS:
             break
         try:
             finer = mjcf.simulate(scene, timestep=half)
@@ -221,7 +229,8 @@ def _mujoco_refined(scene: Scene, in_full: bool = False) -> Trajectory:
 
 
 def _motion_of(scene: Scene) -> Scene:
-    """The scene without the outputs that finer runs are asked for only where checks of a scene are known."""
+    """Return the scene without reactions and actuator forces, which refined runs need for reference values
+    only."""
     if scene.name in FIGURES:
         return scene
     return replace(scene, outputs=scene.outputs - {"reactions", "actuation"})
@@ -254,7 +263,7 @@ def _pinocchio_refined(scene: Scene, in_full: bool = False) -> Trajectory:
     try:
         return urdf.simulate(wanted, **method)
     except StoppedError:
-        looser = {name: LESS_REFINED * method[name] for name in ("rtol", "atol")}
+        looser = {name: LOOSER_TOLERANCE_FACTOR * method[name] for name in ("rtol", "atol")}
         return urdf.simulate(wanted, **(method | looser))
 
 
@@ -290,7 +299,7 @@ ENGINES: dict[str, Engine] = {
             drift=1e-9,
             energy_error=1e-8,
             package="mujoco",
-            soft_start=_mujoco_soft,
+            evaluate_soft_constraints=_mujoco_soft,
             refined_in_full=partial(_mujoco_refined, in_full=True),
         ),
         # as newton_euler, from Python
@@ -310,7 +319,7 @@ ENGINES: dict[str, Engine] = {
 
 
 def choose(names: list[str]) -> list[Engine]:
-    """Engines by name, in the order given; raises `CrosscheckError` for unknown or repeated names."""
+    """Return engines by name, in the given order; raises `CrosscheckError` for unknown or repeated names."""
     if not names:
         raise CrosscheckError(f"no engine named; choose from: {', '.join(ENGINES)}")
     for name in names:

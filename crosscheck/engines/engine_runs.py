@@ -1,4 +1,4 @@
-"""The run of every engine, all of them tried whatever becomes of one, and what does not come to its end."""
+"""Runs of all engines: each engine is tried even if another one fails, and failures are collected."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from newton_euler.model.trajectory import (
     check_finite,
 )
 
-LEAST_OUTPUTS = 2
-"""Of a run that stopped: with its start alone there is nothing to compare."""
+MIN_PARTIAL_OUTPUTS = 2
+"""Smallest number of outputs of a partial run; a run with its start only cannot be compared."""
 
 
 @dataclass(frozen=True)
 class Stop:
-    """Part of a crosscheck that did not come to its end.
+    """Part of a crosscheck that did not complete.
 
     Attributes:
-        what: an engine, or a part of the comparison.
-        reason: why, in one line.
-        time: s, up to which there is a run; None without one.
-        undetermined: whether the scene does not determine the motion, so that no runs of it can be compared.
+        what: name of an engine, or of a part of the comparison.
+        reason: reason in one line.
+        time: s, end of the partial run; None without a partial run.
+        undetermined: True if the scene does not determine its motion, so that no runs can be compared.
     """
 
     what: str
@@ -46,17 +46,21 @@ class Stop:
 
 
 def stops_text(stops: Iterable[Stop]) -> str:
-    """Word what did not come to its end; a reason that several parts share stands there once."""
+    """Report the parts that did not complete; parts with the same reason are grouped."""
     parts = dict[str, list[str]]()
     for stop in stops:
         parts.setdefault(stop.reason, []).append(stop.what)
     return "; ".join(f"{', '.join(whats)}: {reason}" for reason, whats in parts.items())
 
 
-def each_run(
+def run_engines(
     scene: Scene, engines: Sequence[Engine], progress: Callable[[str], None]
 ) -> tuple[dict[str, Trajectory], list[Stop]]:
-    """The runs of a scene by engine, as far as they came, and those that did not come to their end."""
+    """Simulate a scene in all engines.
+
+    Returns:
+        The run of each engine (partial if the engine stopped), and a `Stop` for each engine that stopped.
+    """
     runs, stops = dict[str, Trajectory](), list[Stop]()
     for engine in engines:
         try:
@@ -64,9 +68,9 @@ def each_run(
                 run = engine.simulate(scene)
             _check_finite(scene, run)
             runs[engine.name] = run
-        except Exception as error:  # one that nobody foresaw stops no other engine either
+        except Exception as error:  # even an unexpected error must not prevent the runs of other engines
             partial = error.partial if isinstance(error, StoppedError) else None
-            if partial is not None and len(partial.time) >= LEAST_OUTPUTS:
+            if partial is not None and len(partial.time) >= MIN_PARTIAL_OUTPUTS:
                 runs[engine.name] = partial
             time = float(partial.time[-1]) if engine.name in runs and partial is not None else None
             reason = reason_of(error).removeprefix(f"{engine.name}: ")
@@ -75,16 +79,16 @@ def each_run(
 
 
 @contextmanager
-def as_far_as_it_goes(what: str, stops: list[Stop]) -> Iterator[None]:
-    """A block whose error becomes one of the `stops`."""
+def collecting_errors(what: str, stops: list[Stop]) -> Iterator[None]:
+    """Convert an error of the block into one of the `stops`."""
     try:
         yield
-    except Exception as error:  # what was found before is kept whatever goes wrong
+    except Exception as error:  # results of other parts are kept whatever the error is
         stops.append(Stop(what, reason_of(error).removeprefix(f"{what}: ")))
 
 
 def finite(rows: Iterable[Check]) -> Iterator[Check]:
-    """The rows that are finite; then raises `CrosscheckError` for the first that is not."""
+    """Yield the finite checks; then raise `CrosscheckError` for the first check that is not finite."""
     wrong = []
     for row in rows:
         if np.isfinite(row.value):
@@ -99,7 +103,8 @@ def finite(rows: Iterable[Check]) -> Iterator[Check]:
 
 
 def _check_finite(scene: Scene, run: Trajectory) -> None:
-    """Raise `IntegrationError` for a run that is not finite, with the rows before."""
+    """Raise `IntegrationError` for a run with values that are not finite, with the partial run before
+    them."""
     arrays = {name: values for name, values in run.arrays().items() if values.dtype.kind == "f"}
     try:
         check_finite(scene.times, arrays)

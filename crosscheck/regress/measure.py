@@ -392,10 +392,12 @@ def _engine(here: Measurement) -> Iterator[StoredFigure]:
     engine, short = ENGINES[here.group], here.short(STEPS[here.group])
     (system,) = engine.systems(here.scene)
     yield from here.equations(system)
-    if engine.soft_start is not None:
+    if engine.evaluate_soft_constraints is not None:
         samples = here.samples(system, 0.0, initial_state(here.scene))
         soft = SOFT * samples.condition**2
-        yield from here.evaluation("soft constraints", samples, engine.soft_start(here.scene), soft, soft)
+        yield from here.evaluation(
+            "soft constraints", samples, engine.evaluate_soft_constraints(here.scene), soft, soft
+        )
     yield from here.end_of_run("RK4", _fixed_run(here.group, short, here.plan.step))
 
 

@@ -262,7 +262,7 @@ def _compared(
         for scalar in found:
             own, scale = float(numbers[scalar.variable][scalar.place]), scalar.scale(numbers[scalar.variable])
             value = float(kept[scalar.variable][scalar.place])
-            why = SOFT_CONSTRAINTS if engine.soft_start is not None and scalar.reacts else ""
+            why = SOFT_CONSTRAINTS if engine.evaluate_soft_constraints is not None and scalar.reacts else ""
             if scalar.reacts and not shared.isdisjoint(reductions[scalar.variable].reacting(scalar.place)):
                 why = NOT_UNIQUE
             fixed = (engine.trajectory_error + ENGINES["newton_euler"].trajectory_error) * scale

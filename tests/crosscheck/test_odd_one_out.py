@@ -61,13 +61,13 @@ def files(tmp_path_factory):
 def with_model(name, change):
     """An engine that takes every scene for the changed one."""
     own = ENGINES[name]
-    soft = own.soft_start
+    soft = own.evaluate_soft_constraints
     return replace(
         own,
         simulate=lambda scene: own.simulate(change(scene)),
         refined=lambda scene: own.refined(change(scene)),
         systems=lambda scene: own.systems(change(scene)),
-        soft_start=None if soft is None else lambda scene: soft(change(scene)),
+        evaluate_soft_constraints=None if soft is None else lambda scene: soft(change(scene)),
     )
 
 

@@ -183,7 +183,7 @@ def wrong_engine() -> Engine:
     def told(ask: Callable[[Scene], Any]) -> Callable[[Scene], Any]:
         return lambda scene: ask(heavier(scene))
 
-    asked = ("simulate", "refined", "systems", "soft_start")
+    asked = ("simulate", "refined", "systems", "evaluate_soft_constraints")
     return replace(own, **{name: told(getattr(own, name)) for name in asked})
 
 

@@ -113,7 +113,7 @@ def with_heavier_body(engine: str, body: str, fraction: float) -> dict[str, Any]
     return {engine: replace(own, **evaluated)}
 
 
-CHANGED = ("simulate", "refined", "systems", "soft_start")
+CHANGED = ("simulate", "refined", "systems", "evaluate_soft_constraints")
 """Functions of an engine that evaluate a scene."""
 
 

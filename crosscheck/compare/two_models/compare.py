@@ -21,7 +21,7 @@ from crosscheck.compare.two_models.align import Aligned, alignments
 from crosscheck.compare.two_models.levels import LEVELS, SharedStates, bodies_row, differences, start_rows
 from crosscheck.compare.two_models.unsimulated import NEVER_COMPARED, Model, Unsimulated, is_mjcf, unsimulated
 from crosscheck.engines.engine import ENGINES, Engine
-from crosscheck.engines.engine_runs import Stop, as_far_as_it_goes, each_run, finite, stops_text
+from crosscheck.engines.engine_runs import Stop, collecting_errors, finite, run_engines, stops_text
 from crosscheck.report.outcome import Outcome
 from crosscheck.support.time_limits import SHORTER, limited
 from newton_euler.equations.relative import Relative
@@ -152,7 +152,7 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
         states = _aligned_best(list(alignments(first.scene, second.scene)), stopped)
         aligned, engines = states.aligned, _engines(pair, states.aligned)
         rows, notes = _equations_compared(pair, engines, states)
-    runs, stops = each_run(aligned.first, engines, progress)
+    runs, stops = run_engines(aligned.first, engines, progress)
     stops = [*stopped, *stops]
     if len(runs) == len(pair) and all(row.agrees for row in rows):
         # of both together: what a run is off by itself is no difference between models
@@ -160,7 +160,7 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
             name: replace(run, constraint_violation=None, potential_energy=None) for name, run in runs.items()
         }
         what = "comparing runs"
-        with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
+        with collecting_errors(what, stops), limited(what, SHORTER, progress):
             for row in finite(compare_runs(aligned.first, engines, pairs, states.energy)):
                 rows.append(row)  # not all at once: those before an error are kept
     same_file = os.path.realpath(first.source) == os.path.realpath(second.source)
@@ -197,7 +197,7 @@ def _aligned_best(candidates: Sequence[Aligned], stops: list[Stop]) -> SharedSta
     """
     scene, states = candidates[0].first, [initial_state(candidates[0].first)]
     if candidates[0].second is not None:
-        with as_far_as_it_goes("random states", stops):
+        with collecting_errors("random states", stops):
             states += random_states(scene, RANDOM_STATES)
     shared = [SharedStates(scene, tuple(states), aligned) for aligned in candidates]
     if len(shared) == 1:

@@ -20,7 +20,7 @@ from crosscheck.compare.levels import compare_equations
 from crosscheck.compare.momentum import momentum_row
 from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import ENGINES
-from crosscheck.engines.engine_runs import as_far_as_it_goes
+from crosscheck.engines.engine_runs import collecting_errors
 from crosscheck.library import load
 from crosscheck.studies.faults import find as finding
 from crosscheck.studies.faults import injection
@@ -41,7 +41,7 @@ LINKAGE = EXAMPLE.parent / "linkage.xml"
 
 NAMES = tuple(ENGINES)
 NE, MJ, PIN = NAMES
-RIGID = [replace(engine, soft_start=None) for engine in ENGINES.values()]
+RIGID = [replace(engine, evaluate_soft_constraints=None) for engine in ENGINES.values()]
 """Without MuJoCo's softness, which only informs."""
 
 
@@ -226,7 +226,7 @@ def with_fault(scene_name, fault, name):
         systems = (finding._with_fault(fault, ENGINES[name], states.scene),)
     samples[name] = [Samples(system, states) for system in systems]
     rows = []
-    with as_far_as_it_goes("comparing equations", []):  # without a joint there are no balances
+    with collecting_errors("comparing equations", []):  # without a joint there are no balances
         for found in compare_equations(RIGID, samples):
             rows.append(found)  # not all at once: those before an error are kept
     return diagnose(NAMES, rows)

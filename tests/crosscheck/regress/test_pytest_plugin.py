@@ -31,7 +31,8 @@ SUITE = """
 
     def test_odd(crosscheck, monkeypatch):
         good = ENGINES["mujoco"]
-        odd = dataclasses.replace(good, systems=lambda scene: good.systems(wrong(scene)), soft_start=None)
+        systems = lambda scene: good.systems(wrong(scene))
+        odd = dataclasses.replace(good, systems=systems, evaluate_soft_constraints=None)
         monkeypatch.setitem(ENGINES, "mujoco", odd)
         crosscheck("arm.xml", key="go", duration=0.05).assert_agrees()
 

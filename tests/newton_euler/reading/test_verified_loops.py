@@ -166,7 +166,7 @@ def test_the_line_tells_what_few_states_show(text: str, said: str, limited: str,
 @pytest.mark.parametrize(("tilt", "told"), [("1e-4", True), ("0", False)])
 def test_a_verdict_says_that_no_state_tells_motions(tilt: str, told: bool, tmp_path: Path) -> None:
     found = reading(tmp_path, TILTED.format(tilt), duration=0.02, verified=False)
-    rigid = [engine for engine in ENGINES.values() if engine.soft_start is None]
+    rigid = [engine for engine in ENGINES.values() if engine.evaluate_soft_constraints is None]
     result = crosscheck(found.scene, rigid, lambda _: None, "tilted", {}, found.report)
     assert result.outcome.passes()
     assert ("; motions are not verified against the file: no state tells them" in result.verdict) == told
