@@ -1,4 +1,4 @@
-"""Checks that a comparison yields, each with its tolerance, at one of the levels."""
+"""Checks of a comparison: a value, its tolerance, and its level."""
 
 from __future__ import annotations
 
@@ -12,76 +12,80 @@ from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
 READING = "reading"
-"""The level before those of engines: what a file says."""
+"""Level of the verification of an imported scene against its model file, before the levels of engines."""
 
 OF_EQUATIONS = ("model", "kinematics", "dynamics", "accelerations and reactions")
 
 OF_RUNS = ("trajectories", "drift", "energy")
-"""Levels of whole runs; those before are of models."""
+"""Levels of whole runs; the other levels compare equations."""
 
 LEVELS = (READING, *OF_EQUATIONS, *OF_RUNS)
 
 REFERENCE = "reference"
-"""The level after all others: checks that are known from elsewhere."""
+"""Level of reference values, after all others."""
 
 FILE = "file"
-"""What engines are compared with at the level `READING`, see `newton_euler.reading.verify`."""
+"""Name of the model file in checks of the level `READING`, see `newton_euler.reading.verify`."""
 
 POSES = ("positions, m", "orientations, rad")
-"""Quantities of trajectories."""
+"""Quantities at the level "trajectories"."""
 
 OPEN = "open joints, m or rad"
-"""Quantity of drift."""
+"""Quantity at the level "drift"."""
 
 START = "start"
-"""Of two models, the level after "model": engines start from one scene, models where each file says."""
+"""Level after "model" if two models are compared, since each model has its own initial state."""
 
 OWN_ERROR = 4.0
-"""Share of the difference between a run and a finer one that the run may be off: three times 4/3, which
-is its error where half a step leaves a quarter of it. Where it leaves half, its error is twice the
-difference; where error control is a hundred times tighter, the difference itself."""
+"""Error of a run in units of its change in a finer run: 3 times 4/3.
+
+If half the step leaves a quarter of the error (order 2), the error is 4/3 of the change. If half the step
+leaves half of the error (order 1), the error is twice the change; with a hundred times tighter tolerances, it
+is the change.
+"""
 
 UNRESOLVED = 1e-2
-"""Largest share of reach, 1 rad or energy that a refinement may excuse."""
-
+"""Largest tolerance that a refinement can add, relative to reach, 1 rad or energy."""
 
 EPSILON = float(np.finfo(float).eps)
 
 ROUND_OFF = 1e-12
-"""Relative: numbers written with 17 digits and rotated a few times, and some hundred operations in a row,
-each to 1e-16. Engines lose a fiftieth of it in the scenes of the library."""
+"""Relative round-off of some hundred operations on numbers with 17 digits. The differences between engines in
+the scenes of the library are up to a fiftieth of it."""
 
-
-FEWEST_DIGITS, MOST_DIGITS = 4, 17
-"""Of values in words."""
+MIN_VALUE_DIGITS, MAX_VALUE_DIGITS = 4, 17
+"""Significant digits of values in texts."""
 
 NOISE = 10.0
-"""Difference that a nearly redundant constraint makes in units of its singular value: each form of the
-equations omits another combination of rows."""
+"""Difference caused by a nearly redundant constraint, in units of its singular value: different forms of the
+equations omit different combinations of rows."""
 
 
 def round_off(condition: float, noise: float = 0.0) -> float:
-    """Relative difference that double precision may make where a condition number magnifies it.
+    """Return the relative tolerance for round-off that a condition number magnifies.
 
-    Nor are motions determined better than the largest singular value that was taken as redundant, `noise`.
+    Args:
+        condition: condition number.
+        noise: largest singular value that was taken as redundant; motions are not determined better than
+            that.
     """
     return min(max(ROUND_OFF, NOISE * noise) * condition, UNRESOLVED)
 
 
 @dataclass(frozen=True)
 class Check:
-    """A compared value, its tolerance, and where it is worst.
+    """A compared value, its tolerance, and the place of the largest difference.
 
     Attributes:
         level: one of `LEVELS`, or `START`.
-        quantity: what is compared, with its unit.
-        between: the engines or systems compared, one or two; or an engine and `FILE`.
-        value, tolerance: the check and what it may be at most, or usually is where it only informs.
-        where: the body, joint, term or time of the largest difference.
-        informs: a check that says how an engine works and is not judged.
-        unsettled: the engine whose error does not fall where its step or tolerance is refined, so that the
-            figure is not judged; empty if there is none.
-        detail: the values that differ there, in words, as far as they are known.
+        quantity: compared quantity, with its unit.
+        between: one or two names of engines or systems, or an engine and `FILE`.
+        value, tolerance: value, and the largest value that passes.
+        where: body, joint, term or time of the largest difference.
+        judged: False for a check without a verdict: it describes an engine, or could not be resolved.
+        unsettled: engine whose error does not decrease in a refined run, so that the check is not judged;
+            empty if there is none.
+        detail: the values that differ, as text; empty if unknown.
     """
 
     level: str
@@ -96,50 +100,59 @@ class Check:
 
     @property
     def place(self) -> str:
-        """The place, and the values that differ there."""
+        """Place of the largest difference, with the values that differ."""
         return f"{self.where}: {self.detail}" if self.detail else self.where
 
     @property
     def agrees(self) -> bool:
-        """NaN does not agree with anything."""
+        """True if the check passes or has no verdict; NaN does not pass."""
         return not self.judged or bool(self.value <= self.tolerance)
 
     @property
     def share(self) -> float:
-        """The value in units of the tolerance, which may be 0; of NaN it is NaN."""
+        """Value divided by tolerance; NaN if the value is NaN."""
         if self.tolerance > 0.0:
             return self.value / self.tolerance
         return 0.0 if self.value == 0.0 else self.value * np.inf
 
 
 def both_values(pair: tuple[str, str], one: ArrayLike, two: ArrayLike, unit: str) -> str:
-    """Word two different numbers or vectors, each after whose it is, in as many digits as they differ in.
+    """Format two values after the names of their owners, with as many digits as they need to differ.
 
-    Of matrices the rows that differ most.
+    Args:
+        pair: names of the owners.
+        one, two: numbers, vectors or matrices; of matrices the rows that differ most are shown.
+        unit: unit of the values.
     """
     values = np.array([np.atleast_1d(one), np.atleast_1d(two)], dtype=float)
     if values.ndim == 3:
         values = values[:, int(np.nanargmax(np.abs(values[0] - values[1]).max(axis=1)))]
     values[np.abs(values) < ROUND_OFF * np.nanmax(np.abs(values))] = 0.0
     texts: list[str] = []
-    for digits in range(FEWEST_DIGITS, MOST_DIGITS + 1):
+    for digits in range(MIN_VALUE_DIGITS, MAX_VALUE_DIGITS + 1):
         texts = [" ".join(f"{number:.{digits}g}" for number in value) for value in values]
         if texts[0] != texts[1]:
             break
     return f"{pair[0]} {texts[0]}, {pair[1]} {texts[1]} {unit}".rstrip()
 
 
-def worst_figure(
+def worst_check(
     level: str, quantity: str, between: tuple[str, ...], gap: Array, tolerance: float, names: Sequence[str]
 ) -> Check:
-    """The largest of gaps (n,), or (m, n) at m states, of what goes by n names."""
+    """Make the check of the largest gap.
+
+    Args:
+        level, quantity, between, tolerance: attributes of the check.
+        gap: (n,) gaps of n elements, or (m, n) at m states.
+        names: (n,) names of the elements.
+    """
     each = gap.max(axis=0) if gap.ndim == 2 else gap
     where = int(np.argmax(each))
     return Check(level, quantity, between, float(each[where]), tolerance, names[where])
 
 
 def in_full(parts: Iterable[Iterator[Check]]) -> Iterator[Check]:
-    """The rows of all parts, each as far as it goes; then raises the first error that ended one."""
+    """Yield the checks of all parts, and then raise the first error that ended a part."""
     errors = []
     for part in parts:
         try:
@@ -151,19 +164,19 @@ def in_full(parts: Iterable[Iterator[Check]]) -> Iterator[Check]:
 
 
 def not_judged(rows: Sequence[Check]) -> str:
-    """Word the checks that are not judged for a verdict; empty if there are none."""
+    """Report the number of checks that are not judged, and why; empty if there are none."""
     found = [row.unsettled for row in rows if row.unsettled]
     count = "1 more check is" if len(found) == 1 else f"{len(found)} more checks are"
     return f"; {count} not judged: {not_settled(found)}" if found else ""
 
 
 def not_settled(engines: Iterable[str]) -> str:
-    """Word why a check is not judged: a finer run is not nearer by as much as its own error would be."""
+    """Report why checks are not judged: a refined run does not reduce the difference as its error would."""
     return f"a finer run of {' and '.join(dict.fromkeys(engines))} reduces the difference too little"
 
 
 def not_compared(rows: Sequence[Check]) -> Iterator[str]:
-    """A line for each level at which pairs part: those after it were not compared."""
+    """Yield a line for each level at which pairs differ: the following levels were not compared."""
     levels = ("model", START, *OF_EQUATIONS[1:], *OF_RUNS)
     pairs = (row.between for row in rows if len(row.between) == 2 and FILE not in row.between)
     parted: dict[str, list[Sequence[str]]] = {}
@@ -183,8 +196,9 @@ def not_compared(rows: Sequence[Check]) -> Iterator[str]:
 
 
 def reach(scene: Scene, position: Array) -> float:
-    """The size of a mechanism or how far (..., 3) positions lie from the origin, whichever is larger, m.
+    """Return the larger of the mechanism's size and the largest distance of positions (..., 3) from the
+    origin, m.
 
-    Coordinates carry round-off in proportion to it.
+    The round-off of coordinates is proportional to the reach.
     """
     return max(scene.mechanism.size, float(np.max(np.abs(position))))

@@ -1,9 +1,9 @@
-"""Diagnosis of a comparison: the odd one out at the first level where anything parts.
+"""Diagnosis of a comparison: the outlier at the first level with a difference.
 
-Participants are the engines, the formulations of newton_euler where these part from each other, and the model
-file at the level `READING`. A participant that parts from all others, while those agree with each other, is
-wrong. Where that settles nothing, as with two engines, figures may that an engine has by itself or that are
-known from elsewhere.
+Participants are the engines, the formulations of newton_euler if these differ from each other, and the model
+file at the level `READING`. If a participant differs from all others, and those agree with each other, the
+participant is the outlier. Otherwise, as with two engines, checks of a single engine and reference values
+decide.
 """
 
 from __future__ import annotations
@@ -28,12 +28,14 @@ OWNER = "newton_euler"
 MOMENTUM = "momentum balance, rel"
 """The check of one engine that is about its model, though its level is one of runs."""
 
-NEARER = 10.0
-"""Times as far from a third as the other of two the odd one has to be: tolerances differ between pairs."""
+NEARER_RATIO = 10.0
+"""Ratio of the distances of two participants from a third one, beyond which the farther one is the
+outlier."""
 
-FELT = 1e-7
-"""Least singular value s of a nearly redundant constraint that soft ones feel in a run. MuJoCo's, which
-give way by a share of 1e-4 within 2e-3 s, push with s^2 / (1e-4 (2e-3 s)^2): 1 % of inertia within 20 s."""
+MIN_SOFT_SINGULAR_VALUE = 1e-7
+"""Smallest singular value s of a nearly redundant constraint that affects a run with soft constraints.
+MuJoCo's constraints, with a compliance of 1e-4 within 2e-3 s, exert s^2 / (1e-4 (2e-3 s)^2): 1 % of inertia
+within 20 s."""
 
 FAULTS = {
     "model": "{} model is wrong",
@@ -48,20 +50,20 @@ FAULTS = {
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Who differs at one level.
+    """Diagnosis of the differences at one level.
 
     Attributes:
-        odd: the participant that differs; empty if nothing settles who.
-        parting: all participants that part at the level.
-        agree: those that are not odd and agree with each other there.
-        within: the largest judged difference of those, m, rad or relative: of all levels if they agree in
-            all checks, otherwise of this one. None of fewer than two.
-        everywhere: whether those agree in all checks.
-        level, quantity, value, tolerance, where, detail: of the first check that fails.
-        settled_by: "others", "nearness", "reference", or the quantity of the odd one's own that fails; "own"
-            of several that fail by themselves.
-        fault: a key of `FAULTS`; empty if nothing settles whose.
-        evidence: the nearly redundant constraints that are at fault, or how far soft ones open, in words.
+        odd: the outlier; empty if the checks do not determine it.
+        parting: all participants that differ at the level.
+        agree: participants that agree with each other, without the outlier.
+        within: largest judged difference of those, m, rad or relative: over all levels if they agree in all
+            checks, otherwise at this level. None if there are fewer than two.
+        everywhere: True if those agree in all checks.
+        level, quantity, value, tolerance, where, detail: attributes of the first failing check.
+        settled_by: what determines the outlier: "others", "nearness", "reference", the quantity of its own
+            failing check, or "own" for several own checks.
+        fault: a key of `FAULTS`; empty if the cause is not determined.
+        evidence: nearly redundant constraints, or the violation of soft constraints, as text.
     """
 
     odd: str
@@ -98,7 +100,7 @@ class Diagnosis:
         if self.settled_by == "reference":
             agreement = f"{others} agree{'s' if len(self.agree) == 1 else ''} with the reference"
         elif self.settled_by == "nearness":
-            agreement = f"{others} are {NEARER:g} times nearer to each other"
+            agreement = f"{others} are {NEARER_RATIO:g} times nearer to each other"
         elif self.settled_by != "others":
             agreement = "; ".join(filter(None, [f"its own {self.settled_by} fails", agreement]))
         return f"{name} differs; {agreement}" if agreement else f"{name} differs"
@@ -163,7 +165,7 @@ def diagnose(
         soft: engines whose constraints give way, and so take nearly redundant ones as they are.
         nearly: nearly redundant constraints of the scene.
     """
-    shown = "; ".join(str(each) for each in nearly if each.singular_value > FELT)
+    shown = "; ".join(str(each) for each in nearly if each.singular_value > MIN_SOFT_SINGULAR_VALUE)
     judged = [row for row in rows if row.judged]
     names = [*engines, *([FILE] if any(FILE in row.between for row in judged) else [])]
     wrong = {known.engine for known in measured if not known.agrees}
@@ -326,7 +328,7 @@ def _is_nearer(near: str, far: str, third: str, row: Check, rows: Sequence[Check
         if (other.level, other.quantity) == (row.level, row.quantity)
     }
     one, two = (values.get(frozenset((name, third))) for name in (near, far))
-    return one is not None and two is not None and NEARER * one <= two
+    return one is not None and two is not None and NEARER_RATIO * one <= two
 
 
 def _settled(

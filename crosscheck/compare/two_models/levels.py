@@ -23,7 +23,7 @@ from crosscheck.compare.check import (
     both_values,
     reach,
     round_off,
-    worst_figure,
+    worst_check,
 )
 from crosscheck.compare.dynamics import motion_rows
 from crosscheck.compare.kinematics import kinematics_rows
@@ -105,7 +105,7 @@ class Difference(NamedTuple):
     def figure(self, level: str, pair: tuple[str, str]) -> Check:
         """The largest difference, with all that differ named."""
         larger = self.larger
-        found = worst_figure(level, self.quantity, pair, self.values, self.tolerance, self.names)
+        found = worst_check(level, self.quantity, pair, self.values, self.tolerance, self.names)
         if larger and (both := self.both(larger[0])):
             found = replace(found, detail=both_values(pair, *both))
         if len(larger) < 2:
@@ -320,7 +320,7 @@ def start_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterat
         ("velocities, rel", np.linalg.norm(velocity, axis=1) / unit, share),
         ("angular velocities, rel", np.linalg.norm(spin, axis=1) * length / unit, share),
     ):
-        yield worst_figure(START, quantity, pair, values, tolerance, scene.mechanism.body_names)
+        yield worst_check(START, quantity, pair, values, tolerance, scene.mechanism.body_names)
 
 
 def term_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
