@@ -88,7 +88,7 @@ def compiler() -> Iterator[None]:
 def stages() -> Iterator[None]:
     """Standard error without the stages that take long on a busy machine."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(shared, "LONG", 600.0)
+        patch.setattr(shared, "PROGRESS_DELAY_S", 600.0)
         yield
 
 

@@ -57,12 +57,6 @@ with _interrupt_calls(_end):
     from crosscheck.report.render import shortened_values, wrapped
     from crosscheck.support.errors import CrosscheckError, reason_of, short_of_memory
 
-NOT_READ = 128 + 13
-"""Exit status, as shells have it, of what ends by SIGPIPE."""
-
-NEAR = 0.8
-"""Similarity, at most 1, from which another option may be meant; Click's 0.6 takes `--city` for `--pitch`."""
-
 MIN_ADDRESS_BYTES, MIN_ADDRESS_BYTES_PER_PROCESSOR = 3_000_000_000, 250_000_000
 """Bytes of addresses that packages take, and that threads for each processor take; most are never used.
 With 2,500 MB and two processors some runs end in an abort of LLVM or a panic of Rerun."""
@@ -197,7 +191,8 @@ def _check_cache() -> None:
 def _reason(error: Exception) -> str:
     """Word an error, click's own among them."""
     if isinstance(error, click.NoSuchOption):
-        near = get_close_matches(error.option_name, error.possibilities or (), 1, NEAR)
+        # with Click's own cutoff, 0.6, `--city` would suggest `--pitch`
+        near = get_close_matches(error.option_name, error.possibilities or (), n=1, cutoff=0.8)
         error = click.NoSuchOption(error.option_name, error.message, near, error.ctx)
     if isinstance(error, click.ClickException):
         return error.format_message()
@@ -227,7 +222,7 @@ def _complain_of_stream(error: OSError) -> int:
     """
     if isinstance(error, BrokenPipeError):
         _discard_output()
-        return NOT_READ
+        return 128 + 13  # the exit status of shells for a process that ends by SIGPIPE
     for to_error, failed in ((True, "output"), (False, "error")):
         with suppress(OSError):
             text = f"crosscheck: error: cannot write standard {failed}: {error.strerror}"

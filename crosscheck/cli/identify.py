@@ -11,7 +11,7 @@ from crosscheck.cli.shared import (
     UNFINISHED,
     cli,
     folder_option,
-    load_and_tell,
+    load_with_warnings,
     next_step,
     progress_shown,
     scene_options,
@@ -59,7 +59,7 @@ def identify_command(
     from newton_euler.analysis.identification.identify import identify
 
     options = without_excitation(scene_options(settings), "measured is the scene as it stands")
-    loaded = load_and_tell(scene, options)
+    loaded = load_with_warnings(scene, options)
     path = (output or usual_folder(Path("output/identify"), scene, "fit")) / "identify.json"
     check_no_source([path], [scene, *measured])
     check_writable(path)

@@ -14,15 +14,15 @@ from crosscheck.cli.shared import (
     cli,
     engines_option,
     folder_option,
-    load_and_tell,
+    load_with_warnings,
     next_step,
     progress_shown,
     say,
     scene_options,
     setting_options,
     show,
-    tell,
     verbose_option,
+    warn_about_import,
     without_excitation,
 )
 from crosscheck.report.render import as_json, terminal
@@ -84,7 +84,7 @@ def bench_command(
         names = " and ".join(f"--{kind}" for kind in kinds)
         raise CrosscheckError(f"{names} are different benchmarks; choose one")
     options = excited(scene, scene_options(settings))
-    wanted = BenchmarkRequest(load_and_tell(scene, options), scene, options, error, batch or 0)
+    wanted = BenchmarkRequest(load_with_warnings(scene, options), scene, options, error, batch or 0)
     with progress_shown() as progress:
         found, written = bench(wanted, kinds[0], output, progress)
     more = f"more  -v; {next_step('report', written[0].parent)}"
@@ -155,7 +155,7 @@ def loads_command(
         options = scene_options(settings) | scene_options(own, f"--case {name}:")
         loaded, mapping = models[name] = load_scene(scene, options)
         if len(models) == 1:
-            tell(scene, mapping, loaded)
+            warn_about_import(scene, mapping, loaded)
     folder = output or usual_folder(Path("output/loads"), scene, "load table")
     with progress_shown() as progress:
         found, written, acting = loads(scene, models, at_rest, folder, progress)
@@ -200,7 +200,7 @@ def modes_command(
     from newton_euler.analysis.loads.equilibrium import at_rest, equilibrium
 
     options = without_excitation(scene_options(settings), "modes are those of the scene as it stands")
-    loaded = load_and_tell(scene, options)
+    loaded = load_with_warnings(scene, options)
     path = save or usual_folder(Path("output/modes"), scene, "modal analysis") / "modes.rrd"
     beside = {} if save else {path.with_name("modes.json"): record(scene, options)}
     check_no_source([path, *beside], [scene])
@@ -243,7 +243,7 @@ def workspace_command(
     from crosscheck.support.files import check_no_source, check_writable
 
     options = without_excitation(scene_options(settings), "a workspace is that of the scene as it stands")
-    loaded = load_and_tell(scene, options)
+    loaded = load_with_warnings(scene, options)
     grid = dict(workspace.range_of(loaded, each) for each in ranges)
     pointing = None if axis is None else workspace.axis_of(axis)
     folder = output or usual_folder(Path("output/workspace"), scene, "workspace")
@@ -351,7 +351,7 @@ def faults_command(
         if reading and mapping is not None:
             search = find_in_reading(mapping, progress)
         else:
-            tell(scene, mapping, loaded)
+            warn_about_import(scene, mapping, loaded)
             search = find_faults(loaded, progress, names=names)
     wall_time = time.perf_counter() - start
     found = report(loaded.name, search, wall_time)

@@ -15,8 +15,8 @@ from crosscheck.cli.shared import (
     say,
     scene_options,
     setting_options,
-    tell,
     verbose_option,
+    warn_about_import,
 )
 from crosscheck.report.render import terminal
 from crosscheck.support.errors import CrosscheckError
@@ -118,7 +118,7 @@ def _guarded(
                 raise
             left_out[source] = str(error)
             continue
-        tell(source, one.mapping, one.scene)
+        warn_about_import(source, one.mapping, one.scene)
         for other in found:
             if other.scene.name == one.scene.name:
                 raise CrosscheckError(f"{other.source} and {source} are both named {one.scene.name!r}")

@@ -22,7 +22,7 @@ from crosscheck.cli.shared import (
     cli,
     engines_option,
     is_verbose,
-    load_and_tell,
+    load_with_warnings,
     next_step,
     progress_shown,
     say,
@@ -297,7 +297,7 @@ def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
     fits them.
     """
     if scene is not None:
-        for line in _parameters(load_and_tell(scene, scene_options(settings))):
+        for line in _parameters(load_with_warnings(scene, scene_options(settings))):
             click.echo(printable(line))
         return AGREE
     if settings:

@@ -25,23 +25,11 @@ if TYPE_CHECKING:
     from newton_euler.model.scene import Scene
     from newton_euler.reading.import_report import ImportReport
 
-LISTS = frozenset({"ignore"})
-"""Options of scenes that have several values."""
+VERDICT_COLORS = {"": None, "holds": "green", "improved": "green", "doubtful": "yellow", "fails": "red"}
+"""Terminal colors of verdicts."""
 
-COLORS = {"": None, "holds": "green", "improved": "green", "doubtful": "yellow", "fails": "red"}
-"""Of verdicts."""
-
-LONG = 10.0
-"""s, after which it is told what goes on where standard error is no terminal, and then again."""
-
-SELDOM = 0.1
-"""Of the time so far, before it is told again: what takes hours leaves a log of some lines."""
-
-SENTENCE = 200
-"""Characters of what a command does."""
-
-MOST_LINES = 4
-"""Elements of a file that are not simulated as they are, a line each."""
+PROGRESS_DELAY_S = 10.0
+"""Time without a message, s, before a command whose standard error is no terminal prints its stage."""
 
 AGREE, DISAGREE, BAD_INPUT, UNFINISHED, REDUCED = ExitStatus
 
@@ -50,8 +38,9 @@ class Commands(click.Group):
     """Commands whose first sentences are shown in full, where Click cuts them to one line."""
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the commands, a sentence each."""
-        rows = [(name, self.commands[name].get_short_help_str(SENTENCE)) for name in self.list_commands(ctx)]
+        """Write the commands with the first sentence of their help."""
+        names = self.list_commands(ctx)
+        rows = [(name, self.commands[name].get_short_help_str(limit=200)) for name in names]
         with formatter.section("Commands"):
             formatter.write_dl(rows)
 
@@ -63,7 +52,7 @@ def cli() -> None:
 
 
 def setting_options(command: Callable[..., int]) -> Callable[..., int]:
-    """Parse what `scene_options` takes; limits that are set hold until the command ends."""
+    """Add the option `--set` to a command. Limits among the settings apply until the command ends."""
     option = click.option(
         "--set",
         "settings",
@@ -76,7 +65,7 @@ def setting_options(command: Callable[..., int]) -> Callable[..., int]:
 
 
 def _heed_limits(context: click.Context, _: click.Parameter, settings: tuple[str, ...]) -> tuple[str, ...]:
-    """Change the limits among some settings while a command runs; the other settings."""
+    """Apply the limits among the settings while the command runs, and return the other settings."""
     from newton_euler.limits import LIMITS, changed
 
     named = [(setting, setting.partition("=")[0]) for setting in settings]
@@ -86,23 +75,29 @@ def _heed_limits(context: click.Context, _: click.Parameter, settings: tuple[str
 
 
 def scene_options(settings: tuple[str, ...], given_as: str = "--set") -> dict[str, str]:
-    """Parse values of `--set`, or of what they are given as, into options of a scene by name.
+    """Parse settings of the form OPTION=VALUE into the options of a scene by name.
 
-    An option of `LISTS` that is given several times has all its values, between commas.
+    The values of a repeated `ignore` are joined by commas.
+
+    Args:
+        given_as: command-line option that the settings belong to, for messages.
+
+    Raises:
+        CrosscheckError: if a setting has another form, or another option is given twice.
     """
     options: dict[str, str] = {}
     for setting in settings:
         key, equals, value = setting.partition("=")
         if not (key and equals and value):
             raise CrosscheckError(f"{given_as} {setting!r} is not of the form OPTION=VALUE")
-        if key in options and key not in LISTS:
+        if key in options and key != "ignore":
             raise CrosscheckError(f"{given_as} {key} is given twice")
         options[key] = f"{options[key]},{value}" if key in options else value
     return options
 
 
 def folder_option(default: str) -> Callable[[Callable[..., int]], Callable[..., int]]:
-    """Parse the folder of results; it is None by default where that depends on the scene."""
+    """Add the option `--output` to a command; its default is None if the folder depends on the scene."""
     fixed = None if "SCENE" in default else Path(default)
     folder = click.Path(path_type=Path)
     return click.option(
@@ -111,7 +106,7 @@ def folder_option(default: str) -> Callable[[Callable[..., int]], Callable[..., 
 
 
 def engines_option(command: Callable[..., int]) -> Callable[..., int]:
-    """Parse names of engines; it is None by default, for all."""
+    """Add the option `--engines` to a command; its default is None and means all engines."""
 
     def names(context: click.Context, _: click.Parameter, given: str | None) -> list[str] | None:
         from crosscheck.engines.engine import choose
@@ -125,7 +120,7 @@ def engines_option(command: Callable[..., int]) -> Callable[..., int]:
 
 
 def without_excitation(options: dict[str, str], why: str) -> dict[str, str]:
-    """Return the options of a command without excitation; refuse, with the reason, if they ask."""
+    """Return the options of a command that never excites a scene; raise if they switch excitation on."""
     if options.get("excitation") == "on":
         raise CrosscheckError(f"--set excitation=on has no effect here: {why}")
     return options
@@ -138,11 +133,11 @@ def say(*lines: str, bold: bool = False) -> None:
 
 
 VERBOSE = "crosscheck.verbose"
-"""Key of the context under which `verbose_option` is kept."""
+"""Key of Click's context that holds the value of `--verbose`."""
 
 
 def verbose_option(command: Callable[..., int]) -> Callable[..., int]:
-    """Parse whether everything is to be printed, see `is_verbose`."""
+    """Add the option `--verbose` to a command; `is_verbose` returns its value."""
 
     def keep(context: click.Context, _: click.Parameter, wanted: bool) -> None:
         context.meta[VERBOSE] = wanted
@@ -153,44 +148,44 @@ def verbose_option(command: Callable[..., int]) -> Callable[..., int]:
 
 
 def is_verbose() -> bool:
-    """Return whether `verbose_option` is set."""
+    """Return True if `--verbose` is given."""
     return bool(click.get_current_context().meta.get(VERBOSE))
 
 
 def everything(report: Report) -> list[Part]:
-    """All parts of a report, unfolded, if `verbose_option` is set; otherwise none."""
+    """Return all parts of a report, unfolded, if `--verbose` is given; otherwise no part."""
     return [replace(part, folded=False) for part in report.parts] if is_verbose() else []
 
 
 def show(report: Report, *after: str) -> None:
-    """Write the summary of a report to standard output, below `everything`.
+    """Print a report: all parts if `--verbose` is given, then its title, verdict and summary.
 
     Args:
-        after: sentences that follow it.
+        after: sentences to print below the summary.
     """
     click.echo(terminal(everything(report)), nl=False)
     say(report.title, bold=True)
     if report.verdict:
-        click.echo(click.style(wrapped(report.verdict), fg=COLORS[report.judged.verdict], bold=True))
+        click.echo(click.style(wrapped(report.verdict), fg=VERDICT_COLORS[report.judged.verdict], bold=True))
     click.echo()
     click.echo(terminal(report.summary), nl=False)
     say(*after)
 
 
-def load_and_tell(scene: str, options: dict[str, str]) -> Scene:
-    """A scene, with a line on standard error for each element of its file that is not in it as it was."""
+def load_with_warnings(scene: str, options: dict[str, str]) -> Scene:
+    """Load a scene, and warn on standard error about elements that are not imported exactly."""
     from crosscheck.loading.load import load_scene
 
     loaded, mapping = load_scene(scene, options)
-    tell(scene, mapping, loaded)
+    warn_about_import(scene, mapping, loaded)
     return loaded
 
 
-def tell(source: str, mapping: ImportReport | None, scene: Scene) -> None:
-    """Write what a scene has otherwise than its file to standard error.
+def warn_about_import(source: str, mapping: ImportReport | None, scene: Scene) -> None:
+    """Warn on standard error about differences between a scene and the file that it is read from.
 
-    A line for each finding, for a start that is not the file's, and for each element that is not in the scene
-    as it was; of many elements the first ones, and how many more there are.
+    There is a line for each finding, for a changed initial state, and for each of the first elements that are
+    not imported exactly. The last line counts the other elements.
     """
     if mapping is None:
         return
@@ -198,15 +193,16 @@ def tell(source: str, mapping: ImportReport | None, scene: Scene) -> None:
 
     entries = mapping.entries
     lines = [str(entry) for entry in entries if entry.fate != "exactly" and not entry.inert]
-    if len(lines) > MOST_LINES + 1:
-        more = len(lines) - MOST_LINES
-        lines[MOST_LINES:] = [f"{more} more elements are not as in the file; crosscheck run -v names all"]
+    shown = 4
+    if len(lines) > shown + 1:
+        more = len(lines) - shown
+        lines[shown:] = [f"{more} more elements are not as in the file; crosscheck run -v names all"]
     for line in (*map(str, mapping.findings), *moved_start_lines(mapping, scene), *lines):
         click.echo(wrapped(f"{source}: {line}", sys.stderr), err=True)
 
 
 def next_step(*words: object) -> str:
-    """Word a command to go on with, called as this one was where the shell does not find it by its name."""
+    """Return a command line that the user can copy, with the path of `crosscheck` if the shell needs it."""
     called, command = Path(sys.argv[0]), "crosscheck"
     if called.name == command and shutil.which(command) != str(called.absolute()):
         command = os.path.relpath(called)
@@ -215,8 +211,8 @@ def next_step(*words: object) -> str:
 
 @contextmanager
 def progress_shown() -> Iterator[Callable[[str], None]]:
-    """A function that shows what is going on, on standard error; now and then if that is a pipe."""
-    if sys.stderr is None or not sys.stderr.isatty():  # whatever FORCE_COLOR says, a pipe has no cursor
+    """Yield a function that shows the current stage on standard error, now and then if that is a pipe."""
+    if sys.stderr is None or not sys.stderr.isatty():  # a pipe has no cursor, even with FORCE_COLOR
         with _LongStages() as stages:
             yield stages.begin
         return
@@ -228,7 +224,7 @@ def progress_shown() -> Iterator[Callable[[str], None]]:
 
 
 class _LongStages:
-    """Says on standard error what goes on, after `LONG` and now and then."""
+    """Prints the current stage on standard error after `PROGRESS_DELAY_S`, and then ever less often."""
 
     def __init__(self) -> None:
         self._timer: Timer | None = None
@@ -242,10 +238,11 @@ class _LongStages:
             self._timer.cancel()
 
     def begin(self, stage: str) -> None:
-        """Begin a stage, which ends the one before."""
+        """Begin a stage and end the previous stage."""
         self._stage = stage
         if not self._timer:
-            wait = max(LONG, SELDOM * (time.perf_counter() - self._start))
+            # in a run of hours, the next message waits for a tenth of the time so far
+            wait = max(PROGRESS_DELAY_S, 0.1 * (time.perf_counter() - self._start))
             self._timer = Timer(wait, self._tell)
             self._timer.daemon = True
             self._timer.start()

@@ -18,8 +18,8 @@ from crosscheck.cli.shared import (
     scene_options,
     setting_options,
     show,
-    tell,
     verbose_option,
+    warn_about_import,
 )
 
 
@@ -94,7 +94,7 @@ def sweep_command(
     vary = parse_vary(varied)
     given = excited(scene, scene_options(settings))
     read, mapping = load_scene(scene, given)
-    tell(scene, mapping, read)
+    warn_about_import(scene, mapping, read)
     loaded = own_scene(scene, read)
     folder = output or Path("output/sweep") / loaded.name
     with interruptible(folder / STORE_NAME), progress_shown() as progress:

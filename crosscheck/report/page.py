@@ -235,7 +235,7 @@ def _entry(file: Path, results: Results, anchor: str, progress: Progress) -> Ent
     for path in (path for path in beside if path.suffix == ".rrd"):
         progress(f"{path.stem}: pictures of the recording")
         try:
-            entry.views.extend(_views(path, [0.0] if first is None else telling(first)))
+            entry.views.extend(_views(path, [0.0] if first is None else key_times(first)))
         except CrosscheckError as error:
             entry.remarks.append(f"No picture of {path.stem}: {error}")
     if runs:
@@ -255,8 +255,8 @@ def _entry(file: Path, results: Results, anchor: str, progress: Progress) -> Ent
     return entry
 
 
-def telling(run: Mapping[str, Array]) -> list[float]:
-    """Three times, s, that tell a motion: its start, its end, and when it is farthest from both."""
+def key_times(run: Mapping[str, Array]) -> list[float]:
+    """Return three times, s: the start, the time of the pose farthest from both ends, and the end."""
     time, position = run["time"], run["position"]
     far = [np.linalg.norm(position - end, axis=2).max(axis=1) for end in (position[0], position[-1])]
     apart = np.minimum(*far)

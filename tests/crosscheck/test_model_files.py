@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from command_line import run
 
-from crosscheck.cli.shared import tell
+from crosscheck.cli.shared import warn_about_import
 from crosscheck.library import load
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.reading.import_report import ImportReport
@@ -93,7 +93,7 @@ def test_of_many_elements_the_first_are_told(capsys):
     report = ImportReport()
     for number in range(9):
         report.left_out(f"joint '{number}'", "its dry friction 0.2")
-    tell("m.xml", report, load("pendulum"))
+    warn_about_import("m.xml", report, load("pendulum"))
     *told, last = capsys.readouterr().err.splitlines()
     assert told == [f"m.xml: joint '{n}': left out: its dry friction 0.2" for n in range(4)]
     assert last == "m.xml: 5 more elements are not as in the file; crosscheck run -v names all"

@@ -39,7 +39,7 @@ from crosscheck.library import load
 from crosscheck.recording.log import log_run, recorded
 from crosscheck.recording.screenshot import MECHANISM, screenshots
 from crosscheck.report import page
-from crosscheck.report.page import PAGE, telling
+from crosscheck.report.page import PAGE, key_times
 from crosscheck.studies.faults import injection
 from newton_euler.model.scene import Scene
 
@@ -123,7 +123,7 @@ def shown(scene: str) -> str:
         runs, moments = dict.fromkeys(ENGINES, run), [(0.0, "start")]
         path.write_bytes(recorded(log_run, loaded, runs, "", scene, None, moments))
         found, layout = read_recording(path), _layout(path)
-    moments = telling(run.arrays())
+    moments = key_times(run.arrays())
     poses = {}
     for (entity, component), column in found.columns.items():
         if component.startswith(("Transform3D", "Points3D")) and len(column) == len(run.time):
@@ -279,7 +279,7 @@ def notebook(folder: Path) -> Image.Image:
 def sheet(folder: Path, name: str) -> Image.Image:
     """A mechanism at three times, above what its recording shows beside."""
     with np.load(folder / "newton_euler.npz") as arrays:
-        moments = telling({key: arrays[key] for key in ("time", "position")})
+        moments = key_times({key: arrays[key] for key in ("time", "position")})
     rrd = folder / f"{name}.rrd"
     views = [Image.open(io.BytesIO(png)) for png in screenshots(rrd, moments, MECHANISM)]
     (whole,) = (Image.open(io.BytesIO(png)) for png in screenshots(rrd, moments[1:2]))

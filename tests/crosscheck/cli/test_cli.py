@@ -151,7 +151,7 @@ def test_streams_that_are_closed(tmp_path, closed):
 
 
 def test_a_log_is_told_now_and_then_of_many_short_stages(capsys, monkeypatch):
-    monkeypatch.setattr(shared, "LONG", 0.05)
+    monkeypatch.setattr(shared, "PROGRESS_DELAY_S", 0.05)
     told, stages = "", 0
     with progress_shown() as progress:
         while told.count("\n") < 2 and stages < 5000:

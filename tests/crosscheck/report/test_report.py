@@ -17,7 +17,7 @@ from command_line import run, scene_file, short_example
 from crosscheck.cli import main
 from crosscheck.compare.check import OPEN, POSES
 from crosscheck.library import SCENES
-from crosscheck.report.page import MOST_IN_FULL, PAGE, telling, write_report
+from crosscheck.report.page import MOST_IN_FULL, PAGE, key_times, write_report
 from crosscheck.report.plots import SPEED, pictures
 from crosscheck.report.table import Column, Table, judged
 from crosscheck.support.checksum import sealed
@@ -174,8 +174,8 @@ def test_pictures_by_the_viewer_where_it_runs(folder, monkeypatch):
 def test_a_motion_is_told_by_its_start_its_end_and_what_is_farthest_from_both():
     time, along = np.arange(5.0), np.array([0.0, 3.0, 2.0, 1.0, 1.0])
     position = along[:, None, None] * [[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]]
-    assert telling({"time": time, "position": position}) == [0.0, 1.0, 4.0]
-    assert telling({"time": time, "position": 0.0 * position}) == [0.0, 2.0, 4.0]
+    assert key_times({"time": time, "position": position}) == [0.0, 1.0, 4.0]
+    assert key_times({"time": time, "position": 0.0 * position}) == [0.0, 2.0, 4.0]
 
 
 def test_what_is_zero_throughout_is_not_drawn():
