@@ -9,17 +9,8 @@ from crosscheck.compare.check import FILE, OF_EQUATIONS, OF_RUNS, OPEN, READING,
 from crosscheck.compare.crosscheck import Crosscheck
 from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, figures, seconds
 
-MOST_NOTES = 3
-"""Sentences, which wrap."""
-
-MOST_OF_FAILING = 1
-"""Where the verdict takes more lines."""
-
-FEW, MANY = 10.0, 1e4
-"""Times a tolerance, between which they are counted in whole numbers."""
-
-LEAST_SHARE = 0.01
-"""Of a tolerance; less is not told apart."""
+MAX_NOTES, MAX_NOTES_IF_FAILING = 3, 1
+"""Sentences below the tables. A verdict that fails takes more lines itself."""
 
 
 def summary(result: Crosscheck, limits: Sequence[str], notes: Sequence[str]) -> list[Part]:
@@ -27,7 +18,7 @@ def summary(result: Crosscheck, limits: Sequence[str], notes: Sequence[str]) -> 
     parts: list[Part] = [levels_table(result)]
     if result.trajectories:
         parts.append(engines_table(result))
-    most = MOST_OF_FAILING if result.unfinished or result.differs else MOST_NOTES
+    most = MAX_NOTES_IF_FAILING if result.unfinished or result.differs else MAX_NOTES
     lines = [*limits, *notes[: max(0, most - len(limits))]]
     if lines:
         parts.append(Lines("", lines))
@@ -83,9 +74,9 @@ def nearest(rows: Sequence[Check]) -> Cell:
     """Word the check that is nearest its tolerance or exceeds it most."""
     worst = max(rows, key=lambda row: row.share)
     share, (quantity, _, unit) = worst.share, worst.quantity.rpartition(", ")
-    text = f"{100.0 * share:.0f} %" if share >= LEAST_SHARE else "<1 %"
+    text = f"{100.0 * share:.0f} %" if share >= 0.01 else "<1 %"
     if share > 1.0:
-        text = f"{share:.0f} x" if MANY > share >= FEW else f"{share:.1g} x"
+        text = f"{share:.0f} x" if 10.0 <= share < 1e4 else f"{share:.1g} x"
     # random as all states are at which equations are compared
     where = worst.where.removeprefix("random ").replace(" at ", ", ")
     words = "" if worst.quantity == OPEN else quantity or unit  # drift is of little else

@@ -14,8 +14,8 @@ from crosscheck.engines.engine_runs import Stop
 from crosscheck.library.references import Known
 from crosscheck.report.render import terminal
 from crosscheck.report.summary import (
-    MOST_NOTES,
-    MOST_OF_FAILING,
+    MAX_NOTES,
+    MAX_NOTES_IF_FAILING,
     brief_settings,
     engines_table,
     levels_table,
@@ -103,12 +103,12 @@ def test_few_notes_are_shown_each_whole(monkeypatch):
     notes = [f"{letter * 40} {letter * 30}" for letter in "abcdef"]
     rows = [figure("model", ("newton_euler", "mujoco"), 0.0)]
     shown = terminal(summary(result(rows), [], notes)).splitlines()
-    lines = [line for letter in "abcdef"[:MOST_NOTES] for line in (letter * 40, f"  {letter * 30}")]
-    assert shown[-2 * MOST_NOTES :] == lines
+    lines = [line for letter in "abcdef"[:MAX_NOTES] for line in (letter * 40, f"  {letter * 30}")]
+    assert shown[-2 * MAX_NOTES :] == lines
     failing = terminal(
         summary(result([figure("model", ("newton_euler", "mujoco"), 1.0)], differs=True), [], notes)
     )
-    assert failing.count("a" * 40) == MOST_OF_FAILING == 1
+    assert failing.count("a" * 40) == MAX_NOTES_IF_FAILING == 1
     assert "b" * 40 not in failing
 
 
