@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 
-from crosscheck.compare.blame import SHARE, Cause, dynamic_cause
+from crosscheck.compare.blame import MIN_RESIDUAL_RATIO, Cause, dynamic_cause
 from crosscheck.compare.check import EPSILON, Check, round_off
 from crosscheck.compare.samples import RATE_ERROR, Samples
 from newton_euler.equations.system import Evaluation
@@ -89,11 +89,13 @@ def _is_another_point(torque: Array, force: Array) -> bool:
     Then they are arms times forces (n, j, 3), perpendicular to the forces in every state.
     """
     largest = np.linalg.norm(torque, axis=2).max(axis=0)
-    if np.sum(largest > SHARE * largest.max()) != 1:
+    if np.sum(largest > MIN_RESIDUAL_RATIO * largest.max()) != 1:
         return False
     joint = int(np.argmax(largest))
     along = np.abs(np.sum(torque[:, joint] * force[:, joint], axis=1))
-    return bool(np.all(along <= SHARE * largest[joint] * np.linalg.norm(force[:, joint], axis=1)))
+    return bool(
+        np.all(along <= MIN_RESIDUAL_RATIO * largest[joint] * np.linalg.norm(force[:, joint], axis=1))
+    )
 
 
 def softness_row(name: str, soft: Evaluation, rigid: Samples) -> Check:

@@ -72,23 +72,25 @@ def advise(
 
 NAME = "mujoco"
 
-FARTHEST = 4.0
-"""How many times longer than the longer of two measured steps one may be: orders hold nearby."""
+MAX_EXTRAPOLATION = 4.0
+"""Largest ratio of an advised step to the longer of two measured steps; a measured order holds only
+nearby."""
 
-ORDERS = (0.5, 4.5)
-"""Between which a measured order is believed."""
+PLAUSIBLE_ORDERS = (0.5, 4.5)
+"""Range of measured orders that are used for advice."""
 
-MARGIN = 0.9
-"""Share of the step that the error asks for, since the order is not measured exactly."""
+STEP_MARGIN = 0.9
+"""Factor on the advised step, since the order is not measured exactly."""
 
 
 def soft_advice(
     scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory], rows: Sequence[Check]
 ) -> Iterator[Advice]:
-    """For runs of one model in which MuJoCo ran beside an engine whose constraints are rigid.
+    """Advise on MuJoCo's step and constraint softness, if MuJoCo ran together with an engine of rigid
+    constraints.
 
-    Its error is the distance to the nearest other run. Softness is told of only where there is something
-    soft.
+    MuJoCo's error is the distance to the closest other run. Softness is mentioned only if the scene has
+    constraints.
     """
     before = [row for row in rows if not row.level.startswith(("trajectories", "drift", "energy"))]
     if NAME not in runs or len(runs) < 2 or not before or not all(row.agrees for row in before):
@@ -118,10 +120,10 @@ def _step_advice(scene: Scene, runs: Mapping[str, Trajectory], error: float, fin
     settings = runs[NAME].settings
     step, order = float(settings["timestep"]), float(np.log2(error / finer))
     measured = f"at {step:.4g} s it is {error:.2g}, at half of that {finer:.2g}, an order of {order:.2g}"
-    if not ORDERS[0] <= order <= ORDERS[1]:
+    if not PLAUSIBLE_ORDERS[0] <= order <= PLAUSIBLE_ORDERS[1]:
         return Advice(NAME, f"its error does not follow its step, so that none can be advised: {measured}")
-    wanted = MARGIN * step * (WANTED / error) ** (1.0 / order)
-    wanted = fitting(scene, min(wanted, FARTHEST * step))
+    wanted = STEP_MARGIN * step * (WANTED / error) ** (1.0 / order)
+    wanted = fitting(scene, min(wanted, MAX_EXTRAPOLATION * step))
     if wanted > step and settings["integrator"] == "RK4":
         modes = modes_of_run(scene, runs.get("newton_euler"))
         wanted = wanted if is_stable_in_rk4(modes, wanted) else step
@@ -174,16 +176,16 @@ SOFTER: dict[str, tuple[type[Joint], ...]] = {
 }
 """Kinds that hold less, and need no direction that the joint does not have."""
 
-MOST_JOINTS = 20
-"""That changes are tried at, those that nothing refers to first."""
+MAX_CHANGED_JOINTS = 20
+"""Largest number of joints at which changes are tried, first those to which no other element refers."""
 
-STATES = 1
-"""Random states beside the initial one that a change is tried at."""
+RANDOM_STATES = 1
+"""Number of random states, besides the initial one, at which a change is tried."""
 
 
 def redundancy_advice(scene: Scene) -> Iterator[Advice]:
-    """For mechanisms with redundant constraints, found by trying what is without them."""
-    states = [initial_state(scene), *random_states(scene, STATES)]
+    """Advise on joints that make constraints redundant, by trying joints with more freedom."""
+    states = [initial_state(scene), *random_states(scene, RANDOM_STATES)]
     redundant = _redundant(scene.mechanism, states)
     if redundant == 0:
         return
@@ -192,7 +194,7 @@ def redundancy_advice(scene: Scene) -> Iterator[Advice]:
     joints = zip(scene.mechanism.joints, scene.mechanism.equations, strict=True)
     holding = [joint for joint, equations in joints if equations.count and joint.name not in coupled]
     holding.sort(key=lambda joint: (joint.name in driven, joint.actuated))
-    names = [joint.name for joint in holding[:MOST_JOINTS]]
+    names = [joint.name for joint in holding[:MAX_CHANGED_JOINTS]]
     mechanism, steps, left = scene.mechanism, list[str](), redundant
     while left:
         changes = _changes(mechanism, left, names, driven, states)

@@ -45,14 +45,14 @@ OPEN = 1e-11
 OPEN_ACCELERATION = 1e-9
 """Share of the largest acceleration: round-off of ill-conditioned masses opens joints by less."""
 
-SHARE = 1e-2
-"""Of the largest residual: what is less comes along with it, such as products of a small error and itself."""
+MIN_RESIDUAL_RATIO = 1e-2
+"""Residuals below this fraction of the largest one are side effects, such as squares of a small error."""
 
 EXPLAINED = 1e-4
 """Share of all residuals that a cause may leave over: small errors act in proportion, and this is how far."""
 
 UNBALANCED = 1e-10
-"""Of the scene's energy over its size, N: residuals of equations of condition 1e2 that hold to round-off."""
+"""Residual in units of the scene's energy divided by its size, N: round-off at a condition number of 100."""
 
 
 def kinematic_cause(first: Samples, second: Samples) -> str | None:
@@ -74,7 +74,7 @@ def _opened(samples: Samples) -> str | None:
     openings = _openings(samples)
     if not np.max(openings, initial=0.0) > OPEN:
         return None
-    opened = np.flatnonzero(openings > SHARE * openings.max())
+    opened = np.flatnonzero(openings > MIN_RESIDUAL_RATIO * openings.max())
     ends = [{mechanism.joints[k].first, mechanism.joints[k].second} for k in opened]
     common = set.intersection(*ends) - {mechanism.body_names[0]}
     if len(opened) > 1 and len(common) == 1:

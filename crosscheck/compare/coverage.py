@@ -38,14 +38,14 @@ from newton_euler.runs.simulate import CompiledScene, simulate
 from newton_euler.scalars import Array
 
 MOMENTS = 16
-"""Times of the run at which changed constraints are held against it."""
+"""Number of times of the run at which changed constraints are evaluated."""
 
-UNFELT, PLAIN = 0.1, 10.0
-"""Bounds of the share of a changed joint or body below and above which it is not run. Joints of a long chain
-that do not turn yet, and carry loads, would take a compilation each."""
+SURELY_UNSEEN, SURELY_SEEN = 0.1, 10.0
+"""Bounds on the estimated effect of a change, below and above which the changed scene is not simulated. Each
+changed joint would need a compilation."""
 
-SHARES = (1 / 64, 1 / 16, 1 / 4, 1)
-"""Of the run: changes that show in one are not run any farther, and most show in the first."""
+RUN_FRACTIONS = (1 / 64, 1 / 16, 1 / 4, 1)
+"""Fractions of the run that are simulated one after the other; most changes are visible in the first."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Coverage:
 
     @cached_property
     def untested(self) -> tuple[Covered, ...]:
-        """Elements of which engines that agree tell nothing."""
+        """Elements that the agreement of the engines does not test."""
         return tuple(covered for covered in self.elements if not covered.tested)
 
     def summary(self) -> list[dict[str, object]]:
@@ -177,7 +177,7 @@ class _Runs:
     def _parts(self) -> list[Scene]:
         """The scene until shares of its run."""
         count = len(self.run.time)
-        ends = sorted({max(2, round(share * count)) for share in SHARES if count > 1} | {count})
+        ends = sorted({max(2, round(share * count)) for share in RUN_FRACTIONS if count > 1} | {count})
         return [_until(self._scene, self.run.time[end - 1]) for end in ends]
 
     def share(self, element: Element) -> float:
@@ -188,7 +188,7 @@ class _Runs:
             found = 0.0
             if element.body is not None and self._loads is not None:
                 found = self._loads.share_of_body(*element.body, CHANGE, self._length, self._angle)
-                if found > PLAIN:
+                if found > SURELY_SEEN:
                     return found
             for part in self._parts:
                 found = self._apart(self._of(element.changed(part)))
@@ -201,9 +201,9 @@ class _Runs:
         if element.displaced is not None and self._loads is not None:
             least, most = self._loads.parting(element.displaced)
             units = self._length, self._angle * self._scene.mechanism.longest
-            if least > PLAIN * max(units):
+            if least > SURELY_SEEN * max(units):
                 return least / max(units)
-            if max(violated, most / min(units)) < UNFELT:
+            if max(violated, most / min(units)) < SURELY_UNSEEN:
                 return max(violated, most / min(units))
         try:
             changed = element.changed(self._scene)

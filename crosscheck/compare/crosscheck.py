@@ -14,7 +14,7 @@ from crosscheck.compare.check import READING, Check, not_judged
 from crosscheck.compare.coverage import Coverage, coverage
 from crosscheck.compare.diagnosis import Diagnosis, diagnose
 from crosscheck.compare.levels import in_order, reading_rows, stages
-from crosscheck.compare.reference_values import Measured, known_of, measure
+from crosscheck.compare.reference_values import ReferenceCheck, known_of, measure
 from crosscheck.compare.runs import errors_of_runs, rests
 from crosscheck.compare.singularity import Passage, passage
 from crosscheck.engines.engine import Engine
@@ -32,17 +32,17 @@ from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.import_report import ImportedElement, ImportReport
 
-SAMPLES = 200
-"""Velocities, at least, that the random states at which the engines' equations are compared have together."""
+MIN_SAMPLED_VELOCITIES = 200
+"""Smallest total number of velocities of the random states at which equations are compared."""
 
-FEWEST_STATES, MOST_STATES = 4, 20
-"""Of these: each is a sample of all joints of a large mechanism, and of few of a small one."""
+MIN_RANDOM_STATES, MAX_RANDOM_STATES = 4, 20
+"""Range of the number of random states; small mechanisms need more states, since each samples few joints."""
 
-NO_VERDICT = "it is left out, the verdict does not depend on it"
-"""What to do about coverage that takes too long."""
+COVERAGE_OMITTED = "it is left out, the verdict does not depend on it"
+"""Note on a coverage analysis that takes too long."""
 
-MISREAD = "the scene is not what the file says: no engine was run, and nothing else was compared"
-"""Note on a crosscheck that ends with the comparison with the file."""
+MISREAD = "the scene does not match the file: no engine was run, and nothing else was compared"
+"""Note on a crosscheck that ends after the verification of the imported scene."""
 
 Progress = Callable[[str], None]
 
@@ -78,7 +78,7 @@ class Crosscheck:
     left_out: dict[str, str]
     trajectories: dict[str, Trajectory]
     checks: tuple[Check, ...]
-    measured: tuple[Measured, ...]
+    measured: tuple[ReferenceCheck, ...]
     wall_time: float
     mapping: ImportReport | None = None
     advice: tuple[Advice, ...] = ()
@@ -157,13 +157,14 @@ class Crosscheck:
 
     @property
     def _of_engines(self) -> str:
-        """Word how many engines are compared, if not all that were asked for."""
+        """Number of compared engines as text, if some engines are left out."""
         count = len(self.engines)
         return f" ({count} of {count + len(self.left_out)} engines)" if self.left_out else ""
 
     @property
     def verdict(self) -> str:
-        """One line: whether the engines agree, or which one does not, where, and what did not end."""
+        """Verdict in one line: agreement, or the outlier and the first failing check, and what did not
+        complete."""
         word, found = self._judgment()
         for name, reason in self.left_out.items():
             found += f"; {name} left out: {reason}"
@@ -180,14 +181,14 @@ class Crosscheck:
         return f"{word}: {found}"
 
     def _judgment(self) -> tuple[str, str]:
-        """A word and what the checks say."""
+        """Outcome and text of the verdict, without left-out engines and stopped parts."""
         names = ", ".join(engine.name for engine in self.engines)
         if self.left_out and self._alone:
             found = f"nothing could be compared on {self.title}, ran {names} alone; its own checks"
-            return self.outcome, f"{found} {self._own_figures}"
+            return self.outcome, f"{found} {self._own_checks}"
         if self._alone:
             found = f"ran {names} on {self.title}: nothing to compare it with; its own checks"
-            found += f" {self._own_figures}"
+            found += f" {self._own_checks}"
             return self.outcome, "; ".join(filter(None, [found, self._reduced]))
         if self.diagnosis:
             first, *others = self.diagnosis
@@ -197,7 +198,7 @@ class Crosscheck:
                 said.append(self._reduced)
             differ = "; ".join(filter(None, said))
             return f"{Outcome.DISAGREE}{self._of_engines}", f"{differ} ({self._failed})"
-        agree = f"{names} agree on {self.title} in all {len(self.judged)} checks{self._beside}"
+        agree = f"{names} agree on {self.title} in all {len(self.judged)} checks{self._qualifications}"
         if self._reduced:
             agree = f"{self._reduced}; {agree}"
         some = self.outcome in (Outcome.AGREE_OF_SOME_ENGINES, Outcome.UNFINISHED)
@@ -205,21 +206,22 @@ class Crosscheck:
 
     @property
     def _reduced(self) -> str:
-        """Word the elements that acted and were not simulated, and which part of the run is the file's."""
+        """Text on elements that would have acted and were not simulated, and on the time until the first
+        acts."""
         return reduction(self.acting) if self.acting else ""
 
     @property
     def _alone(self) -> bool:
-        """True if one engine has nothing to be compared with but its own checks."""
+        """True if a single engine ran, so that it has only its own checks."""
         compared = any(len(row.between) > 1 for row in self.checks if not row.agrees)
         return len(self.engines) == 1 and not compared and all(known.agrees for known in self.measured)
 
     @property
-    def _own_figures(self) -> str:
-        """Those of a single engine."""
+    def _own_checks(self) -> str:
+        """Text on the checks of a single engine."""
         failed = next((row for row in self.checks if not row.agrees), None)
         if failed is None:
-            return f"hold, all {len(self.judged)}{self._beside}"
+            return f"hold, all {len(self.judged)}{self._qualifications}"
         return (
             f"fail at level '{failed.level}': {failed.quantity}: {failed.value:.3g} > "
             f"{failed.tolerance:.3g}, worst at {failed.where} ({self._failed})"
@@ -232,7 +234,7 @@ class Crosscheck:
 
     @property
     def _failed(self) -> str:
-        """Word the number of checks that fail."""
+        """Number of failing checks as text."""
         failed = sum(not row.agrees for row in self.checks)
         if failed:
             return f"{failed} of {len(self.judged)} checks fail"
@@ -240,8 +242,8 @@ class Crosscheck:
         return f"{wrong} of {len(self.measured)} reference values fail"
 
     @property
-    def _beside(self) -> str:
-        """Word what there is to say of checks that hold."""
+    def _qualifications(self) -> str:
+        """Qualifications of an agreement: reference values, checks that are not judged, coverage."""
         said = f", and the reference in all {len(self.measured)}" if self.measured else ""
         said += not_judged(self.checks)
         said += "; nothing moves" if self.rests else ""
@@ -353,7 +355,7 @@ def crosscheck(
     if not (rows or runs):
         raise CrosscheckError(stops_text(stops))
     rows = in_order(rows)
-    measured: list[Measured] = []
+    measured: list[ReferenceCheck] = []
     known = known_of(source, options)
     for engine in able if known else ():
         if engine.name not in stopped:
@@ -362,7 +364,7 @@ def crosscheck(
                 measured.extend(measure(source, scene, engine, runs[engine.name], known))
     found: Coverage | None = None
     what = "working out what the motion covers"
-    with collecting_errors(what, beside), limited(what, NO_VERDICT, progress, "coverage_time"):
+    with collecting_errors(what, beside), limited(what, COVERAGE_OMITTED, progress, "coverage_time"):
         found = coverage(scene, comparable, rows)
     singular: Passage | None = None
     what = "searching singular configurations"
@@ -406,7 +408,10 @@ def _misread(engines: Sequence[Engine], rows: Sequence[Check]) -> bool:
 
 def _random_states(scene: Scene) -> int:
     """Number of random consistent states at which the engines' equations are compared."""
-    return max(FEWEST_STATES, min(MOST_STATES, -(-SAMPLES // max(1, SpanningTree(scene.mechanism).nv))))
+    return max(
+        MIN_RANDOM_STATES,
+        min(MAX_RANDOM_STATES, -(-MIN_SAMPLED_VELOCITIES // max(1, SpanningTree(scene.mechanism).nv))),
+    )
 
 
 def _able(scene: Scene, engines: Sequence[Engine]) -> tuple[list[Engine], dict[str, str]]:

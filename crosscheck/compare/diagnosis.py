@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from crosscheck.compare.check import FILE, LEVELS, OF_RUNS, OPEN, READING, REFERENCE, Check
-from crosscheck.compare.reference_values import Measured
+from crosscheck.compare.reference_values import ReferenceCheck
 from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.equations.redundancy import NearlyRedundant
 
@@ -152,7 +152,7 @@ def _listed(participants: Sequence[str]) -> str:
 def diagnose(
     engines: Sequence[str],
     rows: Iterable[Check],
-    measured: Sequence[Measured] = (),
+    measured: Sequence[ReferenceCheck] = (),
     soft: Collection[str] = (),
     nearly: Sequence[NearlyRedundant] = (),
 ) -> tuple[Diagnosis, ...]:
@@ -355,7 +355,7 @@ def _settled(
 def _diagnosis(
     odd: str, parting: Sequence[str], agree: Sequence[str], row: Check, rows: Sequence[Check], by: str = ""
 ) -> Diagnosis:
-    """With how well those that are not odd agree, if they do."""
+    """Make the diagnosis, with the agreement of the participants other than the outlier."""
     among = [other for other in rows if set(other.between) <= set(agree)]
     pairs = [other for other in among if len(other.between) == 2]
     # engines are compared with each other beside a file that they are read from
@@ -387,9 +387,9 @@ def _diagnosis(
 
 
 def _against_reference(
-    names: Sequence[str], rows: Sequence[Check], measured: Sequence[Measured]
+    names: Sequence[str], rows: Sequence[Check], measured: Sequence[ReferenceCheck]
 ) -> Diagnosis:
-    """Of engines that agree with each other in what they were compared by."""
+    """Make the diagnosis of engines that agree with each other, but not with reference values."""
     failed = [known for known in measured if not known.agrees]
     at_fault = _ordered(names, (known.engine for known in failed))
     others = [name for name in names if name not in at_fault and name != FILE]

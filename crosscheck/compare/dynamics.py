@@ -13,7 +13,7 @@ from crosscheck.compare.samples import Samples, States
 from newton_euler.scalars import Array
 
 Blamed = Callable[[bool], Cause | None]
-"""What is to blame, forces in question or not."""
+"""Function that finds the cause of a difference; its argument tells whether forces can be the cause."""
 
 
 def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:

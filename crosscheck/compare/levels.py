@@ -1,12 +1,11 @@
 """Comparison of engines, level by level, from the model itself to whole runs.
 
-Each `Check` is one figure for one pair of engines (or one engine), with the tolerance it is held to
-and the body, joint, term or time where it is worst. Levels of equations use each engine's rigid equations of
-motion at consistent states, so that a difference is one of the models; the later levels use runs.
-Relative checks are relative to what the mechanism does at all of the states together, never to what
-may be round-off: a mechanism at rest, in equilibrium or in free fall has nothing else.
+Each `Check` compares one quantity of a pair of engines (or of one engine). Levels of equations use each
+engine's rigid equations of motion at consistent states, so that a difference comes from the models; later
+levels use runs. Relative differences are relative to the largest values over all states, since the values at
+one state may be round-off: a mechanism at rest, in equilibrium or in free fall has nothing else.
 
-A pair is compared up to the first level at which it parts. Later ones would only say so again.
+A pair is compared up to the first level at which it differs; later levels would only repeat the difference.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from newton_euler.runs.assemble import initial_state
 Level = Callable[[tuple[str, str], Samples, Samples], Iterator[Check]]
 
 EQUATION_LEVELS: tuple[Level, ...] = (model_rows, kinematics_rows, dynamics_rows, acceleration_rows)
-"""Those before runs, in their order."""
+"""Functions of the levels before runs, in their order."""
 
 EngineSamples = dict[str, list[Samples]]
 """The rigid systems of each engine at the same states, by the engine's name."""

@@ -22,26 +22,26 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 ROUND_OFF = 1e-14
-"""Share of a check's largest value that some thousand steps of 1e-16 each leave of it."""
+"""Round-off of some thousand steps, relative to the largest value."""
 
 Run = Callable[[Scene], Trajectory]
 
 
 @dataclass(frozen=True)
-class Measured(Check):
-    """A reference value as one engine gives it: how far it is off, and may be.
+class ReferenceCheck(Check):
+    """Check of an engine's result against a reference value.
 
     Attributes:
-        known: the check.
-        result: of the engine's most exact run.
+        known: the reference value.
+        result: value in the engine's most accurate run.
     """
 
     known: Known = field(kw_only=True)
     result: float = field(kw_only=True)
 
     @classmethod
-    def of(cls, engine: str, known: Known, result: float, own_error: float) -> Measured:
-        """A result of an engine that may be off by an error of its own."""
+    def of(cls, engine: str, known: Known, result: float, own_error: float) -> ReferenceCheck:
+        """Make the check of a result whose engine has an error of `own_error`."""
         allowed, where = known.uncertainty + own_error, f"{engine} at {known.time:g} s"
         off = abs(result - known.value)
         return cls(REFERENCE, known.quantity, (engine,), off, allowed, where, known=known, result=result)
@@ -51,7 +51,7 @@ class Measured(Check):
         return self.between[0]
 
     def summary(self) -> dict[str, Any]:
-        """For JSON."""
+        """Reference value, result and difference, for JSON."""
         measured = {"value": self.result, "difference": self.value, "allowed": self.tolerance}
         known = {"reference" if key == "value" else key: x for key, x in asdict(self.known).items()}
         return {"engine": self.engine} | known | measured | {"agrees": self.agrees}
@@ -72,7 +72,7 @@ def known_of(source: str, options: Mapping[str, str | float]) -> list[Known]:
 
 def measure(
     source: str, scene: Scene, engine: Engine, run: Trajectory, known: list[Known]
-) -> Iterator[Measured]:
+) -> Iterator[ReferenceCheck]:
     """All reference values of a scene as an engine gives them.
 
     A check's own error is `OWN_ERROR` times what it changes until its time, at most, if tolerances are ten
@@ -98,7 +98,7 @@ def measure(
         change = float(np.max(np.abs(values - _values(figure, coarse)[: n + 1])))
         scale = float(np.max(np.abs(values)))
         own_error = min(OWN_ERROR * change, UNRESOLVED * scale) + ROUND_OFF * scale
-        yield Measured.of(engine.name, entry, float(values[n]), own_error)
+        yield ReferenceCheck.of(engine.name, entry, float(values[n]), own_error)
 
 
 def _values(figure: Quantity, run: Trajectory) -> Array:

@@ -36,14 +36,14 @@ from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
 Gap = Callable[[Trajectory, Trajectory], Array]
-"""How far two runs are apart, (n,) at all times or (n, bodies or joints)."""
+"""Distance between two runs, (n,) at all times or (n, bodies or joints)."""
 
 Runs = Mapping[str, Trajectory]
-"""By engine."""
+"""Runs by engine."""
 
-FALLS = 1.0 - 1.0 / OWN_ERROR
-"""Share of an error that a finer run leaves at most: above, the error is more than `OWN_ERROR` times what
-the run changes by."""
+MAX_REMAINING_ERROR = 1.0 - 1.0 / OWN_ERROR
+"""Largest fraction of an error that may remain in a refined run. If more remains, the error exceeds
+`OWN_ERROR` times the change of the run."""
 
 
 def _together(apart: Gap) -> Gap:
@@ -100,7 +100,7 @@ def errors_of_runs(scene: Scene, engines: Sequence[Engine], runs: Runs) -> dict[
 
 
 def displacements(runs: Mapping[str, Trajectory]) -> dict[str, float]:
-    """By engine how far any body gets from where its run starts, m and rad."""
+    """Return the largest displacement of a body from its start by engine, m and rad."""
     found = {}
     for name, run in runs.items():
         start = np.broadcast_to(run.quaternion[0], run.quaternion.shape)
@@ -187,7 +187,7 @@ def compare_runs(
 
         def falls(others: Runs) -> bool:
             before, after = (float(np.max(gap({**others, name: of[name]}))) for of in (runs, finer))
-            return after <= max(FALLS * before, least)
+            return after <= max(MAX_REMAINING_ERROR * before, least)
 
         if falls(runs):
             return ""

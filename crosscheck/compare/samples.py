@@ -111,7 +111,7 @@ class States:
 
     @cached_property
     def undetermined(self) -> list[Array]:
-        """For each state what `reactions.undetermined` gives."""
+        """Undetermined reactions at each state, see `newton_euler.equations.undetermined`."""
         with solved(self._system, "reactions that nothing determines"):
             return [undetermined(self.scene, state) for state in self.all]
 
@@ -134,17 +134,17 @@ class Samples:
 
     @property
     def name(self) -> str:
-        """The system's."""
+        """Name of the system."""
         return self.system.name
 
     @cached_property
     def mass_properties(self) -> MassProperties:
-        """In the system's own model."""
+        """Mass properties of the system's own model."""
         return self.system.mass_properties()
 
     @cached_property
     def joints(self) -> dict[str, JointGeometry]:
-        """Of the system's own model."""
+        """Joint geometry of the system's own model."""
         return self.system.joint_geometry()
 
     @cached_property
@@ -166,7 +166,7 @@ class Samples:
 
     @property
     def closes(self) -> bool:
-        """True if the system has constraints beside what its coordinates are."""
+        """True if the system has constraints in addition to its choice of coordinates."""
         return len(self.system.phi_units) > 0
 
     @cached_property
@@ -176,7 +176,7 @@ class Samples:
 
     @cached_property
     def evaluations(self) -> list[Evaluation]:
-        """At each state."""
+        """Accelerations and reactions at each state."""
         with solved(self.system, "accelerations"):
             return [self.system.evaluate(q, v) for q, v in self.coordinates]
 
@@ -220,7 +220,7 @@ class Samples:
 
     @cached_property
     def condition(self) -> float:
-        """Of the constraints, the largest of all states."""
+        """Largest condition number of the constraints over all states."""
         return max(condition for _, condition in self._bases)
 
     @cached_property
@@ -247,7 +247,7 @@ class Samples:
 
     @cached_property
     def scales(self) -> Scales:
-        """Of differences from these samples."""
+        """Scales of differences from these samples."""
         return Scales(self)
 
 

@@ -22,37 +22,38 @@ from newton_euler.runs.assemble import initial_state
 from newton_euler.runs.simulate import compile_scene
 from newton_euler.scalars import Array
 
-STABLE = 6.3
-"""Largest product of DOP853's step and a rate of decay."""
+DOP853_STABILITY = 6.3
+"""Largest stable product of DOP853's step and a rate of decay."""
 
-NUDGE = 1e-7
-"""Of coordinates (m, rad) and velocities, and relative, for differences."""
+DIFFERENCE_STEP = 1e-7
+"""Relative step of numerical differentiation, and in m, rad and their rates."""
 
-EXTREME = 12
-"""Eigenvalues of the largest magnitude that are taken where there are many: they decide on stability."""
+EXTREME_EIGENVALUES = 12
+"""Number of eigenvalues of largest magnitude that are computed for large scenes; they decide on stability."""
 
-RESTARTS = 30
-"""Of their iteration, which takes some tens; those that have not converged by then are left out."""
+MAX_RESTARTS = 30
+"""Largest number of restarts of their iteration; eigenvalues that have not converged are ignored."""
 
+EXAMINED_STATES = 8
+"""Number of states of a run, evenly spread, whose motions are examined."""
 
-LOOKS = 8
-"""States of a run, evenly spread, whose motions are looked at."""
+MAX_DENSE_SIZE = 150
+"""Largest number of coordinates and velocities of scenes whose eigenvalues are all computed, within a
+second."""
 
-FEW = 150
-"""Coordinates and velocities of scenes all of whose eigenvalues are taken, in well below a second."""
+MAX_GROWTH = 100.0
+"""Largest exponent of the growth of a motion in one step; a larger one is not a question of stability."""
 
-LARGEST_GROWTH = 100.0
-"""Exponent of a motion that grows in a step: more is no question of stability."""
-
-SLACK = 1e-6
-"""Growth in a step that is round-off: differences hold half of the digits."""
+GROWTH_ROUND_OFF = 1e-6
+"""Growth in one step that is round-off, since numerical derivatives have half of the digits."""
 
 
 def modes(scene: Scene, states: Sequence[tuple[float, State]]) -> Array:
     """Eigenvalues, 1/s, of the motions of a scene linearized at times, s, and states; of all together.
 
     Of the derivative of (qdot, vdot) by (q, v), taken by central differences of the compiled equations, which
-    costs next to nothing: all eigenvalues of `FEW` coordinates and velocities, of more the `EXTREME` ones.
+    costs next to nothing: all eigenvalues of `MAX_DENSE_SIZE` coordinates and velocities, of more the
+        `EXTREME_EIGENVALUES` ones.
     None where it cannot be told: differences say nothing near a singularity.
     """
     compiled = compile_scene(scene)
@@ -67,10 +68,12 @@ def modes(scene: Scene, states: Sequence[tuple[float, State]]) -> Array:
         def product(direction: Array, x: Array = x, units: Array = units) -> Array:
             """Multiply the dimensionless derivative by a direction (n,)."""
             step = np.zeros(len(x))
-            step[:n] = NUDGE * units * direction.ravel()
-            return (derivative(x + step)[:n] - derivative(x - step)[:n]) / (2.0 * NUDGE * units)
+            step[:n] = DIFFERENCE_STEP * units * direction.ravel()
+            return (derivative(x + step)[:n] - derivative(x - step)[:n]) / (2.0 * DIFFERENCE_STEP * units)
 
-        found.append(_all_eigenvalues(product, n) if n <= FEW else _extreme_eigenvalues(product, n))
+        found.append(
+            _all_eigenvalues(product, n) if n <= MAX_DENSE_SIZE else _extreme_eigenvalues(product, n)
+        )
     return np.concatenate([np.zeros(0), *found])
 
 
@@ -87,7 +90,7 @@ def _extreme_eigenvalues(product: Callable[[Array], Array], n: int) -> Array:
     matrix = LinearOperator((n, n), matvec=product, dtype=float)
     start = np.random.default_rng(0).standard_normal(n)
     try:
-        values = eigs(matrix, EXTREME, v0=start, maxiter=RESTARTS, return_eigenvectors=False)
+        values = eigs(matrix, EXTREME_EIGENVALUES, v0=start, maxiter=MAX_RESTARTS, return_eigenvectors=False)
     except ArpackNoConvergence as error:
         values = error.eigenvalues
     except ArpackError:  # of numbers that are not finite
@@ -103,14 +106,14 @@ def fastest_decay(scene: Scene) -> float:
 
 def explicit_steps(scene: Scene) -> float:
     """Count the steps that stability alone would cost DOP853 over a scene's duration."""
-    return fastest_decay(scene) * scene.duration / STABLE
+    return fastest_decay(scene) * scene.duration / DOP853_STABILITY
 
 
 def modes_of_run(scene: Scene, run: Trajectory | None) -> Array:
     """Eigenvalues, 1/s, of the motions at the start and along a run, see `modes`."""
     states = [(0.0, initial_state(scene))]
     if run is not None and run.linear_velocity is not None:
-        rows = np.unique(np.linspace(0, len(run.time) - 1, LOOKS).round().astype(int))
+        rows = np.unique(np.linspace(0, len(run.time) - 1, EXAMINED_STATES).round().astype(int))
         states += [(float(run.time[row]), run.state(row)) for row in rows]
     return modes(scene, states)
 
@@ -120,4 +123,4 @@ def is_stable_in_rk4(modes: Array, step: float) -> bool:
     z = step * modes
     growth = 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
     # an undamped motion's real part is round-off of either sign
-    return bool(np.all(np.abs(growth) <= (1.0 + SLACK) * np.exp(np.clip(z.real, 0.0, LARGEST_GROWTH))))
+    return bool(np.all(np.abs(growth) <= (1.0 + GROWTH_ROUND_OFF) * np.exp(np.clip(z.real, 0.0, MAX_GROWTH))))

@@ -90,13 +90,13 @@ MJCF_OPTIONS = COMMON | {
     "root": Option("FOLDER that holds all files that it refers to", "its own folder"),
 }
 MUJOCO_OPTIONS = {name: option for name, option in MJCF_OPTIONS.items() if name != "root"}
-"""Of models in memory, that refer to no files."""
+"""Options of an `MjModel` in memory, which refers to no files."""
 
 PINOCCHIO_OPTIONS = COMMON | {
     "gravity": Option("X,Y,Z in m/s^2, or 0", "the model's own", *_GRAVITY),
     "q": Option("NUMBERS, Pinocchio's configuration to start from", "neutral", _numbers, "finite numbers"),
 }
-"""Of models in memory."""
+"""Options of Pinocchio's models in memory."""
 
 URDF_OPTIONS = COMMON | {
     "loops": Option("FILE, its loop file", "none"),

@@ -103,7 +103,7 @@ def _terms(function: TimeFunction) -> int:
 
 
 def _cycles(function: TimeFunction, duration: float, per_cycle: float) -> float:
-    """At most how often a motion goes round or to and fro, from 0 to `duration` (s).
+    """Return a bound on the number of cycles of a motion from 0 to `duration` (s).
 
     Args:
         per_cycle: rad, or infinite for a slide.

@@ -10,7 +10,7 @@ from crosscheck.compare.activity import acted
 from crosscheck.compare.check import FILE, Check, not_compared, not_settled
 from crosscheck.compare.coverage import Coverage
 from crosscheck.compare.crosscheck import Crosscheck
-from crosscheck.compare.reference_values import Measured
+from crosscheck.compare.reference_values import ReferenceCheck
 from crosscheck.compare.runs import displacements
 from crosscheck.compare.samples import admissible_basis, body_units
 from crosscheck.compare.two_models.compare import Against
@@ -156,7 +156,7 @@ def _cell(row: Check) -> Cell:
     return judged(row.value, row.tolerance, row.agrees, about)
 
 
-def _measured_table(measured: Sequence[Measured]) -> Table:
+def _measured_table(measured: Sequence[ReferenceCheck]) -> Table:
     """A section per time, a row per reference value: first engine's value, reference, a cell per engine."""
     columns = list(dict.fromkeys(found.engine for found in measured))
     rows: Rows = []

@@ -13,7 +13,7 @@ import numpy as np
 
 from crosscheck.compare.check import OWN_ERROR, UNRESOLVED, Check
 from crosscheck.compare.crosscheck import Crosscheck, crosscheck
-from crosscheck.compare.runs import FALLS
+from crosscheck.compare.runs import MAX_REMAINING_ERROR
 from crosscheck.engines.engine import ENGINES, EXACT_ATOL, EXACT_RTOL, Engine
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.time_limits import paced
@@ -274,7 +274,7 @@ def _compared(
                 again, fine_own = (each[scalar.variable][0][scalar.place] for each in change_of_sweep())
                 change = max(abs(value - fine), _change(reductions[scalar.variable], scalar, outputs, finer))
                 limit += OWN_ERROR * float(change + abs(again - fine_own))
-                falls = abs(fine - fine_own) <= max(FALLS * max(apart, change), fixed)
+                falls = abs(fine - fine_own) <= max(MAX_REMAINING_ERROR * max(apart, change), fixed)
                 if limit > UNRESOLVED * scale or (apart <= limit and not falls):
                     unsettled = engine.name
             figures.setdefault(scalar.variable, []).append(

@@ -36,15 +36,14 @@ from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
 ENGINE = ENGINES["newton_euler"]
-"""Whose equations both models are given."""
-
+"""Engine that evaluates both models."""
 
 RANDOM_STATES = 8
-"""Random consistent states, beside the first's start, at which the equations of both are compared: twice as
-many as faults between engines are found with."""
+"""Number of random consistent states, besides the first model's start, at which the equations are
+compared."""
 
-TO_THE_END = "not run to the end"
-"""How it is said that a run stopped."""
+NOT_COMPLETED = "not run to the end"
+"""Text on a run that stopped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +92,7 @@ class Against(Crosscheck):
         judged = [row for row in self.checks if row.judged]
         failed = [row for row in judged if not row.agrees]
         names = " and ".join(model.title for model in self.models)
-        ending = f"; {TO_THE_END}" if self.unfinished else ""
+        ending = f"; {NOT_COMPLETED}" if self.unfinished else ""
         if not failed:
             agree = f"{names} agree in all {len(judged)} checks{not_judged(self.checks)}"
             agree += "; nothing moves" if self.rests else ""
@@ -118,7 +117,7 @@ class Against(Crosscheck):
         )
 
     def summary(self) -> dict[str, Any]:
-        """As of any crosscheck, with what was compared."""
+        """Summary of a crosscheck, with the two models, for JSON."""
         models = [
             {
                 "name": model.name,
@@ -167,7 +166,7 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
     if same_file and first.options == second.options:
         notes.insert(0, f"both are {first.title}: one model against itself")
     if stops:
-        notes.insert(0, f"{TO_THE_END}: {stops_text(stops)}")
+        notes.insert(0, f"{NOT_COMPLETED}: {stops_text(stops)}")
     others = tuple(unsimulated(first, second, aligned))
     scene = replace(
         aligned.first, name=together((first, second)), description="newton_euler's equations of each"

@@ -95,7 +95,7 @@ class Difference(NamedTuple):
     tolerance: float
     names: Sequence[str]
     both: Callable[[int], tuple[ArrayLike, ArrayLike, str] | None] = lambda number: None
-    """What the first and the second model have, and its unit."""
+    """Returns the values of the first and the second model, and their unit."""
 
     @property
     def larger(self) -> list[int]:
@@ -435,4 +435,4 @@ LEVELS: tuple[Level, ...] = (
     term_rows,
     acceleration_rows,
 )
-"""In their order; runs are after them."""
+"""Functions of the levels of two models, in their order; the levels of runs follow."""

@@ -28,7 +28,7 @@ ROUND_OFF = 1e-5
 """Relative difference of two numbers below which they are equal: files that MuJoCo saves have six digits."""
 
 NEVER_COMPARED = "contact and softness parameters (friction of geoms, solref, solimp) are not compared"
-"""What no part of the comparison of two MJCF looks at."""
+"""Note on parameters that a comparison of two MJCF files ignores."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,13 @@ import mjcf
 from crosscheck.compare.crosscheck import crosscheck
 from crosscheck.engines import engine as engines
 from crosscheck.engines.engine import ENGINES, choose
-from crosscheck.engines.stiffness import STABLE, explicit_steps, fastest_decay, is_stable_in_rk4, modes_of_run
+from crosscheck.engines.stiffness import (
+    DOP853_STABILITY,
+    explicit_steps,
+    fastest_decay,
+    is_stable_in_rk4,
+    modes_of_run,
+)
 from crosscheck.report.run import notes
 from crosscheck.support import time_limits as limit
 from mjcf.errors import DivergenceError
@@ -53,8 +59,8 @@ def test_the_fastest_decay_is_that_of_a_damped_hinge() -> None:
 def test_dop853_takes_as_many_steps_as_stability_asks_for() -> None:
     scene, _, _ = damped(1e5)
     steps = simulate(scene).settings["steps"]
-    # where STABLE comes from: the least steps, and some more while the fast motion dies out
-    assert steps == pytest.approx(explicit_steps(scene), rel=0.05), STABLE
+    # where DOP853_STABILITY comes from: the least steps, and some more while the fast motion dies out
+    assert steps == pytest.approx(explicit_steps(scene), rel=0.05), DOP853_STABILITY
 
 
 @pytest.mark.parametrize(("rate", "integrator"), [(1e5, "DOP853"), (1e7, "Radau")])
@@ -73,7 +79,7 @@ def test_newton_euler_takes_radau_for_what_is_stiff(rate: float, integrator: str
 def test_pinocchio_integrates_stiff_scenes_implicitly(steps: int, integrator: str) -> None:
     """Above 60 steps that stability alone costs, in a run of fewer outputs."""
     scene = damped(1000.0)[0]
-    scene = replace(scene, duration=steps * STABLE / fastest_decay(scene), output_period=0.1)
+    scene = replace(scene, duration=steps * DOP853_STABILITY / fastest_decay(scene), output_period=0.1)
     assert explicit_steps(scene) == pytest.approx(steps)
     run = ENGINES["pinocchio"].simulate(scene)
     assert run.settings["integrator"] == integrator
