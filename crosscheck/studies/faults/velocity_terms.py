@@ -59,6 +59,13 @@ class _Dropped(Relative):
                 )
         return links
 
+    def body_accelerations(self, q: Array, v: Array, vdot: Array) -> tuple[Array, Array]:
+        links = self.links(q, v)
+        return (
+            np.array([link.acceleration + link.linear @ vdot[link.path] for link in links]),
+            np.array([link.angular_acceleration + link.angular @ vdot[link.path] for link in links]),
+        )
+
 
 class _WithoutTurning:
     """An engine's equations plus the change that the fault makes in newton_euler's equations."""
