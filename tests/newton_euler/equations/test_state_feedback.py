@@ -103,7 +103,7 @@ def test_targets_of_other_coordinates_are_parameters():
 def test_mujocos_file_has_a_motor_with_the_force_of_the_start():
     assert '<motor name="rail" joint="rail" />' in to_xml(cart_pole())
     assert 'ctrl="5.99999999' in to_xml(cart_pole())
-    with pytest.raises(MjcfError, match="control of joint 'rail': no actuator of MuJoCo's"):
+    with pytest.raises(MjcfError, match=r"control of joint 'rail': .*MuJoCo"):
         compiled(cart_pole())
 
 

@@ -196,9 +196,7 @@ def test_steps_divide_outputs_and_periods(output_period, duration, periods, time
     laws = (Sampled(f"rail_{k}", Recorder(), period) for k, period in enumerate(periods))
     scene = carts(*laws, duration=duration, output_period=output_period)
     if timestep is None:
-        with pytest.raises(
-            OptionError, match=r"^period of joint 'rail_0' is 0\.0636.* 0\.01 s between outputs"
-        ):
+        with pytest.raises(OptionError, match=r"^period of joint 'rail_0' is 0\.0636.* 0\.01 s"):
             mjcf.simulate(scene)
         return
     found = mjcf.simulate(scene)
