@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from crosscheck.library import load
-from crosscheck.studies.benchmark.batch import Own, cheapest
+from crosscheck.studies.benchmark.batch import NewtonEulerBatch, cheapest
 from crosscheck.studies.benchmark.ladders import poses_only
 from crosscheck.studies.benchmark.reference import batch_references, pose_errors
 from newton_euler.equations.cartesian import Cartesian
@@ -48,7 +48,7 @@ ERROR = 1e-6
 """m or rad, of the worst run."""
 
 OUTPUTS = 20
-"""After the start, equally far apart; errors are the largest of all bodies at these."""
+"""Number of equally spaced outputs after the start; errors are the largest over all bodies and outputs."""
 
 WORLD = Pose(np.zeros(3), np.eye(3))
 
@@ -228,6 +228,7 @@ def measure(case: Case) -> Iterable[str]:
     scene = replace(poses_only(case.scene), output_period=case.scene.duration / OUTPUTS)
     states = random_states(scene, case.runs)
     exact, _ = batch_references(scene, states, ERROR, lambda message: None)
+    # The same scene in Exudyn, and the coordinates of the random states there
     container = exudyn.SystemContainer()
     mbs = container.AddSystem()
     system = case.elements(mbs, scene)
@@ -245,6 +246,7 @@ def measure(case: Case) -> Iterable[str]:
         sensors = range(mbs.systemData.NumberOfSensors())
         return origin + np.column_stack([mbs.GetSensorStoredData(k)[:, 1:] for k in sensors])
 
+    # Exudyn's time and error
     begun = time.process_time()
     _, runs = ParameterVariation(run, {"run": list(range(case.runs))}, showProgress=False)
     seconds = (time.process_time() - begun) / case.runs
@@ -253,8 +255,9 @@ def measure(case: Case) -> Iterable[str]:
         found = [system.state(q, np.zeros(system.nv)) for q in runs[k]]
         poses_found = np.array([s.position for s in found]), np.array([s.quaternion for s in found])
         worst = max(worst, *pose_errors(poses_found, poses))
+    # newton_euler's time at the same error
     known = [states[k] for k in exact]
-    own = Own(scene)
+    own = NewtonEulerBatch(scene)
     setting = cheapest(own, known, list(exact.values()), ERROR, lambda message: None).options
     own_seconds = min(own.run(setting, known, threads=1).seconds for _ in range(5)) / len(known)
     step = 1e3 * scene.output_period / case.steps

@@ -48,13 +48,14 @@ HERE = "127.0.0.1"
 """Address of this machine for itself alone."""
 
 OUTPUT = Path("output")
-"""Where folders of results go by default."""
+"""Default parent of the folders of results."""
 
 MOST_NUMBERS = 9
-"""Of a parameter's value that are listed, as many as an inertia has."""
+"""Largest number of listed components of a parameter, as many as an inertia has."""
 
 DIGITS = 12
-"""Of values beside the largest of their array, and of initial coordinates: what follows is round-off."""
+"""Significant digits of listed values relative to the largest of their array; further digits are
+round-off."""
 
 WIDTH = 80
 """Characters of a line of the list of parameters, unless names are long."""

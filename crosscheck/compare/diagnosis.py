@@ -82,7 +82,7 @@ class Diagnosis:
     detail: str = ""
 
     def summary(self) -> dict[str, Any]:
-        """For JSON; the engine of an odd formulation is named beside it."""
+        """Attributes for JSON, with the engine of a formulation that is the outlier."""
         engine = OWNER if self.odd in SYSTEMS else "" if self.odd == FILE else self.odd
         return {"engine": engine, **asdict(self)}
 

@@ -145,6 +145,7 @@ def compare_runs(
     What that shows holds of a run whose error falls then. Where it does not, and is not down to what engines
     may be off anyway or to round-off, the check is not judged.
     """
+    # Refined runs are made when a check first needs them, and kept for the others
     bodies, joints, times = scene.mechanism.body_names, scene.mechanism.joint_names, scene.times
     noise = _noise(scene)
     finer: dict[str, Trajectory] = {}
@@ -199,6 +200,8 @@ def compare_runs(
                     unable.add(engine.name)
         return "" if falls({**runs, **finer}) else name
 
+    # One check: the largest gap, with the tolerance extended by measured errors while the gap exceeds it
+
     def row(
         level: str,
         quantity: str,
@@ -243,6 +246,8 @@ def compare_runs(
         n, k = divmod(int(np.argmax(gaps)), gaps.shape[1])
         return f"{names[k]} at {times[n]:.3g} s"
 
+    # The checks of each level
+
     def between_two(a: Engine, b: Engine, apart: Gap) -> Callable[[Runs], Array]:
         return lambda of: apart(of[a.name], of[b.name])
 
@@ -278,6 +283,7 @@ def compare_runs(
             gap, fixed = partial(_residual, scene, engine.name), engine.energy_error + noise
             yield row("energy", "energy less work, rel", (engine,), gap, apart, fixed, unit, unit)
 
+    # All checks, of pairs that have not differed before
     away = set(parted)
     together = [(a, b) for a, b in combinations(engines, 2) if (a.name, b.name) not in away]
     yield from in_full(

@@ -61,7 +61,7 @@ FIGURES: dict[str, Quantities] = {
     "flyball_governor": flyball_governor.FIGURES,
     "stewart": stewart.FIGURES,
 }
-"""What is measured in runs of a scene and known from elsewhere, see `crosscheck.library.references`."""
+"""Quantities of a scene with reference values, see `crosscheck.library.references`."""
 
 
 @checked

@@ -39,7 +39,7 @@ from newton_euler.model.splines import Spline, Steps
 from newton_euler.model.state import State
 
 LARGEST = 1e100
-"""Of any number of a scene, so that squares and triple products stay finite."""
+"""Largest magnitude of a number in a scene, so that squares and triple products stay finite."""
 
 
 def _plain(value: object) -> object:

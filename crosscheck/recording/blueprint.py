@@ -20,7 +20,7 @@ TIME = "time"
 """The timeline of a recording."""
 
 EYE_DIRECTION = np.array([0.35, -0.78, 0.72])
-"""From the mechanism to the camera where it does not move in a plane."""
+"""Direction from the mechanism to the camera, for motions that are not planar."""
 
 FLATNESS = 1e-4
 """Largest motion across a plane that is motion in it, as a share of the motion along it."""

@@ -49,15 +49,15 @@ from newton_euler.scalars import Array
 
 GROUND_COLOR = (128, 128, 128)
 PLAIN_COLOR = (220, 220, 220)
-"""Of joint points, labels and targets."""
+"""Color of joint points, labels and targets."""
 
 WIND_COLOR = (86, 180, 233)
 
 ARROW_COLOR = (240, 228, 66)
-"""Of reactions and of the vertical."""
+"""Color of reactions and of the vertical."""
 
 DIRECTION_COLOR = (230, 159, 0)
-"""Of directions that a recording is given."""
+"""Color of given directions, for example towards the sun."""
 
 PIXEL = 0.002
 """Difference that is seen, in multiples of the mechanism's size."""

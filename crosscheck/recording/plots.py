@@ -21,7 +21,7 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 SMALLEST = 1e-18
-"""Where logarithms are cut off, so that a difference of zero can be drawn."""
+"""Smallest plotted difference, since the axis is logarithmic."""
 
 FLAT = 1e-5
 """Share of what is large in its unit that the lines of a plot cover at least."""
@@ -30,7 +30,7 @@ MOST_COORDINATES = 5
 """Joint coordinates that are plotted."""
 
 Tolerances = Mapping[tuple[str, ...], float]
-"""By quantity and the names of one or two engines."""
+"""Tolerances by quantity and the names of one or two engines."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 GHOST_OPACITY = 70
-"""Of 255, of ghosts."""
+"""Opacity of ghosts, of 255."""
 
 
 FRAME = 0.01
@@ -30,7 +30,7 @@ class Style(NamedTuple):
 
     color: tuple[int, int, int]
     line_width: float = 0.0
-    """Of its lines where those of other engines lie under or over them, points."""
+    """Width of lines in points, so that lines of several engines on top of each other stay visible."""
     ghost: bool = False
     """Whether its bodies are drawn as translucent wireframes."""
 

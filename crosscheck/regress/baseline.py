@@ -33,7 +33,7 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 GroupName = Literal["model", "relative", "cartesian", "integrators", "mujoco", "pinocchio"]
-"""Of `crosscheck.regress.measure.GROUPS`."""
+"""Name of a group of key figures, see `crosscheck.regress.measure.GROUPS`."""
 
 OPERATIONS = "operations of "
 """Start of the names of checks that count arithmetic operations of compiled code."""
@@ -43,7 +43,7 @@ COUNTED = (": steps", ": evaluations")
 
 
 FORMAT = 3
-"""Of the files that this version writes and reads."""
+"""Format number of the files that this version writes and reads."""
 
 
 class _Strict(BaseModel):
@@ -147,7 +147,7 @@ class Plan(_Strict):
     state: StoredState
 
     def tighter(self, factor: float) -> Plan:
-        """The same with error control so many times as large."""
+        """Return the plan with the tolerances of error control multiplied by a factor."""
         return self.model_copy(update={"rtol": {name: factor * rtol for name, rtol in self.rtol.items()}})
 
 

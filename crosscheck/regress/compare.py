@@ -27,7 +27,7 @@ from newton_euler.reading.import_report import ImportedElement, ImportReport
 from newton_euler.scalars import Array
 
 MODEL_FILE = "model file"
-"""In place of the group of a figure: what a file holds and no scene does."""
+"""Name that stands for a group: contents of a model file that a scene does not have."""
 
 BETWEEN = ("baseline", "now")
 
@@ -126,7 +126,7 @@ class Comparison:
         return f"{self.scene}: MOVED: {moved} since {made}: {since}{when}{cheaper}"
 
     def summary(self) -> dict[str, Any]:
-        """For JSON."""
+        """Result of the comparison, for JSON."""
         return {
             "scene": self.scene,
             "quiet": not self.moved,

@@ -51,16 +51,17 @@ OUTPUT_COUNT = 25
 """Output times of a whole run beside the start: enough to tell when it parts from the baseline."""
 
 STEPS = {"newton_euler": 40, "mujoco": 40, "pinocchio": 10}
-"""Of runs at fixed steps. Pinocchio is called from Python four times in each."""
+"""Numbers of steps of runs with fixed steps. Python calls Pinocchio four times per step."""
 
 SHARE, MOST_STEPS = 0.1, 1000
-"""Of the scene's duration, and in fixed steps at most, that the run in Cartesian coordinates takes. Where
-constraints are redundant or nearly singular it costs a hundred times as much as in joint coordinates, and the
-two have the integrator in common."""
+"""Fraction of the scene's duration, and largest number of fixed steps, of the run in Cartesian coordinates.
+For redundant or nearly singular constraints it costs a hundred times as much as in joint coordinates, and
+both use the same integrator."""
 
 MOST_OPERATIONS = 1500
-"""Of a right-hand side whose traced derivatives, for Radau, and whose Cartesian form with gains are compiled
-too. They take longer than all else in a scene of more, and show no code that smaller ones do not."""
+"""Largest number of operations of a right-hand side for which Radau's traced derivatives, and the Cartesian
+form with Baumgarte gains, are compiled too. In larger scenes they take longer than everything else, and test
+no further code."""
 
 RADAU: Final = "Radau"
 """The method of order 5."""
@@ -69,9 +70,9 @@ RADAU_RTOL = 1e-10
 """Its tolerance: a few hundred steps for as long as the others' short runs."""
 
 COUNT_RTOL, COUNT_SHARE = 1e-6, 0.02
-"""Of the runs whose steps are counted: at the tolerances of the others steps follow round-off, which differs
-from one processor to the next. And the share by which a count may grow: libraries of other versions round
-constants differently, and a step more or less follows."""
+"""Relative tolerance of the runs whose steps are counted, and the fraction by which a count may grow. At the
+tolerances of other runs the number of steps depends on the round-off of the processor. Other versions of
+libraries round constants differently, which can add or remove a step."""
 
 OPEN = 1e-3
 """Distance of coordinates from the constraints, sizes of the mechanism or rad; of velocities the same per
@@ -81,13 +82,13 @@ SOFT = 1e-8
 """Relative improvement below which MuJoCo stops to iterate soft constraint forces, its default."""
 
 RTOLS = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8)
-"""Of runs: the first that can be made a tenth as large as well."""
+"""Relative tolerances of runs: the first one is used at which a run with a tenth of it also completes."""
 
 TIGHTER = 0.1
 """Times the tolerances of a run, for what it changes by."""
 
 EVALUATIONS = 4
-"""Of RK4 in a step."""
+"""Evaluations of the equations in a step of RK4."""
 
 XYZ, WXYZ = ("x", "y", "z"), ("w", "x", "y", "z")
 MOMENTS = ("xx", "yy", "zz", "xy", "xz", "yz")

@@ -23,7 +23,7 @@ PLAIN = re.compile(r"[\w:/.-]+", re.ASCII)
 """Addresses of entities whose names need no escapes."""
 
 MOMENT = re.compile(r"(?:(.*) at )?(\S+) s")
-"""Where a check of runs is worst."""
+"""Pattern of the place of a check of runs: a body or joint, and a time."""
 
 RECORDS = {
     "crosscheck": ("summary.json",),

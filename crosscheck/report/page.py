@@ -42,8 +42,8 @@ RESULTS = (
 """Files of results, each with a report."""
 
 BELOW = ("*", "*/*")
-"""Where results are looked for below a folder without any: the folders of `crosscheck run --all`, those of
-all scenes that were benchmarked, and the usual folder for output."""
+"""Patterns of folders that are searched for results below a folder without results, for example the folders
+of `crosscheck run --all` and the default output folder."""
 
 MOST_IN_FULL = 30
 """Folders on one page, a few seconds each; of more there is an index alone. All scenes of the library fit."""

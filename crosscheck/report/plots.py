@@ -23,7 +23,7 @@ DASHES = {"newton_euler": ("-", 2.6), "mujoco": ("--", 1.6), "pinocchio": (":", 
 """Dash and width of each engine's curves; thick under thin, so that equal curves all show."""
 
 SMALLEST = 1e-18
-"""Where logarithms are cut off, so that zero can be drawn."""
+"""Smallest plotted value, since the axis is logarithmic."""
 
 SHORTEST_BAR, ROOM = 3.0, 60.0
 """Run time at the left of the shortest bar, and right of the longest one, by these: decades are alike."""
@@ -31,7 +31,7 @@ SHORTEST_BAR, ROOM = 3.0, 60.0
 SPEED = "Run time of each engine at its defaults, less is faster; at equal errors: crosscheck bench"
 
 OTHER_DASH = ("-.", 1.6)
-"""Of curves that `DASHES` does not know."""
+"""Line style of curves that are not in `DASHES`."""
 
 Runs = Mapping[str, Mapping[str, Array]]
 """Arrays of `Trajectory.arrays` by name, by engine; the first engine is what others are compared with."""
@@ -106,7 +106,7 @@ def curve(ax: Axes, engine: str, color: str, time: Array, values: Array) -> None
 
 
 def _over_time(runs: Runs, name: str, label: str) -> Iterator[Line]:
-    """Of those runs that have an array, unless all are zero."""
+    """Yield the lines of the runs with an array over time, unless all values are zero."""
     having = [(engine, run) for engine, run in runs.items() if name in run]
     if any(np.any(run[name]) for _, run in having):
         for engine, run in having:

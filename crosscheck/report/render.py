@@ -42,7 +42,7 @@ HEAD = 12
 """Characters of headings that are not wrapped to the width of the figures below."""
 
 STYLES = {"": "", "holds": "green", "improved": "bold green", "doubtful": "yellow", "fails": "bold red"}
-"""Of verdicts, in a terminal."""
+"""Terminal style of each verdict."""
 
 MARKED = re.compile(r"[\\`*\[\]<|]|(?<!\w)_|_(?!\w)")
 """Characters that Markdown would take for its own; underscores within a word it does not."""

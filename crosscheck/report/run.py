@@ -43,7 +43,7 @@ MOST_NAMED = 12
 """Elements in one line."""
 
 ALL_LISTED = "all in summary.json and on the page of `crosscheck report`"
-"""Where all untested elements are."""
+"""Text on where all untested elements are listed."""
 
 SAME_CODE = "as all engines call the same code"
 """Why controllers are untested, whatever the motion."""
@@ -309,7 +309,7 @@ def _start_line(result: Crosscheck) -> str:
 
 
 def _rest_line(result: Crosscheck) -> str:
-    """That nothing moves, why as far as the constraints tell, and what that leaves untested."""
+    """Report that nothing moves, the reason if the constraints show one, and what remains untested."""
     moved = ", ".join(f"{name} {far:.1e}" for name, far in displacements(result.trajectories).items())
     system = Relative(result.scene)
     q, _ = system.coordinates(initial_state(result.scene))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 Verdict = Literal["", "holds", "improved", "doubtful", "fails"]
-"""How a cell is judged; empty where there is nothing to judge."""
+"""Judgment of a cell; empty for a cell without one."""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 
 NO_MEMORY = ("failed to map segment", "llocate", "start new thread", "spawn background thread", "bad_alloc")
-"""What libraries say where they get no memory."""
+"""Parts of messages by which libraries report a lack of memory."""
 
 
 class CrosscheckError(Exception):

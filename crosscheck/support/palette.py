@@ -7,7 +7,7 @@ from collections.abc import Sequence
 ENGINE_COLORS = {"newton_euler": "#0072b2", "mujoco": "#d55e00", "pinocchio": "#009e73"}
 
 OTHER_COLORS = ("#cc79a7", "#e69f00", "#56b4e9", "#f0e442")
-"""Of models and baselines, in order; all from M. Okabe and K. Ito, Color Universal Design, 2008."""
+"""Colors of models and baselines, in order, from M. Okabe and K. Ito, Color Universal Design, 2008."""
 
 
 def palette(names: Sequence[str]) -> dict[str, str]:

@@ -19,7 +19,7 @@ PERIOD = 0.5
 """s of processor time between looks at it."""
 
 SHORTER = "a run of a shorter duration, or of other engines (--engines), may end"
-"""What to do about one that takes too long."""
+"""Advice on a run that takes too long."""
 
 
 Item = TypeVar("Item")

@@ -9,7 +9,7 @@ from importlib.metadata import version
 from newton_euler.errors import DISTRIBUTION
 
 PACKAGES = ("numpy", "scipy", "llvmlite", "mujoco", "pin")
-"""What figures depend on."""
+"""Packages on which results depend."""
 
 
 def versions(packages: Iterable[str] = PACKAGES) -> dict[str, str]:

@@ -32,8 +32,8 @@ LARGE = 9_500
 take four times as long to compile."""
 
 VERY_LARGE = 6 * LARGE
-"""The same of a program for runs or directions side by side, which are many: written out it takes 8 s to
-compile."""
+"""Size from which a program in lanes is rolled; a program of that size compiles for 8 s if it is written
+out."""
 
 LEVEL, QUICK_LEVEL = 1, 0
 """LLVM's levels of code generation, of straight-line and of rolled code: 2, its default, makes the same code

@@ -40,7 +40,7 @@ def _source() -> bytes:
 
 
 SOURCE = _source()
-"""Of the files as they are imported; later they may be edited, and this process would not know."""
+"""Digest of the source files at import time; later edits of the files do not affect this process."""
 
 
 def _parts(value: Any, neutral: frozenset[str]) -> Iterator[bytes]:

@@ -34,7 +34,7 @@ REACH = 80
 """A cut has the least checksum of so many operations before and after it."""
 
 BASE, PRIME = 131, 1_000_003
-"""Of checksums, whose products fit into 64 bits."""
+"""Base and modulus of the rolling checksums; their products fit into 64 bits."""
 
 COMMON = 0.002
 """A constant with this share of all operands is part of the code; a rarer one is data."""

@@ -132,9 +132,14 @@ class Outputs:
     """
 
     def __init__(self, code: CompiledEquations, times: Array, x: Array, states: Array, places: Array) -> None:
-        """Of states (runs, n, size) at `times` (n,) with the parameters in x (runs, inputs), by then.
+        """Prepare the outputs of runs.
 
-        `places` (runs,) are numbers of the runs among the results.
+        Args:
+            code: compiled equations of the scene.
+            times: (n,) s, output times.
+            x: (runs, inputs) inputs, which contain the parameters when the outputs are evaluated.
+            states: (runs, n, size) states at the output times.
+            places: (runs,) numbers of the runs among the results.
         """
         function = code.function("output")
         self._code, self._times, self._x, self._states = code, times, x, states

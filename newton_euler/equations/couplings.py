@@ -340,7 +340,7 @@ class Residuals(NamedTuple):
     rate: Array
     """(c,) m/s or rad/s."""
     slopes: list[dict[Key, float]]
-    """For each coupling the derivative of its residual by each of its coordinates."""
+    """Derivative of the residual of each coupling with respect to each of its coordinates."""
 
     @property
     def sensitivity(self) -> Array:

@@ -61,13 +61,13 @@ from newton_euler.integrators.stepper import (
 )
 
 MIN_FIRST_STEP_ULPS = 1e3
-"""Of the first step in units of the distance of doubles at its time."""
+"""Smallest first step in units of the spacing of doubles at its time."""
 
 SAFETY, MIN_STEP_FACTOR, MAX_STEP_FACTOR = 0.9, 0.2, 10.0
 """Factors of the step-size control, as in scipy."""
 
 ERROR_EXPONENT = -1.0 / 8.0
-"""Of the error in the factor for the next step."""
+"""Exponent of the error in the step-size control."""
 
 
 class Control(IntEnum):

@@ -39,7 +39,8 @@ COUNTED = 2**53
 """Steps that doubles count one by one."""
 
 MOST_FIXED_STEPS = 20_000_000
-"""Of a run, if it does not say; seconds of native code for a pendulum, minutes for the largest mechanisms."""
+"""Default largest number of fixed steps of a run: seconds for a pendulum, minutes for the largest
+mechanisms."""
 
 
 class StepControl(TypedDict, total=False):

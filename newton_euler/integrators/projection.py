@@ -44,10 +44,11 @@ MAX_NATIVE_ITERATIONS = 10
 """Newton's steps in native code, which begins near the constraints."""
 
 MAX_LANE_ITERATIONS = 3
-"""The same for several states side by side, from where dense output has put them."""
+"""Largest number of iterations for states in lanes, which dense output has placed close to the
+constraints."""
 
 MAX_ITERATIONS = 20
-"""The same in Python, which also assembles mechanisms."""
+"""Largest number of iterations in Python, where mechanisms are assembled too."""
 
 MIN_PIVOT = 1e-10
 """Pivot ratio of the least-squares problem above which its corrections are more than magnified round-off."""

@@ -19,7 +19,7 @@ MAX_SHARE = 1.5
 the end of a step counts so many times in the second; without projection twice the share costs a digit."""
 
 EXCHANGED = -1.0
-"""What Python writes in place of the squared share if other rows are in use now."""
+"""Value that Python writes in place of the squared share after it has exchanged rows."""
 
 
 @dataclass(frozen=True, eq=False)

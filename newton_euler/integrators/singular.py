@@ -60,7 +60,7 @@ UNSAFE_STEP_FACTOR = 0.8
 """Factor for a step with a stage where accelerations are unsafe."""
 
 MAX_PLACEMENT_TRIES = 12
-"""How often a step is shortened for its place; after that its error alone decides."""
+"""Largest number of times that a step is shortened because of its place; then only its error decides."""
 
 MIDDLE_STAGE = 0.6
 """Place in a step (0 to 1) of stage 9 of DOP853, the stage between the ends that `locate_crossing` uses."""

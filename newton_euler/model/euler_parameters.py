@@ -99,7 +99,7 @@ def angle_between(p: Array, q: Array) -> Array:
 
 
 def continuous(quaternions: Array, first: Array) -> Array:
-    """The same orientations (n, ..., 4), signs chosen so that each is nearest to the one before it.
+    """Choose the signs of quaternions (n, ..., 4) so that each is closest to the one before it.
 
     `first` (..., 4) decides the sign at index 0.
     """

@@ -167,7 +167,7 @@ class _Bar(Homogeneous):
 
     @property
     def length(self) -> float:
-        """From `start` to `end`, m."""
+        """Distance from `start` to `end`, m."""
         return math.dist(self.start, self.end)
 
     def _about(self, mass: float, axial: float, transverse: float) -> Inertia:

@@ -1,4 +1,4 @@
-"""The same scene described at another initial pose.
+"""Description of a scene at another initial pose.
 
 Descriptions have everything in the world at the initial pose, where joint coordinates are zero. At another
 one points and axes are elsewhere, and what is counted from zero is less by what the coordinates are there.

@@ -246,8 +246,8 @@ class Joint(Variable):
 
     @property
     def motion_points(self) -> tuple[Array, ...]:
-        """For each of `motions` (3,) a point on a hinge's axis, a ball's center or where a slide acts, in
-        the world at the initial pose."""
+        """Point (3,) of each of `motions` in the world at the initial pose: on a hinge's axis, a ball's
+        center, or the point at which a slide acts."""
         return (self.reaction_point,) * len(self.motions)
 
     @property
@@ -269,7 +269,7 @@ class Joint(Variable):
         poses = first_pose, second_pose
         return JointEquations(self, first, second, self.constraints(*poses), self.coordinates(*poses))
 
-    # What the joint kinds are made of: the constraint sets of Appendix A.
+    # Constraint sets of Appendix A, from which the joint kinds are built
 
     def _coincident(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         """Phi^(s,3), eq. (25)."""

@@ -64,7 +64,7 @@ def in_tree(
 
 
 def _from_first(kept: TreeJoint, motions: list[tuple[str, Array, Array]]) -> JointGeometry:
-    """In the joint's own order and sense from motions of the child against the parent."""
+    """Convert motions of the child relative to the parent into the order and sense of the joint."""
     sense = 1.0 if kept.forward else -1.0
     ordered = motions if kept.forward else motions[::-1]
     axes = [sense * axis for kind, axis, _ in ordered if kind != "ball"]

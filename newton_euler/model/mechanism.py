@@ -435,7 +435,7 @@ class Mechanism:
 
     @cached_property
     def joints_at(self) -> tuple[tuple[int, ...], ...]:
-        """For each body the indices of its joints, in order."""
+        """Indices of the joints of each body, ascending."""
         found: list[list[int]] = [[] for _ in self.bodies]
         for index, joint in enumerate(self.joints):
             for name in (joint.first, joint.second):

@@ -204,7 +204,7 @@ LARGEST = 1e15  # of any number of a model, so that squares and triple products 
 NOT_FINITE = ("nan", "inf", "infinity")
 
 Begin = Callable[[str, dict[str, str], int], None]
-"""What is called for an element's tag, its attributes and its line."""
+"""Function that is called with the tag, the attributes and the line of an element."""
 
 
 def scan(path: str, text: str, root: str | None, begin: Begin, error: type[SourceError]) -> None:

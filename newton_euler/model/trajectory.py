@@ -70,10 +70,10 @@ SHAPES = {
     "angle_names": "c",
     "joint_angle": "nc",
 } | {name: quantity.shape for name, quantity in QUANTITIES.items()}
-"""Of the arrays of a trajectory; c is the number of carried angles."""
+"""Shapes of the arrays of a trajectory; c is the number of carried angles."""
 
 UNREADABLE = (OSError, EOFError, KeyError, RuntimeError, MemoryError, BadZipFile, ZlibError)
-"""What broken archives raise, beside ValueError."""
+"""Errors that broken archives raise, in addition to ValueError."""
 
 COMPONENTS = {"3": "xyz", "4": "wxyz"}  # names of the components of vectors and quaternions
 NEEDED = ("time", "body_names", "joint_names", "position", "quaternion")  # arrays that every run has

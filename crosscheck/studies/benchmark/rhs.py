@@ -42,7 +42,7 @@ LIMIT = 180.0
 """s of processor time that loading in a fresh process may take."""
 
 MEMORY_SHARE = 0.4
-"""Of the machine's memory that the address space of that process may be."""
+"""Largest address space of the loading process, as a fraction of the machine's memory."""
 
 
 class RightHandSide(NamedTuple):

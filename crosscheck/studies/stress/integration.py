@@ -81,7 +81,7 @@ LONG_RUNS: dict[str, tuple[float, dict[float, tuple[Setting, ...]]]] = {
         },
     ),
 }
-"""By scene, the ratio of durations of the full and the short form, and the settings by full duration, s.
+"""Ratio of durations of the full and the short form, and settings by full duration (s), of each scene.
 
 Runs of the tracker can be much shorter: it comes to rest, and its errors do not grow.
 """

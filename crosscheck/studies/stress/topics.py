@@ -28,7 +28,7 @@ TOPICS: dict[str, tuple[str, Callable[[bool], Iterator[Case]]]] = {
     "k": ("floating-point traps", extremes.traps),
     "l": ("noise in overconstrained loops", noise.cases),
 }
-"""By letter, the title of a topic, and a function of `full` that yields its cases."""
+"""Title of each topic, and a function of `full` that yields its cases, by the topic's letter."""
 
 
 def stress(letters: str, full: bool, progress: Progress) -> list[Row]:
