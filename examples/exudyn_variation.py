@@ -228,7 +228,7 @@ def measure(case: Case) -> Iterable[str]:
     scene = replace(poses_only(case.scene), output_period=case.scene.duration / OUTPUTS)
     states = random_states(scene, case.runs)
     exact, _ = batch_references(scene, states, ERROR, lambda message: None)
-    # The same scene in Exudyn, and the coordinates of the random states there
+    # Build the scene in Exudyn, and convert the random states to its coordinates
     container = exudyn.SystemContainer()
     mbs = container.AddSystem()
     system = case.elements(mbs, scene)

@@ -116,8 +116,8 @@ def sincos(lanes: int) -> str:
     """
     t, i, w, b = (vector_type(element, lanes) for element in ("double", "i32", "i64", "i1"))
     ending = suffix(lanes)
-    # The emitted function: the library for far arguments; otherwise reduction to a quarter turn, polynomials of sine
-    # and cosine, and exchange and signs by the number of quarter turns.
+    # The emitted function: the library for far arguments; otherwise reduction to a quarter turn, polynomials
+    # of sine # and cosine, and exchange and signs by the number of quarter turns.
     all_near = f"call i1 @llvm.vector.reduce.and.v{lanes}i1({b} %lanes.near)"
     return f"""
 declare double @sin(double)
