@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
@@ -202,3 +203,18 @@ def reach(scene: Scene, position: Array) -> float:
     The round-off of coordinates is proportional to the reach.
     """
     return max(scene.mechanism.size, float(np.max(np.abs(position))))
+
+
+def finite(rows: Iterable[Check]) -> Iterator[Check]:
+    """Yield the finite checks; then raise `CrosscheckError` for the first check that is not finite."""
+    wrong = []
+    for row in rows:
+        if np.isfinite(row.value):
+            yield row
+        else:
+            wrong.append(row)
+    for row in wrong:
+        raise CrosscheckError(
+            f"no check of {row.quantity} at level {row.level!r} between "
+            f"{' and '.join(row.between)}: {row.value:g} at {row.where}"
+        )

@@ -141,7 +141,7 @@ class _Runs:
         self._elements, self._settings = found, native_method(scene, refined=False)
         if "velocities" not in scene.outputs:
             scene = replace(scene, outputs=scene.outputs | {"velocities"})
-        run, finer = (_as_far_as_it_goes(each, scene) for each in (native_run, native_refined))
+        run, finer = (_run_or_partial(each, scene) for each in (native_run, native_refined))
         self.run = run if end is None else run.first(end)
         # states with the work or without it, as those that code has been made for
         wanted = scene.outputs & {"velocities", "energy"}
@@ -269,8 +269,8 @@ def _is_same(own: Motion, other: Motion, scene: Scene) -> bool:
     )
 
 
-def _as_far_as_it_goes(engine: Callable[[Scene], Trajectory], scene: Scene) -> Trajectory:
-    """The run of the scene itself."""
+def _run_or_partial(engine: Callable[[Scene], Trajectory], scene: Scene) -> Trajectory:
+    """Run the scene; return the partial run if the engine stops after the start."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NearlyRedundantWarning)

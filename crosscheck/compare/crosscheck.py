@@ -10,7 +10,7 @@ from typing import Any
 
 from crosscheck.compare.activity import reduction, watched
 from crosscheck.compare.advice import Advice, advise
-from crosscheck.compare.check import READING, Check, not_judged
+from crosscheck.compare.check import READING, Check, finite, not_judged
 from crosscheck.compare.coverage import Coverage, coverage
 from crosscheck.compare.diagnosis import Diagnosis, diagnose
 from crosscheck.compare.levels import in_order, reading_rows, stages
@@ -18,7 +18,7 @@ from crosscheck.compare.reference_values import ReferenceCheck, known_of, measur
 from crosscheck.compare.runs import errors_of_runs, rests
 from crosscheck.compare.singularity import Passage, passage
 from crosscheck.engines.engine import Engine
-from crosscheck.engines.engine_runs import Stop, collecting_errors, finite, run_engines, stops_text
+from crosscheck.engines.engine_runs import Stop, collecting_errors, run_engines, stops_text
 from crosscheck.library.options import titled
 from crosscheck.loading.load import told_options
 from crosscheck.report.outcome import Outcome
@@ -149,11 +149,7 @@ class Crosscheck:
     @cached_property
     def diagnosis(self) -> tuple[Diagnosis, ...]:
         """Who differs, at the first level at which any engine does, and then without it."""
-        names, stopped = [each.name for each in self.engines], {stop.what for stop in self.unfinished}
-        soft = [
-            each.name for each in self.engines if each.evaluate_soft_constraints and each.name not in stopped
-        ]
-        return diagnose(names, self.checks, self.measured, soft, mobility(self.scene).nearly)
+        return _diagnosed(self.scene, self.engines, self.checks, self.measured, self.unfinished)
 
     @property
     def _of_engines(self) -> str:
@@ -375,7 +371,12 @@ def crosscheck(
         what = "working out advice"
         with collecting_errors(what, beside), limited(what, "there is none", progress):
             advice = advise(scene, able, runs, rows)
-    result = Crosscheck(
+    off_by: dict[str, float] = {}
+    odd = {diagnosis.odd for diagnosis in _diagnosed(scene, able, rows, measured, stops)}
+    what = "measuring each engine's error"
+    with collecting_errors(what, beside), limited(what, SHORTER, progress):
+        off_by = errors_of_runs(scene, [engine for engine in able if engine.name not in odd], comparable)
+    return Crosscheck(
         source,
         options,
         scene,
@@ -389,15 +390,24 @@ def crosscheck(
         advice,
         tuple(stops),
         found,
-        singular=singular,
+        tuple(map(str, beside)),
+        off_by,
+        singular,
     )
-    off_by: dict[str, float] = {}
-    odd = {diagnosis.odd for diagnosis in result.diagnosis}
-    what = "measuring each engine's error"
-    with collecting_errors(what, beside), limited(what, SHORTER, progress):
-        off_by = errors_of_runs(scene, [engine for engine in able if engine.name not in odd], comparable)
-    wall_time = time.perf_counter() - start
-    return replace(result, off_by=off_by, notes=tuple(map(str, beside)), wall_time=wall_time)
+
+
+def _diagnosed(
+    scene: Scene,
+    engines: Sequence[Engine],
+    checks: Sequence[Check],
+    measured: Sequence[ReferenceCheck],
+    stops: Sequence[Stop],
+) -> tuple[Diagnosis, ...]:
+    """Return who differs, see `Crosscheck.diagnosis`; engines that stopped explain nothing by softness."""
+    stopped = {stop.what for stop in stops}
+    soft = [each.name for each in engines if each.evaluate_soft_constraints and each.name not in stopped]
+    names = [each.name for each in engines]
+    return diagnose(names, checks, measured, soft, mobility(scene).nearly)
 
 
 def _misread(engines: Sequence[Engine], rows: Sequence[Check]) -> bool:

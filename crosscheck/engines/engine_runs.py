@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crosscheck.compare.check import Check
 from crosscheck.engines.engine import Engine
-from crosscheck.support.errors import CrosscheckError, reason_of
+from crosscheck.support.errors import reason_of
 from crosscheck.support.time_limits import SHORTER, limited
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import (
@@ -85,21 +84,6 @@ def collecting_errors(what: str, stops: list[Stop]) -> Iterator[None]:
         yield
     except Exception as error:  # results of other parts are kept whatever the error is
         stops.append(Stop(what, reason_of(error).removeprefix(f"{what}: ")))
-
-
-def finite(rows: Iterable[Check]) -> Iterator[Check]:
-    """Yield the finite checks; then raise `CrosscheckError` for the first check that is not finite."""
-    wrong = []
-    for row in rows:
-        if np.isfinite(row.value):
-            yield row
-        else:
-            wrong.append(row)
-    for row in wrong:
-        raise CrosscheckError(
-            f"no check of {row.quantity} at level {row.level!r} between "
-            f"{' and '.join(row.between)}: {row.value:g} at {row.where}"
-        )
 
 
 def _check_finite(scene: Scene, run: Trajectory) -> None:

@@ -28,7 +28,7 @@ def constraint_groups(system: System) -> Array:
     rng, units = np.random.default_rng(0), system.velocity_units
     q = system.coordinates(State.initial(system.mechanism))[0]
     q = system.retract(q, units * rng.uniform(-TURN, TURN, system.nv))
-    of_v = _connected(system.phi_jacobian(q) != 0.0)
+    of_v = connected(system.phi_jacobian(q) != 0.0)
     # each coordinate moves by the number of its group times what it moves if all groups move alike
     step, at = SHIFT * units * rng.uniform(0.5, 1.5, system.nv), system.retract(q, np.zeros(system.nv))
     alike, numbered = (system.retract(q, factor * step) - at for factor in (np.ones(system.nv), of_v))
@@ -39,7 +39,7 @@ def constraint_groups(system: System) -> Array:
     return np.concatenate([of_q, of_v])
 
 
-def _connected(nonzero: Array) -> Array:
+def connected(nonzero: Array) -> Array:
     """Number the columns (n,) that rows of a matrix of booleans (k, n) connect, from 1; 0 for empty ones."""
     labels = np.where(nonzero.any(axis=0), np.arange(1, nonzero.shape[1] + 1), 0)
     for row in nonzero[nonzero.any(axis=1)]:

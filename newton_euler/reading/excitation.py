@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from newton_euler.compiled.constraint_groups import connected
 from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.run import Projection
 from newton_euler.equations.dense import orthonormal_null, rank
@@ -248,13 +249,11 @@ def _parts(rows: Iterable[Array]) -> Iterator[Array]:
 
     Each row connects all velocities of its nonzero entries.
     """
-    rows = np.array([*rows])
-    labels = np.arange(rows.shape[1])
-    for row in np.abs(rows) > ROUND_OFF_SPEED:
-        connected = labels[row]
-        labels[np.isin(labels, connected)] = min(connected, default=0)
-    for label in np.unique(labels):
-        yield labels == label
+    nonzero = np.abs(np.array([*rows])) > ROUND_OFF_SPEED
+    # with a row for each velocity alone, those that nothing connects are groups too
+    groups = connected(np.vstack([nonzero, np.eye(nonzero.shape[1], dtype=bool)]))
+    for group in np.unique(groups):
+        yield groups == group
 
 
 class Swing(NamedTuple):

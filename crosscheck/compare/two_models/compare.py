@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.compare.check import Check, not_judged
+from crosscheck.compare.check import Check, finite, not_judged
 from crosscheck.compare.crosscheck import Crosscheck, Progress
 from crosscheck.compare.diagnosis import Diagnosis
 from crosscheck.compare.levels import compare_pair
@@ -21,7 +21,7 @@ from crosscheck.compare.two_models.align import Aligned, alignments
 from crosscheck.compare.two_models.levels import LEVELS, SharedStates, bodies_row, differences, start_rows
 from crosscheck.compare.two_models.unsimulated import NEVER_COMPARED, Model, Unsimulated, is_mjcf, unsimulated
 from crosscheck.engines.engine import ENGINES, Engine
-from crosscheck.engines.engine_runs import Stop, collecting_errors, finite, run_engines, stops_text
+from crosscheck.engines.engine_runs import Stop, collecting_errors, run_engines, stops_text
 from crosscheck.report.outcome import Outcome
 from crosscheck.support.time_limits import SHORTER, limited
 from newton_euler.equations.relative import Relative
