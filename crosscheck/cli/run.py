@@ -430,9 +430,9 @@ def _run_to_its_end(viewer: Sequence[str]) -> int:
 
     The viewer has a process group of its own, because Rerun's program starts the viewer as a child.
     """
-    from crosscheck.support.time_limits import tidied_up
+    from crosscheck.support.time_limits import signals_as_interrupts
 
-    with tidied_up():
+    with signals_as_interrupts():
         process = subprocess.Popen(viewer, start_new_session=True, env=os.environ | {"RUST_LOG": "error"})
         try:
             return process.wait()

@@ -18,7 +18,7 @@ from crosscheck.report.summary import judged_figures, nearest
 from crosscheck.report.table import Cell, Column, Table, figures, texts
 from crosscheck.support.errors import reason_of
 from crosscheck.support.files import check_writable
-from crosscheck.support.processes import LostError, in_processes
+from crosscheck.support.processes import ProcessLostError, run_in_processes
 from newton_euler.errors import MissingPackageError
 from newton_euler.runs.batch import thread_count
 
@@ -63,14 +63,14 @@ def run_all(engines: Sequence[str], folder: Path, progress: Progress) -> list[Ou
     """
     choose(list(engines))
     check_writable(*(folder / name / "summary.json" for name in SCENES))
-    found = in_processes(
+    found = run_in_processes(
         partial(outcome, engines=tuple(engines), folder=folder),
         list(SCENES),
         thread_count(),
         lambda count, name: progress(f"{count} of {len(SCENES)} scenes, last {name}"),
     )
     return [
-        Outcome(name, 0.0, False, f"did not run: {each}") if isinstance(each, LostError) else each
+        Outcome(name, 0.0, False, f"did not run: {each}") if isinstance(each, ProcessLostError) else each
         for name, each in zip(SCENES, found, strict=True)
     ]
 

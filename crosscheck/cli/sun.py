@@ -82,7 +82,7 @@ def sun_command(
     from crosscheck.solar.tracking import Tracking
     from crosscheck.solar.wind import wind_over_day
     from crosscheck.support.files import check_writable
-    from crosscheck.support.time_limits import paced
+    from crosscheck.support.time_limits import with_progress
     from newton_euler.optional_packages import optional_package
 
     if (stow is None) != (wind is None):
@@ -100,7 +100,7 @@ def sun_command(
     check_writable(*files_of(output, several=len(pairs) > 1))
     scene, days = sun_tracker(), []
     with progress_shown() as progress:
-        for place, date in paced(pairs, progress, "day"):
+        for place, date in with_progress(pairs, progress, "day"):
             days.append(tracker_day(scene, PANEL_NORMAL, place, date, zone, tracking, period, speeds))
         progress("sunlight on other panels, plots and recording")
         report = survey_report(days) if days[1:] else day_report(days[0])

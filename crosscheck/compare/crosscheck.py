@@ -23,7 +23,7 @@ from crosscheck.library.options import titled
 from crosscheck.loading.load import told_options
 from crosscheck.report.outcome import Outcome
 from crosscheck.support.errors import CrosscheckError, reason_of
-from crosscheck.support.time_limits import SHORTER, limited
+from crosscheck.support.time_limits import SHORTER_RUN_ADVICE, limited
 from crosscheck.support.versions import versions
 from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import NewtonEulerError
@@ -323,7 +323,7 @@ def crosscheck(
     rows: list[Check] = []
     unread: list[Stop] = []
     what = "comparing with the file"
-    with collecting_errors(what, unread), limited(what, SHORTER, progress):
+    with collecting_errors(what, unread), limited(what, SHORTER_RUN_ADVICE, progress):
         for row in finite(reading_rows(able, mapping)):
             rows.append(row)  # not all at once: those before an error are kept
     if _misread(able, rows):
@@ -339,13 +339,13 @@ def crosscheck(
     if mapping and runs:
         what = "watching what was left out"
         unseen, mapping = mapping, mapping.unwatched()  # which counts if watching stops
-        with collecting_errors(what, beside), limited(what, SHORTER, progress):
+        with collecting_errors(what, beside), limited(what, SHORTER_RUN_ADVICE, progress):
             mapping = watched(scene, unseen, next(iter(runs.values())))
     until = mapping.acting[0].since if mapping and mapping.acting else None
     # runs of a motion that the scene does not determine say nothing about each other
     comparable = {} if any(stop.undetermined for stop in stops) else runs
     for what, stage in stages(scene, able, comparable, _random_states(scene), until).items():
-        with collecting_errors(what, stops), limited(what, SHORTER, progress):
+        with collecting_errors(what, stops), limited(what, SHORTER_RUN_ADVICE, progress):
             for row in finite(stage(tuple(rows))):
                 rows.append(row)
     if not (rows or runs):
@@ -356,7 +356,7 @@ def crosscheck(
     for engine in able if known else ():
         if engine.name not in stopped:
             what = f"{engine.name}: reference values"
-            with collecting_errors(what, stops), limited(what, SHORTER, progress):
+            with collecting_errors(what, stops), limited(what, SHORTER_RUN_ADVICE, progress):
                 measured.extend(measure(source, scene, engine, runs[engine.name], known))
     found: Coverage | None = None
     what = "working out what the motion covers"
@@ -364,7 +364,7 @@ def crosscheck(
         found = coverage(scene, comparable, rows)
     singular: Passage | None = None
     what = "searching singular configurations"
-    with collecting_errors(what, beside), limited(what, SHORTER, progress):
+    with collecting_errors(what, beside), limited(what, SHORTER_RUN_ADVICE, progress):
         singular = passage(scene, next(iter(runs.values()))) if runs else None
     advice: tuple[Advice, ...] = ()
     if advised and not stops:
@@ -374,7 +374,7 @@ def crosscheck(
     off_by: dict[str, float] = {}
     odd = {diagnosis.odd for diagnosis in _diagnosed(scene, able, rows, measured, stops)}
     what = "measuring each engine's error"
-    with collecting_errors(what, beside), limited(what, SHORTER, progress):
+    with collecting_errors(what, beside), limited(what, SHORTER_RUN_ADVICE, progress):
         off_by = errors_of_runs(scene, [engine for engine in able if engine.name not in odd], comparable)
     return Crosscheck(
         source,

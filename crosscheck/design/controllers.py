@@ -14,7 +14,7 @@ from crosscheck.library import SCENES, load
 from crosscheck.library.options import options_of
 from crosscheck.report.table import Column, Rows, Table, figures, texts
 from crosscheck.support.errors import CrosscheckError
-from crosscheck.support.time_limits import paced
+from crosscheck.support.time_limits import with_progress
 from newton_euler.analysis.loads.envelope import work_and_energy
 from newton_euler.model.control import ComputedTorque, DeclaredLaw, reference
 from newton_euler.model.digital_control import Digital
@@ -129,7 +129,7 @@ def compared(
     """
     kinds: dict[str, Rows] = {}
     pairs = list(product(controllers(scene, given), engines))
-    for (name, loaded), engine in paced(pairs, progress, "run"):
+    for (name, loaded), engine in with_progress(pairs, progress, "run"):
         wanted = replace(
             loaded,
             output_period=min(loaded.output_period, loaded.duration / MIN_OUTPUTS),

@@ -10,7 +10,7 @@ import numpy as np
 
 from crosscheck.engines.engine import Engine
 from crosscheck.support.errors import reason_of
-from crosscheck.support.time_limits import SHORTER, limited
+from crosscheck.support.time_limits import SHORTER_RUN_ADVICE, limited
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import (
     IntegrationError,
@@ -63,7 +63,9 @@ def run_engines(
     runs, stops = dict[str, Trajectory](), list[Stop]()
     for engine in engines:
         try:
-            with limited(f"{engine.name}: {scene.duration:g} s of {scene.name}", SHORTER, progress):
+            with limited(
+                f"{engine.name}: {scene.duration:g} s of {scene.name}", SHORTER_RUN_ADVICE, progress
+            ):
                 run = engine.simulate(scene)
             _check_finite(scene, run)
             runs[engine.name] = run

@@ -25,7 +25,7 @@ from pydantic import (
 )
 
 from crosscheck.library.entries import Number, Quaternion, Vector
-from crosscheck.support.checksum import sealed
+from crosscheck.support.checksum import with_checksum
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.results import read_json
 from crosscheck.support.versions import versions
@@ -219,7 +219,7 @@ class Baseline(_Strict):
     def text(self) -> str:
         """The content of the file: a line for each field, and for each entry of the long ones."""
         parts = []
-        for key, value in sealed(self.model_dump(mode="json")).items():
+        for key, value in with_checksum(self.model_dump(mode="json")).items():
             text = json.dumps(value, allow_nan=False)
             if key in ("unsimulated", "figures") and value:
                 text = ",\n".join(f"  {json.dumps(entry, allow_nan=False)}" for entry in value)

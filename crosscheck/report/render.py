@@ -21,7 +21,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table
-from crosscheck.support.checksum import sealed
+from crosscheck.support.checksum import with_checksum
 
 NARROWEST = 40
 """Characters of lines, however narrow a terminal is said to be."""
@@ -294,7 +294,7 @@ def as_json(content: Mapping[str, Any], report: Report, files: Mapping[Path, byt
     whole = _finite({**content, "report": asdict(report), "files": digests})
     # as a reader finds it: keys that are numbers here are texts there
     whole = json.loads(json.dumps(whole, allow_nan=False))
-    return (json.dumps(sealed(whole), indent=1) + "\n").encode()
+    return (json.dumps(with_checksum(whole), indent=1) + "\n").encode()
 
 
 def _finite(value: object) -> Any:

@@ -1,1 +1,1 @@
-"""Errors, files, time limits, processes and colors that all rooms share."""
+"""Helpers that all of crosscheck shares: errors, result files, time limits, worker processes, colors."""

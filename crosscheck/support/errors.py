@@ -1,15 +1,15 @@
-"""The errors of the harness."""
+"""The base class of crosscheck's errors, and the one line that the user reads about any error."""
 
 from __future__ import annotations
 
 import errno
 
 NO_MEMORY = ("failed to map segment", "llocate", "start new thread", "spawn background thread", "bad_alloc")
-"""Parts of messages by which libraries report a lack of memory."""
+"""Parts of messages by which NumPy, LLVM, Rerun and other libraries report a lack of memory or of threads."""
 
 
 class CrosscheckError(Exception):
-    """Base of every error that `crosscheck` raises on purpose; reads as one line.
+    """Base class of all errors that crosscheck raises on purpose; the message is a single line.
 
     Examples:
         >>> try:
@@ -20,13 +20,13 @@ class CrosscheckError(Exception):
     """
 
     def __init__(self, message: str) -> None:
-        from newton_euler.errors import one_line  # which the command line starts without
+        from newton_euler.errors import one_line  # imported here so that the command line starts faster
 
         super().__init__(one_line(message))
 
 
 def short_of_memory(error: BaseException | None) -> bool:
-    """True if an error, or one that it comes from, is that memory or threads are not to be had."""
+    """Return True if an error, or an error that caused it, reports a lack of memory or of threads."""
     while error is not None:
         if isinstance(error, MemoryError) or getattr(error, "errno", None) in (errno.ENOMEM, errno.EAGAIN):
             return True
@@ -37,8 +37,8 @@ def short_of_memory(error: BaseException | None) -> bool:
 
 
 def reason_of(error: Exception) -> str:
-    """Word an error in one line; one that nobody foresaw has its type named."""
-    from newton_euler.errors import NewtonEulerError  # which the command line starts without
+    """Describe an error in one line; an unexpected one as "internal error" with the name of its class."""
+    from newton_euler.errors import NewtonEulerError  # imported here so that the command line starts faster
 
     if isinstance(error, CrosscheckError | NewtonEulerError):
         text = str(error)

@@ -1,4 +1,8 @@
-"""Files that are written after long work: checked before it, whole or not at all after it."""
+"""Writing result files safely.
+
+Before a long computation, `check_writable` verifies that its files can be written. After it, `write_files`
+writes all of the files or none of them, even if the process is killed meanwhile.
+"""
 
 from __future__ import annotations
 
@@ -13,28 +17,28 @@ from itertools import product
 from pathlib import Path
 
 from crosscheck.support.errors import CrosscheckError
-from crosscheck.support.time_limits import tidied_up
+from crosscheck.support.time_limits import signals_as_interrupts
 from newton_euler.errors import quoted
 from newton_euler.folders import make_folder
 from newton_euler.model.source_file import is_path
 from newton_euler.model.written_file import atomic_file, is_special
 
 ABANDONED = 60.0
-"""s after which an unfinished file is that of a process that was killed: files are made in memory first,
-and writing them takes no longer."""
+"""Age, s, from which an unfinished file counts as left behind by a process that was killed. Contents are
+prepared in memory first, so that writing takes less time than this."""
 
 
 def path_of(given: str | os.PathLike[str]) -> Path:
-    """Return a path; raises `CrosscheckError` for text that no file system takes."""
+    """Return a path; raise `CrosscheckError` for text that cannot be a path, such as a null character."""
     if not is_path(text := os.fspath(given)):
         raise CrosscheckError(f"{quoted(text)} is no path")
     return Path(text)
 
 
 def check_writable(*paths: Path) -> None:
-    """Raise `CrosscheckError` before a run whose files could not be written after it.
+    """Create the folders of some files, and raise `CrosscheckError` if one of the files cannot be written.
 
-    What earlier runs that were killed left unfinished of these files is removed.
+    Unfinished versions of these files, left behind by processes that were killed, are removed.
     """
     for path in paths:
         try:
@@ -47,12 +51,13 @@ def check_writable(*paths: Path) -> None:
                 pass
         except OSError as error:
             raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
+        # `atomic_file` writes to .STEM-XXXXXXXX.SUFFIX and renames the file at the end
         unfinished = re.compile(rf"\.+{re.escape(path.stem)}(-[0-9a-f]{{8}})+{re.escape(path.suffix)}")
         remove_abandoned(each for each in path.parent.iterdir() if unfinished.fullmatch(each.name))
 
 
 def remove_abandoned(unfinished: Iterable[Path]) -> None:
-    """Remove files and folders that were never ended and that nobody writes any more."""
+    """Remove unfinished files and folders that have not changed for `ABANDONED` seconds."""
     for path in unfinished:
         with suppress(OSError):  # another process may have been quicker
             if time.time() - path.stat().st_mtime > ABANDONED:
@@ -60,20 +65,21 @@ def remove_abandoned(unfinished: Iterable[Path]) -> None:
 
 
 def write_files(files: Mapping[Path, bytes], stale: Iterable[Path] = ()) -> None:
-    """Write files, all of them or none; the first is in its place last.
+    """Write files, all of them or none.
 
-    Nothing is removed before everything is written beside its place.
+    Each file is written under a temporary name first. When all are complete, stale files are removed and the
+    files are renamed, the first of `files` last.
 
     Args:
-        files: contents.
-        stale: files of earlier results that are removed.
+        files: content by path.
+        stale: files of earlier results to remove.
 
     Raises:
-        CrosscheckError: naming the path that cannot be written.
+        CrosscheckError: if a file cannot be written; the message names the path.
     """
     path = Path()
     try:
-        with tidied_up(), ExitStack() as stack:  # which is left from its top
+        with signals_as_interrupts(), ExitStack() as stack:  # renames the files in reverse order
             for path, content in files.items():
                 stack.enter_context(atomic_file(path)).write_bytes(content)
             for path in stale:
@@ -83,7 +89,7 @@ def write_files(files: Mapping[Path, bytes], stale: Iterable[Path] = ()) -> None
 
 
 def check_no_source(targets: Iterable[Path], sources: Iterable[str | Path]) -> None:
-    """Raise `CrosscheckError` if a file to be written is one of those that are read."""
+    """Raise `CrosscheckError` if one of the files to write (targets) is also a file to read (sources)."""
     for target, source in product(targets, list(sources)):
         if os.path.exists(target) and os.path.exists(source) and os.path.samefile(target, source):
             raise CrosscheckError(f"would overwrite {source}, which it reads; name another file")

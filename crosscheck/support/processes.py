@@ -1,4 +1,7 @@
-"""Python processes that work for this one: started without the current folder, ended with their parent."""
+"""Run tasks in several Python processes, which end when the main process ends.
+
+The processes do not import modules from the current folder, since the folder may come from someone else.
+"""
 
 from __future__ import annotations
 
@@ -14,22 +17,21 @@ from typing import TypeVar
 from pebble import ProcessExpired, ProcessPool
 
 from crosscheck.support.errors import CrosscheckError
-from crosscheck.support.time_limits import tidied_up
+from crosscheck.support.time_limits import signals_as_interrupts
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-
 SAFE_PATH = "PYTHONSAFEPATH"
-"""Environment variable by which Python does not look for modules in the current folder."""
+"""Environment variable that makes Python ignore modules in the current folder."""
 
 
 @contextmanager
 def safe_path() -> Iterator[None]:
-    """Keep Python processes that start in the block, by whatever library, from the current folder's modules.
+    """Set `PYTHONSAFEPATH` within a block, for all Python processes that start there.
 
-    `python -c` and `python -m` look for modules there first. A file `socket.py` that came with a model would
-    run in place of Python's own.
+    Without it, `python -c` and `python -m` look for modules in the current folder first. A file `socket.py`
+    that came with a model would then run in place of Python's own.
     """
     before = os.environ.get(SAFE_PATH)
     os.environ[SAFE_PATH] = "1"
@@ -42,58 +44,62 @@ def safe_path() -> Iterator[None]:
             os.environ[SAFE_PATH] = before
 
 
-class LostError(CrosscheckError):
-    """A process ended before its task was done."""
+class ProcessLostError(CrosscheckError):
+    """The process of a task ended, by a crash or a time limit, before the task was done."""
 
 
-def in_processes(
+def run_in_processes(
     function: Callable[[Task], Result],
     tasks: Sequence[Task],
     processes: int,
     done: Callable[[int, Task], None],
     limit: Callable[[Task], float] = lambda task: 0.0,
-) -> list[Result | LostError]:
-    """Apply a function to tasks in processes of their own, and return the results in the order of the tasks.
+) -> list[Result | ProcessLostError]:
+    """Apply a function to each task in other processes, and return the results in the order of the tasks.
 
     Args:
-        function: of a module, which raises nothing.
-        tasks: begun in this order.
-        processes: how many at a time.
-        done: told how many tasks are done, and the last of them.
-        limit: s of processor time after which a task's process is ended, native code or not; 0 for none.
+        function: a function of a module (so that it can be pickled), which raises no exceptions.
+        tasks: arguments of the function, started in this order.
+        processes: largest number of processes at a time.
+        done: called after each task with the number of finished tasks and the task that finished last.
+        limit: returns the processor time, s, after which the process of a task is ended; 0 for no limit.
+
+    Returns:
+        The result of each task, or the error if its process ended too early.
     """
-    # fresh processes: a fork would share the threads that libraries have started
+    # "spawn" starts fresh processes: a forked one would inherit locks that threads of libraries hold
     context = multiprocessing.get_context("spawn")
-    results = dict[int, Result | LostError]()
-    with tidied_up(), safe_path():
+    results = dict[int, Result | ProcessLostError]()
+    with signals_as_interrupts(), safe_path():
         pool = ProcessPool(min(processes, len(tasks)) or 1, initializer=_end_with_parent, context=context)
         try:
             running: dict[Future[Result], int] = {
-                pool.schedule(_run, (function, task, limit(task))): k for k, task in enumerate(tasks)
+                pool.schedule(_run_limited, (function, task, limit(task))): k for k, task in enumerate(tasks)
             }
             for future in as_completed(running):
                 number = running[future]
                 try:
                     results[number] = future.result()
                 except ProcessExpired as error:
-                    results[number] = LostError(_end(error.exitcode, limit(tasks[number])))
+                    results[number] = ProcessLostError(_end_text(error.exitcode, limit(tasks[number])))
                 done(len(results), tasks[number])
         finally:
             for process in multiprocessing.active_children():
-                process.kill()  # before the pool takes locks from those that are just starting
+                process.kill()  # before `stop` waits for locks that starting processes hold
             pool.stop()  # type: ignore[no-untyped-call]
             pool.join()
     return [results[k] for k in range(len(tasks))]
 
 
-def _end(status: int, limit: float) -> str:
+def _end_text(status: int, limit: float) -> str:
+    """Describe why a process ended, by its exit status and its limit of processor time, s."""
     if status == -signal.SIGPROF:
         return f"not done after {limit:g} s of processor time"
     return f"the process ended, {status}"
 
 
-def _run(function: Callable[[Task], Result], task: Task, limit: float) -> Result:
-    """Apply the function; the timer's signal ends the process."""
+def _run_limited(function: Callable[[Task], Result], task: Task, limit: float) -> Result:
+    """Apply a function to a task; after `limit` s of processor time, a timer's signal ends the process."""
     signal.setitimer(signal.ITIMER_PROF, limit)
     try:
         return function(task)
@@ -102,9 +108,10 @@ def _run(function: Callable[[Task], Result], task: Task, limit: float) -> Result
 
 
 def _end_with_parent() -> None:
-    """Have this process end when its parent has, however that did.
+    """Watch the parent process, and end this process when the parent has ended for whatever reason.
 
-    Otherwise it would wait for work for ever. Interrupts, which a terminal sends to all, are the parent's.
+    Without this, the process would wait for work forever. Ctrl-C, which a terminal sends to all processes,
+    is ignored: the parent handles it.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()

@@ -1,4 +1,4 @@
-"""Files of results that a command left, read and checked before they are used."""
+"""Reading the result files of earlier commands: JSON checked against its pydantic model and its checksum."""
 
 from __future__ import annotations
 
@@ -14,19 +14,21 @@ from crosscheck.support.checksum import CHECKSUM, checksum
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.source_file import SourceError, read_content
 
-Kind = TypeVar("Kind", bound=BaseModel)
+Content = TypeVar("Content", bound=BaseModel)
 
 
-def read_json(path: Path, kind: type[Kind], remedy: str = "run the command again that wrote it") -> Kind:
-    """The content of a JSON file, whose checksum is compared if the kind of file has one.
+def read_json(
+    path: Path, kind: type[Content], remedy: str = "run the command again that wrote it"
+) -> Content:
+    """Read and validate a JSON file, and verify its checksum if files of this kind have one.
 
     Args:
-        path: of the file.
-        kind: its form.
-        remedy: what to do about a file whose checksum does not fit.
+        path: path of the file.
+        kind: pydantic model of the file's content.
+        remedy: what the user can do about a file whose checksum is wrong, for the error message.
 
     Raises:
-        CrosscheckError: naming the file and the field at fault.
+        CrosscheckError: if the file cannot be read or is invalid; the message names the file and the field.
     """
     try:
         text = read_content(path, "result_size")
@@ -40,14 +42,18 @@ def read_json(path: Path, kind: type[Kind], remedy: str = "run the command again
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(str(part) for part in first["loc"]) or "file"
-        # all of the file is at fault where it is not JSON, and would be no help in a message
+        # if the file is not JSON, the invalid input is the whole file, which would not help in a message
         got = f" (got {reprlib.repr(first['input'])})" if first["loc"] and first["type"] != "missing" else ""
         reason = first["msg"].removeprefix("Value error, ")
         raise CrosscheckError(f"{path}: {field:.100}: {reason}{got}") from error
 
 
 def digest(path: Path) -> str:
-    """The SHA-256 of a file of arrays or a recording; raises `CrosscheckError` naming it."""
+    """Compute the SHA-256, in hexadecimal digits, of a file of arrays (.npz), a recording or a picture.
+
+    Raises:
+        CrosscheckError: if the file cannot be read or is too large; the message names the file.
+    """
     try:
         return hashlib.sha256(read_content(path, "array_size")).hexdigest()
     except SourceError as error:

@@ -1,4 +1,9 @@
-"""Work that is given up after so much processor time; what takes long says meanwhile that it goes on."""
+"""Limits on processor time, with progress messages while a long computation runs.
+
+`time_limit` interrupts a block of code after a number of seconds, as Ctrl-C would. `limited` does the same
+with a limit that the user can set, and with messages for the user. `signals_as_interrupts` lets a block clean
+up when the process is asked to terminate.
+"""
 
 from __future__ import annotations
 
@@ -12,54 +17,58 @@ from typing import TypeVar
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.limits import limit, number_text, too_small
 
-PATIENCE = 5.0
-"""s after which it is told how long it has been."""
+REPORT_AFTER_S = 5.0
+"""Processor time, s, after which progress messages include the time used so far."""
 
-PERIOD = 0.5
-"""s of processor time between looks at it."""
+CHECK_PERIOD_S = 0.5
+"""Processor time, s, between two checks of the time used."""
 
-SHORTER = "a run of a shorter duration, or of other engines (--engines), may end"
-"""Advice on a run that takes too long."""
-
+SHORTER_RUN_ADVICE = "a run of a shorter duration, or of other engines (--engines), may end"
+"""Advice in the error message of a run that exceeds its limit."""
 
 Item = TypeVar("Item")
 
 
 class TooLongError(CrosscheckError):
-    """Something that does not come to its end in reasonable time."""
+    """A computation used more processor time than its limit."""
 
 
 @contextmanager
 def time_limit(seconds: float, progress: Callable[[float], None] = lambda used: None) -> Iterator[None]:
-    """Give up what takes more s of processor time, as an interrupt from the keyboard would.
+    """Interrupt a block after a number of seconds of processor time, as Ctrl-C would.
 
-    In the main thread only, and not inside itself. `progress` is told the s used every `PERIOD`.
+    Works in the main thread only, and cannot be nested.
+
+    Args:
+        seconds: limit, s of processor time.
+        progress: called with the processor time used, s, every `CHECK_PERIOD_S`.
 
     Raises:
-        TooLongError: if it does. Native code that looks at no interrupt runs on to its end first.
+        TooLongError: if the limit is exceeded. Native code that ignores interrupts completes first.
     """
     begin, over = time.process_time(), []
 
-    def look(number: int, frame: object) -> None:
+    def check(number: int, frame: object) -> None:
         used = time.process_time() - begin
         if used < seconds:
             progress(used)
             return
         over.append(used)
-        signal.raise_signal(signal.SIGINT)  # and again, as one is lost where an object is freed
+        # repeated at the next check: an interrupt that is raised while an object is freed gets lost
+        signal.raise_signal(signal.SIGINT)
 
-    at_work, at_interrupt = signal.signal(signal.SIGPROF, look), signal.getsignal(signal.SIGINT)
-    if at_interrupt is signal.SIG_IGN:  # as a shell starts what runs in its background
+    previous_timer, previous_interrupt = signal.signal(signal.SIGPROF, check), signal.getsignal(signal.SIGINT)
+    if previous_interrupt is signal.SIG_IGN:  # a shell starts its background processes so
         signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        signal.setitimer(signal.ITIMER_PROF, min(PERIOD, seconds), PERIOD)
+        signal.setitimer(signal.ITIMER_PROF, min(CHECK_PERIOD_S, seconds), CHECK_PERIOD_S)
         try:
             yield
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0.0)
-            signal.signal(signal.SIGPROF, at_work)
-            signal.signal(signal.SIGINT, at_interrupt)
-    except (KeyboardInterrupt, SystemError):  # what CPython 3.11 makes of an interrupt while `ast` parses
+            signal.signal(signal.SIGPROF, previous_timer)
+            signal.signal(signal.SIGINT, previous_interrupt)
+    except (KeyboardInterrupt, SystemError):  # CPython 3.11 raises SystemError if interrupted in `ast.parse`
         if over:
             raise TooLongError(f"not finished after {number_text(seconds)} s of processor time") from None
         raise
@@ -67,74 +76,86 @@ def time_limit(seconds: float, progress: Callable[[float], None] = lambda used: 
 
 @contextmanager
 def limited(what: str, advice: str, progress: Callable[[str], None], name: str = "time") -> Iterator[None]:
-    """Interrupt the block after a limit; `progress` is told `what` it does, errors say `advice`.
+    """Interrupt a block after a limit of processor time that the user can set, for example `--set time=600`.
+
+    Outside of the main thread there is no limit, since Python interrupts the main thread only.
 
     Args:
-        name: of the limit, s of processor time.
-
-    Outside of the main thread, which alone can be interrupted, there is no limit.
+        what: description of the block, such as "mujoco: 1 s of pendulum", for messages.
+        advice: what the user can do if the limit is exceeded, for the error message.
+        progress: shows a message to the user.
+        name: name of the limit in `newton_euler.limits.LIMITS`; its unit is s of processor time.
 
     Raises:
-        TooLongError: then.
+        TooLongError: if the limit is exceeded.
     """
     progress(what)
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    most = limit(name)  # of processor time: a wait is no reason to give up
+    allowed = limit(name)  # of processor time, so that waiting does not count
 
-    def tell(used: float) -> None:
-        if used > PATIENCE:
-            progress(f"{what}: {used:.0f} s so far, given up at {most:.0f}")
+    def report(used: float) -> None:
+        if used > REPORT_AFTER_S:
+            progress(f"{what}: {used:.0f} s so far, given up at {allowed:.0f}")
 
     try:
-        with time_limit(most, tell):
+        with time_limit(allowed, report):
             yield
     except TooLongError:
-        message = (
-            f"{what}: given up after {number_text(most)} s of processor time; {advice}; {too_small(name)}"
-        )
-        raise TooLongError(message) from None
+        used = f"given up after {number_text(allowed)} s of processor time"
+        raise TooLongError(f"{what}: {used}; {advice}; {too_small(name)}") from None
 
 
 @contextmanager
-def tidied_up() -> Iterator[None]:
-    """Let a request to end, or the end of the terminal, interrupt a block as Ctrl-C does: it tidies up.
+def signals_as_interrupts() -> Iterator[None]:
+    """Raise `KeyboardInterrupt` at SIGTERM and SIGHUP within a block, so that the block cleans up as at
+    Ctrl-C.
 
-    A signal that this process ignores, such as a hangup after `nohup`, remains ignored. Elsewhere there is
-    nothing to tidy up, and Python would hear of the request only after what runs in native code.
+    A signal that the process ignores, such as SIGHUP after `nohup`, remains ignored. Outside of such blocks
+    the signals end the process at once: there is nothing to clean up, and Python would handle a signal only
+    after native code has completed.
     """
-    if threading.current_thread() is not threading.main_thread():  # the only one that hears of signals
+    if threading.current_thread() is not threading.main_thread():  # only the main thread handles signals
         yield
         return
-    handlers = {signal.SIGTERM: signal.default_int_handler, signal.SIGHUP: _hung_up}
-    heard = [number for number in handlers if signal.getsignal(number) != signal.SIG_IGN]
-    before = {number: signal.signal(number, handlers[number]) for number in heard}
+    handlers = {signal.SIGTERM: signal.default_int_handler, signal.SIGHUP: _interrupt_once}
+    handled = [number for number in handlers if signal.getsignal(number) != signal.SIG_IGN]
+    previous = {number: signal.signal(number, handlers[number]) for number in handled}
     try:
         yield
     finally:
-        for number, handler in before.items():
+        for number, handler in previous.items():
             signal.signal(number, handler)
 
 
-def _hung_up(number: int, frame: object) -> None:
-    """Raise `KeyboardInterrupt` once: both the shell and the kernel may send the signal."""
+def _interrupt_once(number: int, frame: object) -> None:
+    """Raise `KeyboardInterrupt` at the first signal of this number, and ignore further ones.
+
+    When a terminal closes, both the shell and the kernel may send SIGHUP.
+    """
     signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 
-def paced(items: Sequence[Item], progress: Callable[[str], None], what: str) -> Iterator[Item]:
-    """Yield work to do one after another; `progress` is told the number, the rate and the time left."""
+def with_progress(items: Sequence[Item], progress: Callable[[str], None], what: str) -> Iterator[Item]:
+    """Yield items one by one; before each, show its number, the time per item so far and the time left.
+
+    Args:
+        items: work to do, an item at a time.
+        progress: shows a message to the user.
+        what: what an item is, such as "run".
+    """
     start = time.perf_counter()
     for count, item in enumerate(items):
         each = (time.perf_counter() - start) / max(1, count)
-        left = f"{each:.2g} s each, {span(each * (len(items) - count))}" if count else "unknown time"
+        left = f"{each:.2g} s each, {duration_text(each * (len(items) - count))}" if count else "unknown time"
         progress(f"{what} {count + 1} of {len(items)}, {left} left")
         yield item
 
 
-def span(seconds: float) -> str:
-    """Word a time that something takes."""
+def duration_text(seconds: float) -> str:
+    """Format a duration, given in s, as whole seconds, whole minutes or tenths of an hour."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     minutes = seconds / 60.0

@@ -16,7 +16,7 @@ from crosscheck.compare.crosscheck import Crosscheck, crosscheck
 from crosscheck.compare.runs import MAX_REMAINING_ERROR
 from crosscheck.engines.engine import ENGINES, EXACT_ATOL, EXACT_RTOL, Engine
 from crosscheck.support.errors import CrosscheckError
-from crosscheck.support.time_limits import paced
+from crosscheck.support.time_limits import with_progress
 from crosscheck.sweeps.analysis import KeptNumber
 from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.plan import SweepPlan, run_all
@@ -136,7 +136,7 @@ def check_runs(
         warnings.simplefilter("ignore", NearlyRedundantWarning)  # the sweep has issued the warning
         return [
             _check(swept, found, run, why, engines, lambda stage: progress(f"{said[0]}: {stage}"), unverified)
-            for run, why in paced(list(runs.items()), tell, "cross-check")
+            for run, why in with_progress(list(runs.items()), tell, "cross-check")
         ]
 
 

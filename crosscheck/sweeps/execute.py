@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.processes import safe_path
-from crosscheck.support.time_limits import span
+from crosscheck.support.time_limits import duration_text
 from crosscheck.sweeps.store import KEPT_REPEAT_COMMAND, SWEEP
 from newton_euler.errors import OptionError
 from newton_euler.optional_packages import optional_package
@@ -222,7 +222,7 @@ class Pace:
         self._made += runs
         rate = self._made / max(time.perf_counter() - self._start, 1e-9)
         there = self._there + self._made
-        left = span((self._runs - there) / rate)
+        left = duration_text((self._runs - there) / rate)
         self._progress(f"{there:,} of {self._runs:,} runs, {rate:,.0f} per s, {left} left")
 
 

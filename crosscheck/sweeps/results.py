@@ -16,7 +16,7 @@ import numpy as np
 
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import check_writable
-from crosscheck.support.time_limits import tidied_up
+from crosscheck.support.time_limits import signals_as_interrupts
 from crosscheck.sweeps.execute import Pace, Workers, in_any_order, probed
 from crosscheck.sweeps.expressions import labels
 from crosscheck.sweeps.plan import RUN_FAILED, Chunk, Parameters, SweepPlan, make_runs, run_all
@@ -130,7 +130,7 @@ def results_of(
     """
     path = None if folder is None else folder / STORE_NAME
     start, repaired = time.perf_counter(), list[str]()
-    with tidied_up(), locked(path):
+    with signals_as_interrupts(), locked(path):
         if path is not None and path.exists():
             store = Store.checked(path)
             plan = store.resumed(plan)

@@ -20,7 +20,7 @@ from command_line import short_example
 from hostile_files import MJCF, SEED, TEXTS, URDF, sparse
 
 from crosscheck.report.page import RESULTS
-from crosscheck.support.checksum import sealed
+from crosscheck.support.checksum import with_checksum
 from crosscheck.support.results import digest
 from newton_euler.model.trajectory import NEEDED, SHAPES, load_arrays
 
@@ -157,7 +157,7 @@ def rewritten(run: Path, change: Callable[[dict[str, Any]], dict[str, Any]], vou
 def vouch(out: Path, path: Path) -> None:
     summary = json.loads((out / "summary.json").read_text())
     summary["files"][path.name] = digest(path)
-    (out / "summary.json").write_text(json.dumps(sealed(summary)))
+    (out / "summary.json").write_text(json.dumps(with_checksum(summary)))
 
 
 def array_cases(run: Path) -> Iterator[Refused]:

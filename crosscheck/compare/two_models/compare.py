@@ -23,7 +23,7 @@ from crosscheck.compare.two_models.unsimulated import NEVER_COMPARED, Model, Uns
 from crosscheck.engines.engine import ENGINES, Engine
 from crosscheck.engines.engine_runs import Stop, collecting_errors, run_engines, stops_text
 from crosscheck.report.outcome import Outcome
-from crosscheck.support.time_limits import SHORTER, limited
+from crosscheck.support.time_limits import SHORTER_RUN_ADVICE, limited
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation
 from newton_euler.model.euler_parameters import rotations
@@ -147,7 +147,7 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
     begun = time.perf_counter()
     pair = first.name, second.name
     stopped: list[Stop] = []
-    with limited("comparing equations", SHORTER, progress):
+    with limited("comparing equations", SHORTER_RUN_ADVICE, progress):
         states = _aligned_best(list(alignments(first.scene, second.scene)), stopped)
         aligned, engines = states.aligned, _engines(pair, states.aligned)
         rows, notes = _equations_compared(pair, engines, states)
@@ -159,7 +159,7 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
             name: replace(run, constraint_violation=None, potential_energy=None) for name, run in runs.items()
         }
         what = "comparing runs"
-        with collecting_errors(what, stops), limited(what, SHORTER, progress):
+        with collecting_errors(what, stops), limited(what, SHORTER_RUN_ADVICE, progress):
             for row in finite(compare_runs(aligned.first, engines, pairs, states.energy)):
                 rows.append(row)  # not all at once: those before an error are kept
     same_file = os.path.realpath(first.source) == os.path.realpath(second.source)

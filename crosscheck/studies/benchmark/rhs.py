@@ -22,7 +22,7 @@ from crosscheck.report.table import Lines, Part, Rows, Table, figures, texts
 from crosscheck.studies.benchmark.ladders import JUDGED, poses_only
 from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
 from crosscheck.support.errors import reason_of
-from crosscheck.support.processes import LostError, in_processes
+from crosscheck.support.processes import ProcessLostError, run_in_processes
 from newton_euler import compile_scene
 from newton_euler.codegen.cache import CACHE_VARIABLE
 from newton_euler.compiled.outputs import time_function
@@ -141,8 +141,8 @@ def time_right_hand_sides(
     probes, ready = {}, {}
     for way in WAYS if ways is None else ways:
         progress(f"loading {way}")
-        (found,) = in_processes(partial(probe, scene), [way], 1, lambda *_: None, lambda _: LIMIT)
-        probes[way] = Timing(way, reason=str(found)) if isinstance(found, LostError) else found
+        (found,) = run_in_processes(partial(probe, scene), [way], 1, lambda *_: None, lambda _: LIMIT)
+        probes[way] = Timing(way, reason=str(found)) if isinstance(found, ProcessLostError) else found
         if not probes[way].reason:
             ready[way] = WAYS[way](scene)
     times = dict(zip(ready, _times(list(ready.values()), progress), strict=True))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from crosscheck.studies.stress.runs import Setting
-from crosscheck.support.processes import LostError, in_processes
+from crosscheck.support.processes import ProcessLostError, run_in_processes
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
@@ -196,7 +196,7 @@ def run_cases(cases: Sequence[Case], progress: Progress) -> list[Row]:
     start first.
     """
     order = sorted(range(len(cases)), key=lambda k: (cases[k].topic, -cases[k].limit))
-    found = in_processes(
+    found = run_in_processes(
         judge,
         [cases[k] for k in order],
         PROCESSES,
@@ -204,5 +204,7 @@ def run_cases(cases: Sequence[Case], progress: Progress) -> list[Row]:
         lambda case: case.limit,
     )
     rows = dict(zip(order, found, strict=True))
-    lost = {k: Row(cases[k], "fails", str(row)) for k, row in rows.items() if isinstance(row, LostError)}
+    lost = {
+        k: Row(cases[k], "fails", str(row)) for k, row in rows.items() if isinstance(row, ProcessLostError)
+    }
     return [(rows | lost)[k] for k in range(len(cases))]  # type: ignore[misc]

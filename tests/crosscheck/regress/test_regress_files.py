@@ -16,7 +16,7 @@ from crosscheck.library import SCENES
 from crosscheck.regress import measure
 from crosscheck.regress import run as regress
 from crosscheck.regress.baseline import Baseline, Plan, Record, StoredFigure, StoredState, read
-from crosscheck.support.checksum import sealed
+from crosscheck.support.checksum import with_checksum
 from newton_euler.model.state import State
 
 ROOT = Path(__file__).parents[3]
@@ -40,7 +40,7 @@ def small_baseline():
 
 
 def reseal(content, **changes):
-    content.update(sealed(content | changes))
+    content.update(with_checksum(content | changes))
 
 
 def test_a_baseline_survives_its_file(tmp_path):
@@ -157,7 +157,7 @@ def test_a_model_file_has_the_options_of_its_baseline(tmp_path):
     path = tmp_path / "robot.baseline.json"
     assert regress.made_with("robot.xml", path, {"key": "go"}) == {"key": "go"}
     content = json.loads(small_baseline().text()) | {"options": {"key": "go", "duration": "2", "root": "/"}}
-    path.write_text(json.dumps(sealed(content)))
+    path.write_text(json.dumps(with_checksum(content)))
     assert regress.made_with("robot.xml", path, {"duration": "3"}) == {"key": "go", "duration": "3"}
     assert regress.made_with("tracker", path, {}) == {}
 

@@ -20,7 +20,7 @@ from crosscheck.library import SCENES
 from crosscheck.report.page import MOST_IN_FULL, PAGE, key_times, write_report
 from crosscheck.report.plots import SPEED, pictures
 from crosscheck.report.table import Column, Table, judged
-from crosscheck.support.checksum import sealed
+from crosscheck.support.checksum import with_checksum
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.results import digest
 from newton_euler.model.trajectory import load_arrays
@@ -116,7 +116,7 @@ def change(folder: Path, **changes: object) -> dict:
     """Rewrite entries of a folder's summary."""
     path = folder / "summary.json"
     summary = json.loads(path.read_text()) | changes
-    path.write_text(json.dumps(sealed(summary)))
+    path.write_text(json.dumps(with_checksum(summary)))
     return summary
 
 
@@ -130,7 +130,7 @@ def write(path: Path, **changes: object) -> None:
     """Write a file of results whose report has these entries."""
     whole = {"title": "a study", "verdict": "", "judged": {"text": ""}, "parts": []} | changes
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(sealed({"report": whole, "files": {}})))
+    path.write_text(json.dumps(with_checksum({"report": whole, "files": {}})))
 
 
 def report(folder: Path) -> Page:
@@ -318,7 +318,7 @@ def timed(seconds: str) -> bytes:
 
 def listed(name: str) -> bytes:
     """Results with a file of this name beside them."""
-    return json.dumps(sealed(json.loads(timed("1")) | {"files": {name: "00"}})).encode()
+    return json.dumps(with_checksum(json.loads(timed("1")) | {"files": {name: "00"}})).encode()
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from crosscheck.support.processes import in_processes
+from crosscheck.support.processes import run_in_processes
 from crosscheck.sweeps.execute import workers
 
 PATIENCE = 60.0
@@ -91,7 +91,7 @@ def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_processes_of_a_pool_import_nothing_from_the_current_folder(foreign: Path) -> None:
-    assert in_processes(abs, [-3], 1, lambda *_: None) == [3]
+    assert run_in_processes(abs, [-3], 1, lambda *_: None) == [3]
     assert "PYTHONSAFEPATH" not in os.environ
     assert not foreign.exists()
 

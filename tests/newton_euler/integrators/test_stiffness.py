@@ -166,8 +166,8 @@ def without_end(scene: Scene) -> Trajectory:
 @pytest.mark.parametrize("handler", [signal.default_int_handler, signal.SIG_IGN])
 def test_a_run_without_end_is_given_up(monkeypatch: pytest.MonkeyPatch, handler: Any) -> None:
     before = signal.signal(signal.SIGINT, handler)  # ignored, as in what shells run in the background
-    monkeypatch.setattr(limit, "PATIENCE", 0.1)
-    monkeypatch.setattr(limit, "PERIOD", 0.1)
+    monkeypatch.setattr(limit, "REPORT_AFTER_S", 0.1)
+    monkeypatch.setattr(limit, "CHECK_PERIOD_S", 0.1)
     engine = replace(ENGINES["newton_euler"], simulate=without_end)
     told: list[str] = []
     try:
@@ -210,7 +210,7 @@ def test_coverage_that_takes_too_long_is_left_out(monkeypatch: pytest.MonkeyPatc
         without_end(pendulum())
 
     monkeypatch.setattr("crosscheck.compare.crosscheck.coverage", endless)
-    monkeypatch.setattr(limit, "PERIOD", 0.1)
+    monkeypatch.setattr(limit, "CHECK_PERIOD_S", 0.1)
     with changed({"coverage_time": 0.5}):
         result = crosscheck(pendulum(), choose(["newton_euler", "mujoco"]), lambda _: None, "x", {})
     assert (result.coverage, result.unfinished, result.differs) == (None, (), False)

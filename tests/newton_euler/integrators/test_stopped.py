@@ -217,7 +217,7 @@ def test_what_stops_on_other_equations_is_the_odd_one(capsys, monkeypatch, tmp_p
 
 def test_the_other_engines_run_when_one_does_not_end(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv(VARIABLE, "time=1")
-    monkeypatch.setattr(limit, "PERIOD", 0.1)
+    monkeypatch.setattr(limit, "CHECK_PERIOD_S", 0.1)
     quick = replace(ENGINES_BY_NAME["mujoco"], simulate=ENGINES_BY_NAME["newton_euler"].simulate)
     monkeypatch.setitem(ENGINES_BY_NAME, "mujoco", quick)
     status, verdict, summary = pendulum_run(capsys, monkeypatch, tmp_path, simulate=endless)
