@@ -1,9 +1,12 @@
-"""A pytest fixture that crosschecks models in anybody's test suite.
+"""The pytest fixture `crosscheck`, by which a test suite verifies the dynamics of a model.
 
-def test_arm(crosscheck):
-    arm = crosscheck("arm.xml")
-    arm.assert_agrees()  # all engines
-    arm.assert_unchanged()  # the baseline that `pytest --crosscheck-update REASON` stored beside it
+The fixture simulates a model in all engines. A test can require that the engines agree, and that the results
+have not changed since `pytest --crosscheck-update REASON` stored them in a baseline file:
+
+    def test_arm(crosscheck):
+        arm = crosscheck("arm.xml")
+        arm.assert_agrees()
+        arm.assert_unchanged()
 """
 
 from __future__ import annotations
@@ -19,18 +22,21 @@ import pytest
 if TYPE_CHECKING:
     from crosscheck.verdict import Verdict
 
-UPDATE = "--crosscheck-update"
+UPDATE_OPTION = "--crosscheck-update"
+"""Command line option of pytest that stores baselines instead of comparing with them."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option that stores baselines."""
+    """Add the option `--crosscheck-update` to pytest; pytest calls this hook when it loads the plugin."""
     group = parser.getgroup("crosscheck")
-    group.addoption(UPDATE, metavar="REASON", help="Store the baselines of assert_unchanged() anew, and why.")
+    group.addoption(
+        UPDATE_OPTION, metavar="REASON", help="Store new baselines for assert_unchanged(), with this reason."
+    )
 
 
 @contextmanager
-def _failing() -> Iterator[None]:
-    """Fail a test with the error of a block, as of a missing file or an unknown engine, in one line."""
+def _errors_as_failures() -> Iterator[None]:
+    """Fail the test with a one-line message if the block raises an error, such as for a missing file."""
     from crosscheck.support.errors import CrosscheckError
     from newton_euler.errors import NewtonEulerError
 
@@ -40,28 +46,29 @@ def _failing() -> Iterator[None]:
         yield
     except (CrosscheckError, NewtonEulerError) as error:
         problem = str(error)
-    if problem:  # out of the block above, whose error would be reported as well
+    if problem:  # outside of the `except` block, whose error pytest would report as well
         pytest.fail(problem, pytrace=False)
 
 
-class Checked:
-    """A crosscheck of a model within a test.
+class CheckedModel:
+    """A model that the fixture has simulated in all engines, with assertions for a test.
 
     Attributes:
-        verdict: what was found.
-        folder: where trajectories, figures and the recording are kept if the test fails.
-        reason: why baselines are stored anew; None to compare with them.
-        home: the folder of the test, where baselines of models in memory are.
+        verdict: result of the comparison of the engines.
+        folder: folder that gets the trajectories, the checks and the 3-D recording if the test fails.
+        reason: reason to store new baselines; None to compare with the stored ones.
+        test_folder: folder of the test file, which has the baselines of models in memory.
     """
 
-    def __init__(self, verdict: Verdict, folder: Path, reason: str | None, home: Path) -> None:
-        self.verdict, self.folder, self.reason, self.home = verdict, folder, reason, home
+    def __init__(self, verdict: Verdict, folder: Path, reason: str | None, test_folder: Path) -> None:
+        self.verdict, self.folder, self.reason, self.test_folder = verdict, folder, reason, test_folder
 
     def assert_agrees(self, allow_reduced: bool = False) -> None:
-        """Fail, naming level, body and the engine that differs, unless all engines agree.
+        """Fail the test unless all engines agree; the message names the engine that differs, and where.
 
         Args:
-            allow_reduced: whether elements of the file may act that are not simulated.
+            allow_reduced: whether to pass if elements of the file act that crosscheck does not simulate, such
+                as contacts.
         """
         __tracebackhide__ = True
         if not self.verdict.outcome.passes(allow_reduced):
@@ -69,9 +76,10 @@ class Checked:
             pytest.fail(f"{self.verdict}\nlook: crosscheck view {recording}", pytrace=False)
 
     def assert_unchanged(self) -> None:
-        """Fail, naming what moved, unless the figures of newton_euler are those of the stored baseline.
+        """Fail the test if results of newton_euler differ from the stored baseline; the message lists them.
 
-        It is beside a model file, and beside the test for a model in memory, by the name of its scene.
+        The baseline of a model file is next to the file. That of a model in memory is next to the test, in
+        SCENE.baseline.json.
         """
         from crosscheck.regress.compare import compare
         from crosscheck.regress.report import tables
@@ -81,38 +89,39 @@ class Checked:
         __tracebackhide__ = True
         found = self.verdict.crosscheck
         if found.source:
-            with _failing():
+            with _errors_as_failures():
                 guarded = guard(found.source, dict(found.options))
         else:
-            scene, path = found.scene, self.home / f"{found.scene.name}.baseline.json"
+            scene, path = found.scene, self.test_folder / f"{found.scene.name}.baseline.json"
             guarded = Guarded(scene.name, dict(found.options), scene, path, found.mapping)
         if self.reason is not None:
             update([guarded], self.reason, lambda stage: None)
         elif not guarded.path.exists():
-            pytest.fail(f"no baseline {guarded.path}; pytest {UPDATE} REASON stores it", pytrace=False)
+            pytest.fail(f"no baseline {guarded.path}; pytest {UPDATE_OPTION} REASON stores it", pytrace=False)
         else:
-            with _failing():
+            with _errors_as_failures():
                 comparison = compare(guarded.scene, guarded.baseline(), lambda stage: None, guarded.mapping)
             if comparison.moved:
                 pytest.fail(f"{terminal(tables([comparison]))}{comparison.verdict}", pytrace=False)
 
 
 @pytest.fixture
-def crosscheck(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[..., Checked]:
-    """Crosscheck a model: `crosscheck("arm.xml", key="home")`, arguments as of `crosscheck.check`.
+def crosscheck(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[..., CheckedModel]:
+    """Return a function that simulates a model in all engines: `crosscheck("arm.xml", key="home")`.
 
-    A file is looked for beside the test first.
+    Its arguments are those of `crosscheck.check`. The path of a model file is relative to the folder of the
+    test, or else to the current folder.
     """
     from crosscheck.verdict import check
 
-    reason = request.config.getoption(UPDATE)
+    reason = request.config.getoption(UPDATE_OPTION)
 
-    def checked(model: Any, *engines: Any, **options: Any) -> Checked:
+    def checked(model: Any, *engines: Any, **options: Any) -> CheckedModel:
         __tracebackhide__ = True
-        if isinstance(model, str | os.PathLike) and (beside := request.path.parent / model).is_file():
-            model = beside
-        with _failing():
+        if isinstance(model, str | os.PathLike) and (next_to_test := request.path.parent / model).is_file():
+            model = next_to_test
+        with _errors_as_failures():
             verdict = check(model, *engines, **options)
-        return Checked(verdict, tmp_path / "crosscheck", reason, request.path.parent)
+        return CheckedModel(verdict, tmp_path / "crosscheck", reason, request.path.parent)
 
     return checked

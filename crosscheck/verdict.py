@@ -15,7 +15,7 @@ from crosscheck.compare.check import Check
 from crosscheck.compare.crosscheck import Crosscheck, crosscheck
 from crosscheck.compare.diagnosis import Diagnosis
 from crosscheck.engines.engine import ENGINES, choose
-from crosscheck.loading.load import excited, load_scene
+from crosscheck.loading.load import load_scene, with_excitation
 from crosscheck.report.outcome import Outcome
 from crosscheck.report.output import own_name, to_record, write
 from crosscheck.report.page import rendered
@@ -164,7 +164,7 @@ def check(
     chosen = choose(list(engines))
     texts = {name: _text(value) for name, value in options.items()}
     source = os.fspath(model) if isinstance(model, str | os.PathLike) else ""
-    taken = excited(model, texts)
+    taken = with_excitation(model, texts)
     scene, mapping = load_scene(model, taken, verified=False)
     return Verdict(crosscheck(scene, chosen, progress, source, taken, mapping, advice))
 

@@ -75,7 +75,7 @@ def bench_command(
 
     SCENE is the name of a library scene or a model file (see run).
     """
-    from crosscheck.loading.load import excited
+    from crosscheck.loading.load import with_excitation
     from crosscheck.studies.benchmark.run import BenchmarkRequest, bench
 
     asked = {"rhs": rhs, "batch": batch is not None, "sensitivities": sensitivities}
@@ -83,7 +83,7 @@ def bench_command(
     if len(kinds) > 1:
         names = " and ".join(f"--{kind}" for kind in kinds)
         raise CrosscheckError(f"{names} are different benchmarks; choose one")
-    options = excited(scene, scene_options(settings))
+    options = with_excitation(scene, scene_options(settings))
     wanted = BenchmarkRequest(load_with_warnings(scene, options), scene, options, error, batch or 0)
     with progress_shown() as progress:
         found, written = bench(wanted, kinds[0], output, progress)

@@ -167,7 +167,7 @@ def _run(
 ) -> int:
     from crosscheck.compare.crosscheck import crosscheck
     from crosscheck.engines.engine import choose
-    from crosscheck.loading.load import excited, load_scene
+    from crosscheck.loading.load import load_scene, with_excitation
     from crosscheck.report.output import own_name, usual_folder
     from crosscheck.support.files import check_no_source
 
@@ -175,7 +175,7 @@ def _run(
     folder = output or usual_folder(OUTPUT, scene, "crosscheck")
     check_no_source([folder / "summary.json"], [scene])
     options = scene_options(settings)
-    taken = excited(scene, options)
+    taken = with_excitation(scene, options)
     loaded, mapping = load_scene(scene, taken, verified=False)  # the run says all that is not right
 
     def work(progress: Progress) -> Crosscheck:
@@ -236,7 +236,7 @@ def _carry_out(
 ) -> int:
     """Do what was asked for of the models, with `runs` of these names, write it and tell of it."""
     from crosscheck.compare.two_models.compare import Against
-    from crosscheck.loading.load import told_options
+    from crosscheck.loading.load import non_default_options
     from crosscheck.recording.mesh_budget import meshes_left_out
     from crosscheck.report.output import write
     from crosscheck.report.run import report
@@ -256,7 +256,7 @@ def _carry_out(
     if not isinstance(result, Against):
         if unseen := meshes_left_out(result.scene.mechanism, list(result.trajectories)):
             look = f"{unseen}\n{look}"
-        told = told_options(result.options)
+        told = non_default_options(result.options)
         settings = [word for key, value in told.items() for word in ("--set", f"{key}={value}")]
         more.append(next_step("bench", result.source, *settings))
     show(found, look, f"more  {'; '.join(more)}")
@@ -372,7 +372,7 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int
 
     IN is a library scene, a scene file, an MJCF file or a URDF file. The suffix of OUT selects the format.
     """
-    from crosscheck.loading.convert import check_target, files_of, scene_report, write_as
+    from crosscheck.loading.convert import check_target, files_written, scene_report, write_as
     from crosscheck.loading.load import load_scene
     from crosscheck.loading.model_files import report_lines
     from crosscheck.support.files import check_no_source, check_writable
@@ -381,7 +381,7 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int
     options = scene_options(settings)
     if target.suffix == ".urdf":
         without_excitation(options, "a URDF holds no control and no start")
-    check_no_source(files_of(target), [source, *([options["loops"]] if "loops" in options else [])])
+    check_no_source(files_written(target), [source, *([options["loops"]] if "loops" in options else [])])
     check_writable(target)
     scene, report = load_scene(source, options)
     report = report or scene_report(scene)

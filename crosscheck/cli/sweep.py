@@ -86,13 +86,13 @@ def sweep_command(
     SCENE is the name of a library scene or a model file (see run). To resume an interrupted sweep, repeat the
     command.
     """
-    from crosscheck.loading.load import excited, load_scene
+    from crosscheck.loading.load import load_scene, with_excitation
     from crosscheck.sweeps.distributions import parse_vary
     from crosscheck.sweeps.store import STORE_NAME, interruptible
     from crosscheck.sweeps.sweep import own_scene, sweep
 
     vary = parse_vary(varied)
-    given = excited(scene, scene_options(settings))
+    given = with_excitation(scene, scene_options(settings))
     read, mapping = load_scene(scene, given)
     warn_about_import(scene, mapping, read)
     loaded = own_scene(scene, read)

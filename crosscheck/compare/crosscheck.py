@@ -20,7 +20,7 @@ from crosscheck.compare.singularity import Passage, passage
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.engine_runs import Stop, collecting_errors, run_engines, stops_text
 from crosscheck.library.options import titled
-from crosscheck.loading.load import told_options
+from crosscheck.loading.load import non_default_options
 from crosscheck.report.outcome import Outcome
 from crosscheck.support.errors import CrosscheckError, reason_of
 from crosscheck.support.time_limits import SHORTER_RUN_ADVICE, limited
@@ -91,7 +91,7 @@ class Crosscheck:
     @property
     def title(self) -> str:
         """The scene's name, with the options that were set."""
-        return titled(self.scene.name, told_options(self.options))
+        return titled(self.scene.name, non_default_options(self.options))
 
     @property
     def rests(self) -> bool:

@@ -23,7 +23,7 @@ from crosscheck.library import (
 )
 from crosscheck.library.measure import Quantities
 from crosscheck.library.options import options_of
-from crosscheck.loading.model_files import TO_CONVERT, is_model, read_model
+from crosscheck.loading.model_files import CONVERSION_ADVICE, is_model_file, read_model
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.arguments import checked
 from newton_euler.errors import choices, listed, quoted
@@ -79,9 +79,9 @@ def load(name: str, /, **options: str | float) -> Scene:
     """
     if name in SCENES:
         return SCENES[name](**_read(name, options))
-    if is_model(name):
+    if is_model_file(name):
         return read_model(name, options)[0]
-    if remedy := TO_CONVERT.get(Path(name).suffix.lower()):
+    if remedy := CONVERSION_ADVICE.get(Path(name).suffix.lower()):
         raise CrosscheckError(f"{name!r} is of a format that is not read; {remedy}")
     if Path(name).suffix not in (".yaml", ".yml", ".json"):
         raise CrosscheckError(

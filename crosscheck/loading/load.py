@@ -1,4 +1,4 @@
-"""Models, whatever they are, with the options that commands give them."""
+"""`load_scene`: load a library scene, a scene file, a model file or a model in memory as a `Scene`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, TypeAlias
 
 from crosscheck.library import load
-from crosscheck.loading.model_files import is_model, read_model
+from crosscheck.loading.model_files import is_model_file, read_model
 from crosscheck.loading.size import check_scene
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.scene import Scene
@@ -19,37 +19,45 @@ if TYPE_CHECKING:
 
     Model: TypeAlias = str | os.PathLike[str] | Scene | MujocoModel | PinocchioModel
 
-EXCITED = {"excitation": "on"}
-"""Options of models of other tools that crosschecks take by default."""
+DEFAULT_OPTIONS = {"excitation": "on"}
+"""Options by which the excitation of MJCF, URDF and in-memory models is on by default.
+
+Most models are at rest at their start. The excitation drives their actuators and gives their joints a start
+velocity, so that a run tests more than equilibrium.
+"""
 
 
-def told_options(options: Mapping[str, str]) -> dict[str, str]:
-    """Return the options that a title names: all but those that crosschecks take by default."""
-    return {name: value for name, value in options.items() if EXCITED.get(name) != value}
+def non_default_options(options: Mapping[str, str]) -> dict[str, str]:
+    """Return the options that differ from the defaults of crosscheck, for a title or a command line."""
+    return {name: value for name, value in options.items() if DEFAULT_OPTIONS.get(name) != value}
 
 
-def is_own(model: Model) -> bool:
-    """Return True for scenes: those of the library by name, scene files, and a `Scene`."""
+def is_scene(model: Model) -> bool:
+    """Return True for a library scene, a scene file or a `Scene`; False for a model of another tool."""
     return isinstance(model, Scene) or (
-        isinstance(model, str | os.PathLike) and not is_model(os.fspath(model))
+        isinstance(model, str | os.PathLike) and not is_model_file(os.fspath(model))
     )
 
 
-def excited(model: Model, options: dict[str, str]) -> dict[str, str]:
-    """Return the options with which models of other tools are excited unless the options say otherwise."""
-    return options if is_own(model) else EXCITED | options
+def with_excitation(model: Model, options: dict[str, str]) -> dict[str, str]:
+    """Return options that excite a model of another tool, unless its `excitation` option is given."""
+    return options if is_scene(model) else DEFAULT_OPTIONS | options
 
 
 def load_scene(
     model: Model, options: dict[str, str], verified: bool = True
 ) -> tuple[Scene, ImportReport | None]:
-    """Load a scene, with what became of the elements of a model of another tool.
+    """Load a scene, and check its size.
 
     Args:
-        model: a scene of the library by name, a scene file, an MJCF, a URDF, a `Scene`, or a model that
+        model: name of a library scene, path of a scene file, an MJCF or a URDF, a `Scene`, or a model that
             MuJoCo or Pinocchio has in memory.
-        options: of the scene, the file or the model.
-        verified: whether to verify what was read; if not, what it is verified against comes with it.
+        options: options of the scene, the file or the model, by name.
+        verified: whether to compare the scene with the model as MuJoCo or Pinocchio compiles it. If False,
+            the report has the compiled models as `references`, for a later comparison.
+
+    Returns:
+        The scene, and the import report with the fate of every element; None for scenes of crosscheck's own.
 
     Raises:
         CrosscheckError, NewtonEulerError: for a name, a file, a model or an option that cannot be read, and
@@ -61,7 +69,7 @@ def load_scene(
         check_scene(model)
         return model, None
     source = os.fspath(model) if isinstance(model, str | os.PathLike) else ""
-    if not is_own(model):
+    if not is_scene(model):
         scene, report = read_model(source or model, options, verified)
         check_scene(scene, source)
         return scene, report

@@ -1,4 +1,8 @@
-"""Scenes from model files of other tools: MJCF (.xml, .mjcf) and URDF (.urdf) with a loop file."""
+"""Read models of other tools as scenes, and print what became of each element.
+
+Models are MJCF files (.xml, .mjcf), URDF files (.urdf) with an optional file of loop closures, and models of
+MuJoCo or Pinocchio in memory. This module parses their options; the packages `mjcf` and `urdf` read them.
+"""
 
 from __future__ import annotations
 
@@ -19,24 +23,25 @@ if TYPE_CHECKING:
     from urdf.reading.given import PinocchioModel
 
 SUFFIXES = (".xml", ".mjcf", ".urdf")
+"""Suffixes of model files."""
 
-TO_CONVERT = {
+CONVERSION_ADVICE = {
     ".sdf": "sdf2mjcf, of the package sdformat-mjcf, makes an MJCF of it",
     ".world": "sdf2mjcf, of the package sdformat-mjcf, makes an MJCF of it",
     ".xacro": "run xacro first: xacro FILE -o robot.urdf",
     **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "export a URDF from the tool that it is of"),
 }
-"""Formats that are not read, by suffix, and what to do."""
+"""How to convert files of other formats to MJCF or URDF, by suffix."""
 
 
 class Option(NamedTuple):
-    """One option of model files.
+    """One option of model files, as given by `--set NAME=VALUE`.
 
     Attributes:
-        values: what people give.
-        default: what it is by default.
-        read: takes a value as given; raises `ValueError` for one that cannot be.
-        needed: of a value.
+        values: description of the allowed values, for `crosscheck list`.
+        default: description of the default, for `crosscheck list`.
+        read: converts a text to a value; raises `ValueError` for an invalid text.
+        needed: description of valid texts, for the error message.
     """
 
     values: str
@@ -46,7 +51,7 @@ class Option(NamedTuple):
 
 
 def _vector(value: str) -> tuple[float, float, float]:
-    """Three numbers, between commas, or 0 for all of them."""
+    """Read the text `X,Y,Z` as three numbers; `0` means the zero vector."""
     x, y, z = map(plain_number, ["0", "0", "0"] if value == "0" else value.split(","))
     if not max(abs(x), abs(y), abs(z)) <= LARGEST:
         raise ValueError(value)
@@ -54,19 +59,21 @@ def _vector(value: str) -> tuple[float, float, float]:
 
 
 def _numbers(value: str) -> list[float]:
-    """Any numbers, between commas."""
+    """Read numbers that are separated by commas."""
     return [plain_number(each) for each in value.split(",")]
 
 
 def _names(value: str) -> list[str]:
-    """Any names, between commas."""
+    """Read names that are separated by commas."""
     return [name.strip() for name in value.split(",") if name.strip()]
 
 
 def _switch(value: str) -> bool:
+    """Read `on` as True and `off` as False."""
     return bool(("off", "on").index(value))
 
 
+# arguments `read` and `needed` of options of several tables
 _SECONDS = plain_number, "a positive number of seconds"
 _GRAVITY = _vector, f"X,Y,Z in m/s^2, at most {LARGEST:g}, or 0"
 
@@ -83,20 +90,22 @@ COMMON = {
         "on or off",
     ),
 }
-"""Options of all model files."""
+"""Options of all models of other tools, by name."""
 
 MJCF_OPTIONS = COMMON | {
     "key": Option("KEYFRAME to start from, or qpos0", "the first keyframe if there is one"),
     "root": Option("FOLDER that holds all files that it refers to", "its own folder"),
 }
+"""Options of MJCF files."""
+
 MUJOCO_OPTIONS = {name: option for name, option in MJCF_OPTIONS.items() if name != "root"}
-"""Options of an `MjModel` in memory, which refers to no files."""
+"""Options of a MuJoCo model in memory, which refers to no files."""
 
 PINOCCHIO_OPTIONS = COMMON | {
     "gravity": Option("X,Y,Z in m/s^2, or 0", "the model's own", *_GRAVITY),
     "q": Option("NUMBERS, Pinocchio's configuration to start from", "neutral", _numbers, "finite numbers"),
 }
-"""Options of Pinocchio's models in memory."""
+"""Options of a Pinocchio model in memory."""
 
 URDF_OPTIONS = COMMON | {
     "loops": Option("FILE, its loop file", "none"),
@@ -104,37 +113,41 @@ URDF_OPTIONS = COMMON | {
     "gravity": Option("X,Y,Z in m/s^2, or 0", "0,0,-9.81", *_GRAVITY),
     "ignore": Option("ELEMENTS to leave out, tags or names, between commas", "none", _names),
 }
+"""Options of URDF files."""
 
-LONGEST_NAMES = 150
-"""Characters of a list of names in one line of a report."""
+MAX_NAMES_LENGTH = 150
+"""Largest number of characters of a list of names in one line of an import report."""
 
 
-def is_model(name: str) -> bool:
-    """True if a name is that of a model file."""
+def is_model_file(name: str) -> bool:
+    """Return True if a name has the suffix of an MJCF or a URDF file."""
     return Path(name).suffix.lower() in SUFFIXES
 
 
-def is_urdf(name: str) -> bool:
-    """True if it is that of a URDF, which may have a loop file."""
+def is_urdf_file(name: str) -> bool:
+    """Return True if a name has the suffix of a URDF file."""
     return Path(name).suffix.lower() == ".urdf"
 
 
 def read_model(
     model: str | MujocoModel | PinocchioModel, options: Mapping[str, str | float], verified: bool = True
 ) -> tuple[Scene, ImportReport]:
-    """Read a model file, or a model of MuJoCo's or Pinocchio's.
+    """Read a model file, or a model that MuJoCo or Pinocchio has in memory.
 
     Args:
         model: a path that ends in one of `SUFFIXES`, an `MjSpec` or `MjModel`, or a `pinocchio.Model`, alone
             or paired with its constraints.
-        options: those of `MJCF_OPTIONS`, `URDF_OPTIONS` and so on, as people give them.
-        verified: whether to refuse a scene that is not what the file says.
+        options: values by the names of `MJCF_OPTIONS`, `URDF_OPTIONS` and so on.
+        verified: whether to raise if the scene differs from the model as MuJoCo or Pinocchio compiles it.
+
+    Returns:
+        The scene, and the import report with the fate of every element.
 
     Raises:
-        CrosscheckError: for an unknown option or one that cannot be read.
-        newton_euler.NewtonEulerError: naming the file and the element at fault.
+        CrosscheckError: for an unknown option or an invalid value.
+        newton_euler.NewtonEulerError: for an invalid model; the message names the file and the element.
     """
-    path, known = _kind(model)
+    path, known = _name_and_options(model)
     given: dict[str, Any] = {}
     for name, value in options.items():
         if name not in known:
@@ -155,10 +168,10 @@ def read_model(
     return reading.scene, reading.report
 
 
-def _kind(model: object) -> tuple[str, dict[str, Option]]:
-    """Return the path or the class of a model, and the options that such models have."""
+def _name_and_options(model: object) -> tuple[str, dict[str, Option]]:
+    """Return a model file's path, or the class name of a model in memory, and the options of such models."""
     if isinstance(model, str):
-        return model, URDF_OPTIONS if is_urdf(model) else MJCF_OPTIONS
+        return model, URDF_OPTIONS if is_urdf_file(model) else MJCF_OPTIONS
     kind = type(model[0] if isinstance(model, tuple) and model else model)
     of_package = {"mujoco": MUJOCO_OPTIONS, "pinocchio": PINOCCHIO_OPTIONS}
     package = kind.__module__.partition(".")[0]
@@ -169,7 +182,10 @@ def _kind(model: object) -> tuple[str, dict[str, Option]]:
 
 
 def fates_line(report: ImportReport) -> str:
-    """Count the elements of a file by what became of them, those that are not exact by what they are."""
+    """Count the elements of a file by their fate (exact, inactive, left out), in one line.
+
+    Elements that are not exact are also counted by kind, for example "2 left out (2 tendons)".
+    """
     exact = len({entry.element for entry in report.of("exactly")})
     found = [f"{exact} element{'' if exact == 1 else 's'} read exactly"]
     for fate in FATES[1:]:
@@ -185,34 +201,39 @@ def fates_line(report: ImportReport) -> str:
 
 
 def _counted(names: set[str]) -> str:
-    """Word elements: those with names by the number of their kind, others as they are."""
+    """Count elements by kind, such as "2 tendons, 1 equality"; elements without a name are not counted."""
     kinds, plurals = Counter(name.partition(" '")[0] for name in sorted(names)), dict(ACTING)
-    return ", ".join(
-        kind if kind in names else f"{n} {kind if n == 1 else plurals.get(kind, f'{kind}s')}"
-        for kind, n in kinds.items()
-    )
+    found = []
+    for kind, count in kinds.items():
+        if kind in names:
+            found.append(kind)
+        else:
+            found.append(f"{count} {kind if count == 1 else plurals.get(kind, f'{kind}s')}")
+    return ", ".join(found)
 
 
 def report_lines(report: ImportReport, exact: bool = True) -> Iterator[str]:
-    """An import report as text; elements that became the same are one line.
+    """Yield the lines of an import report: counts, elements by fate, and the changes of the start.
 
-    An element of which one part is exact and another left out counts as both.
+    Elements of one kind with the same account share a line. An element of which one part is exact and another
+    part is left out appears under both fates.
 
     Args:
-        exact: whether to name the elements that became what they were.
+        report: import report of a model file.
+        exact: whether to list the elements that are imported exactly.
     """
     yield f"elements of the file: {fates_line(report)}"
 
-    def how(entry: ImportedElement) -> tuple[str, str]:
+    def kind_and_account(entry: ImportedElement) -> tuple[str, str]:
         return entry.element.split(" ")[0], entry.account
 
     for fate in FATES if exact else FATES[1:]:
         entries = report.of(fate)
         if entries:
             yield f"{fate}:"
-        for (_, text), group in groupby(sorted(entries, key=how), key=how):
+        for (_, text), group in groupby(sorted(entries, key=kind_and_account), key=kind_and_account):
             names = ", ".join(entry.element for entry in group)
-            if len(names) > LONGEST_NAMES:
-                names = names[:LONGEST_NAMES].rsplit(", ", 1)[0] + ", ..."
+            if len(names) > MAX_NAMES_LENGTH:
+                names = names[:MAX_NAMES_LENGTH].rsplit(", ", 1)[0] + ", ..."
             yield f"  {names}: {text}"
     yield from report.start

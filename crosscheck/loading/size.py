@@ -1,4 +1,7 @@
-"""The size of a scene, checked against the limits of what can be run and compared."""
+"""Check the size of a scene against the limits within which all engines can run and be compared.
+
+The limits are in `newton_euler.limits.LIMITS`; the user can raise each with `--set NAME=VALUE`.
+"""
 
 from __future__ import annotations
 
@@ -21,19 +24,21 @@ from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.splines import Spline, Steps
 from newton_euler.model.variable import functions_of
 
-LEAST_DURATION = 1e-6
-"""s; in less, gravity moves a body by less than 5e-12 m, which engines hold joints closed to."""
+MIN_DURATION = 1e-6
+"""Shortest duration of a scene, s. In less time, gravity moves a body by less than 5e-12 m, and the engines'
+loop-closure errors are of that size."""
 
 
 def check_scene(scene: Scene, file: str = "") -> None:
-    """Raise `CrosscheckError` for a scene too large, or too short, to be run by all engines and compared.
+    """Raise `CrosscheckError` for a scene that is too large or too short for a comparison of engines.
 
     Args:
-        file: that it was read from, to be named instead of the scene.
+        scene: the scene.
+        file: file that the scene was read from, which the error message names; the scene's name if empty.
     """
     where = file or f"scene {scene.name!r}"
-    if scene.duration < LEAST_DURATION:
-        least = f"{LEAST_DURATION:g} s, in which bodies move by more than round-off"
+    if scene.duration < MIN_DURATION:
+        least = f"{MIN_DURATION:g} s, in which bodies move by more than round-off"
         raise CrosscheckError(f"{where}: duration is {scene.duration!r} s; needed: at least {least}")
     count = len(scene.control) + len(scene.forces) + len(scene.armatures)
     bodies = len(scene.mechanism.bodies)
@@ -45,12 +50,18 @@ def check_scene(scene: Scene, file: str = "") -> None:
 
 
 def check_mechanism(where: str, mechanism: Mechanism) -> None:
-    """Raise `CrosscheckError` for a mechanism that cannot move, is too large, or has too different masses."""
+    """Raise `CrosscheckError` for a mechanism that cannot move, is too large, or has too different masses.
+
+    Args:
+        where: file or scene that the error message names.
+        mechanism: the mechanism.
+    """
     tree = SpanningTree(mechanism)
     if tree.nv == 0:
         raise CrosscheckError(f"{where}: no body can move; needed: a joint that lets one")
     loops = len(tree.cuts) + len(mechanism.couplings)
     check_counts(where, {"closures": loops, "velocities": tree.nv})
+    # the first body is the ground
     bodies = sorted(mechanism.bodies[1:], key=lambda body: body.mass)
     light, heavy = bodies[0], bodies[-1]
     check_counts(f"{where}: {heavy.name!r} to {light.name!r}", {"mass_ratio": heavy.mass / light.mass})
@@ -63,17 +74,24 @@ def check_functions(
     forces: Iterable[Law | Force],
     duration: float,
 ) -> None:
-    """Raise `CrosscheckError` for functions of too many terms, knots, or cycles in `duration` (s).
+    """Raise `CrosscheckError` if functions of time have too many terms, knots or cycles.
 
-    Terms add to what is compiled; steps are as short as the fastest function and the knots ask for.
+    Every term adds to the compiled equations. A run restarts at each knot, where a spline or a step function
+    begins a new piece, and its time steps are as short as the fastest function needs.
+
+    Args:
+        where: file or scene that the error message names.
+        mechanism: the mechanism that is moved.
+        motions: prescribed motions of joint coordinates.
+        forces: control laws and forces, which may depend on functions of time.
+        duration: duration of the run, s.
     """
     terms = cycles = knots = 0.0
     for motion in motions:
-        joint = mechanism.joint(motion.joint)
-        kinds = joint.coordinate_kinds
-        per_cycle = (
-            2.0 * math.pi if kinds[motion.coordinate : motion.coordinate + 1] == ("hinge",) else math.inf
-        )
+        kinds = mechanism.joint(motion.joint).coordinate_kinds
+        # a slice, since an invalid number of the coordinate is reported elsewhere
+        is_angle = kinds[motion.coordinate : motion.coordinate + 1] == ("hinge",)
+        per_cycle = 2.0 * math.pi if is_angle else math.inf
         terms, knots = terms + _terms(motion.function), knots + len(motion.function.knots)
         cycles = float(np.maximum(cycles, _cycles(motion.function, duration, per_cycle)))
     for acting in forces:
@@ -85,14 +103,19 @@ def check_functions(
 
 
 def check_counts(where: str, counts: Mapping[str, float]) -> None:
-    """Raise `CrosscheckError` for the first of some numbers that is above the limit of its name."""
+    """Raise `CrosscheckError` for the first count that exceeds its limit.
+
+    Args:
+        where: file or scene that the error message names.
+        counts: counts by the names of `newton_euler.limits.LIMITS`.
+    """
     for name, count in counts.items():
         if problem := exceeded(name, count):
             raise CrosscheckError(f"{where}: {problem}")
 
 
 def _terms(function: TimeFunction) -> int:
-    """The number of sines and coefficients, those of one piece of splines and steps."""
+    """Count the sines and polynomial coefficients of a function of time; those of one piece of a spline."""
     if isinstance(function, Sum):
         return sum(map(_terms, function.terms))
     if isinstance(function, Polynomial):
@@ -103,17 +126,20 @@ def _terms(function: TimeFunction) -> int:
 
 
 def _cycles(function: TimeFunction, duration: float, per_cycle: float) -> float:
-    """Return a bound on the number of cycles of a motion from 0 to `duration` (s).
+    """Compute an upper bound on the periods and revolutions of a function from time 0 to `duration`.
 
     Args:
-        per_cycle: rad, or infinite for a slide.
+        function: function of time.
+        duration: s.
+        per_cycle: change of the function that is one revolution: 2 pi rad for an angle, infinite otherwise.
     """
     if isinstance(function, Polynomial):
-        with np.errstate(all="ignore"):  # what overflows is too large as well
+        with np.errstate(all="ignore"):  # an overflow to infinity is above the limit, too
             powers = np.float64(duration) ** np.arange(len(function.coefficients))
-            ways = np.abs(function.coefficients) * powers
-        return float(np.sum(np.where(np.equal(function.coefficients, 0.0), 0.0, ways))) / per_cycle
+            changes = np.abs(function.coefficients) * powers
+        return float(np.sum(np.where(np.equal(function.coefficients, 0.0), 0.0, changes))) / per_cycle
     if isinstance(function, Sine):
+        # in each period, the function goes up and down by twice its amplitude
         periods = abs(function.angular_frequency) * duration / (2.0 * math.pi)
         return periods * (1.0 + 4.0 * abs(function.amplitude) / per_cycle) + abs(function.offset) / per_cycle
     if isinstance(function, Sum):

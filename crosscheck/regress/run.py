@@ -11,8 +11,8 @@ import numpy as np
 from crosscheck.compare.activity import watched_in_own_run
 from crosscheck.library import SCENES
 from crosscheck.library.options import titled
-from crosscheck.loading.load import excited, load_scene
-from crosscheck.loading.model_files import is_model
+from crosscheck.loading.load import load_scene, with_excitation
+from crosscheck.loading.model_files import is_model_file
 from crosscheck.regress.baseline import Baseline, GroupName, Record, StoredFigure, read
 from crosscheck.regress.compare import Comparison, compare, unsimulated
 from crosscheck.regress.measure import GROUPS, MAIN, main_run, make_plan, regress_scene, with_own_errors
@@ -65,7 +65,7 @@ class Guarded:
 
 def made_with(source: str, path: Path, options: dict[str, str]) -> dict[str, str]:
     """Options of a model file: those given, and those of its baseline but `root`, which needs trust."""
-    if not (is_model(source) and path.exists()):
+    if not (is_model_file(source) and path.exists()):
         return options
     return {name: value for name, value in read(path).options.items() if name != "root"} | options
 
@@ -80,7 +80,7 @@ def usual_path(source: str) -> Path:
 def guard(source: str, options: dict[str, str], baseline: Path | None = None) -> Guarded:
     """Load a scene or model file for its baseline, which is at its usual place if None."""
     path = baseline or usual_path(source)
-    options = excited(source, made_with(source, path, options))
+    options = with_excitation(source, made_with(source, path, options))
     scene, mapping = load_scene(source, options)
     return Guarded(source, options, scene, path, mapping)
 

@@ -25,7 +25,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from crosscheck.compare.activity import what_acted
-from crosscheck.loading.model_files import is_urdf
+from crosscheck.loading.model_files import is_urdf_file
 from crosscheck.report.outcome import ExitStatus, Outcome
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, texts
@@ -139,7 +139,7 @@ def run_model(folder: Path, repository: Repository, entry: ListedModel, output: 
     home = folder / repository.repository
     path = home / entry.file
     options = repository.options | entry.options
-    if not is_urdf(entry.file):
+    if not is_urdf_file(entry.file):
         options = {"root": str(home)} | options
     if "loops" in options:
         options["loops"] = str(path.parent / str(options["loops"]))

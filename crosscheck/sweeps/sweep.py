@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Unpack, cast
 import numpy as np
 
 from crosscheck.engines.engine import ENGINES, choose
-from crosscheck.loading.load import excited, load_scene
+from crosscheck.loading.load import load_scene, with_excitation
 from crosscheck.report.output import own_name
 from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal
@@ -247,7 +247,7 @@ def sweep(
         ('run', 'joint')
     """
     check_choices("option", options, Execution.__annotations__)
-    given = excited(scene, {})
+    given = with_excitation(scene, {})
     read, mapping = load_scene(scene, given)
     loaded = replace(own_scene(scene, read), outputs=frozenset(OUTPUTS))
     threads, executor = options.pop("threads", None), options.pop("executor", None)

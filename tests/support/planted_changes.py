@@ -19,7 +19,7 @@ from crosscheck.compare.coverage import Coverage, coverage
 from crosscheck.compare.runs import compare_runs
 from crosscheck.engines.engine import ENGINES, Engine
 from crosscheck.library import load
-from crosscheck.loading.model_files import is_model
+from crosscheck.loading.model_files import is_model_file
 from crosscheck.studies.faults import injection
 from crosscheck.studies.faults.injection import Injection
 from crosscheck.support.errors import CrosscheckError
@@ -182,6 +182,6 @@ def _more(function: TimeFunction) -> TimeFunction:
 
 def shortened(source: str, duration: float) -> Scene:
     """A scene by name or file, excited, of so many s at most."""
-    options = {"excitation": "on"} if is_model(source) else {}
+    options = {"excitation": "on"} if is_model_file(source) else {}
     scene = load(source, **options)
     return replace(scene, duration=min(scene.duration, duration))

@@ -12,7 +12,7 @@ import numpy as np
 from crosscheck.compare.activity import what_acted
 from crosscheck.compare.two_models.align import Aligned
 from crosscheck.library.options import titled
-from crosscheck.loading.model_files import is_model, is_urdf
+from crosscheck.loading.model_files import is_model_file, is_urdf_file
 from newton_euler.model.scene import Scene
 from newton_euler.reading.activity import Bounds
 from newton_euler.reading.import_report import (
@@ -208,9 +208,9 @@ def _only_in_one(
 
 
 def _format(model: Model) -> str:
-    if not is_model(model.source):
+    if not is_model_file(model.source):
         return "scene"
-    return "URDF" if is_urdf(model.source) else "MJCF"
+    return "URDF" if is_urdf_file(model.source) else "MJCF"
 
 
 def is_mjcf(model: Model) -> bool:
