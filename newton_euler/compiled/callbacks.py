@@ -1,4 +1,9 @@
-"""Python that native code calls: nothing is raised into native code, and interrupts end runs."""
+"""Python functions that native integrators call back, with safe handling of exceptions and Ctrl-C.
+
+An exception must not pass through native code. A callback therefore stores the exception and asks the native
+integrator to stop. Ctrl-C (SIGINT) during native code is stored in the same way, and handled after native
+code has returned.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +21,18 @@ from newton_euler.integrators.stepper import STOP_ALL_RUNS, Count
 from newton_euler.scalars import Array
 
 EQUATION_ERRORS = (NewtonEulerError, np.linalg.LinAlgError)
-"""Errors of the equations at a state; all others are mistakes of the program, or the user's wish to stop."""
+"""Exceptions that the equations of motion raise at a state without a solution, such as a singular one.
+
+Every other exception is a programming error or an interrupt, and ends the run."""
 
 
 class PythonCallback:
-    """A Python function that native code calls, with addresses of x and y and the lanes that are on.
+    """A Python function that native code can call through an address.
 
     Attributes:
-        function: the function.
-        address: of the native callback, valid as long as this object lives.
+        function: called with the addresses of an input vector x and a result vector y (doubles), and a bit
+            mask of the active lanes. A lane is one of several runs that native code integrates side by side.
+        address: address of the native callback, valid as long as this object lives.
     """
 
     def __init__(self, function: Callable[[int, int, int], None]) -> None:
@@ -34,41 +42,47 @@ class PythonCallback:
 
 
 def vector_at(address: int, size: int) -> Array:
-    """Return the doubles at an address as an array."""
+    """Return the doubles at a memory address as an array (size,) that shares this memory."""
     return np.ctypeslib.as_array((ctypes.c_double * size).from_address(address))
 
 
 class Callbacks:
-    """Python functions that native code calls in a run, what they raised, and interrupts.
+    """Callbacks of one native run, with the exceptions that they raised and the interrupts of the user.
 
     Attributes:
-        counts: (COUNTS,) of the run, or (COUNTS, lanes) of as many, see `newton_euler.integrators.stepper`.
-        pause: callback that asks whether the user wants to stop.
-        error: error of the equations in the last call, for which the native method has an answer, such as a
-            shorter step; None if the last call had none.
-        fatal: what ended the run, None if nothing did.
+        counts: counters of the run (COUNTS,), or of several runs (COUNTS, lanes); see
+            `newton_euler.integrators.stepper.Count`. The counter `STOP_REQUEST` tells native code to stop.
+        pause: callback by which native code asks whether the user wants to stop.
+        error: exception of the equations in the last call, None without one. The integrator can recover, for
+            example by a shorter step.
+        fatal: exception that ended the run, None without one.
     """
 
     def __init__(self, counts: Array, stopped: Sequence[bool] = ()) -> None:
-        """A run stops if `stopped`, which other threads may fill, holds something."""
+        """Store the counters and prepare the `pause` callback.
+
+        Args:
+            counts: see the attributes of this class.
+            stopped: a list that other threads may append to; the run stops if the list is not empty.
+        """
         self.counts, self._stopped, self._interrupted = counts, stopped, False
         self.error: Exception | None = None
         self.fatal: BaseException | None = None
         self.pause = PythonCallback(self._pause)
 
     def begin(self) -> None:
-        """Forget what an earlier run left."""
+        """Clear the exceptions of an earlier run."""
         self.error = self.fatal = None
 
     def guarded(
         self, function: Callable[[int, int, int], None], failed: Callable[[int, int], None] | None = None
     ) -> PythonCallback:
-        """Return a callback that keeps what the function raises.
+        """Wrap a function in a callback that stores exceptions instead of raising them.
 
         Args:
-            function: gets the addresses of x and y and the lanes that are on.
-            failed: marks the results at the address of y as those of a state without an answer, in the lanes
-                that are on. Without it, any error ends the run.
+            function: called with the addresses of x and y and the bit mask of the active lanes.
+            failed: called with the address of y and the mask after an exception; marks the results of the
+                active lanes as invalid. If None, any exception ends the run.
         """
 
         def call(x: int, y: int, on: int) -> None:
@@ -89,19 +103,23 @@ class Callbacks:
         return PythonCallback(call)
 
     def _end(self, on: int) -> None:
-        """End the runs in the lanes that are on at their next step."""
+        """Ask native code to end the runs of the active lanes (bit mask `on`) at their next step."""
         self.counts[Count.STOP_REQUEST] = STOP_ALL_RUNS
 
-    def _pause(self, counts: int, wish: int, on: int) -> None:
-        """Python runs signal handlers here, between two of its own instructions."""
+    def _pause(self, counts: int, request: int, on: int) -> None:
+        """Request a stop if the user has pressed Ctrl-C or another thread has asked for one.
+
+        Python runs pending signal handlers while this function executes. `request` is the address of the
+        stop request of native code.
+        """
         if self._interrupted or self._stopped:
-            vector_at(wish, 1)[0] = STOP_ALL_RUNS
+            vector_at(request, 1)[0] = STOP_ALL_RUNS
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Turn an interrupt during native code into a wish to stop, and call its handler afterwards."""
+        """Turn Ctrl-C during native code into a stop request, and call the usual handler afterwards."""
         handler = signal.getsignal(signal.SIGINT)
-        in_main = threading.current_thread() is threading.main_thread()  # which alone handles signals
+        in_main = threading.current_thread() is threading.main_thread()  # only this thread handles signals
         if not in_main or not callable(handler):
             yield
             return
@@ -119,16 +137,17 @@ class Callbacks:
 
 
 class DenseCallbacks(Callbacks):
-    """Callbacks with one for the dense form of the equations.
+    """Callbacks of runs whose compiled equations fall back to Python near singular configurations.
 
     Attributes:
-        derivative: callback that writes n rates and 1.0, or anything and -1.0 if there are none.
+        derivative: callback that solves the equations of motion by dense linear algebra. The callback writes
+            the n rates of a state followed by 1.0, or by -1.0 if the equations have no solution.
     """
 
     derivative: PythonCallback
 
 
 def raise_fatal(callbacks: Callbacks) -> None:
-    """Raise what ended native code other than a run."""
+    """Raise the fatal exception that a callback stored during a native call, if there is one."""
     if callbacks.fatal is not None:
         raise callbacks.fatal

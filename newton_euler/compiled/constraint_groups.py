@@ -1,7 +1,9 @@
-"""Groups of coordinates and velocities that constraints connect: each loop, or each set of coupled loops.
+"""Groups of coordinates and velocities that constraints connect: one group per loop or set of coupled loops.
 
-Projection changes the coordinates and velocities of one group without those of another, and leaves alone what
-no constraint touches: a rotor or a cart beside a linkage.
+Projection returns a state to the constraints after an integration step. The integrator projects each group of
+coordinates separately. Coordinates without constraints, such as those of a rotor next to a linkage, belong to
+no group and are never changed. Input is a system of equations; output is a group number per coordinate and
+velocity.
 """
 
 from __future__ import annotations
@@ -12,46 +14,58 @@ from newton_euler.equations.system import System
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-TURN = 0.3
-"""Dimensionless size of a random step to a configuration in which no elements vanish by alignment."""
-
-SHIFT = 1e-6
-"""Dimensionless size of a step that shows which coordinates move with which velocities."""
-
 
 @np.errstate(all="ignore")
 def constraint_groups(system: System) -> Array:
-    """Number the groups of q and v (nq + nv,) that constraints connect, from 1; 0 for what none touches.
+    """Number the groups of coordinates and velocities that constraints connect.
 
-    The numbers come from the nonzeros of the constraint Jacobian in one configuration.
+    Returns:
+        (nq + nv,) group numbers from 1 of the elements of q and v; 0 for an element without constraints.
     """
+    # groups of velocities: nonzeros of the constraint Jacobian in a random configuration, in which no
+    # element vanishes because axes are aligned; steps are dimensionless
     rng, units = np.random.default_rng(0), system.velocity_units
     q = system.coordinates(State.initial(system.mechanism))[0]
-    q = system.retract(q, units * rng.uniform(-TURN, TURN, system.nv))
+    q = system.retract(q, units * rng.uniform(-0.3, 0.3, system.nv))
     of_v = connected(system.phi_jacobian(q) != 0.0)
-    # each coordinate moves by the number of its group times what it moves if all groups move alike
-    step, at = SHIFT * units * rng.uniform(0.5, 1.5, system.nv), system.retract(q, np.zeros(system.nv))
+    # groups of coordinates: move along a small step, then along the same step times the group number of each
+    # velocity; the ratio of the two displacements of a coordinate is the number of its group
+    shift = 1e-6
+    step, at = shift * units * rng.uniform(0.5, 1.5, system.nv), system.retract(q, np.zeros(system.nv))
     alike, numbered = (system.retract(q, factor * step) - at for factor in (np.ones(system.nv), of_v))
-    moves = np.abs(alike) > 1e-3 * SHIFT * units.min(initial=1.0)
+    moves = np.abs(alike) > 1e-3 * shift * units.min(initial=1.0)
     of_q = np.where(moves, np.clip(np.rint(numbered / alike), 0.0, of_v.max(initial=0.0)), 0.0)
-    for place in system.quaternions:
-        of_q[place] = of_q[place].max()
+    for quaternion in system.quaternions:  # its four elements belong together
+        of_q[quaternion] = of_q[quaternion].max()
     return np.concatenate([of_q, of_v])
 
 
 def connected(nonzero: Array) -> Array:
-    """Number the columns (n,) that rows of a matrix of booleans (k, n) connect, from 1; 0 for empty ones."""
+    """Number the connected components of columns of a boolean matrix; a row connects the columns it marks.
+
+    Args:
+        nonzero: (k, n) matrix.
+
+    Returns:
+        (n,) component numbers from 1; 0 for a column without a True element.
+    """
     labels = np.where(nonzero.any(axis=0), np.arange(1, nonzero.shape[1] + 1), 0)
     for row in nonzero[nonzero.any(axis=1)]:
-        met = np.unique(labels[row])
-        labels[np.isin(labels, met)] = met[0]
+        merged = np.unique(labels[row])
+        labels[np.isin(labels, merged)] = merged[0]
+    # renumber the remaining labels 0, 1, 2, ...; the appended 0 makes sure that 0 stays 0
     return np.unique(np.append(labels, 0), return_inverse=True)[1][:-1].astype(float)
 
 
 def group_places(groups: Array, nq: int) -> Array:
-    """List the places in a state (q, v) of the members of each group, for native code.
+    """List the indices of the members of each group in a state (q, v), in a format for native code.
 
-    Each group is written as: number of coordinates, their places, number of velocities, their places.
+    Args:
+        groups: (nq + nv,) group numbers of `constraint_groups`.
+        nq: number of coordinates.
+
+    Returns:
+        For each group: number of coordinates, their indices, number of velocities, their indices.
     """
     found: list[float] = []
     for group in np.unique(groups[groups > 0.0]):

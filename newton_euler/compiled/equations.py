@@ -1,8 +1,13 @@
-"""A scene compiled: its equations traced, pruned to what is wanted, and turned into native code.
+"""Equations of motion of a scene as native functions: accelerations, projection, outputs and others.
 
-All functions take one vector x = (q, v, time, flags, parameters) and write one vector. Those that methods of
-integration call are as `newton_euler.integrators.stepper.Equations` says. The flags leave out exchangeable
-constraint rows (`newton_euler.equations.row_choice`); most scenes have none.
+Tracing evaluates the Python equations once over symbolic scalars and records their operations as a program.
+LLVM compiles the program. A program is kept in a cache on disk under a fingerprint of all that it depends on.
+
+All functions take one vector x = (q, v, time, flags, parameters) and write one vector. q and v are the
+coordinates and velocities of the formulation. A flag is 1 if an exchangeable constraint row is left out:
+where loops are redundant, a run may replace one redundant row by another
+(`newton_euler.equations.row_choice`). Most scenes have no such rows.
+`newton_euler.integrators.stepper.Equations` lists the functions for integrators.
 """
 
 from __future__ import annotations
@@ -52,10 +57,12 @@ from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array, Scalar, minimum
 
 MULTI_STATE_GROUPS = (("output",), ("position", "velocity"))
-"""Programs that take several states at once, the same number in each group: outputs are many."""
+"""Names of programs that evaluate several states per call, unless a program of the group is large.
+
+All programs of a group take the same number of states."""
 
 POSITION_OUTPUTS = frozenset({"violation"})
-"""Outputs that depend on q alone, as poses do."""
+"""Outputs of a scene that depend on the coordinates q but not on the velocities; poses always do."""
 
 CACHED_SCENES = 8
 """Number of most recently used scenes whose compiled code stays in memory, for each kind of code."""
@@ -63,38 +70,44 @@ CACHED_SCENES = 8
 NOT_COMPILED_FIELDS = frozenset(
     {"description", "duration", "output_period", "controller", "shapes", "meshes", "times", "values"}
 )
-"""Fields of scenes, control laws, bodies and functions with knots that no equation sees."""
+"""Fields of scenes, control laws, bodies and splines that do not enter the compiled equations.
+
+Samples of a spline (`times`, `values`) are excluded because its current polynomial is an input of the
+code."""
 
 KINEMATIC_PROGRAMS = ("position", "velocity")
-"""Programs that no parameter enters but those of geometry and motions; coverage takes those of the run."""
+"""Names of the projection programs, whose only parameters are those of geometry and prescribed motions."""
 
 OPEN_TOLERANCE = 1e-9
-"""Sizes of the mechanism, or rad, that a constraint may stay open after projection."""
+"""Largest constraint violation after projection: lengths divided by the mechanism's size, or rad."""
 
 
 MAX_ROW_SUMS = 8
-"""Sums of rows that are left out whose shares are looked at. The more there are, the less likely all of their
-shares are small by chance."""
+"""Number of random sums of left-out constraint rows that stand for all rows when more rows are left out.
+
+With 8 sums it is unlikely that a row with a large share in a left-out row has a small share in every sum."""
 
 
 class CompiledEquations:
-    """Native functions of one formulation of a scene. Each is traced and compiled when first needed.
+    """Native functions of one formulation of a scene, each traced and compiled when first needed.
 
     Attributes:
         scene: the scene that is compiled.
-        system: its formulation, whose float form is the reference.
-        formulation: "relative" or "cartesian".
-        stabilization, alpha: as asked for.
-        parameters: names of the parameters that are inputs of the code, with their shapes: pieces of motions
-            first, then those asked for, of geometry and motions before others, pieces of control laws and
-            what sampled controllers hold.
-        kinematic: those of geometry and motions among the parameters that were asked for.
-        piecewise: True if functions of time have pieces.
-        size: length of (q, v).
-        programs: traced so far, by name: derivative, position, velocity, rate, jacobian, output,
-            measured, retract, surface, shares, ratio.
-        functions: native code made or loaded so far, by the same names.
-        trace_time, compile_time: s taken so far; loading from the cache counts as compiling.
+        system: the same equations over floats, the reference for the compiled ones.
+        formulation: "relative" (joint coordinates) or "cartesian" (poses of all bodies).
+        stabilization: "projection", "baumgarte" or "none": how runs keep constraints closed.
+        alpha: 1/s, Baumgarte's parameter.
+        parameters: names and shapes of the parameters that end x. The order is: polynomial pieces of
+            prescribed motions, requested parameters of geometry and motions, other requested parameters,
+            polynomial pieces of control laws, forces held by sampled controllers.
+        kinematic: names of the requested parameters that belong to geometry or prescribed motions.
+        piecewise: True if a function of time consists of polynomial pieces between knots.
+        size: length of a state (q, v).
+        programs: programs traced so far, by name: derivative, position, velocity, rate, jacobian, output,
+            measured, retract, surface, shares, ratio. The method `_trace_NAME` describes the results.
+        functions: native functions compiled or loaded so far, by name; "NAME in lanes" for several runs.
+        trace_time: s spent on tracing so far.
+        compile_time: s spent so far on compiling and on loading from the cache.
     """
 
     def __init__(
@@ -106,19 +119,29 @@ class CompiledEquations:
         parameters: Sequence[str] = (),
         independent: Sequence[int] | None = None,
     ) -> None:
-        """`formulation` is the cheaper one if None; `independent` are rows of closures to use in every
-        configuration. If None, `redundancy` selects the rows at first, and runs exchange them."""
+        """Prepare the equations; nothing is compiled yet.
+
+        Args:
+            scene: the scene to compile.
+            formulation: see `newton_euler.compiled.formulations`; the cheaper one if None.
+            stabilization: see the attributes of this class.
+            alpha: 1/s, Baumgarte's parameter; the default of the stabilization if None.
+            parameters: names of scene parameters that become inputs of the code
+                (`newton_euler.equations.parameters`).
+            independent: numbers of the constraint rows to use in every configuration. If None, rank decisions
+                at the start select the rows, and runs may exchange redundant ones.
+        """
         self.scene = scene
         formulation = formulation or cheaper_formulation(scene.mechanism)
         self._independent, self._named = independent, tuple(parameters)
         self.formulation, self.stabilization = formulation, stabilization
         self.alpha = baumgarte_alpha(stabilization, alpha)
         self.system = formulate(scene, formulation, self.alpha)
-        of_functions = list(pieces(scene, 0.0))
+        of_functions = list(pieces(scene, 0.0))  # names of the polynomial pieces of functions of time
         of_motions = [name for name in of_functions if name.startswith("motions")]
         self.piecewise = len(of_functions) > 0
-        found = places(scene, parameters)
-        self.kinematic = tuple(name for name, place in found.items() if place.field.moves_loops)
+        requested = places(scene, parameters)
+        self.kinematic = tuple(name for name, place in requested.items() if place.field.moves_loops)
         self._kinematic = (*of_motions, *self.kinematic)
         others = [name for name in parameters if name not in self.kinematic]
         held = [f"{law.prefix}.held" for law in scene.sampled]
@@ -132,63 +155,71 @@ class CompiledEquations:
 
     @cached_property
     def inputs(self) -> int:
-        """Length of (q, v, time, flags, parameters)."""
+        """Length of the input vector x = (q, v, time, flags, parameters)."""
         return self._length(self.parameters)
 
     def _length(self, parameters: Iterable[str]) -> int:
-        """Return the length of x with these parameters."""
+        """Return the length of an input vector x that ends with the named parameters only."""
         return self.flags.stop + sum(int(np.prod(self.parameters[name])) for name in parameters)
 
     @property
     def flags(self) -> slice:
-        """Place in x of the flags, 1 for exchangeable rows that are left out and 0 for those in use."""
+        """Slice of x with the flags: 1 for an exchangeable constraint row that is left out, else 0."""
         return slice(self.size + 1, self.size + 1 + len(self.exchangeable.numbers))
 
     @property
     def operations(self) -> dict[str, int]:
-        """Floating-point operations of each function."""
+        """Number of floating-point operations of each native function made so far, by name."""
         return {name: function.operations for name, function in self.functions.items()}
 
     @property
     def from_cache(self) -> bool:
-        """True if all of it came from the cache."""
+        """True if the machine code of all native functions so far was loaded from the cache on disk."""
         return all(function.module.from_cache for function in self.functions.values())
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The choices that it was made with, as settings of runs have them."""
+        """Formulation, stabilization and alpha, as in `Trajectory.settings`."""
         chosen = {"formulation": self.formulation, "stabilization": self.stabilization}
         return chosen | ({"alpha": self.alpha} if self.stabilization == "baumgarte" else {})
 
     @property
     def projects(self) -> bool:
-        """True if runs are projected onto the constraints, or quaternions at least onto norm 1."""
+        """True if runs project states onto the constraints, or at least quaternions onto norm 1."""
         closes = len(self.system.phi_units) > 0 or len(self.system.quaternions) > 0
         return self.stabilization == "projection" and closes
 
     @cached_property
     def groups(self) -> Array:
-        """Groups (size,) that constraints connect, see `constraint_groups`; none if nothing is projected."""
+        """Group numbers (size,) of coordinates and velocities that constraints connect.
+
+        See `newton_euler.compiled.constraint_groups`; an empty array if runs are not projected.
+        """
         return constraint_groups(self.system) if self.projects else np.zeros(0)
 
     @cached_property
     def loses_rank(self) -> bool:
-        """True if constraints, those of loops and couplings, may become dependent in some configuration."""
+        """True if constraints of loops or couplings may become dependent in a singular configuration."""
         return len(SpanningTree(self.scene.mechanism).cuts) > 0 or len(self.system.couplings) > 0
 
     @cached_property
     def output_state_size(self) -> int:
-        """Number of elements of a state that outputs need: its first nq, or all."""
+        """Number of leading elements of a state that the outputs need: nq, or all."""
         return self.system.nq if self.scene.outputs <= POSITION_OUTPUTS else self.size
 
     @cached_property
     def arrays(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
-        """Place in the results of `output`, and shape, of each array that the scene asks for."""
+        """Slice of the results of the function `output`, and shape, of each array that the scene asks for."""
         layout = self.function("output").layout
         return {name: (slice(start, stop), tuple(shape)) for name, (start, stop, shape) in layout.items()}
 
     def function(self, name: str, in_lanes: bool = False) -> NativeFunction:
-        """Return one of the functions, compiled when first needed; of `lane_count()` states if wanted."""
+        """Return a native function, compiled when first needed.
+
+        Args:
+            name: one of the names of `programs`.
+            in_lanes: True for a function that evaluates `lane_count()` states per call, one for each run.
+        """
         key = f"{name} in lanes" if in_lanes else name
         if key not in self.functions:
             known = self._identity_of(name)
@@ -199,7 +230,7 @@ class CompiledEquations:
         return self.functions[key]
 
     def program(self, name: str) -> Program:
-        """Return one of the programs, traced when first needed."""
+        """Return the operations of a program by name, traced when first needed."""
         if name not in self.programs:
             start = time.perf_counter()
             self.programs[name] = self._trace(name)
@@ -207,7 +238,7 @@ class CompiledEquations:
         return self.programs[name]
 
     def _traced(self, name: str, in_lanes: bool) -> Traced:
-        """Return one of the programs with its layout."""
+        """Return a program by name, with the layout of its results and the number of states per call."""
         group = next((group for group in MULTI_STATE_GROUPS if name in group), ())
         many = len(group) > 0 and all(self.program(other).operations < LARGE for other in group)
         program, layout = self.program(name), self._layouts.get(name)
@@ -216,18 +247,25 @@ class CompiledEquations:
         return Traced(program, many, layout)
 
     def _identity_of(self, name: str) -> str | None:
-        """Fingerprint of everything that a program, or the choice of "rows", depends on."""
+        """Return the fingerprint of all that a program by name, or the choice of constraint "rows", depends
+        on.
+
+        None if the scene contains objects without a fingerprint, such as classes of the user.
+        """
         parameters = self._kinematic if name in KINEMATIC_PROGRAMS else tuple(self.parameters)
         neutral = NOT_COMPILED_FIELDS if name == "output" else NOT_COMPILED_FIELDS | {"outputs"}
         return self._fingerprint(parameters, neutral)
 
     @cached_property
     def _fingerprint(self) -> Callable[[tuple[str, ...], frozenset[str]], str | None]:
-        """Fingerprint of the scene with parameters, but for neutral fields, worked out once."""
+        """Function that computes the fingerprint from names of parameters and names of fields to ignore.
+
+        The function remembers its results.
+        """
         chosen: list[Any] = [self.formulation, self.stabilization, self.alpha, self.scene.tracks_work]
         if self._independent is not None:
             chosen.append(tuple(self._independent))
-        # the choice of rows begins where the scene does
+        # constraint rows are selected at the scene's initial pose, which depends on prescribed motions
         chosen += [float(motion.function.value(0.0)) for motion in self.scene.motions]
 
         def found(parameters: tuple[str, ...], neutral: frozenset[str]) -> str | None:
@@ -238,23 +276,27 @@ class CompiledEquations:
 
     @cached_property
     def _decided(self) -> tuple[RowsInUse, ExchangeableRows, bool, tuple[NearlyRedundant, ...]]:
-        """Rows in use, exchangeable rows, True if multipliers are not unique, weak constraints."""
+        """Rank decisions for the constraints, from the cache on disk if possible.
+
+        Returns:
+            Constraint rows in use; exchangeable rows among them; True if redundant constraints make the
+            reactions non-unique; constraints that are almost redundant.
+        """
         known = self._identity_of("rows")
         key = known and cache_key(known, "rows")
         stored = read_cache(key) if key else None
         if stored is not None:
-            with suppress(
-                ValueError, TypeError, RecursionError
-            ):  # of something else than what is written below
+            # an entry of another format than the one written below raises one of these errors
+            with suppress(ValueError, TypeError, RecursionError):
                 rows, exchangeable, redundant, nearly = json.loads(stored)
                 weak = tuple(NearlyRedundant(*each) for each in nearly)
                 return RowsInUse(*rows), ExchangeableRows(*exchangeable), bool(redundant), weak
-        with np.errstate(all="ignore"):  # forces that overflow are for a run to report
+        with np.errstate(all="ignore"):  # a run reports forces that overflow
             found = mobility(self.scene)
             exchange = exchangeable_rows(self.system) if self._independent is None else NO_ROWS
             chosen = rows_in_use(self.system, self._independent, exchange)._replace(flags=None)
         unused = len(self.system.phi_units) - len(chosen.numbers) + sum(exchange.left_out)
-        if isinstance(self.system, Relative):  # where rows may be zero everywhere
+        if isinstance(self.system, Relative):  # unused rows of this form may be zero and not redundant
             unused = len(found.redundant)
         decided = chosen, exchange, unused > 0, found.nearly
         if key:
@@ -263,12 +305,12 @@ class CompiledEquations:
 
     @property
     def rows(self) -> RowsInUse:
-        """Constraint rows that imply all others; exchangeable ones are among them."""
+        """Constraint rows that imply all other rows, exchangeable rows included."""
         return self._decided[0]
 
     @property
     def exchangeable(self) -> ExchangeableRows:
-        """Constraint rows among which a run chooses."""
+        """Constraint rows of which some are redundant; a run chooses which of them to leave out."""
         return self._decided[1]
 
     @property
@@ -278,34 +320,44 @@ class CompiledEquations:
 
     @property
     def redundant(self) -> bool:
-        """True if reactions are not unique."""
+        """True if redundant constraints make the joint reactions non-unique."""
         return self._decided[2]
 
     @property
     def nearly_redundant(self) -> tuple[NearlyRedundant, ...]:
-        """Constraints that are almost redundant, and their treatment."""
+        """Constraints that are almost redundant; each entry tells whether they are kept or ignored."""
         return self._decided[3]
 
     @property
     def noise(self) -> float:
-        """The largest singular value that is taken as redundant, 0 for none."""
+        """Largest dimensionless singular value of constraints that are treated as redundant; 0 for none."""
         return residual(self.nearly_redundant)
 
     @cached_property
     def omitted(self) -> list[int]:
-        """Constraint rows that are taken as redundant and are not, quite: all but those in use."""
+        """Numbers of the constraint rows not in use, if some of them are only almost redundant; else empty.
+
+        Loops cannot satisfy such rows exactly, so that projection allows them a larger violation.
+        """
         if self.noise == 0.0:
             return []
         return sorted(set(range(len(self.system.phi_units))) - set(self.rows.numbers))
 
     def packed(self, q: Array, v: Array, time: float = 0.0, values: dict[str, Array] | None = None) -> Array:
-        """Pack x (inputs,) for native functions; parameters not in `values` are the scene's own."""
+        """Pack the input vector x (inputs,) of native functions.
+
+        Args:
+            q: (nq,) coordinates.
+            v: (nv,) velocities.
+            time: s.
+            values: values of parameters by name; all others have the scene's own values.
+        """
         own = parameter_values(self.scene, self.parameters) | pieces(self.scene, time) | (values or {})
         flags = self.exchangeable.left_out
         return np.concatenate([q, v, [time], flags, *(np.ravel(own[name]) for name in self.parameters)])
 
     def float_system(self, x: Array) -> Formulation:
-        """Return the float form at the time and the parameters in x (inputs,)."""
+        """Return the equations over floats at the time and the parameters in x (inputs,)."""
         system = self.system
         if self.parameters:
             system = self._formulated(with_values(self.scene, self.values(x)))
@@ -319,66 +371,74 @@ class CompiledEquations:
         return system
 
     def parametrized(self, x: Array) -> Scene:
-        """Return the scene with the values in x (inputs,) of the parameters that were asked for."""
+        """Return the scene with the values that x (inputs,) has for the requested parameters."""
         return with_values(self.scene, self.values(x, self._named)) if self._named else self.scene
 
     def place(self, parameter: str) -> int:
-        """Return the place where a parameter begins in x (inputs,)."""
+        """Return the index in x (inputs,) at which a parameter begins.
+
+        Raises:
+            UnknownNameError: for a name that is no parameter of this code.
+        """
         if parameter not in self.parameters:
             raise UnknownNameError("parameter", parameter, tuple(self.parameters))
         return self._places[parameter]
 
     @cached_property
     def _places(self) -> dict[str, int]:
-        """The place of each parameter by name."""
+        """Index in x at which each parameter begins, by name."""
         sizes = [int(np.prod(shape)) for shape in self.parameters.values()]
         starts = accumulate(sizes, initial=self.flags.stop)
         return dict(zip(self.parameters, starts, strict=False))
 
     def values(self, x: Array, names: Iterable[str] | None = None) -> dict[str, Any]:
-        """Return these parameters, or all, in x (inputs,), by name."""
+        """Return the values that x (inputs,) has for some parameters, or for all if `names` is None."""
         values = {}
         for name in self.parameters if names is None else names:
             start, shape = self._places[name], self.parameters[name]
             values[name] = x[start : start + int(np.prod(shape))].reshape(shape) if shape else x[start]
         return values
 
-    # Tracing
+    # Tracing: each method `_trace_NAME` evaluates one program over symbolic scalars q and v
 
     def _trace(self, name: str) -> Program:
-        """Trace a program; those whose results have names leave their layout in `_layouts`."""
+        """Trace a program by name. Programs whose results need a description store it in `_layouts`."""
         graph = Graph()
         names = self._kinematic if name in KINEMATIC_PROGRAMS else tuple(self.parameters)
         x = graph.variables(self._length(names))
         return graph.prune(self._scalars(name, self._system_of(x, names), x))
 
     def _system_of(self, x: Array, names: Iterable[str]) -> Formulation:
-        """Return the equations over scalars x (inputs,), which end with these parameters."""
+        """Return the equations of the scene over symbolic scalars x, which end with the named parameters."""
         scene = with_values(self.scene, self.values(x, names))
         system = at_time(self._formulated(scene), x[self.size])
         system.in_use = self.rows_at(x)
         return system
 
     def rows_at(self, x: Array) -> RowsInUse:
-        """Return the constraint rows with the flags in x (inputs,)."""
+        """Return the constraint rows in use, with the flags in x (inputs,) of those left out."""
         numbers = self.exchangeable.numbers
-        return (
-            self.rows._replace(flags=dict(zip(numbers, x[self.flags], strict=True))) if numbers else self.rows
-        )
+        if not numbers:
+            return self.rows
+        return self.rows._replace(flags=dict(zip(numbers, x[self.flags], strict=True)))
 
     def _scalars(self, name: str, system: Formulation, x: Array) -> list[Scalar]:
-        """Evaluate a program at x (inputs,)."""
+        """Evaluate the results of a program by name over symbolic scalars x (inputs,)."""
         q, v = x[: system.nq], x[system.nq : self.size]
         scalars: list[Scalar] = getattr(self, f"_trace_{name}")(system, q, v)
         return scalars
 
     def _trace_derivative(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Trace (qdot, vdot, pivot ratio)."""
+        """Trace (dq/dt, dv/dt, pivot ratio).
+
+        The pivot ratio is the smallest pivot of the elimination divided by its usual size: 1 far from a
+        singular configuration, at most 0 if the elimination fails.
+        """
         acceleration, pivot_ratio = system.sparse_acceleration(q, v, used_by(system))
         return [*system.rate(q, v), *acceleration, minimum(pivot_ratio, 1.0)]
 
     def _trace_jacobian(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Trace the derivative (n, n) of (qdot, vdot) by (q, v), row by row."""
+        """Trace the Jacobian (n, n) of (dq/dt, dv/dt) with respect to (q, v), row by row."""
         if self.size == 0:
             return []
         acceleration, _ = system.sparse_acceleration(q, v, used_by(system))
@@ -386,19 +446,22 @@ class CompiledEquations:
         return list(differentiate(q[0].graph, rates, [*q, *v]).ravel())
 
     def _trace_rate(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Trace qdot."""
+        """Trace dq/dt."""
         return [*system.rate(q, v)]
 
     def _trace_position(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Trace (q after one Newton step, v, squared residual before it, pivot ratio)."""
+        """Trace one Newton step onto the constraints: (new q, v, squared residual before, pivot ratio)."""
         norms = [q[place] @ q[place] - 1.0 for place in system.quaternions]
         q = system.retract(q, np.zeros(system.nv))  # quaternions of norm 1
         phi, step, pivot_ratio = self._correction(system, q, None)
-        square = self._open(phi) + sum(norm * norm for norm in norms)
+        square = self._squared_violation(phi) + sum(norm * norm for norm in norms)
         return [*system.retract(q, -step), *v, square, pivot_ratio]
 
-    def _open(self, phi: Array) -> Scalar:
-        """Square dimensionless residuals (k,); rows that are omitted may open by more than the others."""
+    def _squared_violation(self, phi: Array) -> Scalar:
+        """Compute the squared norm of dimensionless constraint residuals (k,).
+
+        Rows in `omitted` have a smaller weight, because their violation may be larger.
+        """
         weights = np.ones(len(phi))
         if self.omitted:
             weights[self.omitted] = OPEN_TOLERANCE / loosely_closed(self.scene.redundancy_tolerance)
@@ -406,14 +469,21 @@ class CompiledEquations:
         return weighted @ weighted
 
     def _trace_velocity(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Trace (q, v on the constraints, squared residual of positions, pivot ratio)."""
+        """Trace the projection of velocities: (q, new v, squared residual of positions, pivot ratio)."""
         phi, step, pivot_ratio = self._correction(system, q, v)
-        return [*q, *(v - step), self._open(phi), pivot_ratio]
+        return [*q, *(v - step), self._squared_violation(phi), pivot_ratio]
 
     def _correction(self, system: Formulation, q: Array, v: Array | None) -> tuple[Array, Array, Scalar]:
-        """Find residuals, the least step (nv,) that removes them or their rate at v, and its pivot ratio.
+        """Compute the shortest step that removes the constraint residuals, or their rates.
 
-        All but the step is dimensionless.
+        Args:
+            system: the equations.
+            q: (nq,) coordinates.
+            v: (nv,) velocities, to remove the rates of the residuals; None to remove the residuals.
+
+        Returns:
+            Dimensionless residuals (k,) at q; the step (nv,), m or rad, or per s; the pivot ratio of the
+            least-squares problem.
         """
         units = system.velocity_units
         phi, jacobian = system.phi_and_jacobian(q)
@@ -428,57 +498,73 @@ class CompiledEquations:
         return phi, least, minimum(pivot_ratio, 1.0)
 
     def _trace_ratio(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Trace the pivot ratio of the constraints alone."""
+        """Trace the pivot ratio of the constraint Jacobian alone, without masses."""
         rows = dimensionless_rows(system, system.phi_and_jacobian(q)[1], self.rows.numbers)
         usual = constraint_scales(self.system, self._independent, self.exchangeable)
         return [minimum(gram_factor(rows, used_by(system), usual).pivot_ratio, 1.0)]
 
     def pivot_ratio(self, x: Array) -> float:
-        """Evaluate the pivot ratio at x (inputs,), as methods of integration see it."""
+        """Evaluate the pivot ratio at x (inputs,) in the same way as integrators do.
+
+        The result is 1 far from singular configurations and falls to 0 at a singular one.
+        """
         if not self.loses_rank:
             return 1.0
         ratio = float(self.function("derivative")(x)[-1])
-        return (
-            ratio_for_steps(ratio, float(self.function("ratio")(x)[0])) if ratio < NEAR_PIVOT_RATIO else ratio
-        )
+        if ratio < NEAR_PIVOT_RATIO:
+            ratio = ratio_for_steps(ratio, float(self.function("ratio")(x)[0]))
+        return ratio
 
     def _trace_shares(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Trace the square of the largest share of a row in use in one left out, and the nonzeros of rows.
+        """Trace what a run needs to decide whether to exchange constraint rows.
 
-        If many rows are exchangeable, it is the largest share in some sums of rows with random signs. The
-        layout has the places of nonzeros in the matrix (k, nv) of all rows, dimensionless.
+        A left-out row is a combination of the rows in use; the coefficient of a row in use is its share. A
+        share far above 1 shows that the left-out row would be the better choice.
+
+        Returns:
+            The square of the largest share, then the nonzeros of the dimensionless constraint Jacobian. The
+            layout lists the indices of the nonzeros in the flattened matrix (k, nv).
         """
+        # matrix of the rows in use, factorized; weights (sums, left-out rows): each row alone, or, if there
+        # are many, sums of all rows with random signs
         exchange, used = self.exchangeable, used_by(system)
         rows = dimensionless_rows(system, system.phi_and_jacobian(q)[1], self.rows.numbers)
         factor, flags, count = gram_factor(rows, used), used.flags or {}, len(exchange.numbers)
         weights = np.eye(count)
         if count > MAX_ROW_SUMS:
             weights = np.random.default_rng(0).choice([-1.0, 1.0], (MAX_ROW_SUMS, count))
-        places = [used.numbers.index(number) for number in exchange.numbers]
-        worst: Scalar = 0.0
+        positions = [used.numbers.index(number) for number in exchange.numbers]  # among the rows
+        worst: Scalar = 0.0  # minus the square of the largest share
         for signs in weights / np.array(exchange.units):
+            # the row or sum of rows that is left out: flags are 0 for rows in use
             total: dict[int, Scalar] = {}
-            for place, number, sign in zip(places, exchange.numbers, signs, strict=True):
-                for k, entry in rows[place].items() if sign != 0.0 else ():
+            for position, number, sign in zip(positions, exchange.numbers, signs, strict=True):
+                for k, entry in rows[position].items() if sign != 0.0 else ():
                     add(total, k, flags[number] * (sign * entry))
+            # its combination of the rows in use
             right = {n: dot(row, total) for n, row in enumerate(rows)}
             shares = factor.solve({n: x for n, x in right.items() if not is_zero(x)})
-            for place, unit in zip(places, exchange.units, strict=True):
-                share = unit * shares.get(place, 0.0)
+            for position, unit in zip(positions, exchange.units, strict=True):
+                share = unit * shares.get(position, 0.0)
                 worst = minimum(worst, -(share * share))
         self._layouts["shares"] = [system.nv * n + k for n, row in enumerate(rows) for k in row]
         return [-worst, *(entry for row in rows for entry in row.values())]
 
     def _trace_retract(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Trace q moved by a step (nv,) that stands in place of v."""
+        """Trace q after a step. The step (nv,), m or rad, is passed in place of the velocities v."""
         return [*system.retract(q, v)]
 
     def _trace_surface(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Trace (Phi, dPhi/dt, nonzeros of Phi_q, nonzeros of M on and below its diagonal), dimensionless.
+        """Trace what dense projection near a singular configuration needs, all dimensionless.
 
-        The layout has the number of rows and the places of nonzeros. Rows that are omitted, or zero
-        everywhere, are left out.
+        Constraint rows in `omitted` and rows that are zero everywhere are left out.
+
+        Returns:
+            Constraint residuals Phi, their rates dPhi/dt, nonzeros of the constraint Jacobian Phi_q, nonzeros
+            of the mass matrix M on and below its diagonal. The layout has the number of rows, and the indices
+            of the nonzeros in the flattened matrices Phi_q (k, nv) and M (nv, nv).
         """
+        # residuals and their rates
         units, phi_units = self.system.velocity_units, self.system.phi_units
         phi, jacobian = system.phi_and_jacobian(q)
         phi_t = system.phi_t()
@@ -487,10 +573,12 @@ class CompiledEquations:
         for i in kept:
             rate = sum(x * v[k] for k, x in jacobian[i].items()) + phi_t[i]
             scalars.append(rate / phi_units[i])
+        # constraint Jacobian
         on_jacobian: list[int] = []
         for row, i in enumerate(kept):
             on_jacobian.extend(system.nv * row + k for k in jacobian[i])
             scalars.extend(x * (units[k] / phi_units[i]) for k, x in jacobian[i].items())
+        # lower triangle of the mass matrix
         on_mass: list[int] = []
         for i, entries in enumerate(system.mass_rows(q)):
             lower = [k for k in entries if k <= i]
@@ -500,13 +588,18 @@ class CompiledEquations:
         return scalars
 
     def _trace_output(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Trace the arrays that the scene asks for; the layout has their places and shapes."""
+        """Trace the arrays that the scene asks for, one after another.
+
+        The layout has the first index, the end index and the shape of each array by name.
+        """
+        # 1. evaluate the system; accelerations only if an output needs them
         wanted = self.scene.outputs
         if self.scene.needs_accelerations:
             e, pivot_ratio = system.sparse_evaluation(q, v, used_by(system))
             seen: Observation = e
         else:
             seen = system.observe(q, v)
+        # 2. collect the arrays by name
         state = seen.state
         arrays: dict[str, Any] = {"position": state.position, "quaternion": state.quaternion}
         if state.angles:
@@ -527,21 +620,22 @@ class CompiledEquations:
             arrays["phi"] = system.joint_phi(q)
         if "reactions" in wanted:
             arrays["pivot_ratio"] = np.array(minimum(pivot_ratio, 1.0))
-        places: dict[str, tuple[int, int, tuple[int, ...]]] = {}
+        # 3. one list of scalars and its layout
+        layout: dict[str, tuple[int, int, tuple[int, ...]]] = {}
         scalars: list[Scalar] = []
         for name, array in arrays.items():
-            places[name] = len(scalars), len(scalars) + array.size, array.shape
+            layout[name] = len(scalars), len(scalars) + array.size, array.shape
             scalars.extend(array.ravel())
-        self._layouts["output"] = places
+        self._layouts["output"] = layout
         return scalars
 
     def _trace_measured(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Trace the coordinates of all control laws, then their rates."""
+        """Trace the joint coordinates that controllers measure (m or rad), then their rates."""
         seen = system.measure(q, v)
         return [*(x for x, _ in seen), *(rate for _, rate in seen)]
 
 
 def used_by(system: Formulation) -> RowsInUse:
-    """Return the constraint rows of a system over scalars."""
+    """Return the constraint rows in use of a system over symbolic scalars."""
     assert system.in_use is not None
     return system.in_use

@@ -1,7 +1,10 @@
-"""Equations of motion that Python evaluates, as Pinocchio's are, integrated by native adaptive methods.
+"""Adaptive integration (DOP853, Radau) of equations of motion that Python evaluates, such as Pinocchio's.
 
-Their pivot ratio is the squared ratio of the least singular value of the constraints to the largest one, in
-units of the largest that it has in the configurations of `newton_euler.equations.redundancy.Mobility`.
+The integrator is native code, and calls back into Python for accelerations and for projection onto the
+constraints. Near a singular configuration the constraints become dependent. The distance from it is measured
+by the pivot ratio: the squared ratio of the smallest to the largest singular value of the constraint
+Jacobian, divided by the largest such value in the sample configurations of
+`newton_euler.equations.redundancy.Mobility`.
 """
 
 from __future__ import annotations
@@ -47,17 +50,32 @@ from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
 DIFFERENCE_STEP = 1e-8
-"""Relative difference of coordinates and velocities, absolute (m, rad) for those below 1, for the
-Jacobian."""
+"""Step of the difference quotients for the Jacobian, relative to the magnitude of each coordinate or
+velocity.
+
+The step is absolute (m or rad, or per s) for magnitudes below 1."""
 
 MAX_EVALUATED_STEPS = 50_000
-"""Steps after which an adaptive method gives up, if a run does not say."""
+"""Number of steps at which a run stops, if its option `most_steps` is not set."""
 
 
 def integrate_adaptive(
     system: System, q: Array, v: Array, times: Array, options: Options
 ) -> tuple[Array, dict[str, int], IntegrationError | None]:
-    """Integrate by DOP853 or Radau, as `newton_euler.compiled.interpreted.integrate`."""
+    """Integrate the equations of motion by DOP853 or Radau.
+
+    Args:
+        system: equations of motion that Python evaluates.
+        q: (nq,) initial coordinates.
+        v: (nv,) initial velocities.
+        times: (n,) s, output times; the first is the start.
+        options: integrator and step control.
+
+    Returns:
+        States (q, v) at the output times reached, (rows, nq + nv); numbers of steps and evaluations; the
+        error that stopped the run, None for a complete run.
+    """
+    # one run with a table of its states at the output times
     evaluated = EvaluatedSystem(system, options)
     n, start = system.nq + system.nv, np.concatenate([q, v, times[:1]])
     states = np.zeros((len(times), n))
@@ -72,16 +90,18 @@ def integrate_adaptive(
         states=states,
         tallies=np.zeros((1, COUNTS)),
     )
+    # the integrator and its work arrays
     most = options.most_steps or MAX_EVALUATED_STEPS
     if options.integrator == "Radau":
         method: Any = radau_of(n, n + 1, options, most, evaluated.callback(n * n, evaluated.jacobian))
     else:
         near = options.near(mobility(system.scene).residual, system.mechanism.size)
-        units = np.zeros(n)  # smaller coordinates have the round-off of these, m or rad
+        units = np.zeros(n)  # m or rad: a smaller coordinate has the round-off of this magnitude
         units[: system.nq] = min(1.0, system.mechanism.size)
         method = dop853_of(n, n + 1, options, near, most, units)
+    # integrate
     integrate = METHODS[options.integrator]
-    with evaluated.interruptible(), np.errstate(all="ignore"):  # numbers are checked
+    with evaluated.interruptible(), np.errstate(all="ignore"):  # the integrator rejects infinite numbers
         native_method(integrate)(integrate, evaluated.equations, table, method)
     found = {"steps": int(evaluated.counts[Count.STEPS]), "evaluations": evaluated.evaluations}
     stopped = evaluated.failure(start[:-1], options.integrator, most)
@@ -89,34 +109,44 @@ def integrate_adaptive(
 
 
 class EvaluatedSystem(Callbacks):
-    """A system whose equations native code asks Python for.
+    """Equations of motion in Python, wrapped in callbacks for a native integrator.
 
     Attributes:
-        equations: the record of native code.
-        evaluations: of accelerations so far.
+        equations: record of callbacks and sizes that the native integrator reads.
+        evaluations: number of evaluations of the accelerations so far.
     """
 
     def __init__(self, system: System, options: Options) -> None:
+        """Select the constraint rows in use and wrap the equations.
+
+        Args:
+            system: equations of motion; the callbacks work on a copy.
+            options: integrator and stabilization.
+        """
         super().__init__(np.zeros(COUNTS))
-        self._system = copy.copy(system)  # whose time changes
+        self._system = copy.copy(system)  # a copy, because callbacks change its time
+        # constraint rows in use, and whether the run must watch for singular configurations
         self._kept = np.delete(np.arange(len(system.phi_units)), rows_left_out(system))
         self._phi_units = system.phi_units[self._kept]
         self._rank = constraint_rank(system)
         self.evaluations = 0
         self._usual_ratio = 0.0
-        # only DOP853 places its steps beside singular configurations, and projection keeps the branch
+        # DOP853 alone avoids steps that end at a singular configuration; without projection a run may
+        # continue on another branch of the motion
         watches = options.integrator == "DOP853" and options.projection and self._rank > 0
         if watches:
             states = mobility(system.scene).states
             self._usual_ratio = max(
                 (self._ratio(self._jacobian(system.coordinates(state)[0])) for state in states), default=0.0
             )
+        # marks of the first elements of quaternions, which the integrator normalizes
         n, nq, nv, rows = system.nq + system.nv, system.nq, system.nv, len(self._kept)
         marks = np.zeros(n)
         with_rates = isinstance(system, Cartesian)
         marks[[place.start for place in system.quaternions]] = (
             QUATERNION_WITH_RATES if with_rates else QUATERNION
         )
+        # the record for the native integrator
         groups = constraint_groups(system) if options.projection and rows > 0 else np.zeros(0)
         derivative = self.callback(n + 1, self._derivative)
         self.equations = Equations(
@@ -124,7 +154,7 @@ class EvaluatedSystem(Callbacks):
             nq=nq,
             inputs=n + 1,
             derivative=derivative,
-            dense=derivative,  # which finds no more either
+            dense=derivative,  # there is no second form to fall back to
             loses_rank=int(watches),
             ratio=no_ratio(),
             projecting=int(options.projection and rows > 0),
@@ -154,15 +184,23 @@ class EvaluatedSystem(Callbacks):
         )
 
     def callback(self, size: int, function: Callable[[Array, Array], Array]) -> PythonCallback:
-        """Return a native callback that writes `function(q, v)` (size,), or NaN and last -1.0 if it fails."""
+        """Wrap a function of (q, v) for native code.
+
+        Args:
+            size: length of the result.
+            function: computes the result (size,) from q (nq,) and v (nv,). If it raises an error of the
+                equations, the result is NaN, and -1.0 in its last element.
+        """
         system, inputs = self._system, self._system.nq + self._system.nv + 1
 
         def call(x: int, y: int, on: int) -> None:
+            """Evaluate the function at the state and time at address x; write the result to address y."""
             state = vector_at(x, inputs).copy()
             system.time = float(state[-1])
             vector_at(y, size)[:] = function(state[: system.nq], state[system.nq : -1])
 
         def failed(y: int, on: int) -> None:
+            """Mark the result at address y as missing."""
             results = vector_at(y, size)
             results[:] = np.nan
             results[-1] = -1.0
@@ -170,19 +208,23 @@ class EvaluatedSystem(Callbacks):
         return self.guarded(call, failed)
 
     def _rates(self, q: Array, v: Array) -> Array:
-        """Compute rates of q and v (n,)."""
+        """Compute dq/dt and dv/dt, one vector (n,)."""
         self.evaluations += 1
         return np.concatenate([self._system.rate(q, v), self._system.acceleration(q, v)])
 
     def _derivative(self, q: Array, v: Array) -> Array:
-        """Compute rates of q and v (n,) and the pivot ratio."""
+        """Compute dq/dt and dv/dt, followed by the pivot ratio, one vector (n + 1,)."""
         ratio = 1.0
         if self._usual_ratio > 0.0:
             ratio = max(self._ratio(self._jacobian(q)) / self._usual_ratio, 2.0 * DENSE_PIVOT_RATIO)
         return np.append(self._rates(q, v), ratio)
 
     def jacobian(self, q: Array, v: Array) -> Array:
-        """Compute the derivative (n n,) of the rates by q and v, by one-sided differences."""
+        """Compute the Jacobian of (dq/dt, dv/dt) with respect to (q, v) by one-sided differences.
+
+        Returns:
+            The Jacobian, row by row, (n * n,).
+        """
         at, y = self._rates(q, v), np.concatenate([q, v])
         columns = np.empty((len(y), len(y)))
         for k, h in enumerate(DIFFERENCE_STEP * np.maximum(1.0, np.abs(y))):
@@ -192,26 +234,37 @@ class EvaluatedSystem(Callbacks):
         return columns.T.ravel()
 
     def _jacobian(self, q: Array) -> Array:
-        """Compute the dimensionless Jacobian (k, nv) of the rows of `phi` in use."""
+        """Compute the dimensionless Jacobian (k, nv) of the constraint rows in use at q (nq,)."""
         rows = self._system.phi_jacobian(q)[self._kept]
         return np.asarray(rows * self._system.velocity_units / self._phi_units[:, None])
 
     def _ratio(self, jacobian: Array) -> float:
-        """Compute the squared ratio of the least singular value that constraints have to the largest one."""
+        """Compute the squared ratio of the smallest to the largest singular value of a Jacobian (k, nv).
+
+        Singular values beyond the rank of the constraints are ignored.
+        """
         values = np.linalg.svd(jacobian, compute_uv=False)
         return float((values[self._rank - 1] / values[0]) ** 2)
 
     def _position(self, q: Array, v: Array) -> Array:
-        """Make a Newton step: q and v (n,), the squared residual before it and its pivot ratio."""
+        """Take one Newton step from q onto the constraints.
+
+        Returns:
+            New q, v, squared dimensionless residual before the step, pivot ratio; one vector (n + 2,).
+        """
         phi = self._system.phi(q)[self._kept] / self._phi_units
-        left = float(phi @ phi)
-        if left < RESIDUAL_ROUND_OFF**2:
-            return np.concatenate([q, v, [left, 1.0]])
+        residual = float(phi @ phi)
+        if residual < RESIDUAL_ROUND_OFF**2:
+            return np.concatenate([q, v, [residual, 1.0]])
         step, ratio = self._least_step(self._jacobian(q), phi)
-        return np.concatenate([self._system.retract(q, -step), v, [left, ratio]])
+        return np.concatenate([self._system.retract(q, -step), v, [residual, ratio]])
 
     def _velocity(self, q: Array, v: Array) -> Array:
-        """Project velocities: q and v (n,), the squared residual of q and the pivot ratio."""
+        """Project the velocities v onto those that keep the constraints closed.
+
+        Returns:
+            q, new v, squared dimensionless residual at q, pivot ratio; one vector (n + 2,).
+        """
         phi = self._system.phi(q)[self._kept] / self._phi_units
         rows = self._system.phi_jacobian(q)
         excess = rate_of_phi(self._system, rows, v)[self._kept] / self._phi_units
@@ -220,7 +273,11 @@ class EvaluatedSystem(Callbacks):
         return np.concatenate([q, v - step, [float(phi @ phi), ratio]])
 
     def _least_step(self, jacobian: Array, residual: Array) -> tuple[Array, float]:
-        """Compute the shortest step (nv,), SI, that makes up for a residual (k,), and its pivot ratio."""
+        """Compute the shortest step that a dimensionless residual (k,) corresponds to, by singular values.
+
+        Returns:
+            The step (nv,), m or rad, and the pivot ratio of the dimensionless Jacobian (k, nv).
+        """
         if self._rank == 0:
             return np.zeros(len(jacobian.T)), 1.0
         u, s, vt = singular_values(jacobian)
@@ -229,7 +286,12 @@ class EvaluatedSystem(Callbacks):
         return step, float((s[-1] / s[0]) ** 2)
 
     def _surface(self, q: Array, v: Array) -> Array:
-        """Evaluate Phi, dPhi/dt, Phi_q and M, dimensionless."""
+        """Evaluate what dense projection near a singular configuration needs, all dimensionless.
+
+        Returns:
+            Constraint residuals Phi (k,), their rates dPhi/dt (k,), the constraint Jacobian Phi_q (k, nv) and
+            the mass matrix M (nv, nv); one vector.
+        """
         system, units = self._system, self._system.velocity_units
         phi, rows = system.phi(q)[self._kept] / self._phi_units, system.phi_jacobian(q)
         rates = rate_of_phi(system, rows, v)[self._kept] / self._phi_units
@@ -238,10 +300,16 @@ class EvaluatedSystem(Callbacks):
         return np.concatenate([phi, rates, jacobian.ravel(), mass.ravel()])
 
     def failure(self, last: Array, integrator: str, most: int) -> IntegrationError | None:
-        """Explain why a run ended at its last state (n,); None if it is done.
+        """Explain why a run ended early; return None for a complete run.
+
+        Args:
+            last: (n,) the last state (q, v).
+            integrator: name of the integrator.
+            most: number of steps at which the run stops.
 
         Raises:
-            Exception: what is no error of the equations.
+            KeyboardInterrupt: if the user interrupted the run.
+            BaseException: a programming error in the equations.
         """
         status, error = Status(int(self.counts[Count.STATUS])), self.error
         if status == Status.DONE:
@@ -260,6 +328,6 @@ class EvaluatedSystem(Callbacks):
             reason = str(error)
         if status in (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL) and integrator == "DOP853":
             reason += "; for stiff equations use Radau"
-        with np.errstate(all="ignore"):  # of what is not finite the message tells
+        with np.errstate(all="ignore"):  # the message also covers numbers that are not finite
             around = surroundings(system.scene, state, time)
             return IntegrationError(time, blamed(system.scene, state, reason, around))

@@ -1,4 +1,8 @@
-"""Explanations of runs that could not go on: time, reason, fastest joint, largest force."""
+"""Error messages for runs that stop early: time, reason, fastest joint, largest force and a remedy.
+
+An integrator reports only a status number. The functions here examine the last states of the run to find the
+likely cause: a fixed step that is too long, a singular configuration, or stiff equations.
+"""
 
 from __future__ import annotations
 
@@ -20,28 +24,32 @@ from newton_euler.model.trajectory import IntegrationError, UndeterminedStartErr
 from newton_euler.scalars import Array
 
 STABILITY_LIMITS = {"RK4": RK4_LIMIT, "Euler": 2.0}
-"""Largest product of a rate of the motion and a step that is stable; that of Euler's method is of an
-oscillation without damping (E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, second edition,
-Springer 2006, section I.1)."""
+"""Largest stable product of step and eigenvalue magnitude (1/s) of the linearized motion, by integrator.
+
+The limit of semi-implicit Euler applies to an oscillation without damping (E. Hairer, C. Lubich, G. Wanner,
+Geometric Numerical Integration, second edition, Springer 2006, section I.1)."""
 
 DIFFERENCE_STEP = 1e-7
-"""Relative difference of coordinates and velocities, absolute for those below 1, for difference quotients."""
+"""Step of difference quotients, relative to each coordinate or velocity; absolute for magnitudes below 1."""
 
 UNSTABLE_STATUSES = (Status.NOT_FINITE, Status.OPEN, Status.STRAYING)
-"""Statuses of runs that end so if their fixed step is too long."""
+"""Statuses with which a run may end because its fixed step is too long."""
 
 LEFT_MOTION_FACTOR = 30.0
-"""Factor by which rates exceed the limit of stability, from one step to the next, in a run that has left its
-motion. Chosen between the 1.5 and the 100 or more of runs of light links in loops."""
+"""Factor beyond the stability limit at which a rate is no property of the motion but of a diverged run.
+
+In tests with light links in loops, rates exceed the limit by a factor of 1.5 while the run follows the
+motion,
+and by a factor of 100 or more in the next step, after the run has diverged."""
 
 EXAMINED_FROM_END = (1, 2, 4, 16, 64)
-"""Numbers, from the end, of the states of a run that are examined for rates that make a step too long."""
+"""States of a run, counted from its end, that are examined for rates too fast for the step."""
 
 POWER_ITERATIONS = 40
-"""Steps of the power iteration for the fastest rate; the second half of them is used."""
+"""Number of power iterations for the fastest rate; the result is averaged over the second half."""
 
 
-@np.errstate(all="ignore")  # of what is not finite the message tells
+@np.errstate(all="ignore")  # the message also covers numbers that are not finite
 def failure(
     code: CompiledEquations,
     options: Options,
@@ -50,15 +58,16 @@ def failure(
     counts: Array,
     error: Exception | None,
 ) -> IntegrationError:
-    """Explain a run that could not go on: time, reason, fastest joint, largest force.
+    """Build the error of a run that stopped early: time, reason, fastest joint, largest force.
 
     Args:
-        options: the method, and the steps that it might take.
-        status: how the run ended.
-        states: (inputs,) states of the run with time and parameters, the last one where it ended. Of a run by
-            fixed steps there are some before.
-        counts: of the run, see `newton_euler.integrators.stepper`.
-        error: of the equations in Python, if one ended the run.
+        code: compiled equations of the scene.
+        options: integrator and step control.
+        status: how the run ended, a `Status`.
+        states: vectors x (inputs,) of the run: state, time, flags, parameters. The last one is where the run
+            ended. Runs with a fixed step also have earlier ones.
+        counts: (COUNTS,) counters of the run, see `newton_euler.integrators.stepper.Count`.
+        error: exception of the equations in Python that ended the run, or None.
     """
     x = states[-1]
     system, reached = code.float_system(x), float(counts[Count.TIME_REACHED])
@@ -79,16 +88,23 @@ def failure(
 
 
 def _instability(code: CompiledEquations, options: Options, states: Sequence[Array]) -> str:
-    """Say that a fixed step is too long for the rates of the motion; empty if no state shows that.
+    """Report that a fixed step is too long for the fastest rate of the motion; empty if no state shows this.
 
-    The state where rates first exceed the limit counts: later ones may be those of a run that has left the
-    motion. So may be that one, if its rates are far beyond the limit and it is not the start: they are not
-    quoted. States near a singular configuration do not count: rates have no bound there.
+    The first state with a rate above the stability limit is quoted, because later states may belong to a
+    diverged run. If its rate is far above the limit and the state is not the start, the run has probably
+    diverged before, and the rate is not quoted. States near a singular configuration are ignored, because
+    rates have no bound there.
+
+    Args:
+        code: compiled equations of the scene.
+        options: integrator and step control.
+        states: vectors x (inputs,) of the run, in the order of time.
     """
     if options.step is None:
         return ""
 
     def rate_at(number: int) -> float:
+        """Estimate the fastest rate, 1/s, at a state; 0 near a singular configuration."""
         x = states[number]
         return fastest_rate(code, x) if code.pivot_ratio(x) > FAR_PIVOT_RATIO else 0.0
 
@@ -106,21 +122,27 @@ def _instability(code: CompiledEquations, options: Options, states: Sequence[Arr
 
 
 def first_above(rate_at: Callable[[int], float], count: int, limit: float) -> tuple[int, float]:
-    """Find a state with a rate above the limit, next to one whose rate is not; its number and its rate.
+    """Find a state whose rate is above a limit while the rate of the state before is not.
 
-    The start is examined, then some of the last states, then states between, by bisection: a rate costs as
-    many evaluations as ten steps of RK4. If no rate is above the limit, the rate is 0.
+    The start and some of the last states are examined first, then states between them by bisection. Few
+    states are examined, because a rate costs as many evaluations as ten steps of RK4.
 
     Args:
-        rate_at: rate of a state by number.
-        count: of states.
+        rate_at: computes the rate, 1/s, of a state by number.
+        count: number of states.
+        limit: 1/s.
+
+    Returns:
+        Number of the state and its rate, 1/s; (0, 0.0) if no examined rate is above the limit.
     """
+    # a state above the limit: `last`; the states before it are not examined yet
     first, last, rate = 0, 0, 0.0
     for number in dict.fromkeys([0, *(count - back for back in EXAMINED_FROM_END)]):
         if 0 <= number < count and rate <= limit:
             last, rate = number, rate_at(number)
     if rate <= limit:
         return 0, 0.0
+    # bisection: the rate at `last` is above the limit
     while last - first > 1:
         middle = (first + last) // 2
         found = rate_at(middle)
@@ -132,10 +154,11 @@ def first_above(rate_at: Callable[[int], float], count: int, limit: float) -> tu
 
 
 def fastest_rate(code: CompiledEquations, x: Array) -> float:
-    """Estimate the largest magnitude, 1/s, of an eigenvalue of the motion linearized at x (inputs,).
+    """Estimate the largest eigenvalue magnitude, 1/s, of the motion linearized at x (inputs,).
 
-    By power iteration with one-sided differences of the compiled rates. The mean growth over many steps is
-    the magnitude also where the eigenvalues are complex. 0 if numbers are not finite.
+    The estimate comes from a power iteration with one-sided differences of the compiled rates. The mean
+    growth over many iterations is the magnitude even if the eigenvalues are complex. The result is 0 if the
+    rates are not finite.
     """
     derivative, n = code.function("derivative"), code.size
     at, units = derivative(x)[:n], DIFFERENCE_STEP * np.maximum(1.0, np.abs(x[:n]))
@@ -152,7 +175,7 @@ def fastest_rate(code: CompiledEquations, x: Array) -> float:
 
 
 def _reason(code: CompiledEquations, options: Options, status: Status, x: Array) -> str:
-    """Complete the message of a status: with the singular configuration near x (inputs,), or with advice."""
+    """Complete the message of a status with the singular configuration near x (inputs,), or with advice."""
     is_singular = status in (Status.STRAYING, Status.UNDETERMINED, Status.UNPROJECTED)
     near = is_singular or code.pivot_ratio(x) < NEAR_PIVOT_RATIO
     joint, value = nearly_dependent(code, x) if near else ("", 0.0)
@@ -168,14 +191,20 @@ def _reason(code: CompiledEquations, options: Options, status: Status, x: Array)
 
 
 def singular_joint(code: CompiledEquations, x: Array) -> str:
-    """Find the joint or gear that weighs most in the constraint rows that are nearest to dependent."""
+    """Find the joint or gear whose constraints are closest to dependent at x (inputs,)."""
     return nearly_dependent(code, x)[0]
 
 
 def nearly_dependent(code: CompiledEquations, x: Array) -> tuple[str, float]:
-    """Return `singular_joint` and the smallest singular value, dimensionless, of the constraint rows in use.
+    """Find the joint or gear with the largest share in the combination of constraints closest to zero.
 
-    Without constraints, the joint that moves fastest, and 1.
+    Args:
+        code: compiled equations of the scene.
+        x: (inputs,) state, time, flags and parameters.
+
+    Returns:
+        Name of the joint or gear, and the smallest dimensionless singular value of the constraint rows in
+        use. Without constraints: the joint that moves fastest, and 1.
     """
     system, rows = code.float_system(x), code.rows_at(x).in_use
     if not rows:

@@ -1,4 +1,8 @@
-"""The forms of the equations of motion, and the choice between them."""
+"""Choice between the two forms of the equations of motion: joint coordinates or Cartesian coordinates.
+
+"relative" uses joint coordinates of a spanning tree and closes loops by constraints. "cartesian" uses the
+poses of all bodies, with constraints for every joint.
+"""
 
 from __future__ import annotations
 
@@ -17,24 +21,31 @@ FORMULATIONS: dict[FormulationName, Callable[[Scene, float], Formulation]] = {
     "relative": Relative,
     "cartesian": Cartesian,
 }
+"""Classes of the equations of motion by name; each takes a scene and Baumgarte's parameter (1/s)."""
 
 MAX_PRODUCTS_PER_BODY = 270
-"""Products in J M^-1 J^T per body, beyond which the Cartesian form takes fewer operations.
+"""Number of products in J M^-1 J^T per body above which the Cartesian form takes fewer operations.
 
-A ladder of rods and balls with 10 rungs has 234 products and, in both forms, 2,100 operations per body. With
-20 rungs it has 864 products, and 5,100 operations in joint coordinates, 2,100 in the Cartesian form."""
+Measured with ladders of rods and balls. With 10 rungs there are 234 products per body, and both forms take
+2,100 operations per body. With 20 rungs there are 864 products per body; joint coordinates take 5,100
+operations, the Cartesian form takes 2,100."""
 
 
 def cheaper_formulation(mechanism: Mechanism) -> FormulationName:
-    """Choose joint coordinates, unless closed loops share so many axes that the Cartesian form is cheaper.
+    """Choose the form with fewer operations: joint coordinates, unless many closed loops share joint axes.
 
-    Two constraint rows have a product in J M^-1 J^T for each axis between the ground and the bodies of both.
+    The cost of joint coordinates is estimated by the number of products in J M^-1 J^T, with the constraint
+    Jacobian J and the mass matrix M. Two constraint rows have one product for each joint axis that lies on
+    the paths of both, from the ground to the bodies that they connect.
     """
+    # joint axes between the ground (body 0) and each body
     tree = SpanningTree(mechanism)
     paths: dict[int, list[int]] = {0: []}
     for kept in tree.joints:
         paths[kept.child] = [*paths[kept.parent], *range(kept.v.start, kept.v.stop)]
-    rows = [0] * tree.nv  # constraint rows on whose paths each velocity is
+    # number of constraint rows whose paths contain each axis; a cut is a joint outside the tree, which
+    # closes a loop
+    rows = [0] * tree.nv
     for cut in tree.cuts:
         closure = tree.equations(cut)
         for k in {*paths[closure.first], *paths[closure.second]}:
@@ -44,13 +55,23 @@ def cheaper_formulation(mechanism: Mechanism) -> FormulationName:
 
 
 def check_formulation(formulation: str | None) -> None:
-    """Raise `UnknownNameError` for what is neither one of the `FORMULATIONS` nor None, the cheaper one."""
+    """Check the name of a formulation; None stands for the cheaper one.
+
+    Raises:
+        UnknownNameError: for a name that is not in `FORMULATIONS`.
+    """
     if formulation is not None:
         check_choice("formulation", formulation, FORMULATIONS)
 
 
 def formulate(scene: Scene, formulation: str, alpha: float = 0.0) -> Formulation:
-    """Return the equations of motion of a scene in one of the `FORMULATIONS`; alpha is Baumgarte's, 1/s."""
+    """Return the equations of motion of a scene in one form.
+
+    Args:
+        scene: the scene.
+        formulation: a name in `FORMULATIONS`.
+        alpha: 1/s, Baumgarte's parameter; 0 for no stabilization.
+    """
     if formulation not in FORMULATIONS:
         raise UnknownNameError("formulation", formulation, tuple(FORMULATIONS))
     return FORMULATIONS[formulation](scene, alpha)

@@ -1,6 +1,7 @@
-"""Integration of equations of motion that Python evaluates, as Pinocchio's are.
+"""Integration of equations of motion that Python evaluates, such as Pinocchio's.
 
-Adaptive methods are native, see `newton_euler.compiled.evaluated`; fixed steps are Python.
+This module integrates with fixed steps (RK4, semi-implicit Euler) in plain Python. Adaptive methods are
+native code that calls Python, see `newton_euler.compiled.evaluated`.
 """
 
 from __future__ import annotations
@@ -23,19 +24,29 @@ from newton_euler.scalars import Array
 def integrate(
     system: System, q: Array, v: Array, times: Array, options: Options
 ) -> tuple[Array, dict[str, int], IntegrationError | None]:
-    """Integrate from q, v at times[0]: (q, v) at all times, or at those before it had to stop, (n, nq + nv).
+    """Integrate the equations of motion of a system over given output times.
 
-    Counts of the run and the error that stopped it, None if none did, come with them.
+    A run stops early if steps become too small, if numbers are not finite, or if the equations or the
+    constraints have no solution. The error has the time, the reason, and the fastest joint or largest force.
 
-    It stops, with the time, the reason and the joint or force that it is about, for steps that shrink to
-    nothing, numbers that are not finite, and equations or constraints that cannot be solved.
+    Args:
+        system: equations of motion.
+        q: (nq,) initial coordinates.
+        v: (nv,) initial velocities.
+        times: (n,) s, output times; the first is the start.
+        options: integrator and step control.
+
+    Returns:
+        States (q, v) at the output times reached, (rows, nq + nv); numbers of steps and evaluations; the
+        error that stopped the run, None for a complete run.
     """
     if options.integrator in ADAPTIVE:
         return integrate_adaptive(system, q, v, times, options)
     evaluations = 0
-    good = np.concatenate([q, v])  # where accelerations were finite last
+    good = np.concatenate([q, v])  # last state with finite accelerations, for error messages
 
     def derivative(t: float, y: Array) -> Array:
+        """Compute dq/dt and dv/dt at time t, s, and state y (nq + nv,)."""
         nonlocal evaluations, good
         evaluations += 1
         q, v = y[: system.nq], y[system.nq :]
@@ -50,8 +61,9 @@ def integrate(
         return rates
 
     def project(t: float, y: Array) -> Array:
+        """Return state y (nq + nv,) moved onto the constraints at time t, s, with quaternions of norm 1."""
         now = at_time(system, t)
-        if not options.projection:  # a norm of Euler parameters is none of the mechanism's constraints
+        if not options.projection:  # quaternions are normalized even without projection
             return np.concatenate([now.retract(y[: system.nq], np.zeros(system.nv)), y[system.nq :]])
         try:
             q = project_position(now, y[: system.nq])
@@ -59,10 +71,11 @@ def integrate(
         except (NewtonEulerError, np.linalg.LinAlgError) as error:
             raise IntegrationError(t, f"projection fails: {error}") from error
 
+    # step from output to output until the end or the first error
     steps, stopped = 0, None
     rows: list[Array] = []
     try:
-        with np.errstate(all="ignore"):  # numbers are checked
+        with np.errstate(all="ignore"):  # the loop checks that numbers are finite
             rows.append(project(float(times[0]), good))
             for step, y in _fixed(system, derivative, project, rows[0], times, options):
                 steps = step
@@ -77,23 +90,36 @@ def integrate(
 
 
 def _with_blame(system: System, time: float, y: Array, reason: str) -> str:
-    """Add the joint that moves fastest and the largest force at a time in s to a reason."""
+    """Append the fastest joint and the largest force at a state y (nq + nv,) and time, s, to a reason."""
     state = system.state(y[: system.nq], y[system.nq :])
     return blamed(system.scene, state, reason, surroundings(system.scene, state, time))
 
 
 Derivative = Callable[[float, Array], Array]
+"""Function of time, s, and state (nq + nv,) that computes the time derivative of the state."""
+
 Projection = Callable[[float, Array], Array]
+"""Function of time, s, and state (nq + nv,) that moves the state onto the constraints."""
 
 
 def _fixed(
     system: System, derivative: Derivative, project: Projection, y: Array, times: Array, options: Options
 ) -> Iterator[tuple[int, Array]]:
-    """Yield (steps so far, y) at times[1:], in equal steps between outputs."""
+    """Integrate with equal steps between output times; yield (number of steps so far, state) at each of them.
+
+    Args:
+        system: equations of motion.
+        derivative: computes the time derivative of a state.
+        project: moves a state onto the constraints after each step.
+        y: (nq + nv,) initial state.
+        times: s, output times; nothing is yielded for the first one, the start.
+        options: integrator and longest step.
+    """
     advance = {"RK4": _rk4, "Euler": _semi_implicit_euler}[options.integrator]
     assert options.step is not None
     steps = 0
     for begin, end in pairwise(times):
+        # the factor keeps round-off from adding a step if the interval is a whole number of steps
         count = max(1, int(np.ceil((end - begin) / options.step * (1.0 - 1e-9))))
         h = (end - begin) / count
         for k in range(count):
@@ -107,6 +133,7 @@ def _fixed(
 
 
 def _rk4(system: System, derivative: Derivative, t: float, y: Array, h: float) -> Array:
+    """Return the state after a step of the classical Runge-Kutta method of order 4 (h in s)."""
     k1 = derivative(t, y)
     k2 = derivative(t + 0.5 * h, y + 0.5 * h * k1)
     k3 = derivative(t + 0.5 * h, y + 0.5 * h * k2)
@@ -115,6 +142,7 @@ def _rk4(system: System, derivative: Derivative, t: float, y: Array, h: float) -
 
 
 def _semi_implicit_euler(system: System, derivative: Derivative, t: float, y: Array, h: float) -> Array:
+    """Return the state after a step of semi-implicit Euler (h in s): velocities first, then coordinates."""
     q = y[: system.nq]
     v = y[system.nq :] + h * derivative(t, y)[system.nq :]
     return np.concatenate([q + h * system.rate(q, v), v])

@@ -1,9 +1,12 @@
-"""Inverse dynamics in native code: forces of actuators for wanted accelerations, and all reactions.
+"""Inverse dynamics in native code: actuator forces for desired accelerations, and all joint reactions.
 
-The equations of motion are solved with the wanted accelerations as further constraints
-(`newton_euler.equations.formulation.Formulation.servo_forces`). Closed loops, freedoms without an actuator
-and redundant actuators need no special cases. The programs are compiled once for a scene and evaluate
-thousands of states at once.
+The equations of motion are solved with the desired accelerations as additional constraints
+(`newton_euler.equations.formulation.Formulation.servo_forces`). Closed loops, degrees of freedom without an
+actuator and redundant actuators need no special cases. The functions are compiled once for a scene and
+evaluate many states per call.
+
+The functions also take flags. A flag leaves out a redundant constraint row that can replace another one in
+some configurations (`newton_euler.equations.row_choice`). Most scenes have no such rows.
 """
 
 from __future__ import annotations
@@ -32,35 +35,46 @@ from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, Scalar, minimum
 
 MAX_OPEN_LOOP = 1e-6
-"""Largest loop-closure error of a state, sizes of the mechanism or rad: more than any engine leaves."""
+"""Largest loop-closure error of a state: lengths divided by the mechanism's size, or rad.
+
+The value is larger than the error that any engine leaves in its trajectories."""
 
 
 class SolvedStates(NamedTuple):
-    """Forces, reactions and accelerations at n states; a actuators, j joints, b bodies; SI, world frame."""
+    """Results of inverse dynamics at n states of a scene with a actuators, j joints and b bodies.
+
+    Attributes:
+        actuator_force: (n, a) N or N m.
+        reaction_force: (n, j, 3) N, on the second body of each joint, world frame.
+        reaction_torque: (n, j, 3) N m, on the second body about its joint point, world frame.
+        linear_acceleration: (n, b, 3) m/s^2, of the centers of mass, world frame.
+        angular_acceleration: (n, b, 3) rad/s^2, world frame.
+    """
 
     actuator_force: Array
-    """(n, a) N or N m."""
     reaction_force: Array
-    """(n, j, 3) on the second body of each joint."""
     reaction_torque: Array
-    """(n, j, 3) about its joint point."""
     linear_acceleration: Array
-    """(n, b, 3) of the centers of mass."""
     angular_acceleration: Array
-    """(n, b, 3)."""
 
 
 class InverseDynamics:
-    """Inverse dynamics of a scene in native code.
+    """Inverse dynamics of one scene, compiled when first needed.
 
     Attributes:
-        scene: the scene with control laws without force on the coordinates and the actuators.
-        servos: the coordinates with wanted accelerations, and the actuators.
-        system: its equations in joint coordinates.
+        scene: the scene, with control laws of zero force on the coordinates and the actuators. The actuator
+            forces of a state are set as the constant parts of these laws.
+        servos: the joint coordinates with desired accelerations, and the actuators.
+        system: equations of the scene in joint coordinates.
     """
 
     def __init__(self, scene: Scene, coordinates: tuple[Key, ...], actuators: tuple[Key, ...]) -> None:
         """Check that the actuators can give the coordinates any accelerations.
+
+        Args:
+            scene: the scene.
+            coordinates: (joint, number) of each joint coordinate with a desired acceleration.
+            actuators: (joint, number) of each joint coordinate that an actuator drives.
 
         Raises:
             MechanismError: naming a coordinate or actuator, see `newton_euler.equations.servos.servos_of`.
@@ -72,41 +86,60 @@ class InverseDynamics:
 
     @cached_property
     def forces(self) -> NativeFunction:
-        """Compute forces (a,), pivot ratio, and squared loop-closure error.
+        """Native function that computes actuator forces (a,), pivot ratio and squared loop-closure error.
 
-        Inputs are q, v, flags of constraint rows, wanted accelerations, time and pieces of functions.
+        The pivot ratio is at most 0 at a singular state. Inputs are q, v, flags of constraint rows, desired
+        accelerations, time and the polynomial pieces of functions of time at that time.
         """
         return self._function("forces", self._trace_forces, len(self.servos.coordinates))
 
     @cached_property
     def motion(self) -> NativeFunction:
-        """Compute v (nv,) and the pivot ratio from q, an unused v, flags, rates, time and pieces."""
+        """Native function that computes all velocities v (nv,) from the rates of the coordinates.
+
+        The pivot ratio follows in the last place. Inputs are those of `forces`, with desired rates in place
+        of accelerations; v is ignored.
+        """
         return self._function("motion", self._trace_motion, len(self.servos.coordinates))
 
     @cached_property
     def evaluation(self) -> NativeFunction:
-        """Compute reactions and accelerations of `SolvedStates` from q, v, flags, forces, time and pieces."""
+        """Native function that computes the reactions and accelerations of `SolvedStates` in their order.
+
+        Inputs are those of `forces`, with actuator forces in place of accelerations.
+        """
         return self._function("loads", self._trace_evaluation, len(self.servos.actuators))
 
-    def _function(self, name: str, trace: Callable[..., list[Scalar]], inputs: int) -> NativeFunction:
+    def _function(self, name: str, trace: Callable[..., list[Scalar]], given_count: int) -> NativeFunction:
+        """Compile a function of q, v, flags, some given numbers, time and polynomial pieces.
+
+        Args:
+            name: distinguishes the functions of a scene in the cache.
+            trace: one of the `_trace_...` methods, which computes the results over symbolic scalars.
+            given_count: number of given accelerations, rates or forces.
+        """
         held = pieces(self.scene, 0.0)
         rows = self._exchangeable.numbers
-        ends = np.cumsum([self.system.nq, self.system.nv, len(rows), inputs, 1, *map(len, held.values())])
+        lengths = [self.system.nq, self.system.nv, len(rows), given_count, 1, *map(len, held.values())]
+        ends = np.cumsum(lengths)
 
         def traced(x: Array) -> tuple[list[Scalar], None]:
+            """Split x (inputs,) into its parts and compute the results; they need no layout."""
             q, v, flags, given, (time,), *numbers = np.split(x, ends[:-1])
             scene = with_values(self.scene, dict(zip(held, numbers, strict=True)))
             servos = self.servos.with_flags(dict(zip(rows, flags, strict=True)))
             return trace(scene, servos, q, v, given, time), None
 
-        begun = [float(motion.function.value(0.0)) for motion in self.scene.motions]
-        chosen = self.scene, self.servos.coordinates, self.servos.actuators, begun
+        # constraint rows are selected at the initial pose, which depends on prescribed motions
+        initial_motions = [float(motion.function.value(0.0)) for motion in self.scene.motions]
+        depends_on = self.scene, self.servos.coordinates, self.servos.actuators, initial_motions
         name, neutral = f"inverse dynamics {name}", NOT_COMPILED_FIELDS
-        return native_program(name, int(ends[-1]), traced, *chosen, neutral=neutral, many=True)
+        return native_program(name, int(ends[-1]), traced, *depends_on, neutral=neutral, many=True)
 
     def _trace_forces(
         self, scene: Scene, servos: Servos, q: Array, v: Array, accelerations: Array, time: Scalar
     ) -> list[Scalar]:
+        """Trace actuator forces (a,), pivot ratio and squared loop-closure error (without couplings)."""
         system = at_time(Relative(scene), time)
         forces, pivot_ratio = system.servo_forces(q, v, servos, list(accelerations))
         loops = system.rows - len(system.couplings)
@@ -116,6 +149,7 @@ class InverseDynamics:
     def _trace_motion(
         self, scene: Scene, servos: Servos, q: Array, v: Array, rates: Array, time: Scalar
     ) -> list[Scalar]:
+        """Trace the velocities v (nv,) for given rates of the coordinates, and the pivot ratio."""
         system = at_time(Relative(scene), time)
         found, pivot_ratio = system.servo_velocities(q, servos, list(rates))
         return [*found, minimum(pivot_ratio, 1.0)]
@@ -123,28 +157,37 @@ class InverseDynamics:
     def _trace_evaluation(
         self, scene: Scene, servos: Servos, q: Array, v: Array, forces: Array, time: Scalar
     ) -> list[Scalar]:
+        """Trace the reactions and accelerations under given actuator forces (a,)."""
         found, _ = self._with_forces(scene, forces, time).sparse_evaluation(q, v, servos.rows)
         return [scalar for array in _arrays(found) for scalar in array.ravel()]
 
     def _with_forces(self, scene: Scene, forces: Array, time: Scalar) -> Relative:
-        """Return the equations of the scene with forces of the actuators (a,)."""
+        """Return the equations of the scene at a time, s, with given actuator forces (a,), N or N m."""
         values = {numbered("control", k, "feedforward"): u for k, u in enumerate(forces)}
         return at_time(Relative(with_values(scene, values)), time)
 
     def _time_inputs(self, time: Array) -> Array:
-        """Return times (n,), s, each followed by the pieces of functions at that time."""
+        """Return rows (n, 1 + k): each time, s, and the polynomial pieces of functions at that time."""
         if not pieces(self.scene, 0.0):
             return time[:, None]
         return np.array([np.concatenate([[t], *pieces(self.scene, t).values()]) for t in time.tolist()])
 
     def flags(self, q: Array) -> Array:
-        """Choose constraint rows at q (n, nq): flags (n, m) of exchangeable rows."""
+        """Choose constraint rows at n states q (n, nq): flags (n, m), 1 for a row that is left out."""
         rows = self._exchangeable
         chosen = [flags_at(self.system, each, self.servos.rows.numbers, rows) for each in q if rows.numbers]
         return np.array(chosen).reshape(len(q), len(rows.numbers))
 
     def velocities(self, q: Array, rates: Sequence[Array], time: Array) -> Array:
-        """Compute v (n, nv) from the rates (n,) of each coordinate, at q (n, nq) and times (n,), s.
+        """Compute the velocities of all joint coordinates from the rates of the chosen coordinates.
+
+        Args:
+            q: (n, nq) coordinates of `system` at n states.
+            rates: (n,) m/s or rad/s, for each coordinate of `servos`.
+            time: (n,) s.
+
+        Returns:
+            (n, nv) velocities of `system`.
 
         Raises:
             SingularityError: for a state at which the coordinates do not determine the motion.
@@ -158,13 +201,14 @@ class InverseDynamics:
         """Raise `SingularityError` for the first state without a positive pivot ratio or finite results.
 
         Args:
-            pivot_ratio: (n,) of the elimination.
-            found: (n, k) results.
-            q: (n, nq) states.
+            pivot_ratio: (n,) smallest pivot of the elimination relative to its usual size.
+            found: (n, k) results of the elimination.
+            q: (n, nq) coordinates.
         """
         for row in np.flatnonzero(~(pivot_ratio > 0.0) | ~np.isfinite(found).all(axis=1))[:1]:
             flags = dict(zip(self._exchangeable.numbers, self.flags(q[[row]])[0].tolist(), strict=True))
-            # dimensionless singular values below 1e-4 are those of rows that made the elimination fail
+            # find the coordinate at fault; rows with dimensionless singular values below 1e-4 are dependent
+            # to the precision at which the elimination fails
             at = fault(self.system, q[row], self.servos.with_flags(flags), tolerance=1e-4)
             if at is None and not len(self.servos.rows.numbers):
                 problem = f"has no finite solution at state {row}"
@@ -178,15 +222,17 @@ class InverseDynamics:
         """Solve inverse dynamics at n states.
 
         Args:
-            q, v: (n, nq) and (n, nv) coordinates and velocities of `system`.
-            accelerations: (n,) m/s^2 or rad/s^2, for each of the coordinates.
+            q: (n, nq) coordinates of `system`.
+            v: (n, nv) velocities of `system`.
+            accelerations: (n,) m/s^2 or rad/s^2, for each coordinate of `servos`.
             time: (n,) s.
 
         Raises:
             MechanismError: for a state whose loops are open, naming the joint.
-            SingularityError: for a state at which an acceleration cannot be chosen, naming the coordinate.
+            SingularityError: for a state at which the actuators cannot give a coordinate any acceleration,
+                naming the coordinate.
         """
-        # forces of the actuators
+        # actuator forces
         table, flags, times = np.column_stack([q, v]), self.flags(q), self._time_inputs(time)
         found = at_rows(self.forces, np.column_stack([table, flags, *accelerations, times]))
         forces, pivot_ratio, opening = found[:, :-2], found[:, -2], found[:, -1]
@@ -209,7 +255,10 @@ class InverseDynamics:
         )
 
     def _dense_evaluation(self, q: Array, v: Array, forces: Array, time: Array) -> Array:
-        """Compute the results of `evaluation` (n, k) in floats, with the smallest reactions."""
+        """Compute the results of `evaluation` (n, k) in floats, with the minimum-norm reactions.
+
+        Redundant constraints leave the reactions undetermined; the minimum-norm solution is one of many.
+        """
         rows = []
         for own_q, own_v, u, t in zip(q, v, forces, time, strict=True):
             found = self._with_forces(self.scene, u, float(t)).evaluate(own_q, own_v)
@@ -218,7 +267,7 @@ class InverseDynamics:
 
 
 def _arrays(found: Evaluation) -> tuple[Array, ...]:
-    """Return the arrays of `SolvedStates` without the forces, in their order."""
+    """Return the reactions and accelerations of an evaluation in the order of `SolvedStates`."""
     return (
         found.reaction_force,
         found.reaction_torque,

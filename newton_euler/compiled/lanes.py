@@ -1,10 +1,10 @@
-"""Runs of a compiled scene side by side, one in each lane of the processor's vector registers.
+"""Integrate several runs of a compiled scene at once, one in each lane of the processor's vector registers.
 
-The method is the one of `newton_euler.compiled.run`, compiled for several runs at once
-(`newton_euler.codegen.translate`): each lane has its own steps, error control and projection, and takes the
-next run when it has made one. Results are those of one run after another, to the last bit. A run that needs
-Python, in a singular configuration or to explain why it cannot go on, leaves its lane and is made by scalar
-code.
+A lane is one element of a vector register, such as one of four doubles. The integrator is the same as in
+`newton_euler.compiled.run`, compiled for several runs (`newton_euler.codegen.translate`). Each lane has its
+own steps, error control and projection, and takes the next run when its run is complete. Results are bitwise
+equal to single runs. A run that needs Python, near a singular configuration or for an error message, leaves
+its lane; scalar code repeats it.
 """
 
 from __future__ import annotations
@@ -36,23 +36,25 @@ from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
 LANE_METHODS = frozenset({"DOP853", "RK4", "Euler"})
-"""Methods that make runs side by side; the matrices of Radau take other pivots in each."""
+"""Integrators that run in lanes. Radau does not: its linear solver chooses different pivots in each run."""
 
 MAX_TABLE_BYTES = 4_000_000
-"""Bytes that the states of the runs of a group may take, which fit into the cache of a core."""
+"""Memory for the states of a group of runs, bytes; the value fits into the cache of a processor core."""
 
 MIN_GROUP, MAX_GROUP = 32, 1024
-"""Runs of a group: at its end some lanes have none."""
+"""Smallest and largest number of runs in a group. At the end of a group some lanes are idle."""
 
 
 def runs_in_lanes(code: CompiledEquations, integrator: str) -> bool:
-    """True if runs are made side by side; those with knots or digital control go from instant to instant, one
-    by one."""
+    """Return True if runs of a scene with an integrator are integrated in lanes.
+
+    Runs with knots of functions of time or with digital control restart at given times and run one by one.
+    """
     return integrator in LANE_METHODS and not code.piecewise and not code.scene.sampled
 
 
 def load_lanes(code: CompiledEquations, integrator: str) -> None:
-    """Make everything ready that runs need."""
+    """Compile or load all functions that single runs and runs in lanes need."""
     load(code, integrator)
     if runs_in_lanes(code, integrator):
         native_method(METHODS[integrator], in_lanes=True)
@@ -63,42 +65,51 @@ def load_lanes(code: CompiledEquations, integrator: str) -> None:
 
 
 class LaneExit(DenseCallbacks):
-    """Callbacks of native code in lanes: those that would go on in Python leave.
+    """Callbacks of native code in lanes: a run whose equations would need Python leaves its lane.
 
-    Runs that leave, and those in which a callback raises an error, are made again by scalar code, which
-    reports the error.
+    Scalar code repeats such runs, and runs in which a callback raises an error, and reports the error.
     """
 
     def __init__(self, code: CompiledEquations, counts: Array, stopped: Sequence[bool]) -> None:
-        """All runs stop if `stopped` holds something; `counts` are (COUNTS, lanes)."""
+        """Prepare the callbacks.
+
+        Args:
+            code: compiled equations of the scene.
+            counts: (COUNTS, lanes) counters of the runs, see `newton_euler.integrators.stepper.Count`.
+            stopped: a list that other threads may append to; all runs stop if the list is not empty.
+        """
         super().__init__(counts, stopped)
         self._size = code.size
         self.derivative = self.guarded(self._leave)
 
     def _leave(self, x: int, y: int, on: int) -> None:
+        """Mark the rates at address y as missing in the active lanes, and let their runs leave."""
         count = self.counts.shape[1]
         vector_at(y, (self._size + 1) * count).reshape(-1, count)[self._size, self._lanes(on)] = -1.0
         self._end(on)
 
     def _end(self, on: int) -> None:
+        """Ask the runs of the active lanes (bit mask `on`) to leave."""
         self.counts[Count.STOP_REQUEST, self._lanes(on)] = LEAVE_LANE
 
     def _lanes(self, on: int) -> list[int]:
+        """Return the numbers of the active lanes from their bit mask."""
         return [lane for lane in range(self.counts.shape[1]) if on >> lane & 1]
 
-    def _pause(self, counts: int, wish: int, on: int) -> None:
+    def _pause(self, counts: int, request: int, on: int) -> None:
+        """Stop all runs if another thread has asked for it."""
         if self._stopped:
             self.counts[Count.STOP_REQUEST] = STOP_ALL_RUNS
 
 
 class Runs(NamedTuple):
-    """Runs of a scene, made and to be made.
+    """Many runs of a scene: their starts, and their results once they are integrated.
 
     Attributes:
-        starts: (runs, inputs) states with time and parameters.
-        results: (runs, n, outputs), not numbers of runs that could not go on.
-        counts: (runs, COUNTS), see `newton_euler.integrators.stepper`.
-        errors: of those that could not begin or not go on, by number.
+        starts: (runs, inputs) initial states with time, flags and parameters.
+        results: (runs, n, outputs) at the n output times; NaN for runs that stopped early.
+        counts: (runs, COUNTS) counters, see `newton_euler.integrators.stepper.Count`.
+        errors: errors of runs that could not start or stopped early, by number of the run.
     """
 
     starts: Array
@@ -108,15 +119,27 @@ class Runs(NamedTuple):
 
 
 class SideBySide:
-    """A method on a compiled scene over given times, ready for groups of runs; one thread at a time."""
+    """An integrator in lanes for runs of a compiled scene over given output times.
+
+    Calling the object integrates some of the runs. Each thread needs its own object.
+    """
 
     def __init__(
         self, code: CompiledEquations, times: Array, options: Options, stopped: Sequence[bool] = ()
     ) -> None:
-        """Make everything ready; runs stop if `stopped`, which other threads may fill, holds something."""
+        """Bind the compiled equations to the integrator and allocate its memory.
+
+        Args:
+            code: compiled equations of the scene.
+            times: (n,) s, output times.
+            options: integrator and step control.
+            stopped: a list that other threads may append to; all runs stop if the list is not empty.
+        """
+        # a scalar integrator for runs that leave their lanes, and the number of runs in a group
         self._code, self._stopped = code, stopped
         self._alone = Integrator(code, times, options, stopped)
         self._group = min(max(MAX_TABLE_BYTES // (8 * len(times) * max(code.size, 1)), MIN_GROUP), MAX_GROUP)
+        # the integrator in lanes
         counts = np.zeros((COUNTS, lane_count()))
         python = LaneExit(code, counts, stopped)
         derivative = code.function("derivative", in_lanes=True)
@@ -129,25 +152,28 @@ class SideBySide:
         self._run: Callable[[Table], None] = lambda table: native(integrate, system, table, method)
 
     def __call__(self, runs: Runs, numbers: Array) -> None:
-        """Make some of the runs, given by their numbers."""
+        """Integrate some of the runs, given by their numbers (k,), and write their results into `runs`."""
         for first in range(0, len(numbers), self._group):
             if self._stopped:
                 return
-            self._make(runs, numbers[first : first + self._group])
+            self._run_group(runs, numbers[first : first + self._group])
 
-    def _make(self, runs: Runs, numbers: Array) -> None:
+    def _run_group(self, runs: Runs, numbers: Array) -> None:
+        """Integrate a group of runs, given by their numbers (k,), and write their results into `runs`."""
+        # integrate in lanes and evaluate the outputs
         ends, states = runs.starts[numbers], self._states[: len(numbers)]
         counts = np.zeros((len(numbers), COUNTS))
         self._run(table_of(self._code, self._times, ends, states, counts, lane_count()))
         outputs = Outputs(self._code, self._times, ends, states, numbers)
         outputs.write(runs.results)
-        again = counts[:, Count.STATUS] != Status.DONE
-        for k in np.flatnonzero(again | self._incomplete(runs.results, numbers)).tolist():
+        # repeat runs that left their lanes; complete outputs that need Python
+        repeated = counts[:, Count.STATUS] != Status.DONE
+        for k in np.flatnonzero(repeated | self._incomplete(runs.results, numbers)).tolist():
             if self._stopped:
                 break
             number = int(numbers[k])
             try:
-                if again[k]:
+                if repeated[k]:
                     self._alone(runs.starts[number])
                     self._alone.outputs(runs.results[number])
                 else:
@@ -155,20 +181,32 @@ class SideBySide:
             except IntegrationError as error:
                 runs.errors[number] = error
                 runs.results[number] = np.nan
-            if again[k]:
+            if repeated[k]:
                 counts[k] = self._alone.counts
         runs.counts[numbers] = counts
 
     def _incomplete(self, results: Array, numbers: Array) -> Array:
-        """Find the runs (k,) whose results, those of these numbers (k,), need Python."""
+        """Find the runs whose outputs Python must check or complete.
+
+        These are all runs without projection, whose joints may have opened; all runs with reactions under
+        redundant constraints; runs near singular configurations; runs with numbers that are not finite.
+
+        Args:
+            results: (runs, n, outputs) results of all runs.
+            numbers: (k,) numbers of the examined runs.
+
+        Returns:
+            (k,) True for runs that need Python.
+        """
         code = self._code
         if code.stabilization != "projection" or ("reactions" in code.scene.outputs and code.redundant):
             return np.ones(len(numbers), dtype=bool)
+        # examine a slice of consecutive runs, which needs no copy of the results
         first = np.min(numbers)
-        around = results[first : np.max(numbers) + 1]  # no copy
+        examined = results[first : np.max(numbers) + 1]
         with np.errstate(all="ignore"):
-            needed = ~np.isfinite(around.sum(axis=(1, 2)))
+            needs_python = ~np.isfinite(examined.sum(axis=(1, 2)))
         if "reactions" in code.scene.outputs:
-            place, _ = code.arrays["pivot_ratio"]
-            needed |= ~(around[:, :, place] > 0.0).all(axis=(1, 2))
-        return np.asarray(needed[numbers - first])
+            pivot_ratio, _ = code.arrays["pivot_ratio"]
+            needs_python |= ~(examined[:, :, pivot_ratio] > 0.0).all(axis=(1, 2))
+        return np.asarray(needs_python[numbers - first])

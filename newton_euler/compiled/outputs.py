@@ -1,4 +1,9 @@
-"""Outputs: the arrays that a scene asks for, evaluated natively from the states of a run."""
+"""Outputs of a scene (poses, velocities, reactions, energies, ...), computed from the states of a run.
+
+A native loop evaluates the compiled function `output` of the scene at each state. Python then completes what
+native code cannot decide: joint reactions at singular states, and checks for open joints and infinite
+numbers.
+"""
 
 from __future__ import annotations
 
@@ -20,162 +25,209 @@ from newton_euler.scalars import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Rows(Record):
-    """A function of each state of some runs.
+class StateTable(Record):
+    """States of some runs, and a function that a native loop evaluates at each of them.
 
     Attributes:
-        runs, count: number of runs, and of states of each.
-        n, inputs: lengths of a state, and of one with time and parameters.
-        m, lanes: numbers of results of the function and of states that it takes at once.
-        function: of states.
-        x: (runs, inputs) have the parameters.
-        times, states: (count,) and (runs, count, n).
-        places: (runs,) numbers of the runs among the results.
-        given, found: (inputs, lanes) and (m, lanes), scratch.
+        runs: number of runs.
+        count: number of states of each run.
+        n: length of a state (q, v).
+        inputs: length of a vector x: a state, the time, flags and parameters.
+        outputs: number of results of the function.
+        lanes: number of states that the function takes per call.
+        function: writes the results y (outputs, lanes) for x (inputs, lanes).
+        x: (runs, inputs) gives the flags and parameters of each run.
+        times: (count,) s, times of the states.
+        states: (runs, count, n).
+        result_numbers: (runs,) where the results of each run are written, as the number of a run.
+        x_block, y_block: (inputs, lanes) and (outputs, lanes) scratch for one call of the function.
     """
 
     runs: int
     count: int
     n: int
     inputs: int
-    m: int
+    outputs: int
     lanes: int
     function: Callback
     x: Vector
     times: Vector
     states: Vector
-    places: Vector
-    given: Vector
-    found: Vector
+    result_numbers: Vector
+    x_block: Vector
+    y_block: Vector
 
 
 @native
-def map_runs(rows: Rows, results: Vector) -> None:
-    """Evaluate results (..., count, m), the function of each row of each run at its time."""
-    size = rows.count * rows.m
-    for run in range(rows.runs):
-        states = rows.states[rows.count * rows.n * run :]
-        map_rows(rows, rows.x[rows.inputs * run :], states, results[size * int(rows.places[run]) :])
+def map_runs(table: StateTable, results: Vector) -> None:
+    """Evaluate the function at all states of all runs.
+
+    Args:
+        table: the states and the function.
+        results: (..., count, outputs), written at the numbers of the runs.
+    """
+    size = table.count * table.outputs
+    for run in range(table.runs):
+        states = table.states[table.count * table.n * run :]
+        number = int(table.result_numbers[run])
+        map_states(table, table.x[table.inputs * run :], states, results[size * number :])
 
 
 @native
-def map_rows(rows: Rows, x: Vector, states: Vector, results: Vector) -> None:
-    """Evaluate results (count, m) of one run, several rows at once."""
-    n = rows.n
-    m = rows.m
-    lanes = rows.lanes
-    for i in range(n + 1, rows.inputs):
+def map_states(table: StateTable, x: Vector, states: Vector, results: Vector) -> None:
+    """Evaluate the function at all states of one run.
+
+    Args:
+        table: the function and the times.
+        x: (inputs,) gives the flags and parameters.
+        states: (count, n).
+        results: (count, outputs), written.
+    """
+    n = table.n
+    outputs = table.outputs
+    lanes = table.lanes
+    # flags and parameters, the same in all lanes
+    for i in range(n + 1, table.inputs):
         for lane in range(lanes):
-            rows.given[lanes * i + lane] = x[i]
+            table.x_block[lanes * i + lane] = x[i]
     row = 0
-    while row < rows.count:
+    while row < table.count:
+        # states and times of the next rows, one row in each lane; spare lanes repeat the last row
         for lane in range(lanes):
             source = row + lane
-            if source >= rows.count:
-                source = rows.count - 1
+            if source >= table.count:
+                source = table.count - 1
             state = states[n * source :]
-            taken = rows.given[lane:]
+            taken = table.x_block[lane:]
             for i in range(n):
                 taken[lanes * i] = state[i]
-            taken[lanes * n] = rows.times[source]
-        rows.function(rows.given, rows.found)
+            taken[lanes * n] = table.times[source]
+        # evaluate, and copy the results of each lane to its row
+        table.function(table.x_block, table.y_block)
         for lane in range(lanes):
-            if row + lane < rows.count:
-                result = results[m * (row + lane) :]
-                made = rows.found[lane:]
-                for j in range(m):
-                    result[j] = made[lanes * j]
+            if row + lane < table.count:
+                result = results[outputs * (row + lane) :]
+                computed = table.y_block[lane:]
+                for j in range(outputs):
+                    result[j] = computed[lanes * j]
         row += lanes
 
 
 @native
 def repeat(count: int, function: Callback, x: Vector, y: Vector) -> None:
-    """Evaluate the same function of the same x again and again, for benchmarks."""
+    """Evaluate a function of the same x `count` times, for benchmarks; y receives the results."""
     for _k in range(count):
         function(x, y)
 
 
 @lru_cache
 def loops() -> NativeFunctions:
-    """Compile the loops over states, once."""
+    """Compile the native loops over states, once per process."""
     return NativeFunctions([map_runs, repeat])
 
 
 def at_rows(function: NativeFunction, x: Array) -> Array:
-    """Evaluate a function of each row of x (n, inputs), by native loops: (n, outputs)."""
+    """Evaluate a native function at each row of x (n, inputs) by a native loop.
+
+    Returns:
+        (n, outputs) results.
+    """
     results = np.empty((len(x), function.outputs))
-    rows = Rows(
+    # a single run whose "state" is all but the last input, and whose "time" is the last input
+    table = StateTable(
         runs=1,
         count=len(x),
         n=function.inputs - 1,
         inputs=function.inputs,
-        m=function.outputs,
+        outputs=function.outputs,
         lanes=function.lanes,
         function=function,
         x=np.zeros(function.inputs),
         times=np.ascontiguousarray(x[:, -1]),
         states=np.ascontiguousarray(x[:, :-1]),
-        places=np.zeros(1),
-        given=np.empty((function.inputs, function.lanes)),
-        found=np.empty((function.outputs, function.lanes)),
+        result_numbers=np.zeros(1),
+        x_block=np.empty((function.inputs, function.lanes)),
+        y_block=np.empty((function.outputs, function.lanes)),
     )
-    loops().bind(map_runs, rows)(results)
+    loops().bind(map_runs, table)(results)
     return results
 
 
 class Outputs:
-    """The arrays that a scene asks for at the output times of some runs, as often as one likes.
+    """Output arrays of some runs of a scene at their output times.
+
+    The object holds references to arrays of states and parameters. After new runs have filled these arrays,
+    the outputs can be evaluated again.
 
     Attributes:
-        shape: of the results of one run, (n, outputs).
-        write: writes the results of all runs into those (..., n, outputs) of some more.
+        shape: (n, outputs), shape of the results of one run.
+        write: writes the results of all runs into an array (..., n, outputs), at the numbers of the runs.
     """
 
-    def __init__(self, code: CompiledEquations, times: Array, x: Array, states: Array, places: Array) -> None:
+    def __init__(
+        self, code: CompiledEquations, times: Array, x: Array, states: Array, result_numbers: Array
+    ) -> None:
         """Prepare the outputs of runs.
 
         Args:
             code: compiled equations of the scene.
             times: (n,) s, output times.
-            x: (runs, inputs) inputs, which contain the parameters when the outputs are evaluated.
+            x: (runs, inputs) vectors with the flags and parameters of each run.
             states: (runs, n, size) states at the output times.
-            places: (runs,) numbers of the runs among the results.
+            result_numbers: (runs,) where `write` puts the results of each run, as the number of a run.
         """
         function = code.function("output")
         self._code, self._times, self._x, self._states = code, times, x, states
         self.shape = (len(times), function.outputs)
-        given, found = (np.empty((size, function.lanes)) for size in (code.inputs, function.outputs))
-        rows = Rows(
+        table = StateTable(
             runs=len(x),
             count=len(times),
             n=code.size,
             inputs=code.inputs,
-            m=function.outputs,
+            outputs=function.outputs,
             lanes=function.lanes,
             function=function,
             x=x,
             times=times,
             states=states,
-            places=places.astype(float),
-            given=given,
-            found=found,
+            result_numbers=result_numbers.astype(float),
+            x_block=np.empty((code.inputs, function.lanes)),
+            y_block=np.empty((function.outputs, function.lanes)),
         )
-        self.write = loops().bind(map_runs, rows)
+        self.write = loops().bind(map_runs, table)
 
     def __call__(self, results: Array, rows: int | None = None) -> dict[str, Array]:
-        """Write the results (n, outputs) of the first run; returns views of them as `complete` does."""
+        """Evaluate the outputs of a single run.
+
+        Args:
+            results: (n, outputs), written.
+            rows: number of output times that the run reached; all if None.
+
+        Returns:
+            Views of the first rows of the results by name.
+
+        Raises:
+            IntegrationError: see `complete`.
+        """
         self.write(results)
         return self.complete(results[:rows])
 
     def complete(self, results: Array, run: int = 0) -> dict[str, Array]:
-        """Complete the results (rows, outputs) of a run, which `write` has written; returns views by name.
+        """Check the results of a run that `write` has written, and complete its joint reactions.
 
-        Reactions near singular or under redundant constraints come from the float form, which knows the
-        smallest ones.
+        At singular states and under redundant constraints, reactions are recomputed over floats, with the
+        minimum norm.
+
+        Args:
+            results: (rows, outputs) of the run.
+            run: number of the run among the states.
+
+        Returns:
+            Views of the results by name.
 
         Raises:
-            IntegrationError: for results that no double holds, where that form fails, and where joints have
-                come open.
+            IntegrationError: for a number that is not finite, a state without reactions, or a joint that has
+                opened during a run without projection.
         """
         arrays = named(self._code, results)
         if self._code.stabilization != "projection":
@@ -186,13 +238,19 @@ class Outputs:
             check_finite(self._times, arrays)
         return arrays
 
-    @np.errstate(all="ignore")  # what overflows fails
+    @np.errstate(all="ignore")  # numbers that overflow are reported by the caller
     def _recompute_singular_reactions(self, arrays: dict[str, Array], run: int) -> None:
+        """Overwrite reactions at singular states, or at all states if constraints are redundant.
+
+        Args:
+            arrays: outputs of the run by name; `pivot_ratio` is not positive at a singular state.
+            run: number of the run among the states.
+        """
         code, times, pivot_ratio = self._code, self._times, arrays["pivot_ratio"]
         open_rows = np.arange(len(pivot_ratio)) if code.redundant else np.flatnonzero(~(pivot_ratio > 0.0))
         if not len(open_rows):
             return
-        system_of_run = code.float_system(self._x[run])  # parameters make equations of their own
+        system_of_run = code.float_system(self._x[run])  # the equations with the parameters of this run
         for row in open_rows:
             system, state = at_time(system_of_run, float(times[row])), self._states[run, row]
             try:
@@ -204,18 +262,24 @@ class Outputs:
 
 
 def named(code: CompiledEquations, results: Array) -> dict[str, Array]:
-    """Return views of results (n, outputs) by name."""
+    """Return views of the results of a scene's outputs, (n, outputs), by name, each (n, ...)."""
     return {
         name: results[:, place].reshape(len(results), *shape) for name, (place, shape) in code.arrays.items()
     }
 
 
 def time_function(function: NativeFunction, x: Array, count: int) -> float:
-    """Measure the time, s, of a native function called `count` times for the same x, in a native loop."""
+    """Measure the wall time of a native function, s.
+
+    Args:
+        function: the function.
+        x: (inputs,) its argument, the same in all lanes.
+        count: number of evaluations; a call evaluates as many states as the function has lanes.
+    """
     lanes = function.lanes
     y = np.empty((function.outputs, lanes))
     x = np.repeat(np.asarray(x, dtype=float)[:, None], lanes, axis=1)
     module = loops()
     start = time.perf_counter()
-    module(repeat, -(-count // lanes), function, x, y)
+    module(repeat, -(-count // lanes), function, x, y)  # rounded up
     return time.perf_counter() - start

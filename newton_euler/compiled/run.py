@@ -1,4 +1,9 @@
-"""Runs of compiled scenes: native methods on the scene's native functions, no Python inside a step."""
+"""Integrate a compiled scene: bind its native functions to a native integrator and run it.
+
+No Python runs inside a step, except near singular configurations. An `Integrator` turns an initial state into
+a table of states at given output times. The other functions build the records of sizes, callbacks and work
+arrays that the native integrators in `newton_euler.integrators` read.
+"""
 
 from __future__ import annotations
 
@@ -47,30 +52,38 @@ from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
 MAX_EXAMINED = 8
-"""Outputs of a run among which states are examined to explain how it ended."""
+"""Number of output states of a run with fixed steps that are examined for the cause of an early stop."""
 
-MAX_REPEATED_STEPS, MAX_EXAMINED_STEPS = 10_000, 200
-"""Fixed steps since the last output that are made again to explain how a run ended; states are examined among
-the last of them."""
+MAX_REPEATED_STEPS = 10_000
+"""Number of fixed steps since the last output above which these steps are not repeated to examine them."""
+
+MAX_EXAMINED_STEPS = 200
+"""Number of states at the end of the repeated steps that are examined for the cause of an early stop."""
 
 COMPILATION_LOCK = threading.Lock()
-"""Held while functions are compiled: threads that need the same wait for one of them."""
+"""Lock held during compilation, so that threads that need the same function do not compile it twice."""
 
 METHODS: dict[str, Callable[..., None]] = {
     "DOP853": integrate_dop853,
     "Radau": integrate_radau,
     **dict.fromkeys(FIXED, integrate_fixed),
 }
+"""Native functions of the integrators by name."""
 
 
 @lru_cache
 def native_method(method: Callable[..., Any], in_lanes: bool = False) -> NativeFunctions:
-    """Compile a method, which no scene changes, once, for one run after another or for several in lanes."""
+    """Compile an integrator, once per process: its code is the same for all scenes.
+
+    Args:
+        method: one of the functions of `METHODS`, or another native function of a scene's equations.
+        in_lanes: True for code that integrates several runs at once, one in each lane of a vector register.
+    """
     return NativeFunctions([method], in_lanes)
 
 
 def load(code: CompiledEquations, integrator: str) -> None:
-    """Make everything ready that a run needs."""
+    """Compile, or load from the cache, all functions that a run with an integrator needs."""
     native_method(METHODS[integrator])
     loops()
     for name in needed(code, integrator):
@@ -78,7 +91,7 @@ def load(code: CompiledEquations, integrator: str) -> None:
 
 
 def needed(code: CompiledEquations, integrator: str) -> list[str]:
-    """Return the names of the functions that a run needs."""
+    """Return the names of the scene's functions that a run with an integrator needs."""
     names = ["derivative", "output"] + ["position", "velocity"] * code.projects
     names += ["shares"] * (len(code.exchangeable.numbers) > 0)
     names += {"Euler": ["rate"], "Radau": ["jacobian"]}.get(integrator, [])
@@ -86,9 +99,15 @@ def needed(code: CompiledEquations, integrator: str) -> list[str]:
 
 
 def marks(code: CompiledEquations, integrator: str) -> Array:
-    """Mark angles and Euler parameters (size,), see `newton_euler.integrators.stepper`; others are 0.
+    """Mark the coordinates that an integrator wraps or normalizes after each step.
 
-    Norms that Baumgarte's method governs are its own, but for those that Euler's method leaves behind.
+    Angles of which only the value modulo 2 pi matters are wrapped; quaternions are normalized. Under
+    Baumgarte stabilization the Cartesian equations control the norms of quaternions themselves, so these are
+    not marked. Only semi-implicit Euler still needs the normalization.
+
+    Returns:
+        (size,) `ANGLE` for an angle, `QUATERNION` or `QUATERNION_WITH_RATES` for the first element of a
+        quaternion, else 0.
     """
     marked = np.zeros(code.size)
     marked[code.system.uncounted_angles] = ANGLE
@@ -100,9 +119,10 @@ def marks(code: CompiledEquations, integrator: str) -> Array:
 
 
 def round_off_units(code: CompiledEquations) -> Array:
-    """Return the units (size,) below which coordinates have the absolute round-off of their unit.
+    """Return the magnitudes (size,) below which the round-off of a coordinate is constant, m or rad.
 
-    Carried angles have the unit 1. Velocities and the work have none: their round-off is relative.
+    Below its magnitude, a coordinate has the round-off of the magnitude. The magnitude of angles that are
+    counted with their revolutions is 1 rad. It is 0 for velocities and work, whose round-off is relative.
     """
     system, found = code.system, np.zeros(code.size)
     found[: system.carried.start] = system.coordinate_units
@@ -111,35 +131,47 @@ def round_off_units(code: CompiledEquations) -> Array:
 
 
 class Fallback(DenseCallbacks):
-    """Callbacks of a run into Python: singular states, by the dense float form, and interrupts."""
+    """Callbacks of a single run: dense equations of motion in Python at singular states, and interrupts."""
 
     def __init__(self, code: CompiledEquations, counts: Array, stopped: Sequence[bool] = ()) -> None:
+        """Prepare the callbacks.
+
+        Args:
+            code: compiled equations of the scene, which also give the equations over floats.
+            counts: (COUNTS,) counters of the run, see `newton_euler.integrators.stepper.Count`.
+            stopped: a list that other threads may append to; the run stops if the list is not empty.
+        """
         super().__init__(counts, stopped)
         self._code = code
         self.derivative = self.guarded(self._derivative, self._failed)
 
     def _derivative(self, x: int, y: int, on: int) -> None:
+        """Write dq/dt, dv/dt and 1.0 to address y, for the state, time and parameters at address x."""
         state, results = vector_at(x, self._code.inputs).copy(), vector_at(y, self._code.size + 1)
         system = self._code.float_system(state)
         q, v = state[: system.nq], state[system.nq : self._code.size]
-        with np.errstate(all="ignore"):  # the method checks what comes back
+        with np.errstate(all="ignore"):  # the integrator checks that rates are finite
             results[:-1] = np.concatenate([system.rate(q, v), system.acceleration(q, v)])
         results[-1] = 1.0
 
     def _failed(self, y: int, on: int) -> None:
+        """Mark the rates at address y as missing."""
         vector_at(y, self._code.size + 1)[-1] = -1.0
 
 
 class Integrator:
-    """A method on a compiled scene over given times, ready to run from many starts; one thread at a time.
+    """A native integrator bound to a compiled scene and its output times, to run from many initial states.
+
+    Each thread needs its own object.
 
     Attributes:
-        times: (n,) s, its own copy, to be overwritten for a run over other times.
-        x: (inputs,) the state with time and parameters: the start, and after the run where it ended.
-        table: (n, size) the states at all times after a run, as far as `outputs` needs them.
-        outputs: the arrays that the scene asks for.
-        counts: (COUNTS,) of the run, see `newton_euler.integrators.stepper`.
-        steps: (room, size + 2 + flags) the first steps, see `newton_euler.integrators.dop853.Dop853`.
+        times: (n,) s, output times. Overwrite the elements to run over other times.
+        x: (inputs,) state, time, flags and parameters: where the run starts, afterwards where it ended.
+        table: (n, size) states at the output times after a run. If the outputs need no velocities, only the
+            coordinates are written.
+        outputs: evaluates the arrays that the scene asks for.
+        counts: (COUNTS,) counters of the run, see `newton_euler.integrators.stepper.Count`.
+        steps: (room, size + 2 + flags) state, time, flags and size of the first steps of DOP853.
     """
 
     def __init__(
@@ -150,7 +182,18 @@ class Integrator:
         stopped: Sequence[bool] = (),
         room: int = 0,
     ) -> None:
-        """Make everything ready; a run stops if `stopped`, which other threads may fill, holds something."""
+        """Bind the scene's functions to the integrator and allocate its memory.
+
+        Args:
+            code: compiled equations of the scene.
+            times: (n,) s, output times; the first is the start.
+            options: integrator and step control.
+            stopped: a list that other threads may append to; the run stops if the list is not empty.
+            room: number of steps to keep in `steps`.
+
+        Raises:
+            OptionError: if the option `rest` ends runs at rest although functions of time may move the scene.
+        """
         functions = (f for each in code.scene.functions.values() for f in each)
         if options.rest and not all(f.is_constant for f in functions):
             raise OptionError("rest", options.rest, "0 for a scene with functions of time other than Steps")
@@ -167,15 +210,16 @@ class Integrator:
         self._run = native_method(integrate).bind(integrate, system, table, method)
 
     def __call__(self, x: Array) -> None:
-        """Run from x (inputs,).
+        """Run from x (inputs,): state, time, flags and parameters.
 
         Raises:
-            IntegrationError: with the time reached, the reason and the joint.
+            IntegrationError: if the run stops early, with the time reached, the reason and the joint.
         """
         self.x[:] = x
         error, status = self._execute(), int(self.counts[Count.STATUS])
         if status != Status.DONE or error is not None:
-            # a run that goes on to another end has recovered from an error of the dense form
+            # the integrator may recover from an error of the dense equations and stop later for another
+            # reason, so the last error counts only if the run ended as singular
             error = error or (self._python.error if status == Status.SINGULAR else None)
             passed: list[Array] = []
             if self._options.step is not None and error is None and status in UNSTABLE_STATUSES:
@@ -183,11 +227,14 @@ class Integrator:
             raise failure(self._code, self._options, status, [*passed, self.x], self.counts, error)
 
     def _execute(self) -> Exception | None:
-        """Run from `x`, interruptibly; return the error of the equations that ended the run, if one did.
+        """Run from the vector `self.x`; Ctrl-C stops the run.
+
+        Returns:
+            The error of the equations that ended the run, or None.
 
         Raises:
-            KeyboardInterrupt: if the user or `stopped` asks for it.
-            BaseException: a mistake of the program.
+            KeyboardInterrupt: if the user pressed Ctrl-C or `stopped` is not empty.
+            BaseException: a programming error in a callback.
         """
         python = self._python
         python.begin()
@@ -202,14 +249,14 @@ class Integrator:
         return None
 
     def _outputs_passed(self) -> list[Array]:
-        """Return some states (inputs,) of a run by fixed steps at its outputs."""
+        """Return up to `MAX_EXAMINED` vectors x (inputs,) of a run with fixed steps at its output times."""
         written = int(self.counts[Count.ROWS_WRITTEN])
         return [self._row(row) for row in range(1, written, written // MAX_EXAMINED + 1)]
 
     def _steps_passed(self) -> list[Array]:
-        """Return the last states (inputs,) of a run by fixed steps since its last output.
+        """Return the last vectors x (inputs,) of a run with fixed steps since its last output.
 
-        These steps are made once more, with an output at each.
+        The run repeats these steps, with an output at each of them. The result is empty for too many steps.
         """
         assert self._options.step is not None
         last = int(self.counts[Count.ROWS_WRITTEN]) - 1
@@ -219,26 +266,30 @@ class Integrator:
         count = divisions(end - begin, self._options.step)
         if count > MAX_REPEATED_STEPS:
             return []
-        again = Integrator(self._code, np.linspace(begin, end, count + 1), self._options, self._stopped)
-        again.x[:] = self._row(last)
-        again._execute()  # to where it ended, whatever ended it
-        written = int(again.counts[Count.ROWS_WRITTEN])
-        return [again._row(row) for row in range(max(1, written - MAX_EXAMINED_STEPS), written)]
+        repeated = Integrator(self._code, np.linspace(begin, end, count + 1), self._options, self._stopped)
+        repeated.x[:] = self._row(last)
+        repeated._execute()  # stops where this run stopped; the reason does not matter here
+        written = int(repeated.counts[Count.ROWS_WRITTEN])
+        return [repeated._row(row) for row in range(max(1, written - MAX_EXAMINED_STEPS), written)]
 
     def _row(self, row: int) -> Array:
-        """Return the state (inputs,) in a row of the table, of which the method has written all."""
+        """Return the vector x (inputs,) of a row of the table; fixed-step integrators write whole states."""
         x, n = self.x.copy(), self._code.size
         x[: n + 1] = [*self.table[row], self.times[row]]
         return x
 
     def attempt(self, x: Array) -> tuple[Array, IntegrationError | None]:
-        """Run from x (inputs,): results (n, outputs) at the n times that were reached, and the error before
-        the last of all times."""
+        """Run from x (inputs,) and evaluate the outputs; do not raise if the run stops early.
+
+        Returns:
+            Results (rows, outputs) at the output times reached; the error that stopped the run, or None.
+        """
         stopped: IntegrationError | None = None
         try:
             self(x)
         except IntegrationError as error:
             stopped = error
+        # outputs may fail at a state; then only earlier ones are evaluated
         rows, results = int(self.counts[Count.ROWS_WRITTEN]), np.empty(self.outputs.shape)
         while rows > 0:
             try:
@@ -252,8 +303,15 @@ class Integrator:
 def equations(
     code: CompiledEquations, python: DenseCallbacks, derivative: Callback, marked: Array
 ) -> Equations:
-    """Return a scene's native functions as methods call them: in lanes, if the counts (COUNTS, lanes) of the
-    callbacks are of as many runs."""
+    """Return the record of a scene's native functions that integrators read.
+
+    Args:
+        code: compiled equations of the scene.
+        python: callbacks into Python. If its counters are of several runs, (COUNTS, lanes), the functions
+            evaluate one state for each lane.
+        derivative: computes dq/dt, dv/dt and the pivot ratio.
+        marked: (size,) marks of angles and quaternions, see `marks`.
+    """
     in_lanes = python.counts.ndim > 1
     position, velocity = (
         code.function(name, in_lanes) if code.projects else None for name in ("position", "velocity")
@@ -285,10 +343,18 @@ def equations(
 
 
 def closing_on_demand(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool) -> Closing:
-    """Return a record to close a scene with, whose functions are compiled when a run first comes near a
-    singular configuration."""
+    """Return the record for dense projection onto the constraints, used near singular configurations.
+
+    Its functions are compiled when a run first comes near a singular configuration.
+
+    Args:
+        code: compiled equations of the scene.
+        python: callbacks into Python.
+        in_lanes: True for functions that evaluate one state for each lane.
+    """
 
     def prepare(x: int, y: int, on: int) -> None:
+        """Compile the functions and fill in the record; native code calls this at the first use."""
         with COMPILATION_LOCK:
             retract, surface = (code.function(name, in_lanes) for name in ("retract", "surface"))
         system, (constraints, places) = code.system, surface.layout
@@ -303,20 +369,39 @@ def closing_on_demand(code: CompiledEquations, python: DenseCallbacks, in_lanes:
 
 
 def ratio_on_demand(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool) -> ConstraintRatio:
-    """Return a record of the constraints alone, whose function is compiled when pivots are first small."""
+    """Return the record of the pivot ratio of the constraints, which shows how close a state is to singular.
+
+    Its function is compiled when the pivots of the equations of motion are small for the first time.
+
+    Args:
+        code: compiled equations of the scene.
+        python: callbacks into Python.
+        in_lanes: True for functions that evaluate one state for each lane.
+    """
 
     def prepare(x: int, y: int, on: int) -> None:
+        """Compile the function and fill in the record; native code calls this at the first use."""
         with COMPILATION_LOCK:
             function = code.function("ratio", in_lanes)
-        ratio.overwrite_with(ConstraintRatio(Progress.READY, None, function, found))
+        ratio.overwrite_with(ConstraintRatio(Progress.READY, None, function, result))
 
-    found = np.zeros((1, lane_count() if in_lanes else 1))
-    ratio = ConstraintRatio(Progress.UNPREPARED, python.guarded(prepare), None, found)
+    result = np.zeros((1, lane_count() if in_lanes else 1))
+    ratio = ConstraintRatio(Progress.UNPREPARED, python.guarded(prepare), None, result)
     return ratio
 
 
 def exchange_of(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool) -> RowExchange:
-    """Return the record of a scene's exchangeable rows."""
+    """Return the record by which a run exchanges redundant constraint rows.
+
+    If loops are redundant, some rows imply the others, but near some configurations another choice of rows is
+    better conditioned. The record has a function that detects this, and a callback that makes the better
+    choice.
+
+    Args:
+        code: compiled equations of the scene.
+        python: callbacks into Python.
+        in_lanes: True for functions that evaluate one state for each lane.
+    """
     rows = code.exchangeable
     if not rows.numbers:
         return no_exchange(code.flags.start)
@@ -325,10 +410,12 @@ def exchange_of(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool)
     lanes = shares.lanes if in_lanes else 1
 
     def exchange(x: int, y: int, on: int) -> None:
+        """Change the flags at address x to those of better rows, by the results of `shares` at address y."""
         inputs = vector_at(x, code.inputs * lanes).reshape(-1, lanes)
         results = vector_at(y, shares.outputs * lanes).reshape(-1, lanes)
         for lane in range(lanes):
             if on >> lane & 1:
+                # the constraint Jacobian from its nonzeros, which follow the largest share
                 jacobian = np.zeros(len(code.rows.numbers) * code.system.nv)
                 jacobian[shares.layout] = results[1:, lane]
                 flags = inputs[code.flags, lane]
@@ -350,16 +437,42 @@ def exchange_of(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool)
 def table_of(
     code: CompiledEquations, times: Array, ends: Array, states: Array, tallies: Array, lanes: int = 1
 ) -> Table:
-    """Return a table of as many runs as there are ends; each lane makes the first one that is its own."""
-    first = np.arange(float(lanes))
-    return Table(len(times), code.output_state_size, len(ends), lanes, first, times, ends, states, tallies)
+    """Return the record of the runs that an integrator has to do, with the table of their states.
+
+    Args:
+        code: compiled equations of the scene.
+        times: (n,) s, output times.
+        ends: (runs, inputs) where runs start, afterwards where they ended.
+        states: (runs, n, size) states at the output times, written.
+        tallies: (runs, COUNTS) counters of the runs, written.
+        lanes: number of runs that are integrated at once; lane k starts with run k.
+    """
+    return Table(
+        count=len(times),
+        output_state_size=code.output_state_size,
+        runs=len(ends),
+        stride=lanes,
+        first=np.arange(float(lanes)),
+        times=times,
+        ends=ends,
+        states=states,
+        tallies=tallies,
+    )
 
 
 def method_of(code: CompiledEquations, options: Options, steps: Array, lanes: int = 1) -> Record:
-    """Return a method with its state and scratch, for a run in each lane, and room for steps of one."""
+    """Return the record of an integrator: its options, its state and its work arrays.
+
+    Args:
+        code: compiled equations of the scene.
+        options: integrator and step control.
+        steps: (room, size + 2 + flags) receives the first steps of DOP853.
+        lanes: number of runs that are integrated at once.
+    """
     n, most = code.size, most_steps(options)
 
     def scratch(*shape: int) -> Array:
+        """Return a work array of a shape, for each lane."""
         return np.zeros((*shape, lanes))
 
     if options.step is not None:
@@ -390,10 +503,22 @@ def dop853_of(
     steps: Array | None = None,
     lanes: int = 1,
 ) -> Dop853:
-    """Return DOP853 with its state and scratch; arguments as of its attributes."""
+    """Return the record of DOP853: its options, its state and its work arrays.
+
+    Args:
+        n: length of a state (q, v).
+        inputs: length of a state with time, flags and parameters.
+        options: tolerances and other step control.
+        near: relative and absolute tolerance next to a singular configuration.
+        most: largest number of steps.
+        units: (n,) magnitudes below which the round-off of a number is constant, see `round_off_units`.
+        steps: (room, n + 2 + flags) receives the first steps; None to keep no steps.
+        lanes: number of runs that are integrated at once.
+    """
     steps = np.zeros((0, n + 2)) if steps is None else steps
 
     def scratch(*shape: int) -> Array:
+        """Return a work array of a shape, for each lane."""
         return np.zeros((*shape, lanes))
 
     return Dop853(
@@ -418,9 +543,19 @@ def dop853_of(
 
 
 def radau_of(n: int, inputs: int, options: Options, most: int, jacobian: Callback, lanes: int = 1) -> Radau:
-    """Return Radau with its state and scratch; arguments as of its attributes."""
+    """Return the record of Radau: its options, its state and its work arrays.
+
+    Args:
+        n: length of a state (q, v).
+        inputs: length of a state with time, flags and parameters.
+        options: tolerances and other step control.
+        most: largest number of steps.
+        jacobian: computes the Jacobian (n, n) of the rates dq/dt, dv/dt.
+        lanes: number of runs that are integrated at once.
+    """
 
     def scratch(*shape: int) -> Array:
+        """Return a work array of a shape, for each lane."""
         return np.zeros((*shape, lanes))
 
     return Radau(
@@ -447,17 +582,23 @@ def radau_of(n: int, inputs: int, options: Options, most: int, jacobian: Callbac
 
 
 class Projection:
-    """Projection of states onto the constraints of a scene."""
+    """Projection of states onto the constraints of a scene: calling the object closes all loops."""
 
     def __init__(self, code: CompiledEquations) -> None:
+        """Bind the compiled equations of a scene to the native projection."""
         self._python, self._projects = Fallback(code, np.zeros(COUNTS)), code.projects
         self.x = np.zeros(code.inputs)
-        rates = self._python.derivative  # projection calls none, and compiling them takes time
+        # projection never evaluates rates; the Python form saves the time of compilation
+        rates = self._python.derivative
         system = equations(code, self._python, rates, np.zeros(code.size))
         self._run = native_method(project).bind(project, system, 1, self.x)
 
     def __call__(self, x: Array) -> bool:
-        """Change x (inputs,) by the least that meets the constraints; False if that cannot be done."""
+        """Move the state in x (inputs,) onto the constraints by the shortest steps.
+
+        Returns:
+            True if the constraints are closed; else False, and x is unchanged.
+        """
         if not self._projects:
             return True
         self.x[:] = x
