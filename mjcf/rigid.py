@@ -24,7 +24,7 @@ from newton_euler.equations.model_control import EngineControl, servo_forces
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
 from newton_euler.equations.system import Evaluation
 from newton_euler.model.joint import Key
-from newton_euler.model.joint_geometry import JointGeometry, closing, in_tree
+from newton_euler.model.joint_geometry import JointGeometry, geometry_in_tree, loop_closing_geometry
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
@@ -145,11 +145,11 @@ class RigidMuJoCo(EvaluatedScene):
             index = model.joint(name).id
             return kinds[int(model.jnt_type[index])], data.xaxis[index].copy(), data.xanchor[index].copy()
 
-        found = in_tree(self.welded, read)
+        found = geometry_in_tree(self.welded, read)
         for loop in all_loops(model, data):
             if loop.kind != mujoco.mjtEq.mjEQ_WELD:
                 kind = "rod" if loop.kind == mujoco.mjtEq.mjEQ_TENDON else "ball"
-                found[loop.name] = closing(kind, (loop.points[0].copy(), loop.points[1].copy()))
+                found[loop.name] = loop_closing_geometry(kind, (loop.points[0].copy(), loop.points[1].copy()))
         return found
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:

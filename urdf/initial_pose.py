@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.equations.system import MassProperties
-from newton_euler.model.joint_geometry import NOWHERE, JointGeometry, closing, in_tree
+from newton_euler.model.joint_geometry import NOWHERE, JointGeometry, geometry_in_tree, loop_closing_geometry
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.spanning_tree import WeldedMechanism
 from newton_euler.scalars import Array
@@ -48,13 +48,13 @@ def joint_geometry(closed: ClosedLoopModel, welded: WeldedMechanism) -> dict[str
         linear, angular = columns[:3, joint.idx_v], columns[3:, joint.idx_v]
         return ("hinge", angular, point) if np.any(angular) else ("slide", linear, point)
 
-    found = in_tree(welded, read)
+    found = geometry_in_tree(welded, read)
     constraints, rods = iter(closed.constraints), iter(closed.rods)
     for cut in welded.tree.cuts:
         joint = welded.tree.joint(cut)
         if joint.only_closes:
             first, second = (data.oMf[frame].translation.copy() for frame in next(rods))
-            found[joint.name] = closing("rod", (first, second))
+            found[joint.name] = loop_closing_geometry("rod", (first, second))
             continue
         constraint = next(constraints)
         ends = (
@@ -62,5 +62,5 @@ def joint_geometry(closed: ClosedLoopModel, welded: WeldedMechanism) -> dict[str
             data.oMi[constraint.joint2_id].act(constraint.joint2_placement).translation,
         )
         if constraint.type == pin.ContactType.CONTACT_3D:
-            found[joint.name] = closing("ball", ends)
+            found[joint.name] = loop_closing_geometry("ball", ends)
     return found

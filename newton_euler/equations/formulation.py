@@ -30,7 +30,7 @@ from newton_euler.equations.system import Evaluation, MassProperties, Observatio
 from newton_euler.model.constraints import Frame
 from newton_euler.model.elements import Surroundings
 from newton_euler.model.joint import JointEquations, Key, Pose
-from newton_euler.model.joint_geometry import JointGeometry, stated
+from newton_euler.model.joint_geometry import JointGeometry, geometry_in_mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar, minimum
@@ -307,7 +307,7 @@ class Formulation(System):
 
     def joint_geometry(self) -> dict[str, JointGeometry]:
         """Return the joints that the mechanism states."""
-        return stated(self.mechanism)
+        return geometry_in_mechanism(self.mechanism)
 
     # Constraints
 

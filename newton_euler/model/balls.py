@@ -1,12 +1,17 @@
-"""Relative rotation of the two bodies of a ball joint, for springs, dampers and rotors on balls.
+"""Relative rotation and angular velocity of the two bodies of a ball joint.
 
-Joints with a ball have no hinge beside it, so that the two bodies determine its rotation. With theta the
-rotation vector of the second body against the first, from the rest position, and omega = omega_2 - omega_1,
-the rate of |theta|^2 / 2 is theta . omega (theta is its own image under the rotation that it stands for), so
-that k |theta|^2 / 2 is the potential of the torque -k theta on the second body. Both springs and rotors are
-the same about all axes, and so no frame is preferred.
+Springs, dampers and rotors on ball joints use these functions.
 
-All over generic scalars (J. Diebel, Representing Attitude, 2006, sections 5.6 and 7, for rotation vectors).
+A joint with a ball has no hinges, so the orientations of the two bodies determine the rotation of the ball.
+Let theta be the rotation vector (axis times angle) of the second body relative to the first, counted from the
+rest position, and omega = omega_2 - omega_1 the relative angular velocity. The rate of |theta|^2 / 2 is
+theta . omega, because a rotation leaves its own rotation vector unchanged. Therefore k |theta|^2 / 2 is the
+potential of the torque -k theta on the second body. Springs and rotors are isotropic: the same about all
+axes.
+
+The functions accept arrays of generic scalars: floats, or objects with the same operations, such as the
+expressions of the code generator (`newton_euler.scalars`). Source of the formulas for rotation vectors: J.
+Diebel, Representing Attitude, 2006, sections 5.6 and 7.
 """
 
 from __future__ import annotations
@@ -21,24 +26,31 @@ from newton_euler.model.joint import Pose
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.scalars import Array, arctan2, cos, cross, sin, sqrt
 
-TINY = 1e-300  # added to squares so that no angle is zero; quotients by it and their derivatives stay right
-SPIN = Jacobian(np.zeros((3, 3)), -np.eye(3), np.zeros((3, 3)), np.eye(3))  # Jacobian of omega, world frame
+SQUARE_FLOOR = 1e-300
+"""Number that is added to a squared length before its square root, so that the length is never 0. Quotients
+by the length and their derivatives then have the correct limits at 0."""
+
+SPIN = Jacobian(np.zeros((3, 3)), -np.eye(3), np.zeros((3, 3)), np.eye(3))
+"""Jacobian of the relative angular velocity omega with respect to the velocities of the two bodies, world
+frame."""
 
 
 def ends(mechanism: Mechanism, joint: str) -> tuple[int, int]:
-    """Find the numbers of the two bodies of a joint."""
+    """Return the indices of the first and the second body of a joint in `Mechanism.bodies`."""
     equations = mechanism.joint_equations(joint)
     return equations.first, equations.second
 
 
-def rotation_between(first: Pose, second: Pose, rest: Array, frames: tuple[Frame, Frame]) -> Array:
-    """Compute theta (3,) rad, world frame; right below half a revolution, where it jumps to the other side.
+def rotation_from_rest(first: Pose, second: Pose, rest: Array, frames: tuple[Frame, Frame]) -> Array:
+    """Compute theta (3,), rad, world frame: the rotation of the second body relative to the first, from rest.
+
+    The magnitude of theta is at most pi. At half a revolution, theta jumps to the opposite direction.
 
     Args:
-        first, second: reference poses of the frames at the initial pose.
-        rest: (3,) rotation vector of the second body against the first where theta is zero, from the
-            initial pose, in the world's axes there.
-        frames: of the two bodies.
+        first, second: poses of the two body frames at the mechanism's initial pose.
+        rest: (3,) rad, rotation vector of the second body relative to the first where theta is zero, counted
+            from the initial pose, with world components at the initial pose.
+        frames: present frames of the two bodies.
     """
     into_world = frames[0].rotation @ first.rotation.T
     turned = into_world.T @ (frames[1].rotation @ second.rotation.T)
@@ -46,40 +58,51 @@ def rotation_between(first: Pose, second: Pose, rest: Array, frames: tuple[Frame
 
 
 def spin(first: Frame, second: Frame) -> Array:
-    """Compute omega (3,) rad/s, world frame."""
+    """Compute the angular velocity omega (3,), rad/s, of the second body relative to the first, world
+    frame."""
     return np.asarray(second.angular_velocity - first.angular_velocity)
 
 
 def spin_gamma(first: Frame, second: Frame) -> Array:
-    """Compute gamma (3,) of d omega/dt = `SPIN` . accelerations - gamma, relative to either body."""
+    """Compute gamma (3,), rad/s^2, world frame, in d omega/dt = `SPIN` . accelerations - gamma.
+
+    The rate of omega is the one that an observer fixed in one of the two bodies sees; both bodies see the
+    same. gamma is the part of the rate that depends on velocities alone."""
     return cross(first.angular_velocity, second.angular_velocity)
 
 
 def spin_rate(frames: Sequence[Frame], angular: Array, bodies: tuple[int, int]) -> Array:
-    """Compute d omega/dt (3,) relative to either body, world frame, from angular accelerations (b, 3)."""
+    """Compute d omega/dt (3,), rad/s^2, as seen from either body of a ball, world frame.
+
+    Args:
+        frames: present frames of all b bodies.
+        angular: (b, 3) angular accelerations of all bodies, rad/s^2, world frame.
+        bodies: indices of the first and the second body, see `ends`.
+    """
     i, j = bodies
     return np.asarray(angular[j] - angular[i] - spin_gamma(frames[i], frames[j]))
 
 
 def rotation_vector(matrix: Array) -> Array:
-    """Compute the rotation vector (3,), rad, of a rotation matrix (3, 3), with the right derivative at zero.
+    """Compute the rotation vector (3,), rad, of a rotation matrix (3, 3); its derivative is exact at zero.
 
-    The angle is below half a revolution; near that the axis loses digits in proportion to the distance.
+    The angle must be below half a revolution (pi). Close to pi the axis loses digits: its relative error
+    grows as round-off divided by (pi - angle).
     """
     (_, b, c), (d, _, f), (g, h, _) = matrix
-    sines = 0.5 * np.array([h - f, c - g, d - b])
-    sine = sqrt(sines @ sines + TINY)
+    sines = 0.5 * np.array([h - f, c - g, d - b])  # sine of the angle, times the unit axis
+    sine = sqrt(sines @ sines + SQUARE_FLOOR)
     cosine = 0.5 * (matrix[0, 0] + matrix[1, 1] + matrix[2, 2] - 1.0)
     return np.asarray(sines * (arctan2(sine, cosine) / sine))
 
 
 def quaternion_by(vector: Array) -> Array:
-    """Compute the unit quaternion (4,) w-x-y-z of a rotation vector (3,), rad, of any angle."""
-    angle = sqrt(vector @ vector + TINY)
+    """Compute the unit quaternion (4,), (w, x, y, z), of a rotation vector (3,), rad, of any length."""
+    angle = sqrt(vector @ vector + SQUARE_FLOOR)
     half = 0.5 * angle
     return np.array([cos(half), *((sin(half) / angle) * vector)])
 
 
 def rotation_by(vector: Array) -> Array:
-    """Compute the rotation matrix (3, 3) of a rotation vector (3,), rad, of any angle."""
+    """Compute the rotation matrix (3, 3) of a rotation vector (3,), rad, of any length."""
     return rotation(quaternion_by(vector))

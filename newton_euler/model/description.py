@@ -1,9 +1,13 @@
-"""Descriptions: frozen dataclasses whose fields take whatever arrays and tuples are made of.
+"""Decorator and field types for the frozen dataclasses that describe bodies, joints, forces and scenes.
 
-Type checkers take the types of an argument and of the attribute from the methods of a descriptor, if the
-class has a decorator that is a `dataclass_transform`; with that of the standard library mypy does not. There
-is no descriptor when a program runs: constructors make the arrays, see `newton_euler.errors.set_arrays`
-and `elements_of`.
+Constructors accept any input that NumPy can convert to an array, such as a list, but the attribute is an
+array. The field types `ArrayField`, `IndexField`, `TupleField` and `DefaultArrayField` explain this to type
+checkers: `__set__` has the type of the constructor argument and `__get__` the type of the attribute. mypy
+uses these two types only if the class decorator is marked with `dataclass_transform`; hence the decorator
+`description`.
+
+The field types exist for type checkers only. In a running program the constructors convert the values, see
+`set_arrays` and `elements_of` in `newton_euler.errors`.
 """
 
 from __future__ import annotations
@@ -19,12 +23,14 @@ from newton_euler.scalars import Floats
 
 C = TypeVar("C")
 T = TypeVar("T")
-LONGEST = 9  # numbers of an array that are shown one by one
+MAX_SHOWN_NUMBERS = 9
+"""Size of the largest array whose numbers `repr` shows; of a larger array `repr` shows the shape."""
 
 if TYPE_CHECKING:
 
     class ArrayField:
-        """A field that takes whatever NumPy makes an array of, and is an array of floats."""
+        """A field whose constructor argument is anything that NumPy converts, and whose attribute is a float
+        array."""
 
         @overload
         def __get__(self, thing: None, owner: type) -> Self: ...
@@ -34,7 +40,8 @@ if TYPE_CHECKING:
         def __set__(self, thing: object, value: ArrayLike) -> None: ...
 
     class IndexField:
-        """A field that takes whatever NumPy makes an array of, and is an array of whole numbers."""
+        """A field whose constructor argument is anything that NumPy converts, and whose attribute is an int
+        array."""
 
         @overload
         def __get__(self, thing: None, owner: type) -> Self: ...
@@ -44,7 +51,7 @@ if TYPE_CHECKING:
         def __set__(self, thing: object, value: ArrayLike) -> None: ...
 
     class TupleField(Generic[T]):
-        """A field that takes any number of things, and is a tuple of them."""
+        """A field whose constructor argument is any iterable of T, and whose attribute is a tuple of T."""
 
         @overload
         def __get__(self, thing: None, owner: type) -> Self: ...
@@ -54,7 +61,8 @@ if TYPE_CHECKING:
         def __set__(self, thing: object, value: Iterable[T]) -> None: ...
 
     class DefaultArrayField(ArrayField):
-        """A field that is made from the others where it is not given, or None."""
+        """An `ArrayField` that may be omitted or None; the constructor then computes it from the other
+        fields."""
 
         def __set__(self, thing: object, value: ArrayLike | None) -> None: ...
 
@@ -63,31 +71,37 @@ else:
     TupleField = tuple
 
 
-@dataclass_transform(
-    eq_default=False, field_specifiers=(field,)
-)  # mypy gives heirs of frozen ones other types
+# frozen_default is not set, because mypy then ignores the field types of this module in subclasses
+@dataclass_transform(eq_default=False, field_specifiers=(field,))
 def description(kind: type[C]) -> type[C]:
-    """Make a class a frozen dataclass whose instances equal nothing else, as they hold arrays."""
+    """Make a class a frozen dataclass with a short `repr` and comparison by identity.
+
+    Instances with equal values are not equal, because comparison of array attributes has no single truth
+    value.
+    """
     if "__repr__" not in vars(kind):
         kind.__repr__ = _in_one_line  # type: ignore[method-assign]
     return dataclass(frozen=True, eq=False, repr=False)(kind)
 
 
 def _in_one_line(thing: Any) -> str:
-    """Return a constructor with what is not as by default; of long arrays the shapes."""
-    found = []
+    """Return the `repr` of an instance: a constructor call with the fields that differ from their
+    defaults."""
+    arguments = []
     for each in fields(thing):
         value, default = getattr(thing, each.name), each.default
         if each.default_factory is not MISSING:
             default = each.default_factory()
         if not np.array_equal(value, default):  # type: ignore[arg-type]
-            found.append(f"{each.name}={_text(value)}")
-    return f"{type(thing).__name__}({', '.join(found)})"
+            arguments.append(f"{each.name}={_text(value)}")
+    return f"{type(thing).__name__}({', '.join(arguments)})"
 
 
 def _text(value: object) -> str:
+    """Format the value of a field for `repr`; an array of more than `MAX_SHOWN_NUMBERS` numbers as its
+    shape."""
     if not isinstance(value, np.ndarray):
         return repr(value)
-    if value.size > LONGEST:
+    if value.size > MAX_SHOWN_NUMBERS:
         return f"<{' by '.join(map(str, value.shape))} numbers>"
     return str(value.tolist())

@@ -1,8 +1,9 @@
-"""Declarations of the numbers of an element: unit, bounds, and what other values of a number change.
+"""Declarations of the numbers of bodies, joints, forces and control laws: units and allowed values.
 
-A class of elements declares its numbers once, as `number_fields`. Constructors check values by these
-declarations. Parameters of runs (`newton_euler.equations.parameters`), their units and the check of many
-values (`newton_euler.runs.variation`) follow from the same declarations.
+Each class of the model declares its numbers once, as `number_fields`: a mapping from attribute names to
+`NumberField` records. Constructors check values by these declarations. The parameters that may differ from
+run to run (`newton_euler.equations.parameters`), their units and their checks (`newton_euler.runs.variation`)
+follow from the same declarations.
 """
 
 from __future__ import annotations
@@ -15,34 +16,41 @@ import numpy as np
 from newton_euler.errors import MechanismError, finite_array, is_finite_number, quoted
 
 AllowedValues = Literal["interval", "nonzero", "direction", "axis", "joint", "inertia"]
-"""Values that a number of an element may take:
+"""Rule for the values that a number may take in a run:
 
-- `interval`: each component an interval that contains the element's own value;
+- `interval`: in each component any value of an interval that contains the described value;
 - `nonzero`: the same, without 0;
-- `direction`: vectors of any length but 0;
-- `axis`: the same, as long as the pair of vectors across the axis does not jump;
-- `joint`: values that depend on other numbers of the element;
-- `inertia`: inertias (3, 3) that a rigid body can have.
+- `direction`: a vector of any nonzero length;
+- `axis`: a direction near enough to the described axis that the two unit vectors chosen perpendicular to the
+  axis (`newton_euler.model.joint.perpendicular_pair`) vary continuously;
+- `joint`: values whose validity depends on other numbers of the element, checked by its constructor;
+- `inertia`: inertia tensors (3, 3) that a rigid body can have.
 """
 
 
 @dataclass(frozen=True)
 class NumberField:
-    """A number, an array of numbers or a function of time that elements of a class have as an attribute.
+    """Declaration of one attribute: a number, an array of numbers, or a function of time.
 
     Attributes:
-        unit: SI unit; empty for pure numbers and for arrays of several units.
-        unit_about: SI unit about hinges and balls, if other than the unit along slides and lines.
-        shape: of the array, () for a number; None if the constructor has a check of its own.
-        least: the smallest value of a number.
-        positive: True if 0 is no value of the number.
-        may_be_function: True if the attribute may be a function of time, or a mapping to functions.
-        displaces: True for a point of a body, (3,) in the world at the initial pose. Its parameter is a
-            displacement.
-        allowed: values that runs may give.
-        strength: what is proportional to the attribute: "spring", "damper", "wind", ...; empty for nothing.
-        moves_loops: True if other values move the closed configurations, or the zeros of joint coordinates.
-        opens_joints: True if other values open joints at the initial pose.
+        unit: SI unit; empty for dimensionless numbers and for arrays with several units.
+        unit_about: SI unit at a hinge or ball, if it differs from the unit at a slide, such as N m/rad
+            instead of N/m.
+        shape: shape of the array, () for a number; None if the constructor checks the attribute without this
+            record.
+        least: smallest allowed value of a number.
+        positive: True if the number must be greater than 0.
+        may_be_function: True if the attribute may be a function of time, or a mapping whose values may be
+            functions.
+        displaces: True for a point fixed in a body, (3,) m in the world at the initial pose. The parameter of
+            a run is then the displacement of the point.
+        allowed: rule for the values in a run.
+        strength: name of the physical effect that is proportional to the attribute: "spring", "damper",
+            "rotor", "wind", "wrench" or "actuator"; empty if no effect is proportional to it.
+        moves_loops: True if a change moves the poses in which loops are closed, or the zeros of joint
+            coordinates.
+        opens_joints: True if a change violates joint constraints at the initial pose, so that the pose must
+            be solved again.
     """
 
     unit: str = ""
@@ -58,10 +66,16 @@ class NumberField:
     opens_joints: bool = False
 
     def checked(self, where: str, name: str, value: Any) -> Any:
-        """Return a value of the attribute as a float or a read-only array.
+        """Convert a value of the attribute to a float or a read-only array.
+
+        Args:
+            where: name of the element, for the error message.
+            name: name of the attribute.
+            value: the value that a user passed to the constructor.
 
         Raises:
-            MechanismError: naming `where` and the attribute, for a value that the field does not take.
+            MechanismError: naming `where` and the attribute, for a value outside of the declared shape or
+                bounds.
         """
         if self.shape:
             return finite_array(where, name, value, self.shape)
@@ -71,11 +85,11 @@ class NumberField:
 
     @property
     def _needed(self) -> str:
-        """The values that an error message asks for."""
+        """Description of the allowed values of a number, for error messages."""
         if self.positive:
             return "a positive finite number"
         return "a finite number" if np.isinf(self.least) else f"a finite number, {self.least:g} or more"
 
 
 POINT = NumberField("m", shape=(3,), displaces=True)
-"""A point of a body on which a force acts."""
+"""Declaration of a point fixed in a body, at which a force acts or a joint is."""

@@ -158,7 +158,7 @@ class BallSpring(OnBall, Spring):
     def theta(self, at: Surroundings) -> Array:
         """Compute the rotation vector theta (3,), rad, world frame."""
         i, j = balls.ends(at.mechanism, self.joint)
-        return balls.rotation_between(at.poses[i], at.poses[j], self.rest, (at.frames[i], at.frames[j]))
+        return balls.rotation_from_rest(at.poses[i], at.poses[j], self.rest, (at.frames[i], at.frames[j]))
 
     def at_joint(self, at: Surroundings) -> Array:
         """Compute the torque (3,) on the second body, N m, world frame."""

@@ -1,8 +1,11 @@
-"""Joints as each engine's own model has them at the initial pose: kinds, axes and points.
+"""Geometry of the joints in an engine's model at the initial pose: motion kinds, axes and points.
 
-What is read is the engine's model and not the description that it was made from. Joints in a tree have one
-point, in the child, and axes; those that close a loop are balls and rods and have a point on each body.
-Where a body is halved to close a loop, the joint is in the tree and the weld of the halves is no joint.
+The first checks of a comparison use this geometry: each engine reads the joints back from its own compiled
+model, and the results must equal those of the `Mechanism` from which the model was built. In MuJoCo and
+Pinocchio the joints form a spanning tree, and a joint of the tree has axes and one point, fixed in the child
+body. Loops of the mechanism are closed by ball joints and rods outside of the tree, with one point on each
+body. If a loop is closed by splitting a body into two halves (`newton_euler.model.spanning_tree.weld_loops`),
+the weld between the halves is not listed as a joint.
 """
 
 from __future__ import annotations
@@ -18,22 +21,27 @@ from newton_euler.scalars import Array
 
 
 class JointGeometry(NamedTuple):
-    """A joint at the initial pose, world frame."""
+    """A joint at the initial pose, world frame.
+
+    A joint is a sequence of elementary motions (hinges, slides, balls) from its first body to its second
+    body.
+    """
 
     kinds: tuple[str, ...]
-    """ "hinge", "slide" or "ball" for each motion from the first body to the second, or "rod"."""
+    """Kind of each elementary motion: "hinge", "slide" or "ball"; ("rod",) for a massless rod."""
     axes: Array
-    """(n, 3) unit axes of the hinges and slides."""
+    """(n, 3) unit axes of the n hinges and slides, in order."""
     points: Array
-    """(2 + h, 3) joint point on the first body and on the second, then on each of h hinges, m; NaN where a
-    model has none."""
+    """(2 + h, 3) m: the joint point on the first body, the joint point on the second body, then a point on
+    the axis of each of the h hinges. NaN for a point that the engine's model does not have."""
 
 
 NOWHERE = np.full(3, np.nan)
+"""The point (3,) of `JointGeometry.points` that an engine's model does not have."""
 
 
-def stated(mechanism: Mechanism) -> dict[str, JointGeometry]:
-    """The joints as a mechanism has them."""
+def geometry_in_mechanism(mechanism: Mechanism) -> dict[str, JointGeometry]:
+    """Return the geometry of all joints of a mechanism by joint name, as the mechanism describes them."""
     found = {}
     for joint in mechanism.joints:
         motions = joint.motions
@@ -49,14 +57,21 @@ def stated(mechanism: Mechanism) -> dict[str, JointGeometry]:
     return found
 
 
-def in_tree(
+def geometry_in_tree(
     welded: WeldedMechanism, read: Callable[[str], tuple[str, Array, Array]]
 ) -> dict[str, JointGeometry]:
-    """Joints that a tree keeps; `read` gives kind, axis and point of a motion by its name."""
+    """Return the geometry of the joints in an engine's spanning tree by joint name.
+
+    Args:
+        welded: mechanism and spanning tree from which the engine's model was built.
+        read: function that reads one elementary motion from the engine's model by the name of the motion. It
+            returns the kind, the unit axis (3,) and the point (3,), m, of the motion of the child relative to
+            the parent.
+    """
     found = {}
     for kept in welded.tree.joints:
         if kept.joint >= len(welded.mechanism.joints):
-            continue  # of a body that only rods hold
+            continue  # the free joint that the tree adds for a body that only rods hold
         joint = welded.tree.joint(kept.joint)
         motions = [read(name) for name in motion_names(joint, kept.forward)]
         found[joint.name] = _from_first(kept, motions)
@@ -64,7 +79,12 @@ def in_tree(
 
 
 def _from_first(kept: TreeJoint, motions: list[tuple[str, Array, Array]]) -> JointGeometry:
-    """Convert motions of the child relative to the parent into the order and sense of the joint."""
+    """Build the geometry of a joint from the motions of its child body relative to its parent body.
+
+    Args:
+        kept: the joint in the spanning tree. `kept.forward` is False if the child is the joint's first body.
+        motions: (kind, axis, point) of each elementary motion from parent to child, see `geometry_in_tree`.
+    """
     sense = 1.0 if kept.forward else -1.0
     ordered = motions if kept.forward else motions[::-1]
     axes = [sense * axis for kind, axis, _ in ordered if kind != "ball"]
@@ -73,5 +93,11 @@ def _from_first(kept: TreeJoint, motions: list[tuple[str, Array, Array]]) -> Joi
     return JointGeometry(tuple(kind for kind, _, _ in ordered), np.reshape(axes, (-1, 3)), points)
 
 
-def closing(kind: str, points: tuple[Array, Array]) -> JointGeometry:
+def loop_closing_geometry(kind: str, points: tuple[Array, Array]) -> JointGeometry:
+    """Build the geometry of a joint that closes a loop.
+
+    Args:
+        kind: "ball" or "rod".
+        points: joint point (3,) on the first and on the second body, m, world frame at the initial pose.
+    """
     return JointGeometry((kind,), np.zeros((0, 3)), np.array(points))

@@ -1,4 +1,10 @@
-"""One joint out of parts: hinges, slides and balls in a row, as robot models put them between two bodies."""
+"""Combine several elementary motions between two bodies into one joint of this project.
+
+MJCF and URDF files place several hinges, slides or balls in a row between two bodies that have mass,
+sometimes with massless links between them. `combined` finds the joint class with the same motions: for
+example `Universal` for two perpendicular hinges whose axes meet, and `Compound` where no special class fits.
+The readers of both formats use it.
+"""
 
 from __future__ import annotations
 
@@ -14,18 +20,21 @@ from newton_euler.model.joint_kinds import Cylindrical, Prismatic, Revolute, Sph
 from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.scalars import Array
 
-MEET = 1e-10  # m, by which hinges in a row may miss a common point
-ALIGNED = 1e-12  # sine or cosine of the angle between axes in a row that are parallel or perpendicular
+MEETING_TOLERANCE = 1e-10
+"""Distance, m, from a common point below which hinge axes count as meeting there; above round-off."""
+
+ALIGNMENT_TOLERANCE = 1e-12
+"""Sine (cosine) of the angle between axes below which they count as parallel (perpendicular): round-off."""
 
 
 class Part(NamedTuple):
-    """One motion of a row, world frame at the initial pose.
+    """One elementary motion of a row of motions between two bodies, world frame at the initial pose.
 
     Attributes:
-        name: for errors.
+        name: name in the model file.
         kind: "hinge", "slide" or "ball".
-        axis: (3,) unit; unused for a ball.
-        anchor: (3,) a point on the axis of a hinge, the center of a ball.
+        axis: (3,) unit axis; unused for a ball.
+        anchor: (3,) m, a point on the axis of a hinge, or the center of a ball.
     """
 
     name: str
@@ -35,7 +44,11 @@ class Part(NamedTuple):
 
 
 def common_name(names: Sequence[str]) -> str:
-    """Find the common beginning of the names of the parts of one joint, numbered from 1; empty if none."""
+    """Return the common stem of names that end in "_1", "_2", ...; an empty string for other names.
+
+    The writers of this project number the parts of one joint in this way: "hip_1", "hip_2" for the joint
+    "hip".
+    """
     bases = {name.rpartition("_")[0] for name in names}
     numbers = sorted(name.rpartition("_")[2] for name in names)
     same = len(bases) == 1 and numbers == [str(k + 1) for k in range(len(names))]
@@ -45,38 +58,52 @@ def common_name(names: Sequence[str]) -> str:
 def combined(
     name: str, parent: str, child: str, parts: Sequence[Part], actuated: bool
 ) -> tuple[Joint, dict[str, int]]:
-    """Build the joint of these motions in a row from parent to child.
+    """Build one joint that allows several elementary motions in a row.
+
+    Args:
+        name: name of the joint.
+        parent, child: names of the two bodies.
+        parts: the motions in their order from the parent to the child.
+        actuated: True if a control law may drive the joint.
 
     Returns:
-        The joint, and for each hinge and slide, by name, which of its coordinates it is. Coordinates are
-        the motions' own: of the child against the parent, zero at the initial pose.
+        The joint, and for each hinge and slide, by name, the index of its joint coordinate. The coordinates
+        measure the motion of the child relative to the parent and are zero at the initial pose.
 
     Raises:
-        MechanismError: for a row that no joint is: slides between hinges, axes that depend on each other.
+        MechanismError: for a row that no joint class describes: slides between hinges, more than two parallel
+            hinges, or axes that are linearly dependent.
     """
+    # Joint classes have slides before hinges: if the slides come last, go from the child to the parent
     ends, row = (parent, child), list(parts)
-    turned = [part.kind != "slide" for part in row]
-    if turned != sorted(turned):  # seen from the child, the slides come first
+    turns = [part.kind != "slide" for part in row]
+    if turns != sorted(turns):
         ends, row = (child, parent), [part._replace(axis=-part.axis) for part in reversed(row)]
-        turned.reverse()
-    if turned != sorted(turned):
+        turns.reverse()
+    if turns != sorted(turns):
         raise MechanismError(
             f"body {child!r}", "has slides between its hinges", "slides first, or slides last"
         )
+
+    # Refuse three or more parallel hinges, whose massless links have no determined motion
     turning = [part for part in row if part.kind != "slide"]
     hinges = [part for part in turning if part.kind == "hinge"]
     for first in hinges:
-        parallel = [part.name for part in hinges if np.linalg.norm(np.cross(first.axis, part.axis)) < ALIGNED]
+        parallel = [part.name for part in hinges if _are_parallel(first.axis, part.axis)]
         if len(parallel) > 2:
             problem = f"has {len(parallel)} parallel hinges with no mass between them: {', '.join(parallel)}"
             needed = "at most two, or mass and inertia of the links between them"
             raise MechanismError(f"body {child!r}", problem, needed)
-    single = [part for part in row if part.kind != "ball"]
+
+    # The joint point: where all hinge axes meet, or a point on the first hinge axis if they do not meet
+    with_axis = [part for part in row if part.kind != "ball"]
     anchors = [part.anchor for part in turning]
-    meeting = _meeting(turning) if turning else row[-1].anchor
+    meeting = _meeting_point(turning) if turning else row[-1].anchor
     point = anchors[0] if meeting is None else meeting
-    axes = [part.axis for part in single]
-    coordinates = {part.name: k for k, part in enumerate(single)}
+    axes = [part.axis for part in with_axis]
+    coordinates = {part.name: k for k, part in enumerate(with_axis)}
+
+    # Choose the most special joint class
     joint: Joint
     match [part.kind for part in row]:
         case ["hinge"]:
@@ -85,10 +112,10 @@ def combined(
             joint = Prismatic(name, *ends, point, axis=axes[0], actuated=actuated)
         case ["ball"]:
             joint = Spherical(name, *ends, point, actuated=actuated)
-        case ["hinge", "hinge"] if meeting is not None and abs(axes[0] @ axes[1]) < ALIGNED:
+        case ["hinge", "hinge"] if meeting is not None and abs(axes[0] @ axes[1]) < ALIGNMENT_TOLERANCE:
             a, b = axes
             joint = Universal(name, *ends, point, axis_on_first=a, axis_on_second=b, actuated=actuated)
-        case ["hinge", "hinge"] if np.linalg.norm(np.cross(axes[0], axes[1])) < ALIGNED and meeting is None:
+        case ["hinge", "hinge"] if _are_parallel(axes[0], axes[1]) and meeting is None:
             joint = ParallelHinges(
                 name,
                 *ends,
@@ -98,7 +125,7 @@ def combined(
                 opposed=bool(axes[0] @ axes[1] < 0.0),
                 actuated=actuated,
             )
-        case ["slide", "hinge"] if np.linalg.norm(axes[0] - axes[1]) < ALIGNED:
+        case ["slide", "hinge"] if np.linalg.norm(axes[0] - axes[1]) < ALIGNMENT_TOLERANCE:
             joint = Cylindrical(name, *ends, point, axis=axes[0], actuated=actuated)
         case _:
             joint = Compound(
@@ -114,13 +141,22 @@ def combined(
     return joint, coordinates
 
 
-def _meeting(parts: Sequence[Part]) -> Array | None:
-    """Find the point that lies on all axes; None if there is none."""
+def _are_parallel(first: Array, second: Array) -> bool:
+    """Return True if two unit axes (3,) are parallel within `ALIGNMENT_TOLERANCE`; their signs may differ."""
+    return bool(np.linalg.norm(np.cross(first, second)) < ALIGNMENT_TOLERANCE)
+
+
+def _meeting_point(parts: Sequence[Part]) -> Array | None:
+    """Compute the point (3,), m, that lies on all hinge axes and in all ball centers; None if there is none.
+
+    The point is the least-squares solution of P_k x = P_k a_k. a_k is the anchor of part k, and P_k projects
+    onto the plane perpendicular to its axis (identity for a ball).
+    """
     first = parts[0].anchor
-    if all(np.linalg.norm(part.anchor - first) <= MEET for part in parts):
+    if all(np.linalg.norm(part.anchor - first) <= MEETING_TOLERANCE for part in parts):
         return first
-    across = [np.eye(3) - (part.kind != "ball") * np.outer(part.axis, part.axis) for part in parts]
-    lines = [p @ part.anchor for p, part in zip(across, parts, strict=True)]
-    point = np.linalg.lstsq(np.vstack(across), np.concatenate(lines), rcond=None)[0]
-    missed = max(np.linalg.norm(p @ point - line) for p, line in zip(across, lines, strict=True))
-    return None if missed > MEET else np.asarray(point)
+    projections = [np.eye(3) - (part.kind != "ball") * np.outer(part.axis, part.axis) for part in parts]
+    projected = [p @ part.anchor for p, part in zip(projections, parts, strict=True)]
+    point = np.linalg.lstsq(np.vstack(projections), np.concatenate(projected), rcond=None)[0]
+    missed = max(np.linalg.norm(p @ point - a) for p, a in zip(projections, projected, strict=True))
+    return None if missed > MEETING_TOLERANCE else np.asarray(point)

@@ -1,4 +1,8 @@
-"""Prescribed motions of joint coordinates, and sums of functions of time for motions and control laws."""
+"""Prescribed motions of joint coordinates, and sums of functions of time.
+
+`TimeFunction` is the type of all functions of time that motions, control laws and wind accept: polynomials,
+sines, splines, steps and sums of them. `PrescribedMotion` makes a joint coordinate follow such a function.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +23,13 @@ from newton_euler.scalars import Array, Scalar
 
 @dataclass(frozen=True)
 class Sum(Function):
-    """The sum of functions of time.
+    """The sum of several functions of time.
+
+    Attributes:
+        terms: one or more functions of time; a sum may be a term of a sum.
 
     Raises:
-        MechanismError: for a term that is none.
+        MechanismError: for a term that is not a function of time.
 
     Examples:
         >>> float(Sum((Polynomial((1.0,)), Sine(0.5, 2.0))).value(0.0))
@@ -93,10 +100,11 @@ class Sum(Function):
 
 
 TimeFunction = Polynomial | Sine | Spline | Steps | Sum
+"""Every kind of function of time that a user can give."""
 
 
 def terms(function: TimeFunction) -> Iterator[Polynomial | Sine | Spline | Steps]:
-    """Yield the terms of a function; sums within sums are resolved."""
+    """Yield the functions that a function of time is a sum of; sums within sums are flattened."""
     if isinstance(function, Sum):
         for term in function.terms:
             yield from terms(term)
@@ -105,7 +113,7 @@ def terms(function: TimeFunction) -> Iterator[Polynomial | Sine | Spline | Steps
 
 
 def scaled(function: TimeFunction, factor: float) -> TimeFunction:
-    """Return a multiple of a function of time."""
+    """Return a function of time multiplied by a number."""
     return function.with_part("", [factor * number for number in function.part("")], replace)
 
 
@@ -124,12 +132,22 @@ def shifted(function: TimeFunction, by: float) -> TimeFunction:
 
 
 def piece_numbers(functions: Iterable[TimeFunction], time: float) -> Array:
-    """Return the numbers of functions between the knots around a time in s, one after the other."""
+    """Return the numbers that determine several functions between the knots (breakpoints) around a time in s.
+
+    The numbers of the functions follow each other, see `Function.piece`. Compiled equations of motion take
+    them as parameters and get new numbers at each knot.
+    """
     return np.array([number for function in functions for number in function.piece(time)])
 
 
 def on_piece(value: Any, numbers: list[Any]) -> Any:
-    """Replace functions in an attribute by smooth pieces with these numbers, see `Function.on_piece`."""
+    """Replace the functions of time in an attribute by their smooth pieces between two knots (breakpoints).
+
+    Args:
+        value: the attribute: a function of time, or a mapping whose values may be functions of time.
+        numbers: numbers of the pieces of all functions in the attribute, one after the other, see
+            `Function.piece`. They may be generic scalars.
+    """
     if isinstance(value, TimeFunction):
         return value.on_piece(numbers)
     changed = dict(value)
@@ -146,11 +164,11 @@ class PrescribedMotion(OnCoordinate):
 
     Attributes:
         joint: name of the joint.
-        function: f, in m or rad from the initial pose.
-        coordinate: which of the joint's coordinates, from 0.
+        function: f, in m or rad from the initial pose; without jumps.
+        coordinate: index of the joint coordinate, from 0.
 
     Raises:
-        MechanismError: naming the joint and the value at fault.
+        MechanismError: naming the joint and the invalid value.
 
     Examples:
         >>> motion = PrescribedMotion("hinge", Polynomial((0.0, 2.0)))  # 2 rad/s
@@ -176,5 +194,5 @@ class PrescribedMotion(OnCoordinate):
         check_key(where, self.joint, self.coordinate)
 
     def held(self) -> PrescribedMotion:
-        """Return a constant motion at the value of time 0."""
+        """Return a motion that holds the coordinate at its value of time 0."""
         return replace(self, function=Polynomial((float(self.function.value(0.0)),)))

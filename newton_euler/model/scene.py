@@ -30,7 +30,7 @@ from newton_euler.model.geometry import UNIT_TOLERANCE
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.model.motions import PrescribedMotion, TimeFunction, terms
-from newton_euler.model.splines import ROUND_OFF, Spline
+from newton_euler.model.splines import TIME_ROUND_OFF, Spline
 from newton_euler.model.state import State
 from newton_euler.model.variable import Variable, functions_of
 from newton_euler.scalars import Array
@@ -60,7 +60,7 @@ def _knots(functions: Iterable[TimeFunction]) -> tuple[float, ...]:
     """Return the knots of several functions; knots that differ by round-off count once."""
     found: list[float] = []
     for knot in sorted({knot for function in functions for knot in function.knots}):
-        if not found or knot - found[-1] > ROUND_OFF * abs(knot):
+        if not found or knot - found[-1] > TIME_ROUND_OFF * abs(knot):
             found.append(knot)
     return tuple(found)
 

@@ -1,4 +1,8 @@
-"""Functions of time that are smooth at all times, with their exact derivatives, over generic scalars."""
+"""Smooth functions of time with exact derivatives: polynomials and sines.
+
+They prescribe joint motions and serve as targets of control laws. The time and the numbers of a function may
+be floats or generic scalars such as expressions of the code generator (`newton_euler.scalars`).
+"""
 
 from __future__ import annotations
 
@@ -9,18 +13,20 @@ from newton_euler.errors import MechanismError, is_finite_number, items_of, quot
 from newton_euler.model.variable import Function
 from newton_euler.scalars import Scalar, cos, sin
 
-HIGHEST = 1e15  # rad/s, or rad: a double holds no part of a turn beyond
+MAX_ANGLE = 1e15
+"""Largest phase, rad, and largest angular frequency, rad/s. Neighboring doubles above it are more than 0.1
+rad apart, so a sine of such an angle would be meaningless."""
 
 
 @dataclass(frozen=True)
 class Polynomial(Function):
-    """c_0 + c_1 t + c_2 t^2 + ...
+    """The polynomial c_0 + c_1 t + c_2 t^2 + ... of the time t in s.
 
     Attributes:
-        coefficients: c_k in m/s^k or rad/s^k.
+        coefficients: c_0, c_1, ..., with c_k in m/s^k or rad/s^k.
 
     Raises:
-        MechanismError: for coefficients that are no finite numbers.
+        MechanismError: for coefficients that are not finite numbers.
 
     Examples:
         >>> Polynomial((0.1, 2.0)).value(3.0)
@@ -29,7 +35,7 @@ class Polynomial(Function):
 
     coefficients: tuple[float, ...]
 
-    parts: ClassVar = {"": ("coefficients",)}
+    parts: ClassVar = {"": ("coefficients",)}  # in which the function is linear, see `Function.parts`
 
     def __post_init__(self) -> None:
         given = items_of(self.coefficients) or ()
@@ -41,49 +47,55 @@ class Polynomial(Function):
         object.__setattr__(self, "coefficients", tuple(float(c) for c in given))
 
     def value(self, time: Scalar) -> Scalar:
-        return _horner(self.coefficients, self._since(time))
+        return _evaluate(self.coefficients, self._since_start(time))
 
     def rate(self, time: Scalar) -> Scalar:
-        return _horner(_derived(self.coefficients), self._since(time))
+        return _evaluate(_derivative(self.coefficients), self._since_start(time))
 
     def acceleration(self, time: Scalar) -> Scalar:
-        return _horner(_derived(_derived(self.coefficients)), self._since(time))
+        return _evaluate(_derivative(_derivative(self.coefficients)), self._since_start(time))
 
-    def _since(self, time: Scalar) -> Scalar:
-        """Compute t, s, at a time in s."""
+    def _since_start(self, time: Scalar) -> Scalar:
+        """Return the variable t of the polynomial, s, at a time of the run, s; here both are equal."""
         return time
 
 
 @dataclass(frozen=True)
 class Piece(Polynomial):
-    """A polynomial with t counted from a start in s: what a function with knots is between two of them.
+    """One polynomial piece of a spline or step function, between two knots (times at which a derivative
+    jumps).
 
-    Its numbers may be scalars of any kind, and are not checked.
+    The numbers may be generic scalars, and are not checked.
+
+    Attributes:
+        start: time, s, at which the variable t of the polynomial is zero.
     """
 
     start: Scalar
 
     def __post_init__(self) -> None:
-        """Take the numbers as they are."""
+        """Keep the numbers unchecked and unconverted, unlike the base class."""
 
-    def _since(self, time: Scalar) -> Scalar:
+    def _since_start(self, time: Scalar) -> Scalar:
         return time - self.start
 
 
-def _horner(coefficients: tuple[float, ...], time: Scalar) -> Scalar:
+def _evaluate(coefficients: tuple[float, ...], time: Scalar) -> Scalar:
+    """Evaluate a polynomial by Horner's rule; coefficients in ascending powers of the time, s."""
     total: Scalar = 0.0
     for c in reversed(coefficients):
         total = total * time + c
     return total
 
 
-def _derived(coefficients: tuple[float, ...]) -> tuple[float, ...]:
+def _derivative(coefficients: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the coefficients of the derivative of a polynomial, both in ascending powers."""
     return tuple(k * c for k, c in enumerate(coefficients))[1:]
 
 
 @dataclass(frozen=True)
 class Sine(Function):
-    """offset + amplitude sin(angular_frequency t + phase).
+    """The sine offset + amplitude sin(angular_frequency t + phase) of the time t in s.
 
     Attributes:
         amplitude, offset: m or rad.
@@ -91,7 +103,7 @@ class Sine(Function):
         phase: rad.
 
     Raises:
-        MechanismError: for a value that is no finite number.
+        MechanismError: for a value that is not a finite number or is above `MAX_ANGLE`.
 
     Examples:
         >>> float(Sine(amplitude=0.5, angular_frequency=2.0).rate(0.0))
@@ -103,6 +115,7 @@ class Sine(Function):
     phase: float = 0.0
     offset: float = 0.0
 
+    # the function is linear in the fields of part "", see `Function.parts`
     parts: ClassVar = {
         "": ("amplitude", "offset"),
         "angular_frequency": ("angular_frequency",),
@@ -112,11 +125,11 @@ class Sine(Function):
     def __post_init__(self) -> None:
         set_numbers(self, "sine", ("amplitude", "angular_frequency", "phase", "offset"))
         w = self.angular_frequency
-        if not is_finite_number(self.amplitude * w * w) or abs(w) > HIGHEST or abs(self.phase) > HIGHEST:
+        if not is_finite_number(self.amplitude * w * w) or abs(w) > MAX_ANGLE or abs(self.phase) > MAX_ANGLE:
             problem = (
                 f"amplitude is {self.amplitude:g}, angular_frequency {w:g} rad/s, phase {self.phase:g} rad"
             )
-            needed = f"an acceleration that a double holds, and phases of at most {HIGHEST:g} rad"
+            needed = f"an acceleration that a double holds, and phases of at most {MAX_ANGLE:g} rad"
             raise MechanismError("sine", problem, needed)
 
     def value(self, time: Scalar) -> Scalar:

@@ -1,4 +1,8 @@
-"""Functions of time by samples: splines through them, and steps from one to the next."""
+"""Functions of time that are given by samples: interpolating splines and piecewise constant functions.
+
+They prescribe joint motions and serve as targets of control laws. Between two neighboring knots (times at
+which a derivative jumps) each function is one polynomial; integrators restart at the knots.
+"""
 
 from __future__ import annotations
 
@@ -15,24 +19,39 @@ from newton_euler.model.smooth_functions import Piece
 from newton_euler.model.variable import Change, Function
 from newton_euler.scalars import Scalar
 
-DEGREE = 5  # of the polynomials of splines, so that accelerations have two continuous derivatives
-BEYOND = 1e-9  # share of its whole time by which a spline goes on at both ends: round-off of times
-ROUND_OFF = 1e-12  # share of a time by which a knot may lie after it and is reached: times are sums
+SPLINE_DEGREE = 5
+"""Degree of the polynomials of splines; accelerations then have two continuous derivatives."""
+
+EXTENSION = 1e-9
+"""Fraction of a spline's time span by which the spline may be evaluated beyond its first and last sample. It
+allows for round-off in the times of a run."""
+
+TIME_ROUND_OFF = 1e-12
+"""Relative round-off of times, which are sums of steps. A knot counts as reached at time t if it lies at most
+this fraction of t after t."""
 
 
 @description
 class Piecewise(Function):
-    """A function of time of polynomials between knots, given by samples; see `Spline` and `Steps`."""
+    """Base class of functions of time that are one polynomial between two neighboring knots.
+
+    Attributes:
+        times: (n,) times of the samples, s, ascending.
+        values: (n,) values of the samples.
+        noun: name of the kind of function in error messages.
+        least: smallest number of samples.
+    """
 
     times: ArrayField
     values: ArrayField
 
     noun: ClassVar[str]
     least: ClassVar[int]
-    parts: ClassVar = {"": ("values",)}
+    parts: ClassVar = {"": ("values",)}  # the function is linear in its values, see `Function.parts`
     constant: ClassVar = {"times": "where runs are divided"}
 
     def __post_init__(self) -> None:
+        # Convert times and values to read-only arrays
         for name in ("times", "values"):
             given: Any = getattr(self, name)
             try:
@@ -44,6 +63,8 @@ class Piecewise(Function):
                 raise MechanismError(self.noun, f"{name} is {quoted(given)}", needed)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
+
+        # One value per time, and times in ascending order
         if len(self.times) != len(self.values):
             problem = f"has {len(self.times)} times and {len(self.values)} values"
             raise MechanismError(self.noun, problem, "a value at each time")
@@ -55,7 +76,12 @@ class Piecewise(Function):
         return super().with_part(name, np.array(numbers), change)
 
     def on_piece(self, numbers: Sequence[Scalar]) -> Piece:
-        """See `Function.on_piece`; the numbers are the start of the piece in s, and its coefficients."""
+        """Build the polynomial between two knots from its numbers, see `Function.on_piece`.
+
+        Args:
+            numbers: start of the piece, s, then the coefficients in ascending powers of the time since the
+                start.
+        """
         return Piece(tuple(numbers[1:]), numbers[0])
 
     def value(self, time: float) -> float:
@@ -69,20 +95,21 @@ class Piecewise(Function):
 
 
 class Spline(Piecewise):
-    """Smooth function through samples: polynomials of degree 5 with four continuous derivatives.
+    """Interpolating spline through samples: polynomials of degree 5 with four continuous derivatives.
 
-    Six samples, or fewer, lie on one polynomial. The function passes through all samples, with whatever noise
-    they have: accelerations have 4 / h^2 times as much where samples are h apart. Of a sine of angular
-    frequency w so sampled it is off by (w h)^6 / 13,000 of its amplitude, and by (w h)^4 / 700 in the
-    acceleration; in the first and the last few samples by (w h)^6 / 100 and (w h)^4 / 2.
+    If there are six samples or fewer, the function is one polynomial. Noise in the samples is amplified: for
+    samples h apart, the noise of the acceleration is 4 / h^2 times that of the values. If the samples are
+    those of a sine of angular frequency w, the interpolation error is (w h)^6 / 13,000 of the amplitude, and
+    (w h)^4 / 700 of the amplitude of the acceleration. Near the first and the last few samples the errors are
+    (w h)^6 / 100 and (w h)^4 / 2.
 
     Attributes:
-        times: (n,) s, ascending, two or more. Nothing is known before the first and after the last one: runs
-            begin at 0 and end between them.
+        times: (n,) s, ascending, two or more. A run, which begins at time 0, must lie between the first and
+            the last sample.
         values: (n,) m or rad.
 
     Raises:
-        MechanismError: for samples that are too few, not in order, or no finite numbers.
+        MechanismError: for fewer than two samples, times that do not ascend, and numbers that are not finite.
 
     Examples:
         >>> spline = Spline(times=(0.0, 1.0, 2.0), values=(0.0, 1.0, 4.0))
@@ -91,45 +118,52 @@ class Spline(Piecewise):
     """
 
     noun, least = "spline", 2
-    numbers = DEGREE + 2
+    numbers = SPLINE_DEGREE + 2  # per piece: its start and SPLINE_DEGREE + 1 coefficients
 
     @cached_property
     def knots(self) -> tuple[float, ...]:
-        """The samples but three at each end, where one polynomial goes on for two samples more."""
-        return tuple(self.times[DEGREE // 2 + 1 : -(DEGREE // 2 + 1)].tolist())
+        """Times, s, at which the fifth derivative jumps: all samples except three at each end.
+
+        The first and the last polynomial extend over three sample intervals each (not-a-knot conditions).
+        """
+        skipped = SPLINE_DEGREE // 2 + 1
+        return tuple(self.times[skipped:-skipped].tolist())
 
     def covers(self, begin: float, end: float) -> bool:
         first, last = self.times[0], self.times[-1]
-        allowed = BEYOND * (last - first)
+        allowed = EXTENSION * (last - first)
         return bool(first - allowed <= begin and end <= last + allowed)
 
     @cached_property
     def _pieces(self) -> list[tuple[float, ...]]:
+        """The numbers of all pieces, in order: start, s, then the coefficients in ascending powers."""
         from scipy.interpolate import PPoly, make_interp_spline
 
-        degree = min(DEGREE, len(self.times) - 1)
-        # one polynomial through all samples has no inner knot; SciPy 1.14 fails to place none for degree 4
-        ends = np.repeat([self.times[0], self.times[-1]], degree + 1) if degree < DEGREE else None
-        found = PPoly.from_spline(make_interp_spline(self.times, self.values, degree, t=ends))
-        pieces = zip(found.x[:-1].tolist(), found.x[1:].tolist(), found.c[::-1].T.tolist(), strict=True)
-        missing = [0.0] * (DEGREE + 1 - len(found.c))
+        degree = min(SPLINE_DEGREE, len(self.times) - 1)
+        # Few samples: one polynomial without inner knots, which SciPy 1.14 cannot choose at degree 4
+        ends = np.repeat([self.times[0], self.times[-1]], degree + 1) if degree < SPLINE_DEGREE else None
+        spline = PPoly.from_spline(make_interp_spline(self.times, self.values, degree, t=ends))
+        # SciPy lists coefficients in descending powers, and repeats end knots as pieces of length 0
+        pieces = zip(spline.x[:-1].tolist(), spline.x[1:].tolist(), spline.c[::-1].T.tolist(), strict=True)
+        missing = [0.0] * (SPLINE_DEGREE + 1 - len(spline.c))
         return [(start, *coefficients, *missing) for start, end, coefficients in pieces if end > start]
 
     def piece(self, time: float) -> tuple[float, ...]:
-        return self._pieces[bisect_right(self.knots, time + ROUND_OFF * abs(time))]
+        return self._pieces[bisect_right(self.knots, time + TIME_ROUND_OFF * abs(time))]
 
 
 class Steps(Piecewise):
-    """Set-points that jump: each value holds from its time on to the next one, the first one before it, too.
+    """Piecewise constant function: each value holds from its time until the next one.
 
-    For targets and feedforwards of control laws; a prescribed motion cannot jump.
+    The first value also holds before its time. The function serves as the target or the feedforward of a
+    control law; a prescribed motion cannot jump.
 
     Attributes:
         times: (n,) s, ascending, one or more.
         values: (n,) m or rad, or N or N m.
 
     Raises:
-        MechanismError: for samples that are too few, not in order, or no finite numbers.
+        MechanismError: without samples, for times that do not ascend, and for numbers that are not finite.
 
     Examples:
         >>> steps = Steps(times=(0.0, 60.0, 120.0), values=(0.0, 0.1, 0.3))
@@ -138,12 +172,12 @@ class Steps(Piecewise):
     """
 
     noun, least = "steps", 1
-    numbers = 2
+    numbers = 2  # per piece: a start, which does not matter, and the value
     is_constant = True
 
     @cached_property
     def knots(self) -> tuple[float, ...]:
-        """All times but the first."""
+        """Times, s, at which the value jumps: all times except the first."""
         return tuple(self.times[1:].tolist())
 
     @property
@@ -151,4 +185,4 @@ class Steps(Piecewise):
         return self.knots
 
     def piece(self, time: float) -> tuple[float, ...]:
-        return 0.0, float(self.values[bisect_right(self.knots, time + ROUND_OFF * abs(time))])
+        return 0.0, float(self.values[bisect_right(self.knots, time + TIME_ROUND_OFF * abs(time))])

@@ -1,4 +1,8 @@
-"""The state of a mechanism in a form that belongs to no engine: body poses and velocities."""
+"""State of a mechanism, common to all engines: poses and velocities of all bodies.
+
+A run starts from a `State`, and `Trajectory.state` returns one. The module also converts states to `Frame`
+records (pose and velocity of one body), for one time or for many times at once.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +27,15 @@ class State:
 
     Attributes:
         position: (b, 3) centers of mass, m.
-        quaternion: (b, 4) w-x-y-z.
-        linear_velocity: (b, 3) of the centers of mass, m/s.
+        quaternion: (b, 4) orientations of the body frames, (w, x, y, z).
+        linear_velocity: (b, 3) velocities of the centers of mass, m/s.
         angular_velocity: (b, 3) rad/s.
-        angles: rad from the initial pose with revolutions, by joint coordinate (name of the joint, number).
-            Poses determine an angle within one revolution only; the torque of a wound spring depends on all
-            revolutions. States of runs and of `newton_euler.assemble` have the angles that forces, control
-            laws or couplings of the scene depend on. An angle that is not given has the revolutions that
-            couplings and prescribed motions ask for, else it is within half a revolution.
+        angles: hinge angles including full revolutions, rad from the initial pose, by joint coordinate (name
+            of the joint, index of the coordinate). Poses determine an angle only within one revolution, but
+            the torque of a wound spring depends on all revolutions. States from runs and from
+            `newton_euler.assemble` contain the angles on which forces, control laws or couplings of the scene
+            depend. The revolutions of an angle that is not listed follow from couplings and prescribed
+            motions; without these the angle is within half a revolution.
 
     Examples:
         >>> State.initial(load("pendulum").mechanism).position.shape
@@ -44,13 +49,13 @@ class State:
     angles: Mapping[Key, float] = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self) -> None:
-        if isinstance(self.angles, Mapping):  # scenes refuse all else
+        if isinstance(self.angles, Mapping):  # `Scene.check_angles` rejects anything else
             object.__setattr__(self, "angles", dict(self.angles))
 
     @classmethod
     @checked
     def initial(cls, mechanism: Mechanism) -> State:
-        """The mechanism's initial pose, at rest."""
+        """Return the state of a mechanism at its initial pose, at rest."""
         return cls(
             np.array([body.center_of_mass for body in mechanism.bodies]),
             np.array([body.quaternion for body in mechanism.bodies]),
@@ -60,39 +65,52 @@ class State:
 
     @property
     def arrays(self) -> tuple[Array, ...]:
-        """The four arrays, in their order."""
+        """Position, quaternion, linear velocity and angular velocity, in this order."""
         return self.position, self.quaternion, self.linear_velocity, self.angular_velocity
 
     def revolutions(self, key: Key, x: Scalar) -> Scalar:
-        """Return the revolutions, rad, of `angles` beyond an angle x of the poses, rad; 0 if unknown."""
+        """Return the full revolutions of a hinge angle, a multiple of 2 pi, rad.
+
+        Args:
+            key: joint coordinate (name of the joint, index of the coordinate).
+            x: the angle, rad, as the poses determine it, within one revolution.
+
+        Returns:
+            The multiple of 2 pi nearest to `angles[key]` - x; 0 if `angles` does not contain the key.
+        """
         return whole_revolutions(self.angles[key] - x) if key in self.angles else 0.0
 
     def frames(self) -> list[Frame]:
-        """One `Frame` for each body."""
+        """Return the pose and velocity of each body as a list of b `Frame` records."""
         return [Frame(r, rotation(p), v, w) for r, p, v, w in zip(*self.arrays, strict=True)]
 
 
 def whole_revolutions(angle: Any) -> Any:
-    """Return the multiples of 2 pi next to angles, rad; 0 for those that are not finite."""
+    """Round angles, rad, a number or an array, to the nearest multiples of 2 pi; 0 for those not finite."""
     return 2.0 * np.pi * np.round(np.nan_to_num(angle, posinf=0.0, neginf=0.0) / (2.0 * np.pi))
 
 
 def stacked(states: Sequence[State]) -> State:
-    """Return one state whose numbers are stacks of those of n states, without `State.angles`."""
+    """Combine n states into one state whose numbers are `Stack` scalars.
+
+    A `Stack` (`newton_euler.scalars`) holds n numbers that are computed at once. The `angles` of the states
+    are not combined."""
     columns = zip(*(state.arrays for state in states), strict=True)
     return State(*(_stacks(np.array(column)) for column in columns))
 
 
 def stacked_frames(*arrays: Array) -> list[Frame]:
-    """One `Frame` for each of b bodies at n times at once: its numbers are stacks of n.
+    """Return one `Frame` per body whose numbers are `Stack` scalars over n times.
 
-    The arrays are those of a `State`, (n, b, 3) and quaternions (n, b, 4).
+    Args:
+        arrays: position (n, b, 3), quaternion (n, b, 4), linear velocity (n, b, 3) and angular
+            velocity (n, b, 3) of b bodies, as in `State`.
     """
     return State(*map(_stacks, arrays)).frames()
 
 
 def _stacks(array: Array) -> Array:
-    """Return stacks (b, k) of the numbers of an array (n, b, k)."""
+    """Convert an array (n, b, k) of floats to an array (b, k) of `Stack` scalars with n numbers each."""
     count, *shape = array.shape
     columns = np.ascontiguousarray(array.reshape(count, -1).T)
     return objects([Stack(column) for column in columns]).reshape(shape)

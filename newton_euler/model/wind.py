@@ -10,7 +10,7 @@ import numpy as np
 
 from newton_euler.arguments import Range, checked
 from newton_euler.errors import MechanismError, check_texts, quoted
-from newton_euler.model.balls import TINY
+from newton_euler.model.balls import SQUARE_FLOOR
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.elements import OnPoint, PoseChange, Surroundings
 from newton_euler.model.fields import NumberField
@@ -143,7 +143,7 @@ class WindLoad(OnPoint):
         if isinstance(length, float) and isinstance(width, float):
             shorter, longer = min(length, width), max(length, width)
         else:
-            apart = sqrt((length - width) * (length - width) + TINY)
+            apart = sqrt((length - width) * (length - width) + SQUARE_FLOOR)
             shorter, longer = 0.5 * (length + width - apart), 0.5 * (length + width + apart)
         return END_LOSS * (1.0 - exp(-END_RATE * shorter / longer))
 

@@ -1,4 +1,8 @@
-"""Files that appear whole or not at all, in folders that are made if need be."""
+"""Atomic writing of files: a file appears complete or not at all.
+
+`atomic_file` gives a temporary path to write to and moves the finished file to its final path. Every module
+that writes a result (trajectory, report, table) uses it.
+"""
 
 from __future__ import annotations
 
@@ -13,19 +17,23 @@ from newton_euler.model.source_file import is_path
 
 
 def is_special(path: Path) -> bool:
-    """True for what exists and is neither a file nor a folder, such as a device or a pipe."""
+    """Return True for an existing path that is neither a file nor a folder, such as a device or a pipe."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
 @contextmanager
 def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path beside `path`, in a folder made if need be, that becomes `path` on success only.
+    """Yield a temporary path, and move the file written there to `path` if the `with` block succeeds.
 
-    Whatever ends the block otherwise, an error or an interrupt, leaves what was at `path` before.
+    The temporary file is in the folder of `path`. The folder is made if it does not exist. If an error or an
+    interrupt ends the block, the temporary file is removed and the previous content of `path` stays.
+
+    Args:
+        path: final path of the file.
 
     Raises:
-        OSError: for a path that cannot be written, for a device or a pipe, which a file would take the place
-            of, and for text that is no path.
+        OSError: for a path that cannot be written, for text that is not a path, and for a device or a pipe,
+            which the move would replace by a regular file.
     """
     if not is_path(text := os.fspath(path)):
         raise OSError(errno.EINVAL, os.strerror(errno.EINVAL), text)

@@ -1,8 +1,9 @@
-"""YAML that somebody else wrote, as plain mappings, sequences and texts.
+"""Parser for YAML files from untrusted sources, such as scene files and sweep files.
 
-Scalars stay texts until a field says what they are to be, so that none of YAML's own ideas of dates, octal
-numbers or truth values has a say. Aliases are refused because a few lines of them unfold to gigabytes,
-tags because nothing here would heed them, and a key that comes twice because one of its values would be lost.
+The result consists of dictionaries, lists and strings. Scalars stay strings until the reader of a field
+converts them, so YAML's own rules for dates, octal numbers and truth values do not apply. Three features are
+refused: aliases, because a few lines of them expand to gigabytes; tags, because no reader would evaluate
+them; and repeated keys, because one of the two values would be lost.
 """
 
 from __future__ import annotations
@@ -15,25 +16,31 @@ import yaml
 
 from newton_euler.model.source_file import SourceError
 
-MAXIMUM_DEPTH = 100  # of nested mappings and sequences
+MAX_YAML_DEPTH = 100
+"""Largest number of mappings and sequences inside of each other. `_value` calls itself once for each, and
+Python allows about 1000 nested calls."""
 
 LOADER = yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLoader
-"""YAML loader; the one in Python takes twenty times as long as the one in C."""
+"""PyYAML's loader that keeps scalars as strings: the one in C if available, 20 times faster."""
 
 
 def parse_yaml(path: str, text: str) -> Any:
-    """The document of a YAML text: dictionaries, lists and texts; None if it is empty.
+    """Parse a YAML text with one document into dictionaries, lists and strings; None for an empty text.
+
+    Args:
+        path: path of the file, for error messages.
+        text: content of the file.
 
     Raises:
-        SourceError: naming the line at fault.
+        SourceError: naming the line of invalid YAML, a second document, an alias, a tag or a repeated key.
     """
-    found = None
+    document = None
     try:
         events = iter(yaml.parse(text, LOADER))
         for event in events:
             if isinstance(event, yaml.NodeEvent):
-                found = _value(event, events, 0)
-            elif isinstance(event, yaml.DocumentStartEvent) and found is not None:
+                document = _value(event, events, 0)
+            elif isinstance(event, yaml.DocumentStartEvent) and document is not None:
                 raise _refusal("a second document", event)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -41,33 +48,39 @@ def parse_yaml(path: str, text: str) -> Any:
         raise SourceError(path, f"not YAML: {where}{error.problem or error.context}") from error
     except yaml.YAMLError as error:
         raise SourceError(path, f"not YAML: {' '.join(str(error).split())}") from error
-    return found
+    return document
 
 
 def _value(event: Any, events: Iterator[Any], depth: int) -> Any:
-    """The node that begins with an event, with the events that follow."""
+    """Build the value of one YAML node: a string, a list or a dictionary.
+
+    Args:
+        event: the parser event with which the node begins.
+        events: the parser events after `event`; those of the node are consumed.
+        depth: number of mappings and sequences around the node.
+    """
     if isinstance(event, yaml.AliasEvent):
         raise _refusal("aliases are not allowed here", event)
     if event.tag is not None:
         raise _refusal("tags are not allowed here", event)
     if isinstance(event, yaml.ScalarEvent):
         return event.value
-    if depth == MAXIMUM_DEPTH:
+    if depth == MAX_YAML_DEPTH:
         raise _refusal("nested too deeply", event)
     nodes = takewhile(lambda each: not isinstance(each, yaml.CollectionEndEvent), events)
     if isinstance(event, yaml.SequenceStartEvent):
         return [_value(each, events, depth + 1) for each in nodes]
-    found = {}
+    mapping = {}
     for each in nodes:
         key = _value(each, events, depth + 1)
         if not isinstance(key, str):
             raise _refusal("a key is not a text", each)
-        if key in found:
+        if key in mapping:
             raise _refusal(f"key {key!r:.100} is given twice in one mapping", each)
-        found[key] = _value(next(events), events, depth + 1)
-    return found
+        mapping[key] = _value(next(events), events, depth + 1)
+    return mapping
 
 
 def _refusal(problem: str, event: Any) -> yaml.MarkedYAMLError:
-    """The error that names the line of an event."""
+    """Return an error with a problem and with the line of the parser event where the problem is."""
     return yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
