@@ -13,7 +13,7 @@ from typing import Any
 
 from newton_euler.errors import choices
 from newton_euler.model.couplings import MAX_DEGREE
-from newton_euler.model.source_file import LARGEST, SourceError
+from newton_euler.model.source_file import MAX_MODEL_NUMBER, SourceError
 from newton_euler.model.yaml_source import parse_yaml
 from newton_euler.reading.import_report import unique_name
 from urdf.errors import LoopFileError
@@ -129,11 +129,11 @@ def _coupling(entry: Any, source: str) -> dict[str, tuple[float, ...]]:
     except (AttributeError, TypeError, ValueError):
         factors = {"": (math.nan,)}
     if not all(
-        1 <= len(of_joint) <= MAX_DEGREE and all(abs(factor) <= LARGEST for factor in of_joint)
+        1 <= len(of_joint) <= MAX_DEGREE and all(abs(factor) <= MAX_MODEL_NUMBER for factor in of_joint)
         for of_joint in factors.values()
     ):
         needed = (
-            f"is not a mapping from joints to numbers of at most {LARGEST:g} in magnitude, "
+            f"is not a mapping from joints to numbers of at most {MAX_MODEL_NUMBER:g} in magnitude, "
             f"or to lists of 1 to {MAX_DEGREE} of them"
         )
         raise LoopFileError(source, "coupled", f"{entry!r:.200} {needed}")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import choices, listed, plain_number, quoted
 from newton_euler.model.scene import Scene
-from newton_euler.model.source_file import LARGEST
+from newton_euler.model.source_file import MAX_MODEL_NUMBER
 from newton_euler.reading.import_report import ACTING, FATES, ImportedElement, ImportReport
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class Option(NamedTuple):
 def _vector(value: str) -> tuple[float, float, float]:
     """Read the text `X,Y,Z` as three numbers; `0` means the zero vector."""
     x, y, z = map(plain_number, ["0", "0", "0"] if value == "0" else value.split(","))
-    if not max(abs(x), abs(y), abs(z)) <= LARGEST:
+    if not max(abs(x), abs(y), abs(z)) <= MAX_MODEL_NUMBER:
         raise ValueError(value)
     return x, y, z
 
@@ -75,7 +75,7 @@ def _switch(value: str) -> bool:
 
 # arguments `read` and `needed` of options of several tables
 _SECONDS = plain_number, "a positive number of seconds"
-_GRAVITY = _vector, f"X,Y,Z in m/s^2, at most {LARGEST:g}, or 0"
+_GRAVITY = _vector, f"X,Y,Z in m/s^2, at most {MAX_MODEL_NUMBER:g}, or 0"
 
 COMMON = {
     "duration": Option("SECONDS", "1", *_SECONDS),

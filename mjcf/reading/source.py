@@ -20,7 +20,7 @@ from newton_euler.errors import quoted
 from newton_euler.free_memory import free_memory
 from newton_euler.limits import MB, exceeded, limit, size_in_bytes, too_small
 from newton_euler.model import source_file
-from newton_euler.model.source_file import LARGEST, NOT_FINITE, read_text, scan
+from newton_euler.model.source_file import MAX_MODEL_NUMBER, NON_FINITE_WORDS, read_text, scan
 
 MAX_WAIT_S = 300.0
 """Largest waiting time for the compiler in addition to its CPU time, s; the machine may be busy."""
@@ -329,7 +329,7 @@ class _Scan:
                 self.keys.append(counts)
             for name, value in attributes.items():
                 if name not in FREE_TEXT and any(
-                    token.lower().lstrip("+-") in NOT_FINITE for token in value.split()
+                    token.lower().lstrip("+-") in NON_FINITE_WORDS for token in value.split()
                 ):
                     raise SourceError(path, f"line {line}: <{tag}> has {name}={value!r:.100}, not finite")
                 if tag == "compiler" and name in FOLDER_ATTRIBUTES:
@@ -387,15 +387,15 @@ def _check_numbers(path: str, model: Any) -> None:
 
     for name in CHECKED_OPTIONS:
         option = getattr(model.opt, name)
-        if not np.all(np.abs(option) <= LARGEST):
-            raise SourceError(path, f"option: {name} is {option}; needed: at most {LARGEST:g}")
+        if not np.all(np.abs(option) <= MAX_MODEL_NUMBER):
+            raise SourceError(path, f"option: {name} is {option}; needed: at most {MAX_MODEL_NUMBER:g}")
     if not model.opt.timestep > 0.0:
         raise SourceError(
             path, f"option: timestep is {model.opt.timestep:g}; needed: a positive number of seconds"
         )
     for prefix, field in _number_fields(model):
         values = getattr(model, field)
-        most = mujoco.mjMAXVAL if field in STATE_FIELDS else LARGEST
+        most = mujoco.mjMAXVAL if field in STATE_FIELDS else MAX_MODEL_NUMBER
         bad = ~(np.abs(values) <= most)
         if np.any(bad):
             row = int(np.argwhere(bad)[0][0])

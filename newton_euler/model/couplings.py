@@ -1,4 +1,8 @@
-"""Couplings of joint coordinates: gears, polynomials, and sums of several coordinates that stay 0."""
+"""Couplings between joint coordinates: gears, polynomial relations such as cams, and differentials.
+
+Each coupling is one constraint equation: a sum of polynomials of joint coordinates is zero. The constructor
+of `Mechanism` takes couplings besides bodies and joints, and `newton_euler.equations.couplings` evaluates
+them."""
 
 from __future__ import annotations
 
@@ -16,30 +20,35 @@ from newton_euler.scalars import Array
 
 
 class JointCoupling(Variable):
-    """A sum of polynomials, each of one joint coordinate, that stays 0.
+    """Base class of couplings: the sum of one polynomial per joint coordinate is zero.
 
-    The polynomials have no constant terms: the coupling holds at the initial pose, where coordinates are 0.
+    The polynomials have no constant terms, because the coupling holds at the initial pose, where all
+    coordinates are 0. A key (name of a joint, index from 0) identifies a coordinate.
 
     Attributes:
         name: unique among the joints and couplings of a mechanism.
-        kind: what errors call it.
+        kind: name of the kind of coupling in error messages.
     """
 
     name: str
     kind: ClassVar[str]
 
     def factors(self) -> dict[tuple[str, int], float]:
-        """Return the factor of each coordinate's first power; violations are in the first's unit."""
+        """Return the factor of the first power of each coordinate, by coordinate.
+
+        The violation of the coupling has the unit (m or rad) of the first coordinate.
+        """
         raise NotImplementedError
 
     def powers(self) -> dict[tuple[str, int], tuple[float, ...]]:
-        """Return the factors of the second and higher powers of each coordinate that has them."""
+        """Return the factors of the second, third, ... power of the coordinates that have such powers."""
         return {}
 
     def counted_from(self, zeros: Mapping[Key, float]) -> JointCoupling:
-        """Return the coupling of the same joints with their coordinates (m or rad) counted from other zeros.
+        """Return the same coupling for joint coordinates that are counted from another pose.
 
-        The zeros meet the coupling.
+        Args:
+            zeros: coordinates of the other pose, m or rad; they satisfy the coupling.
         """
         raise NotImplementedError
 
@@ -48,17 +57,17 @@ class JointCoupling(Variable):
 class Gear(JointCoupling):
     """Two joint coordinates in a constant ratio: x_follower = ratio * x_driver.
 
-    Hinges make a pair of gears, a hinge and a slide a rack and pinion.
+    Two hinges make a pair of gears; a hinge and a slide make a rack and pinion.
 
     Attributes:
-        name: unique among the joints and gears of a mechanism.
+        name: unique among the joints and couplings of a mechanism.
         driver, follower: names of the two joints.
-        ratio: of the follower's coordinate (m or rad from the initial pose) to the driver's; negative
-            where positive turns of one are negative turns of the other.
-        driver_coordinate, follower_coordinate: which of the joints' coordinates, from 0.
+        ratio: ratio of the follower's coordinate (m or rad from the initial pose) to the driver's coordinate;
+            negative if the two move in opposite senses.
+        driver_coordinate, follower_coordinate: index of the coordinate of each joint, from 0.
 
     Raises:
-        MechanismError: naming the gear and the value at fault.
+        MechanismError: naming the gear and the invalid value.
 
     Examples:
         >>> Gear("pair", "pinion", "wheel", ratio=-0.5).factors()
@@ -97,25 +106,27 @@ class Gear(JointCoupling):
 
 
 MAX_DEGREE = 4
-"""Highest power of a polynomial coupling, which is that of MuJoCo's `polycoef`."""
+"""Highest power of a polynomial coupling; the same as in MuJoCo's attribute `polycoef` of joint
+equalities."""
 
 
 @dataclass(frozen=True)
 class PolynomialCoupling(JointCoupling):
     """One joint coordinate that is a polynomial of another: x_follower = c_1 x_driver + c_2 x_driver^2 + ...
 
-    A cam and its follower, or a bead on a curve: a slide along z that is a polynomial of a slide along x.
+    Examples are a cam with its follower, and a bead on a curve (a slide along z as a polynomial of a slide
+    along x).
 
     Attributes:
         name: unique among the joints and couplings of a mechanism.
         driver, follower: names of the two joints.
-        coefficients: c_1, c_2, ..., at most `MAX_DEGREE`, not all 0. Both coordinates are in m or rad from
-            the initial pose. If that is at x_0, y_0 of a curve y - y_0 = p(x) - p(x_0), they are the
-            derivatives of p at x_0, the k-th divided by k!.
-        driver_coordinate, follower_coordinate: which of the joints' coordinates, from 0.
+        coefficients: c_1, c_2, ..., at most `MAX_DEGREE` of them, not all 0. Both coordinates are in m or rad
+            from the initial pose. For a curve y = p(x) with the initial pose at x_0, c_k is the k-th
+            derivative of p at x_0, divided by k!.
+        driver_coordinate, follower_coordinate: index of the coordinate of each joint, from 0.
 
     Raises:
-        MechanismError: naming the coupling and the value at fault.
+        MechanismError: naming the coupling and the invalid value.
 
     Examples:
         >>> cam = PolynomialCoupling("cam", "shaft", "tappet", (0.0, 0.02, 0.0, -0.001))
@@ -148,19 +159,26 @@ class PolynomialCoupling(JointCoupling):
         return self.from_zero(zeros[self.driver, self.driver_coordinate])
 
     def from_zero(self, zero: float) -> PolynomialCoupling:
-        """Return the same curve with the driver's coordinate counted from `zero`, m or rad, on the curve."""
-        moved = np.polynomial.Polynomial((0.0, *self.coefficients))(np.polynomial.Polynomial((zero, 1.0)))
+        """Return the coupling for the same curve with both coordinates counted from another point of the
+        curve.
+
+        Args:
+            zero: the driver's coordinate at the other point, m or rad.
+        """
+        polynomial = np.polynomial.Polynomial((0.0, *self.coefficients))
+        shifted = polynomial(np.polynomial.Polynomial((zero, 1.0)))
+        # Drop the constant term, and restore zeros that NumPy trims from the highest powers
         count = len(self.coefficients)
-        shifted = np.concatenate([moved.coef, np.zeros(count)])[1 : count + 1]
-        return replace(self, coefficients=tuple(shifted.tolist()))
+        coefficients = np.concatenate([shifted.coef, np.zeros(count)])[1 : count + 1]
+        return replace(self, coefficients=tuple(coefficients.tolist()))
 
     def __post_init__(self) -> None:
         where = f"polynomial coupling {quoted(self.name)}"
         check_texts(where, self, "name")
         given: Any = self.coefficients
         coefficients = items_of(given) or ()
-        known = all(is_finite_number(c) for c in coefficients)
-        if not (known and 1 <= len(coefficients) <= MAX_DEGREE and any(c != 0.0 for c in coefficients)):
+        finite = all(is_finite_number(c) for c in coefficients)
+        if not (finite and 1 <= len(coefficients) <= MAX_DEGREE and any(c != 0.0 for c in coefficients)):
             needed = f"1 to {MAX_DEGREE} finite numbers, not all 0, for the powers 1, 2, ..."
             raise MechanismError(where, f"coefficients is {quoted(given)}", needed)
         object.__setattr__(self, "coefficients", tuple(map(float, coefficients)))
@@ -174,14 +192,14 @@ class PolynomialCoupling(JointCoupling):
 
 @dataclass(frozen=True)
 class LinearCoupling(JointCoupling):
-    """A sum of joint coordinates that stays 0, each times a factor of its own: a differential, for one.
+    """A weighted sum of joint coordinates is zero, such as the three shafts of a differential.
 
     Attributes:
         name: unique among the joints and couplings of a mechanism.
-        terms: name of a joint, which of its coordinates, and the factor; at least two.
+        terms: (name of a joint, index of its coordinate, factor) of each coordinate in the sum; at least two.
 
     Raises:
-        MechanismError: naming the coupling and the value at fault.
+        MechanismError: naming the coupling and the invalid value.
 
     Examples:
         >>> terms = ("left", 0, 1.0), ("right", 0, 1.0), ("case", 0, -2.0)

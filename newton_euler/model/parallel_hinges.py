@@ -1,4 +1,9 @@
-"""Two parallel hinges in a row: the rolling joints of feet, fingers and knees."""
+"""Joint of two parallel hinges with a massless link between them, as in rolling contacts of feet, fingers and
+knees.
+
+`ParallelHinges` is the joint, `LinkAngle` its two coordinates, and `driving_wrench` the wrench with which
+actuators at the two hinges drive the second body. Frames, spans and Jacobians are those of
+`newton_euler.model.constraints`."""
 
 from __future__ import annotations
 
@@ -18,21 +23,24 @@ from newton_euler.scalars import Array, arctan2, cross, sqrt
 
 @dataclass(frozen=True, eq=False)
 class LinkAngle:
-    """The angle, in (-pi, pi], of one of two parallel hinges that a massless link joins.
+    """The angle, rad, in (-pi, pi], of one of two parallel hinges that a massless link joins.
 
-    With n the axis in body i and d from point s_first on the first axis to point s_second on the second one,
-    d perpendicular to n, the link turns against body i by x_1 and body j against the link by x_2:
+    Body i is the first body and body j the second. n is the hinge axis in body i. d is the vector from point
+    s_first on the first axis to point s_second on the second axis; it is perpendicular to n. The link rotates
+    relative to body i by x_1, and body j relative to the link by x_2:
 
-        x_1 = angle about n from u to d,    x_2 = angle about n from d to p,
+        x_1 = angle about n from u to d,    x_2 = angle about n from d to p.
 
-    u a vector of body i and p one of body j, both along d at the initial pose. With t = n x d / (d . d) and v
-    the rate of d as seen in body i, x_1' = t . v. The sum x_1 + x_2 is the `Angle` between the bodies.
+    The vector u is fixed in body i and p in body j; both are along d at the initial pose. Let t = n x d / (d
+    . d), and v the rate of d as seen in body i. Then dx_1/dt = t . v. The sum x_1 + x_2 is the `Angle`
+    between the bodies.
 
     Attributes:
         hinge: 0 for x_1, 1 for x_2.
-        sense: -1 if the angle counts about -n.
-        turn: the angle x_1 + x_2, whose triad in body i is (u, n x u, n) and whose pointer is p.
-        s_first, s_second: (3,) m.
+        sense: 1, or -1 if the angle counts about -n.
+        turn: the angle x_1 + x_2. Its triad in body i is (u, n x u, n) and its pointer is p.
+        s_first: (3,) m, point on the first axis from the center of mass of body i, in the frame of body i.
+        s_second: (3,) m, point on the second axis from the center of mass of body j, in the frame of body j.
     """
 
     hinge: Literal[0, 1]
@@ -44,7 +52,7 @@ class LinkAngle:
     count = 1
 
     def _link(self, first: Frame, second: Frame) -> tuple[Array, Span, Array]:
-        """Compute n, the span and t, world frame."""
+        """Compute the axis n (3,), the `Span` with d, and t = n x d / (d . d), (3,), world frame."""
         span = Span.of(first, second, self.s_first, self.s_second)
         axis = first.rotation @ cross(self.turn.u_first, self.turn.w_first)
         across = span.d - (axis @ span.d) * axis
@@ -70,44 +78,51 @@ class LinkAngle:
     def gamma(self, first: Frame, second: Frame) -> Array:
         axis, span, t = self._link(first, second)
         w, rate = first.angular_velocity, span.rate(first, second)
-        seen = rate - cross(w, span.d)
-        change = span.drift(first, second) - 2.0 * cross(w, rate) + cross(w, cross(w, span.d))
+        relative_rate = rate - cross(w, span.d)  # v: the rate of d as seen in body i
+        relative_drift = span.drift(first, second) - 2.0 * cross(w, rate) + cross(w, cross(w, span.d))
         across = span.d - (axis @ span.d) * axis
-        link = np.array([2.0 * (across @ seen) * (t @ seen) / (across @ across) - t @ change])
+        turning = 2.0 * (across @ relative_rate) * (t @ relative_rate) / (across @ across)
+        link = np.array([turning - t @ relative_drift])
         return link if self.hinge == 0 else self.sense * (self.turn.gamma(first, second) - link)
 
 
 def driving_wrench(axes: Array, rates: Array, forces: Array) -> tuple[Array, Array]:
-    """Compute the force and the torque, (3,) each, by which torques at two parallel hinges drive a body.
+    """Compute the wrench on the second body that has the same power as torques at two parallel hinges.
 
-    The force acts at the joint point, which lies on one of the two axes, and across the link. With the
-    velocity u_i that a rate of 1 rad/s at hinge i gives the joint point, F . u_i + T . a_i = f_i.
+    The force F acts at the joint point, which lies on one of the two axes, and is perpendicular to the link.
+    F and the torque T solve F . u_k + T . a_k = f_k for the hinges k = 1, 2.
 
     Args:
-        axes: (2, 3) a_i, unit, world frame.
-        rates: (2, 3) u_i, m/rad; one of them is zero.
-        forces: (2,) f_i, N m.
+        axes: (2, 3) a_k, unit axes, world frame.
+        rates: (2, 3) u_k, velocity of the joint point per rate of hinge k, m/rad; one of them is zero.
+        forces: (2,) f_k, torques at the hinges, N m.
+
+    Returns:
+        F (3,), N, and T (3,), N m, world frame.
     """
     across = rates.sum(axis=0)
-    along = axes[0]
-    force, torque = np.linalg.solve(np.stack([rates @ across, axes @ along], axis=1), forces)
-    return force * across, torque * along
+    axis = axes[0]
+    force, torque = np.linalg.solve(np.stack([rates @ across, axes @ axis], axis=1), forces)
+    return force * across, torque * axis
 
 
 @description
 class ParallelHinges(AxisJoint):
-    """A hinge about `axis`, a massless link, and a hinge about a parallel axis: four equations.
+    """A hinge about `axis`, a massless link, and a hinge about a parallel axis: four constraint equations.
 
-    The first axis passes through `point`, the second one through `point_on_second`. Its coordinates are the
-    angle of the link against the first body, and that of the second body against the link.
+    The first axis passes through `point`, the second axis through `point_on_second`. The joint has two
+    coordinates: the angle of the link relative to the first body, and the angle of the second body relative
+    to the link.
 
     Attributes:
-        offset: (3,) m from the first axis to the second, world at the initial pose, at least 1 micrometer
-            across the axis. `point_on_second` is `point` + `offset` unless it is given.
+        offset: (3,) m from the first axis to the second, world at the initial pose. Its part perpendicular to
+            the axis is at least 1 micrometer long. `point_on_second` is `point` + `offset` unless it is
+            given.
         opposed: True if the second angle counts about -`axis`.
 
     Raises:
-        MechanismError: also for axes that coincide.
+        MechanismError: naming the joint and the invalid value, such as an offset for which the two axes
+            coincide.
 
     Examples:
         >>> joint = ParallelHinges("toe", "ground", "body", [0, 0, 0], axis=[0, 1, 0], offset=[0.02, 0, 0])
@@ -124,35 +139,40 @@ class ParallelHinges(AxisJoint):
     vector_names: ClassVar[tuple[str, ...]] = ("offset",)
 
     def __post_init__(self) -> None:
-        beyond, where = self.point_on_second, f"joint {quoted(self.name)}"
+        given_point, where = self.point_on_second, f"joint {quoted(self.name)}"
         super().__post_init__()
         set_arrays(self, where, offset=(3,))
         check_flag(where, self, "opposed")
-        with np.errstate(all="ignore"):  # lengths that overflow are refused
+        with np.errstate(all="ignore"):  # an overflow makes the length infinite, which is refused below
             across = float(np.linalg.norm(self._across(self.offset)))
         if not LEAST_LENGTH <= across < np.inf:
             problem = f"offset {self.offset.tolist()} puts its axes {across:.3g} m apart"
             raise MechanismError(where, problem, f"at least {LEAST_LENGTH:g} m, a revolute joint otherwise")
-        if beyond is None:
+        if given_point is None:
             object.__setattr__(self, "point_on_second", self.point + self.offset)
 
     def offset_between(self, axis: Array, point: Array, point_on_second: Array) -> Array:
-        """Compute the offset (3,) where the axis and the points, all (3,) in the world, have moved to.
+        """Compute the offset (3,), m, of the joint at another pose of the mechanism.
 
-        The distances of the axes across and along stay what they are, whatever round-off the points have.
+        Its components along and perpendicular to the axis keep the lengths of `offset`; only the directions
+        follow from the points, so that round-off in the points does not change the lengths.
+
+        Args:
+            axis, point, point_on_second: (3,) the joint's unit axis and points (m) at the other pose, world
+                frame.
         """
         own, link = self._across(self.offset), point_on_second - point
         across = link - (axis @ link) * axis
-        return np.asarray(
-            (self.axis @ self.offset) * axis + np.sqrt((own @ own) / (across @ across)) * across
-        )
+        stretch = np.sqrt((own @ own) / (across @ across))
+        return np.asarray((self.axis @ self.offset) * axis + stretch * across)
 
     def _across(self, vector: Array) -> Array:
         """Return the part of a vector (3,) that is perpendicular to the axis."""
         return np.asarray(vector - (self.axis @ vector) * self.axis)
 
     def varied(self, values: Mapping[str, Any]) -> Self:
-        """See `Joint.varied`; the offset turns with the axis, and is counted at the initial pose."""
+        """Return the joint with other numbers, unchecked, see `Joint.varied`; the offset turns with the
+        axis."""
         changed = super().varied({name: value for name, value in values.items() if name != "offset"})
         offset = np.asarray(values.get("offset", self.offset))
         moved = offset - self.offset
@@ -179,7 +199,8 @@ class ParallelHinges(AxisJoint):
         return self.reaction_point - self.offset, self.reaction_point
 
     def _ends(self, first: Pose, second: Pose) -> tuple[Array, Array]:
-        """Return points on both axes, in their bodies' frames, that the link joins at a right angle."""
+        """Return a point (3,), m, on each axis, in the frame of its body; the line through both is
+        perpendicular."""
         along = (self.axis @ self.offset) * self.axis
         return first.point_to_body(self.point + along), second.point_to_body(self.reaction_point)
 

@@ -1,8 +1,8 @@
-"""Files that somebody else wrote: read within limits, refused with one line that names the file.
+"""Safe reading of input files from untrusted sources: size limits, and one-line errors that name the file.
 
-CSV becomes columns of finite numbers over ascending times; XML is looked at once before any parser builds or
-expands anything of it.
-"""
+The functions read regular files as bytes or UTF-8 text, convert CSV text to columns of finite numbers over
+ascending times (`TimeTable`), and scan XML text (`scan`) before another parser builds a tree from it.
+`Request` holds the options of the readers of MJCF and URDF files. All errors are `SourceError`s."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from newton_euler.scalars import Array, Floats
 
 
 class ReadOptions(TypedDict, total=False):
-    """Options of a reader of model files, as keywords; see `Request`."""
+    """Keyword options of the readers of model files (MJCF and URDF); `Request` describes them."""
 
     duration: float
     output_period: float
@@ -36,13 +36,16 @@ class ReadOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Request:
-    """Options of a reader of model files.
+    """Options of the readers of model files (MJCF and URDF).
 
     Attributes:
-        duration, output_period: of the scene, s; files say nothing about either.
-        redundancy_tolerance: of the scene, see `newton_euler.Scene`.
-        verified: True to verify the reading. If not, `report.references` is what to verify it against.
-        excitation: True to drive actuators by sines and to let joints move at the start.
+        duration, output_period: duration of the scene and time between outputs, s; model files contain
+            neither.
+        redundancy_tolerance: tolerance of the scene for redundant constraints, see `newton_euler.Scene`.
+        verified: True to compare the imported scene with the model that MuJoCo or Pinocchio compiles from the
+            file. If False, the caller makes this comparison later with the references in the import report.
+        excitation: True to drive the actuators by sines and to start joints with small velocities, because a
+            model at rest tests little.
     """
 
     duration: float = 1.0
@@ -53,13 +56,18 @@ class Request:
 
     @classmethod
     def of(cls, options: ReadOptions) -> Request:
-        """Return these options, and defaults; raises `UnknownNameError` for one that there is not."""
+        """Complete keyword options with the defaults; raises `UnknownNameError` for an unknown option."""
         check_choices("option", options, ReadOptions.__annotations__)
         return cls(**options)
 
 
 class SourceError(NewtonEulerError):
-    """A file that cannot be used: names the file and what is wrong where."""
+    """A file that cannot be used.
+
+    Attributes:
+        path: path of the file.
+        problem: what is wrong, with the line or element of the file where it is known.
+    """
 
     def __init__(self, path: str, problem: str) -> None:
         self.path = path
@@ -68,7 +76,7 @@ class SourceError(NewtonEulerError):
 
 
 def is_path(text: object) -> TypeGuard[str]:
-    """Return True for a text that the file system can look up, whether there is such a file or not."""
+    """Return True for text that can be the path of a file, whether such a file exists or not."""
     try:
         return isinstance(text, str) and b"\0" not in os.fsencode(text)
     except UnicodeEncodeError:
@@ -76,7 +84,7 @@ def is_path(text: object) -> TypeGuard[str]:
 
 
 def path_text(path: object, error: type[SourceError] = SourceError) -> str:
-    """Return a path as text; raises `SourceError`, of the class `error`, for what is none."""
+    """Convert a path to text; raises `error` (a class of `SourceError`) for a value that is not a path."""
     where = os.fspath(path) if isinstance(path, os.PathLike) else path
     if not is_path(where):
         raise error(f"{quoted(where, 200)}", "cannot be read; needed: a path of a file")
@@ -86,15 +94,16 @@ def path_text(path: object, error: type[SourceError] = SourceError) -> str:
 def read_content(
     path: str | os.PathLike[str], limit: str, error: type[SourceError] = SourceError, before: int = 0
 ) -> bytes:
-    """Read a regular file.
+    """Read the bytes of a regular file.
 
     Args:
-        limit: name of the limit of its size, see `newton_euler.limits`.
-        error: class of what is raised.
-        before: bytes that count beside those of the file.
+        path: path of the file.
+        limit: name of the limit on the file size in `newton_euler.limits`.
+        error: class of the error to raise, `SourceError` or a subclass.
+        before: bytes of other files that count against the same limit.
 
     Raises:
-        SourceError: of the class `error`.
+        SourceError: of the class `error`, for a file that cannot be read or exceeds the limit.
     """
     where = path_text(path, error)
     try:
@@ -104,9 +113,10 @@ def read_content(
         if problem := exceeded(limit, (before + status.st_size) / MB):
             raise error(where, problem)
         with Path(where).open("rb") as stream:
-            most, parts = size_in_bytes(limit), list[bytes]()
-            # it may grow; in parts, as Python gets memory for all that it is asked to read
-            while (rest := most + 1 - sum(map(len, parts))) > 0 and (part := stream.read(min(rest, MB))):
+            max_size, parts = size_in_bytes(limit), list[bytes]()
+            # Stop after the limit, because the file may grow while it is read. Read in parts of 1 MB, because
+            # Python allocates memory for the whole size that a single call of `read` asks for
+            while (rest := max_size + 1 - sum(map(len, parts))) > 0 and (part := stream.read(min(rest, MB))):
                 parts.append(part)
             return b"".join(parts)
     except OSError as failure:
@@ -116,18 +126,27 @@ def read_content(
 def read_text(
     path: str | os.PathLike[str], limit: str, error: type[SourceError] = SourceError, before: int = 0
 ) -> str:
-    """Read a regular file of UTF-8 text; arguments and errors as of `read_content`."""
+    """Read a regular file of UTF-8 text; arguments and errors are those of `read_content`."""
     try:
         return read_content(path, limit, error, before).decode("utf-8-sig")
     except UnicodeDecodeError as failure:
         raise error(os.fspath(path), "not a UTF-8 text file") from failure
 
 
-Row = tuple[int, list[str]]  # number of a line, the first being 1, and its cells
+Row = tuple[int, list[str]]
+"""A row of a CSV file: its line number, from 1, and the text of its cells."""
 
 
 def csv_rows(path: str, text: str) -> list[Row]:
-    """Return the rows of a CSV text that are not empty, cells stripped; raises `SourceError`."""
+    """Split a CSV text into its rows without empty rows; spaces around cells are removed.
+
+    Args:
+        path: path of the file, for error messages.
+        text: content of the file.
+
+    Raises:
+        SourceError: for invalid CSV, control characters, and separators other than commas.
+    """
     reader = csv.reader(io.StringIO(text, newline=""))
     try:
         rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
@@ -145,7 +164,16 @@ def csv_rows(path: str, text: str) -> list[Row]:
 
 
 def row_numbers(path: str, header: Sequence[str], row: Row) -> list[float]:
-    """Return the numbers of a row; raises `SourceError` for cells that are missing or no finite numbers."""
+    """Convert the cells of a CSV row to floats.
+
+    Args:
+        path: path of the file, for error messages.
+        header: names of the columns.
+        row: line number and cells.
+
+    Raises:
+        SourceError: for a wrong number of cells, and for a cell that is empty or not a finite number.
+    """
     line, cells = row
     if len(cells) != len(header):
         hint = ", and decimal points, not commas, in numbers" if len(cells) > len(header) else ""
@@ -154,6 +182,7 @@ def row_numbers(path: str, header: Sequence[str], row: Row) -> list[float]:
 
 
 def _numbers(path: str, header: Sequence[str], line: int, cells: Sequence[str]) -> Iterator[float]:
+    """Yield the cells of a CSV row as floats; raises `SourceError` for a cell that is not a finite number."""
     for name, cell in zip(header, cells, strict=True):
         try:
             yield plain_number(cell)
@@ -164,12 +193,12 @@ def _numbers(path: str, header: Sequence[str], line: int, cells: Sequence[str]) 
 
 
 class TimeTable(NamedTuple):
-    """Numbers of a file, one of whose columns is `time`.
+    """Columns of numbers from a CSV file that has a column `time` with ascending times, s.
 
     Attributes:
-        path: of the file.
-        lines: (n,) numbers of the rows in the file.
-        columns: (n,) each, by name.
+        path: path of the file.
+        lines: (n,) line numbers of the n rows in the file.
+        columns: the numbers (n,) of each column, by its name in the header.
     """
 
     path: str
@@ -178,7 +207,16 @@ class TimeTable(NamedTuple):
 
     @classmethod
     def of(cls, path: str, header: Sequence[str], rows: Sequence[Row]) -> TimeTable:
-        """Read the numbers of rows; raises `SourceError`, for times that do not ascend, too."""
+        """Convert the rows of a CSV file to a table.
+
+        Args:
+            path: path of the file, for error messages.
+            header: names of the columns, with `time` among them.
+            rows: the rows after the header.
+
+        Raises:
+            SourceError: for a cell that is not a finite number, and for times that do not ascend.
+        """
         numbers = np.array([row_numbers(path, header, row) for row in rows])
         table = cls(path, [line for line, _ in rows], dict(zip(header, numbers.T, strict=True)))
         time = table.columns["time"]
@@ -186,44 +224,57 @@ class TimeTable(NamedTuple):
         return table
 
     def refuse(self, wrong: Array, what: str, values: Array, needed: str) -> None:
-        """Raise `SourceError` for the first row that is wrong."""
+        """Raise `SourceError` for the first invalid row, if there is one.
+
+        Args:
+            wrong: (n,) True for invalid rows.
+            what: name of the column, for the message.
+            values: (n,) numbers of the column.
+            needed: description of the valid values.
+        """
         for row in np.flatnonzero(wrong)[:1]:
             problem = f"line {self.lines[row]}: {what} is {values[row]:.9g}"
             raise SourceError(self.path, f"{problem}; needed: {needed}")
 
 
 def check_names(path: str, header: Sequence[str]) -> None:
-    """Raise `SourceError` for columns that are there twice."""
+    """Raise `SourceError` if two columns of a CSV header have the same name."""
     for name in header:
         if header.count(name) > 1:
             raise SourceError(path, f"line 1: column {quoted(name)} is there twice; needed: once")
 
 
-MAXIMUM_DEPTH = 400  # of nested elements; recursive parsers run out of stack somewhere above
-LARGEST = 1e15  # of any number of a model, so that squares and triple products stay finite and keep digits
-NOT_FINITE = ("nan", "inf", "infinity")
+MAX_XML_DEPTH = 400
+"""Largest number of XML elements inside of each other; recursive parsers overflow the stack at more."""
+
+MAX_MODEL_NUMBER = 1e15
+"""Largest magnitude of any number in a model file, so that squares and triple products stay finite."""
+
+NON_FINITE_WORDS = ("nan", "inf", "infinity")
+"""Words, in lower case and without sign, that C libraries read as numbers that are not finite."""
 
 Begin = Callable[[str, dict[str, str], int], None]
-"""Function that is called with the tag, the attributes and the line of an element."""
+"""Function that `scan` calls with the tag, the attributes and the line number of an XML element."""
 
 
 def scan(path: str, text: str, root: str | None, begin: Begin, error: type[SourceError]) -> None:
-    """Call `begin` for every element of an XML text.
+    """Call a function for every element of an XML text, and refuse dangerous XML.
 
     Args:
-        path: of the file, for errors.
-        text: of the file.
-        root: tag of the outermost element; any if None.
-        begin: called in the order of the text.
-        error: class of what is raised.
+        path: path of the file, for error messages.
+        text: content of the file.
+        root: required tag of the outermost element; None allows any tag.
+        begin: function to call for each element, in the order of the text.
+        error: class of the error to raise, `SourceError` or a subclass.
 
     Raises:
-        SourceError: for text that is not well-formed, that has another root, a document type (entities
-            unfold to gigabytes or to other files) or too many elements.
+        SourceError: for text that is not well-formed, another root element, too many or too deeply nested
+            elements, and a document type declaration, whose entities can expand to gigabytes or read other
+            files.
     """
     parser = expat.ParserCreate()
     depth = count = 0
-    most = limit("elements")
+    max_count = limit("elements")
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth, count
@@ -231,9 +282,9 @@ def scan(path: str, text: str, root: str | None, begin: Begin, error: type[Sourc
         if count == 0 and root not in (None, tag):
             raise error(path, f"line {line}: root element is <{tag:.100}>, not <{root}>")
         depth, count = depth + 1, count + 1
-        if depth > MAXIMUM_DEPTH:
-            raise error(path, f"line {line}: more than {MAXIMUM_DEPTH} nested elements")
-        if count > most:
+        if depth > MAX_XML_DEPTH:
+            raise error(path, f"line {line}: more than {MAX_XML_DEPTH} nested elements")
+        if count > max_count:
             raise error(path, f"line {line}: {exceeded('elements', text.count('<'))}")
         begin(tag, attributes, line)
 

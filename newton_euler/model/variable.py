@@ -1,7 +1,10 @@
-"""Numbers of a description that may vary from run to run, read and replaced by name.
+"""Read and replace, by name, the numbers of a model that may vary from run to run.
 
-A `Variable` is an element with such numbers; a `Function` is a function of time with such numbers.
-"""
+`Variable` is the base class of bodies, joints, couplings, forces and control laws; `Function` is the base
+class of functions of time. Parameter studies, fits and sensitivities name a number (`mass`, `target.phase`)
+and give another value: `Variable.rebuilt` checks the value, `Variable.varied` accepts any scalar, such as a
+symbolic expression of the code generator. The values that a number may take are declared in
+`newton_euler.model.fields`."""
 
 from __future__ import annotations
 
@@ -19,18 +22,29 @@ from newton_euler.scalars import Array, Scalar
 T = TypeVar("T")
 
 Change = Callable[..., Any]
-"""Copies an object with other values of some fields: `altered` without checks, or `dataclasses.replace`."""
+"""Function that copies an object with other values of some fields, given as keywords.
+
+It is `altered`, which does not check the values, or `dataclasses.replace`, whose call of the constructor
+does."""
 
 PART_UNITS = {"angular_frequency": "rad/s", "phase": "rad"}
-"""Units of the numbers in which functions of time are not linear, by names that follow the attribute's."""
+"""Units of the numbers of functions of time on which the value depends nonlinearly, by part, see
+`Function.parts`.
 
-COORDINATE_INDEX = "which coordinate it is"  # reason in messages: an index does not vary
+Parameter names are ATTRIBUTE.PART, such as `target.phase`."""
+
+COORDINATE_INDEX = "which coordinate it is"
+"""Reason, for error messages, why the index of a joint coordinate cannot vary."""
 
 
 def altered(thing: T, **fields: Any) -> T:
-    """Copy a frozen object with other values of some fields, which are not checked.
+    """Copy a frozen object with other, unchecked values of some fields.
 
     Cached properties are not copied, because they were computed from the old values.
+
+    Args:
+        thing: the object to copy.
+        fields: new values by field name.
     """
     changed = copy.copy(thing)
     for name in list(vars(changed)):
@@ -42,12 +56,17 @@ def altered(thing: T, **fields: Any) -> T:
 
 
 class Function:
-    """A function of time that is given by numbers. The base class is smooth at all times.
+    """Base class of functions of time, which are given by numbers. The defaults here are for smooth
+    functions.
+
+    The value of a function depends linearly on some of its numbers, such as an amplitude, and nonlinearly on
+    others, such as a phase. The numbers are therefore grouped in parts. A function is smooth between its
+    knots: times at which a derivative jumps.
 
     Attributes:
-        parts: names of fields by part. Part "" has the fields in which the function is linear; other parts
-            are the keys of `PART_UNITS`.
-        constant: reasons why fields do not vary, by the field's name.
+        parts: names of the fields of each part. Part "" has the fields in which the function is linear; the
+            other parts are "angular_frequency" and "phase", see `PART_UNITS`.
+        constant: reasons, by field name, why fields cannot vary.
     """
 
     parts: ClassVar[Mapping[str, tuple[str, ...]]]
@@ -60,45 +79,52 @@ class Function:
 
     @property
     def jumps(self) -> tuple[float, ...]:
-        """The knots, s, at which the value of the function jumps."""
+        """Times, s, at which the value of the function jumps; they are among the knots."""
         return ()
 
     @property
     def numbers(self) -> int:
-        """The count of numbers that determine the function between two knots."""
+        """Count of the numbers that `piece` returns; 0 for a function without knots."""
         return 0
 
     @property
     def is_constant(self) -> bool:
-        """True if the value is constant between two knots."""
+        """True if the value is constant between two neighboring knots."""
         return False
 
     def covers(self, begin: float, end: float) -> bool:
-        """Return True if the function is known at all times from `begin` to `end`, s."""
+        """Return True if the function is defined at all times from `begin` to `end`, s."""
         return True
 
     def value(self, time: Scalar) -> Scalar:
-        """Compute the value at a time in s: m or rad."""
+        """Compute the value at a time in s; m or rad for the motion of a joint coordinate."""
         raise NotImplementedError
 
     def rate(self, time: Scalar) -> Scalar:
-        """Compute the first derivative, m/s or rad/s."""
+        """Compute the first derivative by time at a time in s; m/s or rad/s for a motion."""
         raise NotImplementedError
 
     def acceleration(self, time: Scalar) -> Scalar:
-        """Compute the second derivative, m/s^2 or rad/s^2."""
+        """Compute the second derivative by time at a time in s; m/s^2 or rad/s^2 for a motion."""
         raise NotImplementedError
 
     def piece(self, time: float) -> tuple[float, ...]:
-        """Return the numbers that determine the function between the knots around a time in s."""
+        """Return the numbers that determine the function between the two knots around a time in s.
+
+        A compiled program takes these numbers as parameters; they are replaced at each knot.
+        """
         return ()
 
     def on_piece(self, numbers: Sequence[Scalar]) -> Any:
-        """Return the smooth function that the numbers of a `piece` determine; they are not checked."""
+        """Build the smooth function between two knots from its numbers.
+
+        Args:
+            numbers: unchecked numbers in the order of `piece`; floats, or symbols of the code generator.
+        """
         return self
 
     def part(self, name: str) -> list[Scalar]:
-        """Return the numbers of one of `parts`; an empty list for a part that the function lacks."""
+        """Return the numbers of one part, see `parts`; an empty list if the function has no such part."""
         found: list[Scalar] = []
         for field in self.parts.get(name, ()):
             value = getattr(self, field)
@@ -106,7 +132,13 @@ class Function:
         return found
 
     def with_part(self, name: str, numbers: Any, change: Change) -> Self:
-        """Return the function with other numbers for one of `parts`."""
+        """Copy the function with other numbers for one part, see `parts`.
+
+        Args:
+            name: name of the part.
+            numbers: new numbers, in the order of `part`.
+            change: function that makes the copy.
+        """
         fields: dict[str, Any] = {}
         for field in self.parts.get(name, ()):
             if isinstance(getattr(self, field), tuple | np.ndarray):
@@ -117,11 +149,11 @@ class Function:
 
 
 class Variable:
-    """An element with numbers that may vary from run to run without a new compilation.
+    """Base class of model elements with numbers that may vary from run to run without a new compilation.
 
     Attributes:
-        number_fields: declarations of the attributes that may vary, by name.
-        constant: reasons why other attributes do not vary, by the attribute's name.
+        number_fields: declarations of the attributes that may vary, by attribute name.
+        constant: reasons, by attribute name, why other attributes cannot vary.
     """
 
     number_fields: ClassVar[Mapping[str, NumberField]] = {}
@@ -129,25 +161,29 @@ class Variable:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Names of attributes that may vary, without points."""
+        """Names of the attributes that may vary, except points of bodies."""
         return tuple(name for name, field in self.number_fields.items() if not field.displaces)
 
     @property
     def points(self) -> tuple[str, ...]:
-        """Names of attributes that are points of bodies; the displacement of a point varies."""
+        """Names of the attributes that are points of bodies; what varies is the displacement (3,) of such a
+        point, m."""
         return tuple(name for name, field in self.number_fields.items() if field.displaces)
 
     def field_of(self, name: str) -> NumberField:
-        """Return the declaration of one of `variables`."""
+        """Return the declaration of one number, by a name from `variables`."""
         attribute, _, part = name.partition(".")
         field = self.number_fields[attribute]
         return replace(field, unit=PART_UNITS[part], unit_about="") if part else field
 
     def set_numbers(self, where: str) -> None:
-        """Replace numbers and arrays by floats and read-only arrays, checked by `number_fields`.
+        """Check the attributes of a new object, and convert them to floats and read-only arrays.
+
+        Args:
+            where: name of the element, for error messages.
 
         Raises:
-            MechanismError: naming `where` and the attribute, for a value that the field does not take.
+            MechanismError: naming `where` and the attribute, for a value that `number_fields` does not allow.
         """
         for name, field in self.number_fields.items():
             value = getattr(self, name)
@@ -156,7 +192,8 @@ class Variable:
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """Names of all numbers that may vary: `ATTRIBUTE`, and `ATTRIBUTE.PART` of functions of time."""
+        """Names of all numbers that may vary: ATTRIBUTE, and ATTRIBUTE.PART for parts of functions of
+        time."""
         names: list[str] = []
         parts: list[str] = []
         for name in self.parameters:
@@ -170,7 +207,7 @@ class Variable:
 
     @property
     def constants(self) -> dict[str, str]:
-        """Reasons why numbers do not vary, by their names."""
+        """Reasons why numbers cannot vary, by the name of the number."""
         of_functions = {
             f"{attribute}.{name}": reason
             for attribute, field in self.number_fields.items()
@@ -181,7 +218,10 @@ class Variable:
         return {**self.constant, **of_functions}
 
     def number(self, name: str) -> Array:
-        """Return the present value of one of `variables` as an array of floats; zero for a point."""
+        """Return the present value of one of `variables` as an array of floats; zeros (3,) for a point.
+
+        The value of a point is zero because its parameter is the displacement from the described place.
+        """
         if name in self.points:
             return np.zeros(3)
         attribute, _, part = name.partition(".")
@@ -189,11 +229,18 @@ class Variable:
         return found.reshape(()) if part and found.size == 1 else found
 
     def varied(self, values: Mapping[str, Any]) -> Self:
-        """Copy the element with other values of some `variables`; scalars of any kind, not checked."""
+        """Copy the element with other, unchecked values of some `variables`.
+
+        Args:
+            values: new values by name; floats, or other scalars such as expressions of the code generator.
+        """
         return altered(self, **self.fields_with(values, altered))
 
     def rebuilt(self, values: Mapping[str, Any]) -> Self:
-        """Construct the element again with other values of some `variables`.
+        """Construct the element again with other values of some `variables`, and check them.
+
+        Args:
+            values: new values by name.
 
         Raises:
             MechanismError: for a value that the constructor refuses.
@@ -201,7 +248,12 @@ class Variable:
         return replace(self, **self.fields_with(values, replace))  # type: ignore[type-var]
 
     def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:
-        """Return the values of the fields that change if some `variables` have other values."""
+        """Return the new values of the fields that change if some `variables` have other values.
+
+        Args:
+            values: new values by name from `variables`; for a point, its displacement.
+            change: function that copies a function of time with new numbers, see `Change`.
+        """
         fields: dict[str, Any] = {}
         for name, value in values.items():
             attribute, _, part = name.partition(".")
@@ -211,14 +263,19 @@ class Variable:
 
 
 def functions_of(value: Any) -> tuple[Any, ...]:
-    """Return the functions of time in an attribute: the attribute itself, or values of a mapping."""
+    """Return the functions of time in an attribute: the attribute itself, or those among the values of a
+    mapping."""
     if isinstance(value, Mapping):
         return tuple(each for each in value.values() if isinstance(each, Function))
     return (value,) if isinstance(value, Function) else ()
 
 
 def _numbers(value: Any, part: str) -> Any:
-    """Return the numbers of one part of an attribute; part "" is everything that is in no named part."""
+    """Return the numbers of one part of an attribute, see `Function.parts`.
+
+    Part "" has all numbers that are in no named part: the linear numbers of a function of time, or a number
+    or array itself. The numbers of a mapping are those of its values, in order: rows if each value is an
+    array."""
     if isinstance(value, Function):
         return value.part(part)
     if isinstance(value, Mapping):
@@ -228,7 +285,15 @@ def _numbers(value: Any, part: str) -> Any:
 
 
 def _changed(own: Any, part: str, value: Any, change: Change) -> Any:
-    """Return the value of an attribute with other numbers for one part."""
+    """Return an attribute with other numbers for one part.
+
+    Args:
+        own: present value of the attribute: a number, an array, a function of time, or a mapping to such
+            values.
+        part: name of the part, see `Function.parts`.
+        value: new numbers, in the order of `_numbers`.
+        change: function that copies a function of time, see `Change`.
+    """
     if isinstance(own, Function):
         return own.with_part(part, (value,) if np.ndim(value) == 0 else tuple(value), change)
     if isinstance(own, Mapping):
@@ -237,19 +302,19 @@ def _changed(own: Any, part: str, value: Any, change: Change) -> Any:
 
 
 def _changed_values(own: Mapping[Any, Any], part: str, value: Any, change: Change) -> dict[Any, Any]:
-    """Return a mapping with other numbers for one part, key by key."""
+    """Return a mapping with other numbers for one part of its values; arguments as of `_changed`."""
     if _is_table(own):
         return dict(zip(own, value, strict=True))
-    found, numbers = dict(own), (value,) if np.ndim(value) == 0 else tuple(value)
+    changed, numbers = dict(own), (value,) if np.ndim(value) == 0 else tuple(value)
     for key, each in own.items():
         count = np.size(_numbers(each, part))
         if count:
-            of_one = numbers[:count] if isinstance(each, Function) else numbers[0]
-            found[key] = _changed(each, part, of_one, change)
+            new = numbers[:count] if isinstance(each, Function) else numbers[0]
+            changed[key] = _changed(each, part, new, change)
         numbers = numbers[count:]
-    return found
+    return changed
 
 
 def _is_table(values: Mapping[Any, Any]) -> bool:
-    """Return True if a mapping has an array of numbers for each key."""
+    """Return True if each value of a mapping is an array of numbers, such as the gains of state feedback."""
     return all(np.ndim(each) == 1 for each in values.values())

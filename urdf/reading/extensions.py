@@ -25,7 +25,7 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.errors import choices
-from newton_euler.model.source_file import LARGEST, scan
+from newton_euler.model.source_file import MAX_MODEL_NUMBER, scan
 from newton_euler.reading.import_report import FRICTION, ImportReport, unique_name
 from newton_euler.scalars import Array
 from urdf.extensions import Extensions, PointSpringElement
@@ -200,7 +200,7 @@ class _Reader:
             values = [float(x) for x in (text or "").split()]
         except ValueError:
             values = []
-        if len(values) != count or not all(abs(x) <= LARGEST for x in values):
+        if len(values) != count or not all(abs(x) <= MAX_MODEL_NUMBER for x in values):
             needed = "a finite number" if count == 1 else f"{count} finite numbers"
             tag, line = tag_of(element), self._lines[element]
             raise SourceError(self._path, f"line {line}: <{tag}>: {what} is {text!r:.100}; needed: {needed}")

@@ -12,7 +12,7 @@ import numpy as np
 from newton_euler.errors import choices
 from newton_euler.limits import exceeded
 from newton_euler.model import source_file
-from newton_euler.model.source_file import LARGEST, scan
+from newton_euler.model.source_file import MAX_MODEL_NUMBER, scan
 from newton_euler.scalars import Array
 from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import Loops, parse_loops
@@ -219,5 +219,5 @@ def _check_numbers(where: str, path: str, name: str, value: str) -> None:
         except ValueError:
             number = math.nan
         # limits are not simulated, and often infinite
-        if math.isnan(number) or (abs(number) > LARGEST and "<limit>" not in where):
+        if math.isnan(number) or (abs(number) > MAX_MODEL_NUMBER and "<limit>" not in where):
             raise SourceError(path, f"{where} has {name}={value!r:.100}; needed: finite numbers")
