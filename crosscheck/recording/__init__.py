@@ -1,6 +1,6 @@
-"""Recordings for the Rerun viewer, and pictures of them."""
+"""3-D recordings of runs for the Rerun viewer (https://rerun.io), and pictures of the recordings."""
 
 import os
 
-# what goes wrong in Rerun is raised; its log on standard error would be a second voice
+# Rerun raises its errors; its log on standard error would print them a second time
 os.environ.setdefault("RUST_LOG", "off")

@@ -1,4 +1,8 @@
-"""Layout of a recording in the viewer."""
+"""Layout of a recording in the Rerun viewer (in Rerun's terms: a blueprint).
+
+`blueprint` arranges the 3-D view, the verdict and the plots of a run. `scene_view` places the camera so that
+the whole motion of a mechanism is visible.
+"""
 
 from __future__ import annotations
 
@@ -10,54 +14,58 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from crosscheck.recording.plots import Plot
-from crosscheck.recording.shapes import paths
+from crosscheck.recording.shapes import drawn_points
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.trajectory import Trajectory
 
 Y, Z = np.eye(3)[1:]
 
 TIME = "time"
-"""The timeline of a recording."""
+"""Name of the timeline of all recordings; times are in s."""
 
 EYE_DIRECTION = np.array([0.35, -0.78, 0.72])
-"""Direction from the mechanism to the camera, for motions that are not planar."""
+"""Direction from the mechanism to the camera, world frame, for motions that are not planar."""
 
 FLATNESS = 1e-4
-"""Largest motion across a plane that is motion in it, as a share of the motion along it."""
+"""Largest ratio of the motion across a plane to the motion along it for which a motion counts as planar."""
 
 HALF_ANGLE = np.radians(27.5)
-"""Half of the angle that the camera sees from top to bottom."""
+"""Half of the camera's vertical field of view, rad."""
 
-ASPECT, MARGIN = 1.3, 1.1
-"""Width by height of what the camera sees at least, and its distance by the least that shows all."""
+ASPECT = 1.3
+"""Smallest ratio of width to height of the 3-D view."""
 
-LOWER = 1.4
-"""Height of the verdict and of what engines are judged by, by that of the mechanism and its motion."""
+MARGIN = 1.1
+"""Distance of the camera, divided by the smallest distance from which the whole motion is visible."""
 
-MOST_COLUMNS = 3
-"""Plots side by side in one group."""
+LOWER_ROW_HEIGHT = 1.4
+"""Height of the lower row (verdict, plots that engines are judged by), divided by that of the upper row."""
 
+MAX_COLUMNS = 3
+"""Largest number of plots side by side in one group."""
 
-QUICKEST, SLOWEST = 4.0, 60.0
-"""s that a recording is played, if the motion takes less or more."""
+MIN_PLAYBACK_S, MAX_PLAYBACK_S = 4.0, 60.0
+"""Shortest and longest time, s, in which the viewer plays a recording, however long the motion is."""
 
 
 class Layout(rrb.Blueprint):  # type: ignore[misc]  # Rerun is untyped here
-    """A blueprint that keeps the stream to which Rerun writes it.
+    """A Rerun blueprint that keeps the stream to which Rerun writes the blueprint.
 
-    Rerun drops that stream without closing it, and two of its threads would stay behind.
+    Rerun drops this stream without closing it, so that two threads would continue to run.
+    `send_layout` closes the stream.
     """
 
     stream: rr.RecordingStream | None = None
 
     def _log_to_stream(self, stream: rr.RecordingStream) -> None:
+        """Keep the stream, and write the blueprint to it; overrides a method of Rerun."""
         self.stream = stream
         super()._log_to_stream(stream)
 
 
 def send_layout(recording: rr.RecordingStream, layout: Layout) -> None:
-    """Lay out a recording, and close the stream that the layout was written to."""
-    # active, or a viewer in a browser would choose its own layout
+    """Add a layout to a recording, and close the stream that Rerun wrote the layout to."""
+    # makes the layout active; otherwise a viewer in a browser would choose its own layout
     recording.send_blueprint(layout)
     if layout.stream is not None:
         layout.stream.disconnect()
@@ -72,18 +80,20 @@ def blueprint(
     hidden: Sequence[Sequence[str]],
     moments: bool,
 ) -> Layout:
-    """The mechanism and the verdict at the left, two rows of plots over a timeline at the right.
+    """Make the layout of a run: mechanism and verdict at the left, two rows of plots at the right.
 
     Args:
-        run: what the camera is placed by.
-        heading: of the 3-D view.
-        hidden: parts of the paths of entities that are not shown at first.
-        moments: whether there is a log of the worst ones, in a tab behind the verdict: its times can be
-            clicked, and links to times, beside those to entities, do not exist in text.
+        mechanism: mechanism that the 3-D view shows.
+        run: run whose motion the camera is placed for.
+        plots: plots to show; plots that engines are judged by are in the lower row.
+        heading: title of the 3-D view.
+        hidden: entities that are not shown at first, each as the parts of its path.
+        moments: whether to show, in a tab behind the verdict, the text log of the times at which checks are
+            closest to failing. The user can click these times; a text document cannot link to times.
     """
     contents = ["+ /**", "- /plots/**", "- /verdict", "- /worst"]
     overrides = {rr.new_entity_path(path): rrb.EntityBehavior(visible=False) for path in hidden}
-    drawn = scene_view(mechanism, run, heading, contents, overrides=overrides)
+    mechanism_view = scene_view(mechanism, run, heading, contents, overrides=overrides)
     texts: list[rrb.View] = [rrb.TextDocumentView(origin="/verdict", name="Verdict")]
     if moments:
         columns = rrb.TextLogColumns(timeline_columns=[TIME], text_log_columns=["body"])
@@ -91,27 +101,31 @@ def blueprint(
     rows = [[plot for plot in plots if plot.judges is judges] for judges in (False, True)]
     end = float(run.time[-1])
     plotted = [_row(row, end) for row in rows if row]
+    row_heights = [1.0, LOWER_ROW_HEIGHT]
     return laid_out(
         rrb.Horizontal(
-            rrb.Vertical(drawn, rrb.Tabs(*texts, active_tab=0), row_shares=[1.0, LOWER]),
-            rrb.Vertical(*plotted, row_shares=[1.0, LOWER][: len(plotted)]),
+            rrb.Vertical(mechanism_view, rrb.Tabs(*texts, active_tab=0), row_shares=row_heights),
+            rrb.Vertical(*plotted, row_shares=row_heights[: len(plotted)]),
             column_shares=[1.0, 1.2],
         ),
         end,
     )
 
 
-def laid_out(views: rrb.Container, duration: float = QUICKEST) -> Layout:
-    """Show these views with all panels out of the way, over and over again.
+def laid_out(views: rrb.Container, duration: float = MIN_PLAYBACK_S) -> Layout:
+    """Make a layout that shows some views, with all panels of the viewer collapsed, and plays in a loop.
 
-    Days are played in a minute, milliseconds in seconds.
+    Args:
+        views: container of views.
+        duration: duration of the motion, s. A motion of milliseconds is played in slow motion, a motion of
+            hours in fast motion, see `MIN_PLAYBACK_S` and `MAX_PLAYBACK_S`.
     """
-    shown = min(max(duration, QUICKEST), SLOWEST)
+    playback = min(max(duration, MIN_PLAYBACK_S), MAX_PLAYBACK_S)
     return Layout(
         views,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIME, playback_speed=duration / shown, loop_mode="all"),
+        rrb.TimePanel(state="collapsed", timeline=TIME, playback_speed=duration / playback, loop_mode="all"),
         auto_layout=False,
         auto_views=False,
     )
@@ -120,31 +134,48 @@ def laid_out(views: rrb.Container, duration: float = QUICKEST) -> Layout:
 def scene_view(
     mechanism: Mechanism, run: Trajectory, name: str, contents: Sequence[str], **more: Any
 ) -> rrb.Spatial3DView:
-    """Show entities in 3-D; `more` as of Rerun's view.
+    """Make a 3-D view whose camera sees the whole run, with a grid behind it.
 
-    The camera is placed so that all of a run is seen, face on if it is in a plane, and a grid behind it.
+    If the motion is planar, the camera looks at its plane from the front, and the grid is in the plane.
+    Otherwise the camera looks along `EYE_DIRECTION`, and the grid is horizontal.
+
+    Args:
+        mechanism: mechanism that is shown.
+        run: run whose motion the camera is placed for.
+        name: title of the view.
+        contents: Rerun's expressions that select the entities to show.
+        more: further arguments of Rerun's `Spatial3DView`.
     """
-    ways = [paths(mechanism, k, run) for k in range(len(mechanism.bodies))]
-    moving = np.concatenate([way.reshape(-1, 3) for way in ways[1:]])
-    # of a wide floor what is near
-    near = np.clip(ways[0][0], moving.min(axis=0) - mechanism.size, moving.max(axis=0) + mechanism.size)
+    # points (m, 3) that the camera must see: moving bodies at all times, and the nearby part of the ground
+    points_of_bodies = [drawn_points(mechanism, k, run) for k in range(len(mechanism.bodies))]
+    moving = np.concatenate([each.reshape(-1, 3) for each in points_of_bodies[1:]])
+    ground = points_of_bodies[0][0]
+    near = np.clip(ground, moving.min(axis=0) - mechanism.size, moving.max(axis=0) + mechanism.size)
     points = np.concatenate([moving, near])
-    moved = np.concatenate([(way - way[0]).reshape(-1, 3) for way in ways])
+
+    # principal axes of the displacements from the start; the squares of their lengths, smallest first
+    moved = np.concatenate([(each - each[0]).reshape(-1, 3) for each in points_of_bodies])
     (across, along, most), axes = np.linalg.eigh(moved.T @ moved)
+
+    # view direction (towards the camera), normal of the grid, and the direction that is up in the view
     direction, floor, up = EYE_DIRECTION / np.linalg.norm(EYE_DIRECTION), Z, Z
-    # motion along a line is in many planes
-    if along > FLATNESS**2 * most and across <= FLATNESS**2 * along:
+    is_line = along <= FLATNESS**2 * most  # a line is in many planes, none of which is the motion's
+    if not is_line and across <= FLATNESS**2 * along:
         direction = floor = axes[:, 0] * np.sign(axes[:, 0] @ EYE_DIRECTION)
         up = Y if abs(direction[2]) > abs(direction[1]) else Z
+
+    # in the frame of the camera (right, up, towards it), the distance from which all points are visible
     right = np.cross(up, direction) / np.linalg.norm(np.cross(up, direction))
     frame = np.array([right, np.cross(direction, right), direction])
     low, high = (points @ frame.T).min(axis=0), (points @ frame.T).max(axis=0)
-    x, y, z = (points @ frame.T - 0.5 * (low + high)).T
+    center = 0.5 * (low + high)
+    x, y, z = (points @ frame.T - center).T
     distance = MARGIN * np.max(z + np.maximum(np.abs(y), np.abs(x) / ASPECT) / np.tan(HALF_ANGLE))
-    target = 0.5 * (low + high) @ frame
+    target = center @ frame
     eye = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital, position=target + distance * direction, look_target=target, eye_up=up
     )
+    # lines of the grid are 1, 10, 100, ... m apart (or 0.1, ...), by the size of the motion
     plane = rr.components.Plane3D(floor, float(np.min(points @ floor)))
     grid = rrb.LineGrid3D(spacing=10.0 ** np.floor(np.log10(np.max(high - low))), plane=plane)
     return rrb.Spatial3DView(
@@ -153,6 +184,7 @@ def scene_view(
 
 
 def _row(plots: list[Plot], end: float) -> rrb.Tabs:
+    """Make a tab for each group of plots, whose time axis ends at `end`, s."""
     groups: dict[str, list[Plot]] = {}
     for plot in plots:
         groups.setdefault(plot.group, []).append(plot)
@@ -160,8 +192,10 @@ def _row(plots: list[Plot], end: float) -> rrb.Tabs:
 
 
 def _group(name: str, plots: list[Plot], end: float) -> rrb.Grid:
-    """Plots side by side, of all times to the end, s; engines have the same colors in all, so one legend is
-    enough."""
+    """Show the plots of one group side by side, over times from 0 to `end`, s.
+
+    Only the first plot has a legend, since engines have the same colors in all plots.
+    """
     bounds = (rr.TimeRangeBoundary.absolute(seconds=seconds) for seconds in (0.0, end))
     axis = rrb.TimeAxis(view_range=rr.TimeRange(*bounds))
     views = [
@@ -173,4 +207,4 @@ def _group(name: str, plots: list[Plot], end: float) -> rrb.Grid:
         )
         for plot in plots
     ]
-    return rrb.Grid(*views, grid_columns=min(len(views), MOST_COLUMNS), name=name)
+    return rrb.Grid(*views, grid_columns=min(len(views), MAX_COLUMNS), name=name)

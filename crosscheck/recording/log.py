@@ -1,26 +1,27 @@
-"""A run of several engines as a Rerun recording.
+"""Record the runs of several engines for the Rerun viewer.
 
-Entities:
+A recording is a tree of entities. An entity is a path with data: constant ones, or values over time. In the
+paths below, ENGINE, BODY, JOINT, QUANTITY and NAME stand for names, K for a number:
+
     /ground                      shapes of the fixed body, once
-    /ground/mesh_K               its meshes
+    /ground/mesh_K               meshes of the fixed body
     /mechanism/ENGINE/BODY       shapes, and the body's pose over time
-    /mechanism/ENGINE/BODY/mesh_K  its meshes
-    /joints/ENGINE/JOINT         joint point on the second body over time
-    /reactions/ENGINE/JOINT      constraint force on the second body over time
-    /labels/BODY                 name of the body where the first engine has it
-    /tilt/normal, /tilt/vertical  the axis whose tilt is plotted, on the first engine's body
-    /wind/NAME                   an arrow upwind of the plate on the first engine's body, longest where the
-                                 wind is fastest
+    /mechanism/ENGINE/BODY/mesh_K  the body's meshes
+    /joints/ENGINE/JOINT         joint point, on the joint's second body, over time
+    /reactions/ENGINE/JOINT      constraint force on the joint's second body over time
+    /labels/BODY                 name of the body, at its position in the first engine's run
+    /tilt/normal, /tilt/vertical  the axis whose tilt is plotted, and the vertical, in the first engine's run
+    /wind/NAME                   wind velocity, as an arrow upwind of the plate, in the first engine's run
     /plots/QUANTITY/.../ENGINE   scalars over time, see `crosscheck.recording.plots`; also `target` and
                                  `ENGINE_tolerance`
-    /verdict                     the tables, as text
-    /worst                       a line at each time at which a level of the runs is worst
+    /verdict                     the verdict and the tables of the crosscheck, as text
+    /worst                       the check closest to failing of each level of checks, as text at its time
 
-Poses and arrows are for the eye and hold single precision; the scalars hold double precision.
-Rerun's quaternions are x-y-z-w; `crosscheck.recording.shapes.xyzw` turns them round.
+Poses and arrows are stored in single precision, scalars in double precision. Rerun's quaternions have the
+order (x, y, z, w); `crosscheck.recording.shapes.xyzw` converts them.
 
-Recordings of one scene have one application id, so that a viewer that opens several lays them out alike
-and switches between them, and each run has a recording id of its own.
+All recordings of a scene have the same application id, and each has a different recording id. A viewer that
+opens several recordings of a scene shows them in the same layout, and the user can switch between them.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from rerun import bindings
 from crosscheck.recording.blueprint import TIME, blueprint, send_layout
 from crosscheck.recording.mesh_budget import engines_with_meshes, without_meshes
 from crosscheck.recording.plots import Plot, Tolerances, platforms, plots, rotated
-from crosscheck.recording.shapes import Style, log_shapes, paths, xyzw
+from crosscheck.recording.shapes import Style, drawn_points, log_shapes, xyzw
 from crosscheck.support.palette import palette, rgb
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction
@@ -47,9 +48,10 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array
 
+# colors are red, green and blue, from 0 to 255
 GROUND_COLOR = (128, 128, 128)
 PLAIN_COLOR = (220, 220, 220)
-"""Color of joint points, labels and targets."""
+"""Color of joint points, labels and targets of controllers."""
 
 WIND_COLOR = (86, 180, 233)
 
@@ -59,36 +61,36 @@ ARROW_COLOR = (240, 228, 66)
 DIRECTION_COLOR = (230, 159, 0)
 """Color of given directions, for example towards the sun."""
 
-PIXEL = 0.002
-"""Difference that is seen, in multiples of the mechanism's size."""
+MIN_VISIBLE_DISTANCE = 0.002
+"""Smallest distance of two engines' bodies that a user can see, in multiples of the mechanism's size."""
 
 LINE_WIDTH = 1.5
-"""Width of the thinnest lines in plots, points."""
+"""Width of the thinnest lines of engines in plots, points."""
 
 LONGEST_ARROW = 1.0
-"""Length of the largest reaction, in multiples of the mechanism's size."""
+"""Length of the arrow of the largest reaction force, in multiples of the mechanism's size."""
 
-MOST_LABELS = 8
-"""Bodies whose names are shown at first."""
+MAX_LABELS = 8
+"""Largest number of bodies for which their names are shown at first."""
 
-SWITCH = "RERUN"
-"""Environment variable that turns off logging; a recording that is asked for is made all the same."""
+RERUN_SWITCH = "RERUN"
+"""Environment variable by which users turn off Rerun's logging; it has no effect on our recordings."""
 
 
 def application_id(scene: Scene) -> str:
-    """Return the identifier that recordings of a scene have in common."""
+    """Return the application id that all recordings of a scene share."""
     return f"crosscheck_{scene.name}"
 
 
 def new_recording(scene: Scene) -> rr.RecordingStream:
-    """A recording with an id of its own, that nothing is logged to yet."""
-    rr.set_strict_mode(True)
-    chosen = os.environ.pop(SWITCH, None)
+    """Make an empty recording of a scene, with a new recording id."""
+    rr.set_strict_mode(True)  # errors raise instead of printing a warning
+    switch = os.environ.pop(RERUN_SWITCH, None)
     try:
         return rr.RecordingStream(application_id(scene), recording_id=uuid.uuid4())
     finally:
-        if chosen is not None:
-            os.environ[SWITCH] = chosen
+        if switch is not None:
+            os.environ[RERUN_SWITCH] = switch
 
 
 def log_run(
@@ -101,31 +103,37 @@ def log_run(
     moments: Sequence[tuple[float, str]] = (),
     directions: Mapping[str, Array] | None = None,
 ) -> None:
-    """Log all there is to see of a run, and how the viewer lays it out.
+    """Record the runs of all engines, plots, the verdict and the layout of the viewer.
 
-    The first engine is solid. Those that part from it are ghosts; the others are hidden, as they would only
-    cover it.
+    The first engine's bodies are solid. Another engine's bodies are transparent ghosts if they visibly
+    deviate from the first engine's, and hidden otherwise.
 
     Args:
-        scene: what was run.
-        trajectories: by engine, at the same output times as far as they came; the first is the one that the
-            others are compared with.
-        verdict: Markdown.
-        title: of the recording, to tell it from others of the scene.
-        tolerances: of differences and of drift, drawn beside them.
-        moments: times, s, and what is worst there.
-        directions: unit vectors (n, 3) in the world by name, drawn beside the axis whose tilt is plotted.
+        recording: recording to write to.
+        scene: the scene that the engines simulated.
+        trajectories: run of each engine, by name. All have the same output times, up to where each run ends.
+            The other engines are compared with the first.
+        verdict: text to show, Markdown.
+        title: name of the recording, which distinguishes it from other recordings of the scene.
+        tolerances: tolerances of the differences and of the constraint violations, for the plots.
+        moments: pairs of a time, s, and a text on the check that is closest to failing there.
+        directions: further unit vectors (n, 3), world frame, by name, to draw with the axis whose tilt is
+            plotted.
     """
+    # what to draw: plots, and which engines deviate visibly from the first
     mechanism = scene.mechanism
     engines = list(trajectories)
     styles = _styles(engines)
     shown = plots(scene, trajectories, tolerances or {})
     arrow_scale = _arrow_scale(mechanism, trajectories)
-    first = next(iter(trajectories.values()), None) or _at_rest(mechanism)
+    first = next(iter(trajectories.values()), None) or _initial_pose(mechanism)
     apart = {engine: _apart(mechanism, first, trajectories[engine]) for engine in engines[1:]}
-    near = [engine for engine, distance in apart.items() if distance <= PIXEL * mechanism.size]
+    visible = MIN_VISIBLE_DISTANCE * mechanism.size
+    near = [engine for engine, distance in apart.items() if distance <= visible]
+
+    # layout and text
     hidden = [["mechanism", engine] for engine in near] + [["joints", engine] for engine in engines[1:]]
-    hidden += [["reactions"]] + [["labels"], ["tilt"]] * (len(mechanism.bodies) > MOST_LABELS)
+    hidden += [["reactions"]] + [["labels"], ["tilt"]] * (len(mechanism.bodies) > MAX_LABELS)
     layout = blueprint(mechanism, first, shown, _heading(title, engines, apart, near), hidden, bool(moments))
     send_layout(recording, layout)
     recording.send_recording_name(title)
@@ -138,11 +146,13 @@ def log_run(
     if moments:
         times, lines = zip(*moments, strict=True)
         send_columns(recording, "/worst", np.array(times), rr.TextLog.columns, text=lines)
+
+    # 3-D view; meshes only for as many engines as the size limit of recordings allows
     meshed, bare = engines_with_meshes(mechanism, engines), without_meshes(mechanism)
     log_ground(recording, mechanism if meshed or not engines else bare, first)
     for engine, run in trajectories.items():
-        drawn = mechanism if engine in meshed else bare
-        log_bodies(recording, ["mechanism", engine], drawn, run, styles[engine])
+        shown_mechanism = mechanism if engine in meshed else bare
+        log_bodies(recording, ["mechanism", engine], shown_mechanism, run, styles[engine])
         _log_joints(recording, mechanism, engine, run, arrow_scale)
     _log_labels(recording, mechanism, first)
     if any(plot.path[0] == "tilt" for plot in shown):
@@ -150,17 +160,23 @@ def log_run(
     for force in scene.forces:
         if isinstance(force, WindLoad):
             _log_wind(recording, mechanism, first, force)
+
     outputs = {engine: run.time for engine, run in trajectories.items()}
     for plot in shown:
         _log_plot(recording, plot, outputs, styles)
 
 
 def recorded(log: Callable[..., None], scene: Scene, *args: Any, **more: Any) -> bytes:
-    """Return the content of an .rrd of a scene that `log`, such as `log_run`, logs to with arguments.
+    """Make a recording of a scene, and return the content of its file (.rrd).
 
-    Rerun starts two threads for each recording. They end, and its memory is freed, after these steps alone:
-    disconnect, drop all references to it, clean up.
+    Args:
+        log: function that writes to the recording, such as `log_run`; called with the recording, the scene
+            and the further arguments.
+        scene: the scene.
+        args, more: further arguments of `log`.
     """
+    # Rerun starts two threads for each recording. Only these three steps end the threads and free the memory:
+    # disconnect, drop all references to the recording, clean up.
     recording = new_recording(scene)
     try:
         memory = recording.memory_recording()
@@ -174,10 +190,10 @@ def recorded(log: Callable[..., None], scene: Scene, *args: Any, **more: Any) ->
 
 
 def _styles(engines: list[str]) -> dict[str, Style]:
-    """Choose styles: the first engine's bodies are solid, those of the others ghosts.
+    """Choose the style of each engine: the first engine's bodies are solid, those of the others ghosts.
 
-    The viewer draws lines in the order of their names. Each is thinner than the one before it, so that lines
-    that coincide all show.
+    The viewer draws lines in the alphabetical order of their names. Each line is thinner than the previous
+    one, so that all of several coinciding lines are visible.
     """
     thinnest_first = sorted(engines, reverse=True)
     return {
@@ -186,24 +202,31 @@ def _styles(engines: list[str]) -> dict[str, Style]:
     }
 
 
-def _at_rest(mechanism: Mechanism) -> Trajectory:
-    """Stand in for the run of a scene that no engine came anywhere with."""
+def _initial_pose(mechanism: Mechanism) -> Trajectory:
+    """Make a trajectory of one output, the initial pose, to draw if no engine has a run."""
     start, names = State.initial(mechanism), (mechanism.body_names, mechanism.joint_names)
     return Trajectory("", {}, 0.0, np.zeros(1), *names, start.position[None], start.quaternion[None])
 
 
 def _apart(mechanism: Mechanism, first: Trajectory, other: Trajectory) -> float:
-    """The largest distance, m, between what is drawn of two runs at any output."""
+    """Compute the largest distance, m, between the drawn bodies of two runs at the same time."""
     n = min(len(first.time), len(other.time))
-    ways = (
-        paths(mechanism, body, first)[:n] - paths(mechanism, body, other)[:n]
+    differences = (
+        drawn_points(mechanism, body, first)[:n] - drawn_points(mechanism, body, other)[:n]
         for body in range(len(mechanism.bodies))
     )
-    return max(float(np.max(np.linalg.norm(way, axis=2))) for way in ways)
+    return max(float(np.max(np.linalg.norm(difference, axis=2))) for difference in differences)
 
 
 def _heading(title: str, engines: list[str], apart: dict[str, float], near: list[str]) -> str:
-    """Say which engines the 3-D view shows."""
+    """Make the title of the 3-D view, which lists the engines that are solid, ghosts or hidden.
+
+    Args:
+        title: title of the recording.
+        engines: all engines; the first is solid.
+        apart: largest distance from the first engine, m, of each other engine.
+        near: engines whose distance is too small to be visible.
+    """
     parts = [f"{engine} solid" for engine in engines[:1]]
     parts += [f"{engine} ghost, up to {apart[engine]:.2g} m away" for engine in apart if engine not in near]
     if near:
@@ -219,7 +242,15 @@ def send_columns(
     columns: Callable[..., Any],
     **values: Array | Sequence[str],
 ) -> None:
-    """Log values, (n, ...) each, at times (n,), s."""
+    """Record values over time.
+
+    Args:
+        recording: recording to write to.
+        path: path of the entity.
+        time: times (n,), s.
+        columns: Rerun's function for this kind of entity, such as `rr.Scalars.columns`.
+        values: arguments of that function, each of length n.
+    """
     nanoseconds = np.round(time * 1e9).astype("timedelta64[ns]")
     recording.send_columns(path, [rr.TimeColumn(TIME, duration=nanoseconds)], columns(**values))
 
@@ -227,18 +258,18 @@ def send_columns(
 def send_pose(
     recording: rr.RecordingStream, path: str, time: Array, position: Array, quaternion: Array
 ) -> None:
-    """Log poses (n, 3) and (n, 4) at times (n,), s."""
+    """Record positions (n, 3), m, and quaternions (n, 4), (w, x, y, z), of an entity at times (n,), s."""
     pose = rr.Transform3D.columns
     send_columns(recording, path, time, pose, translation=position, quaternion=xyzw(quaternion))
 
 
 def log_text(recording: rr.RecordingStream, path: str, text: str) -> None:
-    """Log Markdown."""
+    """Record a text, Markdown, that does not change over time."""
     recording.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
 
 
 def log_ground(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory) -> None:
-    """Draw the fixed body where a run has it."""
+    """Draw the fixed body in its pose in a run."""
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     log_shapes(recording, "/ground", mechanism, 0, Style(GROUND_COLOR))
     send_pose(recording, "/ground", run.time[:1], run.position[:1, 0], run.quaternion[:1, 0])
@@ -247,7 +278,15 @@ def log_ground(recording: rr.RecordingStream, mechanism: Mechanism, run: Traject
 def log_bodies(
     recording: rr.RecordingStream, folder: Sequence[str], mechanism: Mechanism, run: Trajectory, style: Style
 ) -> None:
-    """Draw the moving bodies of a run over time; the parts of their paths are those of `folder` and names."""
+    """Draw the moving bodies of a run over time.
+
+    Args:
+        recording: recording to write to.
+        folder: parts of the path below which each body is an entity by its name.
+        mechanism: mechanism with the shapes and meshes of the bodies.
+        run: run with the poses of the bodies.
+        style: color and look of the bodies.
+    """
     for k in range(1, len(mechanism.bodies)):
         path = rr.new_entity_path([*folder, mechanism.body_names[k]])
         log_shapes(recording, path, mechanism, k, style)
@@ -255,8 +294,8 @@ def log_bodies(
 
 
 def _log_labels(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory) -> None:
-    """Label bodies at their centers of mass; the ground, which others stand on, at its lowest point."""
-    ground = paths(mechanism, 0, run)[0]
+    """Label bodies at their centers of mass, and the ground at its lowest point, below the other bodies."""
+    ground = drawn_points(mechanism, 0, run)[0]
     for k, name in enumerate(mechanism.body_names):
         path = rr.new_entity_path(["labels", name])
         label = rr.Points3D(np.zeros(3), labels=name, colors=PLAIN_COLOR, radii=0.0)
@@ -268,7 +307,16 @@ def _log_labels(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajec
 def _log_tilt(
     recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory, directions: Mapping[str, Array]
 ) -> None:
-    """Draw the axis whose tilt is plotted, the vertical and given directions, from the center of mass."""
+    """Draw arrows from the center of mass of the body whose tilt is plotted.
+
+    The arrows are the body's normal (its zeta axis), the vertical, and given directions.
+
+    Args:
+        recording: recording to write to.
+        mechanism: the mechanism.
+        run: run with the poses of the body.
+        directions: unit vectors (n, 3), world frame, by name.
+    """
     body, size = platforms(mechanism)[-1], mechanism.size
     position, quaternion = run.position[:, body], run.quaternion[:, body]
     upright = np.broadcast_to([1.0, 0.0, 0.0, 0.0], quaternion.shape)
@@ -287,7 +335,7 @@ def _log_tilt(
 
 
 def _log_wind(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory, load: WindLoad) -> None:
-    """Draw the velocity of wind as an arrow towards the center of the plate, upwind of it."""
+    """Draw the wind velocity over time, as an arrow that ends in front of the plate that the wind acts on."""
     body = mechanism.body_index(load.body)
     arm = mechanism.bodies[body].pose.point_to_body(load.point)
     centers = run.position[:, body] + rotated(run.quaternion[:, body], arm)
@@ -297,6 +345,7 @@ def _log_wind(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajecto
     path = rr.new_entity_path(["wind", load.name])
     look = rr.Arrows3D.from_fields(colors=WIND_COLOR, radii=0.01 * mechanism.size, labels=load.name)
     recording.log(path, look, static=True)
+    # the arrow ends half a plate before the center, against the wind
     before = 0.5 * np.linalg.norm(load.lengths) * load.direction / np.linalg.norm(load.direction)
     send_columns(
         recording, path, run.time, rr.Arrows3D.columns, origins=centers - before - vectors, vectors=vectors
@@ -304,7 +353,7 @@ def _log_wind(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajecto
 
 
 def _arrow_scale(mechanism: Mechanism, trajectories: dict[str, Trajectory]) -> float | None:
-    """Meters a newton; None without reactions."""
+    """Compute the length of reaction arrows, m per N; None if there are no reactions or all are zero."""
     forces = [run.reaction_force for run in trajectories.values() if run.reaction_force is not None]
     if not forces:
         return None
@@ -319,6 +368,7 @@ def _log_joints(
     run: Trajectory,
     arrow_scale: float | None,
 ) -> None:
+    """Draw joint points and reaction forces of an engine's run over time; `arrow_scale` is in m per N."""
     for j, joint in enumerate(mechanism.joints):
         second = mechanism.body_index(joint.second)
         arm = mechanism.reaction_arms[j]
@@ -342,6 +392,15 @@ def _log_plot(
     times: dict[str, Array],
     styles: dict[str, Style],
 ) -> None:
+    """Record the lines of a plot: a line per engine, its tolerance, and the target of a controller.
+
+    Args:
+        recording: recording to write to.
+        plot: the plot.
+        times: output times (n,), s, by engine.
+        styles: styles by engine.
+    """
+
     def log(name: str, look: rr.SeriesLines, time: Array, values: Array) -> None:
         path = rr.new_entity_path(["plots", *plot.path, name])
         recording.log(path, look, static=True)
@@ -351,7 +410,7 @@ def _log_plot(
         style = styles[engine]
         width = LINE_WIDTH if plot.judges else style.line_width
         look = rr.SeriesLines(colors=style.color, names=engine, widths=width)
-        # a difference of two runs ends with the shorter
+        # a difference of two runs ends with the shorter run
         time = times[engine][: len(values)] if plot.judges else times[engine]
         log(engine, look, time, values)
         if engine in plot.tolerances:

@@ -1,4 +1,4 @@
-"""Choose the engines that a recording draws with meshes, so that its file stays of a bearable size."""
+"""Choose the engines that a recording draws with meshes, so that its file does not exceed a size limit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from newton_euler.limits import MB, size_in_bytes
 from newton_euler.model.mechanism import Mechanism
 
 BYTES_PER_ROW = 12
-"""Three numbers of single precision for a vertex, three indices for a triangle."""
+"""Bytes of a vertex (three numbers in single precision), and of a triangle (three indices)."""
 
 
 def mesh_bytes(mechanism: Mechanism) -> int:
@@ -21,20 +21,20 @@ def mesh_bytes(mechanism: Mechanism) -> int:
 def engines_with_meshes(mechanism: Mechanism, engines: Sequence[str]) -> list[str]:
     """Choose the first engines whose meshes together fit into the limit `recording_size`.
 
-    The bodies of the others are drawn as bars and simple shapes.
+    The recording shows the bodies of the other engines as bars and simple shapes.
     """
     size = mesh_bytes(mechanism)
     return list(engines[: size_in_bytes("recording_size") // size] if size else engines)
 
 
 def without_meshes(mechanism: Mechanism) -> Mechanism:
-    """Copy a mechanism without the meshes of its bodies, to be drawn."""
+    """Copy a mechanism without the meshes of its bodies, for drawing."""
     bodies = [replace(body, meshes=()) for body in mechanism.bodies]
     return Mechanism(bodies, mechanism.joints, mechanism.couplings)
 
 
 def meshes_left_out(mechanism: Mechanism, engines: Sequence[str]) -> str:
-    """Word which engines are drawn without meshes and which option draws all; "" if none is."""
+    """Name the engines that are drawn without meshes, and the option that draws all; "" if there is none."""
     others = engines[len(engines_with_meshes(mechanism, engines)) :]
     if not others:
         return ""

@@ -1,4 +1,4 @@
-"""Plots of a recording over time: one `Plot` per quantity, one line per engine."""
+"""Choose the plots of a recording: one `Plot` per quantity over time, with one line per engine."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 SMALLEST = 1e-18
-"""Smallest plotted difference, since the axis is logarithmic."""
+"""Smallest difference, m or rad, in plots of logarithms; smaller ones, also zero, are replaced by it."""
 
-FLAT = 1e-5
-"""Share of what is large in its unit that the lines of a plot cover at least."""
+MIN_VARIATION = 1e-5
+"""Smallest variation of a quantity that is plotted, in multiples of `Plot.large`."""
 
-MOST_COORDINATES = 5
-"""Joint coordinates that are plotted."""
+MAX_COORDINATES = 5
+"""Largest number of joint coordinates that are plotted."""
 
 Tolerances = Mapping[tuple[str, ...], float]
-"""Tolerances by quantity and the names of one or two engines."""
+"""Tolerances by the name of a quantity and the names of one or two engines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +38,15 @@ class Plot:
     """One quantity over time.
 
     Attributes:
-        group: plots of one group are shown side by side, groups as tabs.
-        path: where its lines are logged, below `/plots`; the engine's name is added.
+        group: name of the group; the viewer shows a group as a tab, and its plots side by side.
+        path: parts of the path of the lines in the recording, below `/plots`; the engine's name is added.
         title: the quantity and its unit.
-        lines: (n,) values by engine.
-        large: what is large in its unit; lines that cover much less are flat.
-        target: what a control law aims at.
-        tolerances: by engine, in the unit of the plot.
-        judges: whether engines are judged by it; else those that agree draw one line over the other.
+        lines: values (n,) over the output times, by engine.
+        large: a large value of the quantity, in its unit; a plot is left out if its lines vary much less.
+        target: set-point of a control law, a constant or a function of time; None without one.
+        tolerances: tolerance of each engine, in the unit of the plot.
+        judges: True for a difference or a constraint violation, by which engines are judged; False for a
+            quantity of the motion, of which the lines of several engines coincide if they agree.
     """
 
     group: str
@@ -59,14 +60,20 @@ class Plot:
 
     @property
     def is_flat(self) -> bool:
-        """True if its lines neither move nor part."""
-        covered = np.ptp(np.concatenate(list(self.lines.values())))
-        return not self.judges and bool(covered <= FLAT * self.large)
+        """True if the lines are constant and equal, so that the plot would show nothing."""
+        variation = np.ptp(np.concatenate(list(self.lines.values())))
+        return not self.judges and bool(variation <= MIN_VARIATION * self.large)
 
 
 def plots(scene: Scene, trajectories: dict[str, Trajectory], tolerances: Tolerances) -> list[Plot]:
-    """All plots of a run; what the scene did not ask for and what is flat is left out."""
-    if not trajectories:  # of engines or models none of which came anywhere
+    """Make the plots of a run; quantities that were not stored or do not vary are left out.
+
+    Args:
+        scene: the scene that was run.
+        trajectories: run of each engine, by name; the other engines are compared with the first.
+        tolerances: tolerances of the differences and of the constraint violations.
+    """
+    if not trajectories:  # every engine stopped before its first output
         return []
     candidates = (
         *_motion_plots(scene, trajectories),
@@ -78,40 +85,49 @@ def plots(scene: Scene, trajectories: dict[str, Trajectory], tolerances: Toleran
 
 
 def rotated(quaternion: Array, vector: Array) -> Array:
-    """Body-frame vectors (..., 3) in world components, for unit quaternions (..., 4)."""
+    """Rotate vectors (..., 3) from the body frame to the world frame, by unit quaternions (..., 4)."""
     e0, e = quaternion[..., :1], quaternion[..., 1:]
     turned = 2.0 * np.cross(e, vector)
     return np.asarray(vector + e0 * turned + np.cross(e, turned))
 
 
 def platforms(mechanism: Mechanism) -> list[int]:
-    """Numbers of the bodies on at least three joints; the tilt of the last is plotted."""
+    """Return the numbers of platforms: bodies with three or more joints. The tilt of the last is plotted."""
     return [k for k in range(1, len(mechanism.bodies)) if len(mechanism.joints_at[k]) >= 3]
 
 
 def tilt(quaternion: Array) -> Array:
-    """(n,) degrees between the body's zeta axis and the world's z axis, for quaternions (n, 4)."""
+    """Compute the angles (n,), degrees, between a body's zeta axis and the world's z axis.
+
+    Args:
+        quaternion: orientations of the body (n, 4), (w, x, y, z).
+    """
     x, y, z = rotated(quaternion, np.array([0.0, 0.0, 1.0])).T
     return np.asarray(np.degrees(np.arctan2(np.hypot(x, y), z)))
 
 
 def _coordinates(scene: Scene) -> list[Key]:
-    """Joint coordinates that laws or springs act on; else of actuated joints; else of those on the ground."""
+    """Choose the joint coordinates to plot: (joint, number) pairs.
+
+    These are the coordinates that control laws or springs act on; if there are none, those of actuated
+    joints; if there are none of these either, those of joints at the ground.
+    """
     joints, ground = scene.mechanism.joints, scene.mechanism.body_names[0]
     acting = (*scene.control, *(force for force in scene.forces if isinstance(force, JointSpring)))
+    if acting:
+        return list(dict.fromkeys((each.joint, each.coordinate) for each in acting))
     chosen = [joint for joint in joints if joint.actuated] or [
         joint for joint in joints if ground in (joint.first, joint.second)
     ]
-    found = [(joint.name, k) for joint in chosen for k in range(len(joint.coordinate_kinds))]
-    return list(dict.fromkeys((each.joint, each.coordinate) for each in acting)) or found
+    return [(joint.name, k) for joint in chosen for k in range(len(joint.coordinate_kinds))]
 
 
 def _motion_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
-    """Joint coordinates with their targets, and the tilt of a platform."""
+    """Plot joint coordinates with their set-points, and the tilt of a platform."""
     mechanism = scene.mechanism
     declared = [law.law if isinstance(law, Digital) else law for law in scene.control]
     targets = {law.key: law.target for law in declared if isinstance(law, DeclaredLaw)}
-    for key in _coordinates(scene)[:MOST_COORDINATES]:
+    for key in _coordinates(scene)[:MAX_COORDINATES]:
         name, slides = coordinate_name(mechanism.joint(key[0]), key[1]), mechanism.is_slide(*key)
         moved = {e: replace(run, mechanism=mechanism).joint(key[0]) for e, run in trajectories.items()}
         lines = {engine: motion.coordinates[:, key[1]] for engine, motion in moved.items()}
@@ -124,6 +140,7 @@ def _motion_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator
 
 
 def _control_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
+    """Plot the actuator force or torque of each control law."""
     forces = _present(trajectories, "actuator_force")
     for k, law in enumerate(scene.control):
         name = coordinate_name(scene.mechanism.joint(law.joint), law.coordinate)
@@ -133,6 +150,7 @@ def _control_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterato
 
 
 def _energy_plots(trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
+    """Plot the kinetic and the potential energy."""
     found = {kind: _present(trajectories, f"{kind}_energy") for kind in ("kinetic", "potential")}
     large = max(map(_largest, found.values()))
     for kind, lines in found.items():
@@ -140,17 +158,22 @@ def _energy_plots(trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
 
 
 def _present(trajectories: dict[str, Trajectory], name: str) -> dict[str, Array]:
-    """An array of those runs that have it."""
+    """Return an array of `Trajectory`, given by its name, of the runs that have the array; by engine."""
     values = {engine: getattr(run, name) for engine, run in trajectories.items()}
     return {engine: line for engine, line in values.items() if line is not None}
 
 
 def _largest(lines: dict[str, Array]) -> float:
+    """Return the largest absolute value of some arrays; 0 if there are none."""
     return max((float(np.max(np.abs(line), initial=0.0)) for line in lines.values()), default=0.0)
 
 
 def _agreement_plots(trajectories: dict[str, Trajectory], tolerances: Tolerances) -> Iterator[Plot]:
-    """Each engine against the first, largest over the bodies; and how far joints drift apart."""
+    """Plot the logarithms of differences from the first engine, and of constraint violations (drift).
+
+    Differences of positions and orientations are the largest over the bodies, violations the largest over the
+    joints. Tolerances are lines in the same plots.
+    """
     (reference, first), *others = trajectories.items()
     group = f"log10 of differences from {reference}; thin lines: tolerances"
     for name, quantity, title, values in (

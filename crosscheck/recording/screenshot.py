@@ -1,4 +1,4 @@
-"""Pictures of a recording, taken without a display."""
+"""Take pictures (PNG) of a recording with the Rerun viewer, without a display."""
 
 from __future__ import annotations
 
@@ -19,32 +19,39 @@ from rerun.experimental import ViewerClient
 from crosscheck.support.errors import CrosscheckError
 
 LOOPBACK = "127.0.0.1"
+"""Network address at which the viewer listens: only programs of this machine reach it."""
 
-PATIENCE = 30.0
-"""s that the viewer may take to start, and again to load a recording."""
+TIMEOUT_S = 30.0
+"""Time, s, that the viewer may take to start, and again to load a recording."""
 
 WINDOW = "1280x940"
-SETTLE = 2.0
-"""s until the notices that a starting viewer shows over its views are gone."""
+"""Width and height of the viewer's window, pixels."""
 
-POLL = 0.1
-"""s between questions to the viewer."""
+NOTICES_S = 2.0
+"""Time, s, after which the viewer's start-up notices no longer cover its views."""
 
+POLL_S = 0.1
+"""Time, s, between two queries to the viewer."""
 
 MECHANISM = "3D"
-"""Class of the view of the mechanism."""
+"""Rerun's class of the 3-D view, which shows the mechanism."""
 
 
 def screenshots(
     rrd: str | os.PathLike[str], moments: Sequence[float], view_class: str | None = None
 ) -> list[bytes]:
-    """Take PNGs of what the viewer shows of a recording at times, s, on its timeline `time`.
+    """Take pictures of a recording in the viewer.
 
     Args:
-        view_class: of the view that is wanted alone; all that the viewer shows if None.
+        rrd: path of the recording.
+        moments: times, s, on the recording's timeline `time`.
+        view_class: Rerun's class of the view to show, such as `MECHANISM`; None for the whole window.
+
+    Returns:
+        The content of a PNG for each time.
 
     Raises:
-        CrosscheckError: if the viewer does not start or does not get as far as a picture.
+        CrosscheckError: if the viewer does not start, or cannot show the recording.
     """
     try:
         if not RrdReader(Path(rrd)).recordings():
@@ -53,7 +60,7 @@ def screenshots(
             viewer.open(str(Path(rrd).resolve()))
             _wait_until_loaded(viewer, rrd)
             viewer.run_command("ui.toggle_top_panel")
-            time.sleep(SETTLE)
+            time.sleep(NOTICES_S)
             views = [view.view_id for view in viewer.get_state().views if view.view_class == view_class]
             picture, taken = Path(folder) / "picture.png", []
             for moment in moments:
@@ -68,9 +75,9 @@ def screenshots(
 
 @contextmanager
 def _viewer() -> Iterator[ViewerClient]:
-    """A viewer without a window that listens to this machine only; ended on the way out.
+    """Start a viewer without a window, connect to it, and end it after the block.
 
-    It has a process group of its own, because Rerun's program may start the viewer as a child.
+    The viewer gets a separate process group, because Rerun's program may start the viewer as a child process.
     """
     with socket.create_server((LOOPBACK, 0)) as probe:
         port = int(probe.getsockname()[1])
@@ -97,31 +104,34 @@ def _viewer() -> Iterator[ViewerClient]:
 
 
 def _has_died(process: subprocess.Popen[bytes]) -> bool:
+    """Return True if the viewer's process has ended or ends within a second."""
     try:
-        process.wait(timeout=1.0)  # it breaks the connection a little before it is gone
+        process.wait(timeout=1.0)  # the connection breaks shortly before the process ends
     except subprocess.TimeoutExpired:
         return False
     return True
 
 
 def _connect(process: subprocess.Popen[bytes], port: int) -> ViewerClient:
-    deadline = time.monotonic() + PATIENCE
+    """Connect to a starting viewer; raise `ConnectionError` if it ends or does not answer in `TIMEOUT_S`."""
+    deadline = time.monotonic() + TIMEOUT_S
     while process.poll() is None and time.monotonic() < deadline:
         try:
             client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
             client.get_state()
         except (RuntimeError, ConnectionError):
-            time.sleep(POLL)
+            time.sleep(POLL_S)
         else:
             return client
-    raise ConnectionError(f"no answer from the Rerun viewer within {PATIENCE:g} s")
+    raise ConnectionError(f"no answer from the Rerun viewer within {TIMEOUT_S:g} s")
 
 
 def _wait_until_loaded(viewer: ViewerClient, rrd: str | os.PathLike[str]) -> None:
-    deadline = time.monotonic() + PATIENCE
+    """Wait until the viewer has loaded a recording; raise `CrosscheckError` after `TIMEOUT_S`."""
+    deadline = time.monotonic() + TIMEOUT_S
     state = viewer.get_state()
     while state.loading or state.active_recording is None:
         if time.monotonic() > deadline:
             raise CrosscheckError(f"the Rerun viewer did not load {os.fspath(rrd)}")
-        time.sleep(POLL)
+        time.sleep(POLL_S)
         state = viewer.get_state()

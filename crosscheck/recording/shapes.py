@@ -1,4 +1,4 @@
-"""Shapes of bodies in a recording."""
+"""Draw the bodies of a mechanism in a Rerun recording: meshes, boxes, spheres, capsules and cylinders."""
 
 from __future__ import annotations
 
@@ -18,52 +18,66 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 GHOST_OPACITY = 70
-"""Opacity of ghosts, of 255."""
+"""Opacity of the meshes of ghosts (bodies of other engines than the first), from 0 to 255."""
 
-
-FRAME = 0.01
-"""Radius of bars that stand in for the ground, in multiples of the mechanism's size."""
+GROUND_BAR_RADIUS = 0.01
+"""Radius of the bars that are drawn for a ground without shapes, in multiples of the mechanism's size."""
 
 
 class Style(NamedTuple):
-    """Look of one engine."""
+    """Look of an engine's bodies and lines.
+
+    Attributes:
+        color: red, green and blue, from 0 to 255.
+        line_width: width of lines in plots, points; it differs between engines, so that all of several
+            coinciding lines are visible.
+        ghost: whether bodies are drawn as transparent wireframes.
+    """
 
     color: tuple[int, int, int]
     line_width: float = 0.0
-    """Width of lines in points, so that lines of several engines on top of each other stay visible."""
     ghost: bool = False
-    """Whether its bodies are drawn as translucent wireframes."""
 
     @property
     def fill(self) -> rr.components.FillMode:
+        """Rerun's mode of drawing shapes: transparent for ghosts, solid otherwise."""
         modes = rr.components.FillMode
         return modes.TransparentFillMajorWireframe if self.ghost else modes.Solid
 
 
 def xyzw(quaternion: Array) -> Array:
-    """Rerun's order of w-x-y-z quaternions (..., 4)."""
+    """Convert quaternions (..., 4) from the order (w, x, y, z) to Rerun's order (x, y, z, w)."""
     return quaternion[..., [1, 2, 3, 0]]
 
 
 def log_shapes(
     recording: rr.RecordingStream, path: str, mechanism: Mechanism, body: int, style: Style
 ) -> None:
-    """Draw a body in its own frame: its meshes and shapes if it has meshes, its shapes otherwise."""
+    """Draw the meshes and shapes of a body in the body frame.
+
+    Args:
+        recording: recording to write to.
+        path: path of the entity that has the body's pose over time.
+        mechanism: the mechanism.
+        body: number of the body.
+        style: color and look.
+    """
+    # positions and orientations of shapes are given in the initial pose, world frame
     pose = mechanism.bodies[body].pose
-    back = conjugate(mechanism.bodies[body].quaternion)
+    world_to_body = conjugate(mechanism.bodies[body].quaternion)
     meshes = mechanism.bodies[body].meshes
     shapes = drawn_shapes(mechanism, body)
     boxes = [shape for shape in shapes if isinstance(shape, Box)]
     balls = [shape for shape in shapes if isinstance(shape, Sphere)]
     if boxes:
-        drawn = rr.Boxes3D(
+        cuboids = rr.Boxes3D(
             half_sizes=[box.half_sizes for box in boxes],
             centers=[pose.point_to_body(box.center) for box in boxes],
-            quaternions=[xyzw(product(back, box.quaternion)) for box in boxes],
+            quaternions=[xyzw(product(world_to_body, box.quaternion)) for box in boxes],
             colors=style.color,
             fill_mode=style.fill,
         )
-        recording.log(path, drawn, static=True)
+        recording.log(path, cuboids, static=True)
     if balls:
         spheres = rr.Ellipsoids3D(
             radii=[ball.radius for ball in balls],
@@ -81,7 +95,7 @@ def log_shapes(
 
 
 def _bars(bars: Sequence[Capsule | Cylinder], pose: Pose, style: Style) -> rr.Capsules3D | rr.Cylinders3D:
-    """Draw round bars of one kind in the frame of their body."""
+    """Convert capsules, or cylinders, to Rerun's shapes in the frame of a body with this initial pose."""
     looks: dict[str, Any] = {
         "lengths": [bar.length for bar in bars],
         "radii": [bar.radius for bar in bars],
@@ -95,24 +109,34 @@ def _bars(bars: Sequence[Capsule | Cylinder], pose: Pose, style: Style) -> rr.Ca
 
 
 def drawn_shapes(mechanism: Mechanism, body: int) -> tuple[Shape, ...]:
-    """The shapes that are drawn of a body: bars stand in for them where it has no meshes either.
+    """Return the shapes to draw of a body, m, in the initial pose, world frame.
 
-    Those of the ground go around its joints, so that loops are seen to close.
+    A body without meshes and shapes is drawn as bars between its joints. The bars of the ground connect its
+    joints in a ring, so that kinematic loops look closed.
     """
     own = mechanism.bodies[body]
     if body == 0 and not (own.meshes or own.shapes):
         points = [mechanism.joints[k].point for k in mechanism.joints_at[0]]
         pairs = zip(points, [*points[1:], *points[:1]], strict=True)
-        return tuple(Capsule(a, b, FRAME * mechanism.size) for a, b in pairs if np.any(a != b))
+        return tuple(Capsule(a, b, GROUND_BAR_RADIUS * mechanism.size) for a, b in pairs if np.any(a != b))
     return own.shapes if own.meshes else mechanism.shapes(body)
 
 
-def paths(mechanism: Mechanism, body: int, run: Trajectory) -> Array:
-    """(n, m, 3) m: where a run takes points that what is drawn of a body lies between."""
+def drawn_points(mechanism: Mechanism, body: int, run: Trajectory) -> Array:
+    """Compute the positions of m points that enclose what is drawn of a body, at the n outputs of a run.
+
+    Args:
+        mechanism: the mechanism.
+        body: number of the body.
+        run: run with the poses of the body.
+
+    Returns:
+        Array (n, m, 3), m, world frame.
+    """
     pose = mechanism.bodies[body].pose
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     drawn = drawn_shapes(mechanism, body)
-    # the ground's center is nowhere in particular
+    # the center of mass is one of the points, except for a visible ground, whose center means nothing
     points = [] if body == 0 and (drawn or mechanism.bodies[body].meshes) else [pose.position[None]]
     for mesh in mechanism.bodies[body].meshes:
         low, high = mesh.bounds
@@ -126,12 +150,13 @@ def paths(mechanism: Mechanism, body: int, run: Trajectory) -> Array:
             points.append(shape.center + (signs * shape.half_sizes) @ rotation(shape.quaternion).T)
         else:
             assert_never(shape)
+    # from the initial pose to the body frame, and from there to the poses of the run
     corners = (np.concatenate(points) - pose.position) @ pose.rotation
     return run.position[:, body, None] + rotated(run.quaternion[:, body, None], corners)
 
 
 def _mesh(mesh: Mesh, pose: Pose, style: Style) -> rr.Mesh3D:
-    """A mesh in the frame of its body, in its own color or as a ghost."""
+    """Convert a mesh to the frame of a body with this initial pose; ghosts get the engine's color."""
     vertices = (mesh.vertices - pose.position) @ pose.rotation
     color = [*style.color, GHOST_OPACITY if style.ghost else 255]
     if mesh.color is not None and not style.ghost:
@@ -145,9 +170,19 @@ def _mesh(mesh: Mesh, pose: Pose, style: Style) -> rr.Mesh3D:
 
 
 def _normals(vertices: Array, triangles: Array) -> Array:
-    """(n, 3) unit vectors out of a mesh at its vertices: means over the triangles there, by area."""
+    """Compute the normals of a mesh at its vertices, by which the viewer shades the mesh.
+
+    Args:
+        vertices: (n, 3), m.
+        triangles: (t, 3) numbers of the vertices of each triangle.
+
+    Returns:
+        Unit vectors (n, 3): means of the normals of the adjacent triangles, weighted by area.
+    """
     corners = vertices[triangles]
+    # the length of this product is twice the area of the triangle
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # for each component, add the vector of a triangle to its three vertices
     sums = [np.bincount(triangles.ravel(), np.repeat(part, 3), len(vertices)) for part in areas.T]
     total = np.column_stack(sums)
     lengths = np.linalg.norm(total, axis=1, keepdims=True)
@@ -155,7 +190,7 @@ def _normals(vertices: Array, triangles: Array) -> Array:
 
 
 def _from_z(vector: Array) -> Array:
-    """A rotation (4,) that takes z to the direction of a vector; that of a zero vector is z."""
+    """Compute a rotation, quaternion (4,), from the z axis to the direction of a vector (3,); z for zero."""
     length = float(np.linalg.norm(vector))
     axis = vector / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
     return from_rotation(np.column_stack([*perpendicular_pair(axis), axis]))

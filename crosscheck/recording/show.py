@@ -1,4 +1,4 @@
-"""Recordings on the screen: in a viewer's window, or below the cell of a notebook."""
+"""Show a recording on the screen: in a window of the Rerun viewer, or below the cell of a notebook."""
 
 from __future__ import annotations
 
@@ -14,15 +14,21 @@ from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.processes import safe_path
 from newton_euler.model.scene import Scene
 
-LONGEST_SENDING = 60.0
-"""s that the viewer may take to receive a recording."""
+SENDING_TIMEOUT_S = 60.0
+"""Time, s, that the viewer may take to receive a recording."""
 
 
 def show(log: Callable[..., None], scene: Scene, *args: Any) -> None:
-    """Show a recording of a scene that `log` logs to with these arguments, see `recorded`.
+    """Make a recording of a scene, and show it.
+
+    Args:
+        log: function that writes to the recording, such as `crosscheck.recording.log.log_run`; called with
+            the recording, the scene and the further arguments.
+        scene: the scene.
+        args: further arguments of `log`.
 
     Raises:
-        CrosscheckError: where no viewer can be opened.
+        CrosscheckError: if no viewer can be opened.
     """
     notebook = in_notebook()
     if not (notebook or has_display()):
@@ -31,7 +37,7 @@ def show(log: Callable[..., None], scene: Scene, *args: Any) -> None:
         if notebook:
             recording = new_recording(scene)
             log(recording, scene, *args)
-            recording.notebook_show()  # the cell reads the recording as long as the cell is there
+            recording.notebook_show()  # not disconnected: the cell continues to read it
         else:
             _show_in_window(log, scene, *args)
     except (ImportError, RuntimeError) as error:
@@ -39,13 +45,13 @@ def show(log: Callable[..., None], scene: Scene, *args: Any) -> None:
 
 
 def _show_in_window(log: Callable[..., None], scene: Scene, *args: Any) -> None:
-    """Open a viewer, send it the recording, and end the threads of the recording, as `recorded` does."""
+    """Open a viewer, send a recording to it, and end Rerun's threads; arguments as of `show`."""
     recording = new_recording(scene)
     try:
         with safe_path():
             recording.spawn()
         log(recording, scene, *args)
-        recording.flush(timeout_sec=LONGEST_SENDING)
+        recording.flush(timeout_sec=SENDING_TIMEOUT_S)
     finally:
         recording.disconnect()
         del recording
@@ -53,11 +59,11 @@ def _show_in_window(log: Callable[..., None], scene: Scene, *args: Any) -> None:
 
 
 def has_display() -> bool:
-    """Return whether there is a screen that a viewer can open a window on."""
+    """Return True if there is a screen on which a viewer can open a window."""
     return sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
 def in_notebook() -> bool:
-    """Return whether the interpreter is the kernel of a notebook."""
+    """Return True if this process is the kernel of a Jupyter notebook."""
     shell = sys.modules.get("IPython")
     return shell is not None and hasattr(shell.get_ipython(), "kernel")

@@ -13,7 +13,7 @@ import newton_euler
 from crosscheck.library import load
 from crosscheck.recording.blueprint import ASPECT, EYE_DIRECTION, HALF_ANGLE
 from crosscheck.recording.plots import plots, tilt
-from crosscheck.recording.shapes import paths
+from crosscheck.recording.shapes import drawn_points
 from crosscheck.support.palette import ENGINE_COLORS, OTHER_COLORS, palette, rgb
 from newton_euler.model.euler_parameters import from_rotation_vector
 
@@ -46,7 +46,7 @@ def test_all_that_moves_is_seen_and_a_plane_face_on(tmp_path, name, direction, u
     np.testing.assert_array_equal(upwards, up)
     right = np.cross(up, seen) / np.linalg.norm(np.cross(up, seen))
     for body in range(len(scene.mechanism.bodies)):
-        points = paths(scene.mechanism, body, run) - position
+        points = drawn_points(scene.mechanism, body, run) - position
         depth = -points @ seen
         assert np.all(depth > 0.0)
         assert np.all(np.abs(points @ right) < ASPECT * np.tan(HALF_ANGLE) * depth)

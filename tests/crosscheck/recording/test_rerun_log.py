@@ -26,7 +26,7 @@ from crosscheck.compare.check import OPEN
 from crosscheck.recording.blueprint import TIME
 from crosscheck.recording.log import (
     LONGEST_ARROW,
-    PIXEL,
+    MIN_VISIBLE_DISTANCE,
     application_id,
     log_run,
     recorded,
@@ -177,7 +177,7 @@ def test_a_ghost_is_shown_if_it_parts_from_the_first(
 ) -> None:
     """By a share of a pixel, of the body that moves least alone and at one output only."""
     position = runs["zeta"].position.copy()
-    position[3, 1] += share * PIXEL * scene.mechanism.size * AXIS
+    position[3, 1] += share * MIN_VISIBLE_DISTANCE * scene.mechanism.size * AXIS
     parted = {"zeta": runs["zeta"], "alpha": replace(runs["zeta"], position=position)}
     write_recording(tmp_path / "parted.rrd", scene, parted)
     found = layout(tmp_path / "parted.rrd")
@@ -187,7 +187,7 @@ def test_a_ghost_is_shown_if_it_parts_from_the_first(
         <= set(found["hidden"])
         <= {"mechanism/alpha", "joints/alpha", "reactions"}
     )
-    distance = share * PIXEL * scene.mechanism.size
+    distance = share * MIN_VISIBLE_DISTANCE * scene.mechanism.size
     how = f"alpha ghost, up to {distance:.2g} m" if seen else f"alpha hidden, within {distance:.0e} m"
     assert any(
         name.startswith(f"lid_scene: zeta solid; {how}") for name in found["ViewBlueprint:display_name"]
