@@ -213,11 +213,11 @@ def _short_name(path: Path, other: Path) -> str:
 
 
 def _run_against(models: tuple[Model, Model], output: Path | None, save: Path | None) -> int:
-    from crosscheck.compare.two_models.compare import against, together
+    from crosscheck.compare.two_models.compare import compare_models, together
     from crosscheck.report.output import check_own
 
     def work(progress: Progress) -> Crosscheck:
-        return against(*models, progress)
+        return compare_models(*models, progress)
 
     name = together(models)
     folder = output or OUTPUT / name
@@ -235,7 +235,7 @@ def _carry_out(
     allow_reduced: bool = False,
 ) -> int:
     """Do what was asked for of the models, with `runs` of these names, write it and tell of it."""
-    from crosscheck.compare.two_models.compare import Against
+    from crosscheck.compare.two_models.compare import TwoModelComparison
     from crosscheck.loading.load import non_default_options
     from crosscheck.recording.mesh_budget import meshes_left_out
     from crosscheck.report.output import write
@@ -253,7 +253,7 @@ def _carry_out(
             write(result, found, folder, recording, name)
     more = ["-v", next_step("report", folder)]
     look = f"look  {next_step('view', recording)}"
-    if not isinstance(result, Against):
+    if not isinstance(result, TwoModelComparison):
         if unseen := meshes_left_out(result.scene.mechanism, list(result.trajectories)):
             look = f"{unseen}\n{look}"
         told = non_default_options(result.options)

@@ -101,7 +101,7 @@ def outcomes_table(outcomes: Sequence[Outcome]) -> Table:
     heads = [*texts("scene", "verdict"), *figures("time, s")]
     return Table(
         "",
-        [*heads, Column("share of tolerance, where", below=True)],
+        [*heads, Column("% of tolerance, where", below=True)],
         [[found.scene, found.word, f"{found.wall_time:.1f}", found.nearest] for found in outcomes],
     )
 

@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 
-from crosscheck.compare.blame import MIN_RESIDUAL_RATIO, Cause, dynamic_cause
+from crosscheck.compare.attribution import MIN_RESIDUAL_RATIO, Cause, dynamic_cause
 from crosscheck.compare.check import EPSILON, Check, round_off
 from crosscheck.compare.samples import RATE_ERROR, Samples
 from newton_euler.equations.system import Evaluation

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.compare.check import Check
-from crosscheck.compare.runs import rests
+from crosscheck.compare.runs import nothing_moves_in_rigid_runs
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.stiffness import is_stable_in_rk4, modes_of_run
 from newton_euler.equations.couplings import couplings
@@ -63,7 +63,7 @@ def advise(
         runs: by engine.
         rows: the compared figures.
     """
-    moving = not rests(scene, engines, runs)
+    moving = not nothing_moves_in_rigid_runs(scene, engines, runs)
     of_runs = soft_advice(scene, engines, runs, rows) if moving else ()
     return (*of_runs, *redundancy_advice(scene))
 

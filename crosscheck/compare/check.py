@@ -31,7 +31,7 @@ FILE = "file"
 POSES = ("positions, m", "orientations, rad")
 """Quantities at the level "trajectories"."""
 
-OPEN = "open joints, m or rad"
+CONSTRAINT_VIOLATION = "constraint violation, m or rad"
 """Quantity at the level "drift"."""
 
 START = "start"
@@ -84,7 +84,7 @@ class Check:
         value, tolerance: value, and the largest value that passes.
         where: body, joint, term or time of the largest difference.
         judged: False for a check without a verdict: it describes an engine, or could not be resolved.
-        unsettled: engine whose error does not decrease in a refined run, so that the check is not judged;
+        unconverged: engine whose error does not decrease in a refined run, so that the check is not judged;
             empty if there is none.
         detail: the values that differ, as text; empty if unknown.
     """
@@ -96,7 +96,7 @@ class Check:
     tolerance: float
     where: str
     judged: bool = True
-    unsettled: str = ""
+    unconverged: str = ""
     detail: str = ""
 
     @property
@@ -110,7 +110,7 @@ class Check:
         return not self.judged or bool(self.value <= self.tolerance)
 
     @property
-    def share(self) -> float:
+    def tolerance_ratio(self) -> float:
         """Value divided by tolerance; NaN if the value is NaN."""
         if self.tolerance > 0.0:
             return self.value / self.tolerance
@@ -166,12 +166,12 @@ def in_full(parts: Iterable[Iterator[Check]]) -> Iterator[Check]:
 
 def not_judged(rows: Sequence[Check]) -> str:
     """Report the number of checks that are not judged, and why; empty if there are none."""
-    found = [row.unsettled for row in rows if row.unsettled]
+    found = [row.unconverged for row in rows if row.unconverged]
     count = "1 more check is" if len(found) == 1 else f"{len(found)} more checks are"
-    return f"; {count} not judged: {not_settled(found)}" if found else ""
+    return f"; {count} not judged: {unconverged_reason(found)}" if found else ""
 
 
-def not_settled(engines: Iterable[str]) -> str:
+def unconverged_reason(engines: Iterable[str]) -> str:
     """Report why checks are not judged: a refined run does not reduce the difference as its error would."""
     return f"a finer run of {' and '.join(dict.fromkeys(engines))} reduces the difference too little"
 

@@ -54,19 +54,19 @@ class Covered:
 
     Attributes:
         element: kind and name, such as "mass of body 'crank'".
-        share: by how much a change of 10 % changes the motion, in units of what engines may differ by: at
+        effect: by how much a change of 10 % changes the motion, in units of what engines may differ by: at
             least, where it shows; infinite where the scene does not run to its end with it, 0 if shared.
         shared: see `Element`: controllers that are called at a period, and the computers of digital laws.
     """
 
     element: str
-    share: float
+    effect: float
     shared: bool = False
 
     @property
     def tested(self) -> bool:
         """True if a change of 10 % in one engine would be seen, and is not the same in all of them."""
-        return self.share > 1.0 and not self.shared
+        return self.effect > 1.0 and not self.shared
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Coverage:
         return [
             {
                 "element": each.element,
-                "share": each.share if np.isfinite(each.share) else None,
+                "effect": each.effect if np.isfinite(each.effect) else None,
                 "tested": each.tested,
                 "shared": each.shared,
             }
@@ -129,7 +129,7 @@ def covered_by(scene: Scene, length: float, angle: float, end: int | None = None
     """
     found = tuple(elements(scene))
     runs = _Runs(scene, found, length, angle, end)
-    return Coverage(tuple(Covered(element.name, runs.share(element), element.shared) for element in found))
+    return Coverage(tuple(Covered(element.name, runs.effect(element), element.shared) for element in found))
 
 
 class _Runs:
@@ -180,8 +180,8 @@ class _Runs:
         ends = sorted({max(2, round(share * count)) for share in RUN_FRACTIONS if count > 1} | {count})
         return [_until(self._scene, self.run.time[end - 1]) for end in ends]
 
-    def share(self, element: Element) -> float:
-        """See `Covered.share`."""
+    def effect(self, element: Element) -> float:
+        """See `Covered.effect`."""
         if element.shared:
             return 0.0
         if element.parameters is not None:

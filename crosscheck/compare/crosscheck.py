@@ -15,8 +15,8 @@ from crosscheck.compare.coverage import Coverage, coverage
 from crosscheck.compare.diagnosis import Diagnosis, diagnose
 from crosscheck.compare.levels import in_order, reading_rows, stages
 from crosscheck.compare.reference_values import ReferenceCheck, known_of, measure
-from crosscheck.compare.runs import errors_of_runs, rests
-from crosscheck.compare.singularity import Passage, passage
+from crosscheck.compare.runs import measure_run_errors, nothing_moves_in_rigid_runs
+from crosscheck.compare.singularity import SingularConfigurations, find_singular_configurations
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.engine_runs import Stop, collecting_errors, run_engines, stops_text
 from crosscheck.library.options import titled
@@ -67,7 +67,7 @@ class Crosscheck:
         coverage: elements that the compared runs test; None where no trajectories were compared, and where
             `notes` say why it is not known.
         notes: what else there is to say, a line each: what beside the comparison did not come to its end.
-        off_by: by engine its run's distance from the finest, see `errors_of_runs`.
+        run_errors: by engine its run's distance from the finest, see `measure_run_errors`.
         singular: singular configurations of the first engine's run; None if there are none.
     """
 
@@ -85,8 +85,8 @@ class Crosscheck:
     unfinished: tuple[Stop, ...] = ()
     coverage: Coverage | None = None
     notes: tuple[str, ...] = ()
-    off_by: Mapping[str, float] = field(default_factory=dict)
-    singular: Passage | None = None
+    run_errors: Mapping[str, float] = field(default_factory=dict)
+    singular: SingularConfigurations | None = None
 
     @property
     def title(self) -> str:
@@ -94,9 +94,9 @@ class Crosscheck:
         return titled(self.scene.name, non_default_options(self.options))
 
     @property
-    def rests(self) -> bool:
+    def nothing_moves(self) -> bool:
         """True if nothing moves in the runs, so that trajectories and energies test nothing."""
-        return rests(self.scene, self.engines, self.trajectories)
+        return nothing_moves_in_rigid_runs(self.scene, self.engines, self.trajectories)
 
     @property
     def differs(self) -> bool:
@@ -188,7 +188,7 @@ class Crosscheck:
             return self.outcome, "; ".join(filter(None, [found, self._reduced]))
         if self.diagnosis:
             first, *others = self.diagnosis
-            said = [f"{first.who}; {first.place}", first.blame]
+            said = [f"{first.who}; {first.place}", first.fault_text]
             said += [f"then {other.who}, {other.place}" for other in others]
             if self._reduced and not self.misread:
                 said.append(self._reduced)
@@ -242,7 +242,7 @@ class Crosscheck:
         """Qualifications of an agreement: reference values, checks that are not judged, coverage."""
         said = f", and the reference in all {len(self.measured)}" if self.measured else ""
         said += not_judged(self.checks)
-        said += "; nothing moves" if self.rests else ""
+        said += "; nothing moves" if self.nothing_moves else ""
         if self.coverage:
             said += f"; {self.coverage}"
         elif len(self.engines) > 1:
@@ -291,9 +291,9 @@ class Crosscheck:
     def _ran(self, name: str) -> dict[str, Any]:
         """Return settings and counts of an engine's run, for JSON."""
         if name not in self.trajectories:
-            return {"settings": {}, "wall_time": None, "off_by": None}
+            return {"settings": {}, "wall_time": None, "error": None}
         run = self.trajectories[name]
-        return {"settings": run.settings, "wall_time": run.wall_time, "off_by": self.off_by.get(name)}
+        return {"settings": run.settings, "wall_time": run.wall_time, "error": self.run_errors.get(name)}
 
 
 def crosscheck(
@@ -362,20 +362,22 @@ def crosscheck(
     what = "working out what the motion covers"
     with collecting_errors(what, beside), limited(what, COVERAGE_OMITTED, progress, "coverage_time"):
         found = coverage(scene, comparable, rows)
-    singular: Passage | None = None
+    singular: SingularConfigurations | None = None
     what = "searching singular configurations"
     with collecting_errors(what, beside), limited(what, SHORTER_RUN_ADVICE, progress):
-        singular = passage(scene, next(iter(runs.values()))) if runs else None
+        singular = find_singular_configurations(scene, next(iter(runs.values()))) if runs else None
     advice: tuple[Advice, ...] = ()
     if advised and not stops:
         what = "working out advice"
         with collecting_errors(what, beside), limited(what, "there is none", progress):
             advice = advise(scene, able, runs, rows)
-    off_by: dict[str, float] = {}
-    odd = {diagnosis.odd for diagnosis in _diagnosed(scene, able, rows, measured, stops)}
+    run_errors: dict[str, float] = {}
+    outlier = {diagnosis.outlier for diagnosis in _diagnosed(scene, able, rows, measured, stops)}
     what = "measuring each engine's error"
     with collecting_errors(what, beside), limited(what, SHORTER_RUN_ADVICE, progress):
-        off_by = errors_of_runs(scene, [engine for engine in able if engine.name not in odd], comparable)
+        run_errors = measure_run_errors(
+            scene, [engine for engine in able if engine.name not in outlier], comparable
+        )
     return Crosscheck(
         source,
         options,
@@ -391,7 +393,7 @@ def crosscheck(
         tuple(stops),
         found,
         tuple(map(str, beside)),
-        off_by,
+        run_errors,
         singular,
     )
 

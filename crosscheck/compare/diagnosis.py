@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from crosscheck.compare.check import FILE, LEVELS, OF_RUNS, OPEN, READING, REFERENCE, Check
+from crosscheck.compare.check import CONSTRAINT_VIOLATION, FILE, LEVELS, OF_RUNS, READING, REFERENCE, Check
 from crosscheck.compare.reference_values import ReferenceCheck
 from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.equations.redundancy import NearlyRedundant
@@ -53,21 +53,21 @@ class Diagnosis:
     """Diagnosis of the differences at one level.
 
     Attributes:
-        odd: the outlier; empty if the checks do not determine it.
-        parting: all participants that differ at the level.
+        outlier: the outlier; empty if the checks do not determine it.
+        differing: all participants that differ at the level.
         agree: participants that agree with each other, without the outlier.
         within: largest judged difference of those, m, rad or relative: over all levels if they agree in all
             checks, otherwise at this level. None if there are fewer than two.
         everywhere: True if those agree in all checks.
         level, quantity, value, tolerance, where, detail: attributes of the first failing check.
-        settled_by: what determines the outlier: "others", "nearness", "reference", the quantity of its own
+        decided_by: what determines the outlier: "others", "nearness", "reference", the quantity of its own
             failing check, or "own" for several own checks.
         fault: a key of `FAULTS`; empty if the cause is not determined.
         evidence: nearly redundant constraints, or the violation of soft constraints, as text.
     """
 
-    odd: str
-    parting: tuple[str, ...]
+    outlier: str
+    differing: tuple[str, ...]
     agree: tuple[str, ...]
     within: float | None
     everywhere: bool
@@ -76,14 +76,14 @@ class Diagnosis:
     value: float
     tolerance: float
     where: str
-    settled_by: str = ""
+    decided_by: str = ""
     fault: str = ""
     evidence: str = ""
     detail: str = ""
 
     def summary(self) -> dict[str, Any]:
         """Attributes for JSON, with the engine of a formulation that is the outlier."""
-        engine = OWNER if self.odd in SYSTEMS else "" if self.odd == FILE else self.odd
+        engine = OWNER if self.outlier in SYSTEMS else "" if self.outlier == FILE else self.outlier
         return {"engine": engine, **asdict(self)}
 
     @property
@@ -94,34 +94,35 @@ class Diagnosis:
         if self.within is not None:
             scope = "all checks" if self.everywhere else f"level '{self.level}'"
             agreement = f"{others} agree to {self.within:.0e} ({scope})"
-        if not self.odd:
+        if not self.outlier:
             return self._unsettled
-        name = _named(self.odd)
-        if self.settled_by == "reference":
+        name = _named(self.outlier)
+        if self.decided_by == "reference":
             agreement = f"{others} agree{'s' if len(self.agree) == 1 else ''} with the reference"
-        elif self.settled_by == "nearness":
+        elif self.decided_by == "nearness":
             agreement = f"{others} are {NEARER_RATIO:g} times nearer to each other"
-        elif self.settled_by != "others":
-            agreement = "; ".join(filter(None, [f"its own {self.settled_by} fails", agreement]))
+        elif self.decided_by != "others":
+            agreement = "; ".join(filter(None, [f"its own {self.decided_by} fails", agreement]))
         return f"{name} differs; {agreement}" if agreement else f"{name} differs"
 
     @property
     def _unsettled(self) -> str:
-        names = _listed(self.parting)
+        names = _listed(self.differing)
         if self.level == REFERENCE:
-            return f"{names} and the reference part"
-        if len(self.parting) == 1:
+            return f"{names} and the reference differ"
+        if len(self.differing) == 1:
             return f"{names} fails"
-        if self.settled_by == "own":
+        if self.decided_by == "own":
             return f"{names} fail by themselves"
-        if self.level == READING and len(self.parting) > 2:
-            return f"{_listed(self.parting[:-1])} part from the file, {_listed(self.agree)} do not"
-        if len(self.parting) > 2:
-            return f"{names} all part from each other"
+        if self.level == READING and len(self.differing) > 2:
+            return f"{_listed(self.differing[:-1])} differ from the file, {_listed(self.agree)} do not"
+        if len(self.differing) > 2:
+            return f"{names} all differ from each other"
         if self.agree:
-            return f"{names} part; {_listed(self.agree)} agree{'s' if len(self.agree) == 1 else ''} with both"
-        another = "other" if FILE in self.parting else "third"
-        return f"{names} part, and no {another} engine decides which is right"
+            verb = "agrees" if len(self.agree) == 1 else "agree"
+            return f"{names} differ; {_listed(self.agree)} {verb} with both"
+        another = "other" if FILE in self.differing else "third"
+        return f"{names} differ, and no {another} engine decides which is right"
 
     @property
     def place(self) -> str:
@@ -133,9 +134,9 @@ class Diagnosis:
         return f"at level '{self.level}': {figure}, worst at {self.where}{detail}"
 
     @property
-    def blame(self) -> str:
+    def fault_text(self) -> str:
         """The blame in words; empty if nothing settles it."""
-        return FAULTS[self.fault].format(f"{_named(self.odd)}'s", self.evidence) if self.fault else ""
+        return FAULTS[self.fault].format(f"{_named(self.outlier)}'s", self.evidence) if self.fault else ""
 
 
 def _named(participant: str) -> str:
@@ -173,17 +174,21 @@ def diagnose(
     while (one := _first(names, judged, wrong)) is not None:
         # models agree where runs are the first to part
         if one.level in OF_RUNS and one.quantity != MOMENTUM:
-            opened = [row for row in judged if row.between == (one.odd,) and row.quantity == OPEN]
+            opened = [
+                row
+                for row in judged
+                if row.between == (one.outlier,) and row.quantity == CONSTRAINT_VIOLATION
+            ]
             if shown and _blames(one, soft):
                 one = replace(one, fault="redundancy", evidence=shown)
-            elif one.odd in soft and not all(row.agrees for row in opened):
+            elif one.outlier in soft and not all(row.agrees for row in opened):
                 one = replace(one, fault="softness", evidence=_opening(opened[0]))
-            elif one.odd in soft and one.detail:  # the change of its own run when refined
+            elif one.outlier in soft and one.detail:  # the change of its own run when refined
                 one = replace(one, fault="resolution")
         found.append(one)
-        if not one.odd:
+        if not one.outlier:
             break
-        names, judged = _without(one.odd, names, judged)
+        names, judged = _without(one.outlier, names, judged)
     if not found and wrong:
         found.append(_against_reference(names, judged, measured))
     return tuple(found)
@@ -192,26 +197,26 @@ def diagnose(
 def _opening(row: Check) -> str:
     """Word by how much joints come open in a run."""
     joint, _, time = row.where.partition(" at ")
-    return f"{joint} opens by {row.value:.1e} (m or rad) at {time}"
+    return f"constraint violation of {joint} is {row.value:.1e} (m or rad) at {time}"
 
 
 def _blames(found: Diagnosis, engines: Collection[str]) -> bool:
     """True if one of these engines is the odd one, or one of those that part."""
-    return bool(({found.odd} if found.odd else set(found.parting)) & set(engines))
+    return bool(({found.outlier} if found.outlier else set(found.differing)) & set(engines))
 
 
-def _without(odd: str, names: Sequence[str], rows: Iterable[Check]) -> tuple[list[str], list[Check]]:
+def _without(outlier: str, names: Sequence[str], rows: Iterable[Check]) -> tuple[list[str], list[Check]]:
     """Participants and figures without one; without a formulation the other stands for `OWNER`.
 
     Momentum is balanced with forces of `OWNER`, so that without it nothing is known of the others' balances.
     """
-    if odd in SYSTEMS:
-        kept = [row for row in rows if odd not in row.between and _holds_of_systems(row)]
+    if outlier in SYSTEMS:
+        kept = [row for row in rows if outlier not in row.between and _holds_of_systems(row)]
         return list(names), [_renamed(row, dict.fromkeys(SYSTEMS, OWNER)) for row in kept]
-    gone = {odd, *(SYSTEMS if odd == OWNER else ())}
-    if odd == OWNER:
+    gone = {outlier, *(SYSTEMS if outlier == OWNER else ())}
+    if outlier == OWNER:
         rows = [row for row in rows if row.quantity != MOMENTUM]
-    return [name for name in names if name != odd], [row for row in rows if not gone & set(row.between)]
+    return [name for name in names if name != outlier], [row for row in rows if not gone & set(row.between)]
 
 
 def _by_system(names: Sequence[str], rows: Iterable[Check]) -> tuple[list[str], list[Check]]:
@@ -250,8 +255,10 @@ def _first(names: Sequence[str], rows: Sequence[Check], wrong: Collection[str]) 
         return _of_pairs(names, rows, parted, wrong)
     at_fault = _ordered(names, (row.between[0] for row in at_level))
     others = [name for name in names if name not in at_fault]
-    odd = at_fault[0] if len(at_fault) == 1 and others else ""
-    return _diagnosis(odd, at_fault, others, at_level[0], rows, at_level[0].quantity if odd else "own")
+    outlier = at_fault[0] if len(at_fault) == 1 and others else ""
+    return _diagnosis(
+        outlier, at_fault, others, at_level[0], rows, at_level[0].quantity if outlier else "own"
+    )
 
 
 def _of_reading(names: Sequence[str], rows: Sequence[Check]) -> Diagnosis | None:
@@ -275,9 +282,9 @@ def _of_reading(names: Sequence[str], rows: Sequence[Check]) -> Diagnosis | None
     among = [row for row in rows if set(row.between) <= set(compared) and row.level not in OF_RUNS]
     if not all(row.agrees for row in among):
         return None
-    odd = FILE if parted == compared and len(compared) > 1 else ""
-    others = [name for name in compared if odd or name not in parted]
-    return _diagnosis(odd, [*parted, FILE], others, failed[0], rows, "others")
+    outlier = FILE if parted == compared and len(compared) > 1 else ""
+    others = [name for name in compared if outlier or name not in parted]
+    return _diagnosis(outlier, [*parted, FILE], others, failed[0], rows, "others")
 
 
 def _of_pairs(
@@ -292,32 +299,34 @@ def _of_pairs(
     rest = [name for name in present if name not in alone]
     if alone and len(rest) > 1 and not any(pair <= set(rest) for pair in bad):
         if set(SYSTEMS) <= set(alone):  # neither is right
-            return replace(_odd(SYSTEMS[0], present, rest, rows, parted, "others"), odd=OWNER)
-        return _odd(alone[0], present, rest, rows, parted, "others")
+            return replace(
+                _outlier_diagnosis(SYSTEMS[0], present, rest, rows, parted, "others"), outlier=OWNER
+            )
+        return _outlier_diagnosis(alone[0], present, rest, rows, parted, "others")
     at_fault = _ordered(names, (name for pair in bad for name in pair))
     between = [name for name in present if name not in at_fault]
     if len(at_fault) == 2 and between:
-        for odd, other in (at_fault, at_fault[::-1]):
-            if all(_is_nearer(other, odd, third, parted[0], rows) for third in between):
-                return _odd(odd, at_fault, [other, *between], rows, parted, "nearness")
+        for outlier, other in (at_fault, at_fault[::-1]):
+            if all(_is_nearer(other, outlier, third, parted[0], rows) for third in between):
+                return _outlier_diagnosis(outlier, at_fault, [other, *between], rows, parted, "nearness")
     settled = _settled(at_fault, rows, level, wrong)
     if settled is not None:
-        odd, by = settled
-        others = [name for name in present if name != odd]
-        return _odd(odd, at_fault, others, rows, parted, by)
+        outlier, by = settled
+        others = [name for name in present if name != outlier]
+        return _outlier_diagnosis(outlier, at_fault, others, rows, parted, by)
     return _diagnosis("", at_fault, between, parted[0], rows)
 
 
-def _odd(
-    odd: str,
-    parting: Sequence[str],
+def _outlier_diagnosis(
+    outlier: str,
+    differing: Sequence[str],
     others: Sequence[str],
     rows: Sequence[Check],
     parted: Sequence[Check],
     by: str,
 ) -> Diagnosis:
-    row = next(row for row in parted if odd in row.between)
-    return _diagnosis(odd, parting, others, row, rows, by)
+    row = next(row for row in parted if outlier in row.between)
+    return _diagnosis(outlier, differing, others, row, rows, by)
 
 
 def _is_nearer(near: str, far: str, third: str, row: Check, rows: Sequence[Check]) -> bool:
@@ -353,26 +362,31 @@ def _settled(
 
 
 def _diagnosis(
-    odd: str, parting: Sequence[str], agree: Sequence[str], row: Check, rows: Sequence[Check], by: str = ""
+    outlier: str,
+    differing: Sequence[str],
+    agree: Sequence[str],
+    row: Check,
+    rows: Sequence[Check],
+    by: str = "",
 ) -> Diagnosis:
     """Make the diagnosis, with the agreement of the participants other than the outlier."""
     among = [other for other in rows if set(other.between) <= set(agree)]
     pairs = [other for other in among if len(other.between) == 2]
     # engines are compared with each other beside a file that they are read from
-    at_level = [other for other in pairs if other.level == row.level or FILE in parting]
+    at_level = [other for other in pairs if other.level == row.level or FILE in differing]
     held = all(other.agrees for other in at_level)
     everywhere = held and all(other.agrees for other in among)
     values = [other.value for other in (pairs if everywhere else at_level)]
     within = max(values, default=None) if held else None
     fault = ""
-    if odd == FILE:
+    if outlier == FILE:
         fault = "reading"
-    elif odd:
+    elif outlier:
         fault = "integration" if row.level in OF_RUNS and row.quantity != MOMENTUM else "model"
     return Diagnosis(
-        odd,
-        tuple(parting),
-        tuple(agree) if held or not odd else (),
+        outlier,
+        tuple(differing),
+        tuple(agree) if held or not outlier else (),
         within,
         everywhere,
         row.level,
@@ -393,9 +407,9 @@ def _against_reference(
     failed = [known for known in measured if not known.agrees]
     at_fault = _ordered(names, (known.engine for known in failed))
     others = [name for name in names if name not in at_fault and name != FILE]
-    odd = at_fault[0] if len(at_fault) == 1 and others else ""
-    found = _diagnosis(odd, at_fault, others, failed[0], rows, "reference" if odd else "")
-    return replace(found, fault="integration" if odd else "")
+    outlier = at_fault[0] if len(at_fault) == 1 and others else ""
+    found = _diagnosis(outlier, at_fault, others, failed[0], rows, "reference" if outlier else "")
+    return replace(found, fault="integration" if outlier else "")
 
 
 def _ordered(names: Sequence[str], some: Iterable[str]) -> list[str]:

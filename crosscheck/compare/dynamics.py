@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from crosscheck.compare.blame import Cause, dynamic_cause
+from crosscheck.compare.attribution import Cause, dynamic_cause
 from crosscheck.compare.check import Check, round_off
 from crosscheck.compare.samples import Samples, States
 from newton_euler.scalars import Array

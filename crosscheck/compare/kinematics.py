@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from crosscheck.compare.blame import kinematic_cause
+from crosscheck.compare.attribution import kinematic_cause
 from crosscheck.compare.check import EPSILON, Check, reach, round_off
 from crosscheck.compare.samples import Samples
 from newton_euler.model.euler_parameters import angle_between
@@ -45,7 +45,7 @@ def kinematics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> I
     if first.closes or second.closes:
         opening, allowed = max(first.opening, second.opening), share + condition * first.states.opening
         where = "" if opening <= allowed else cause() or ""
-        yield Check("kinematics", "open loops, rel", pair, opening, allowed, where)
+        yield Check("kinematics", "loop-closure error, rel", pair, opening, allowed, where)
     projector = np.array([a @ a.T - b @ b.T for a, b in zip(first.bases, second.bases, strict=True)])
     yield row("constraint Jacobian", np.abs(projector).max(axis=2).reshape(-1, len(bodies), 6).max(axis=2))
     scales = first.scales

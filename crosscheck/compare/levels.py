@@ -55,7 +55,7 @@ def compare_pair(
         for x, y in product(first, second):
             for row in level(pair, x, y):
                 known = found.setdefault(row.quantity, row)
-                if not row.share <= known.share:
+                if not row.tolerance_ratio <= known.tolerance_ratio:
                     found[row.quantity] = row
         yield from found.values()
         if not all(row.agrees for row in found.values()):
@@ -171,6 +171,6 @@ def reading_rows(engines: Sequence[Engine], report: ImportReport | None) -> Iter
             for quantity, value, tolerance, where in verify(reference, engine.systems(scene)[0]):
                 row = Check(READING, quantity, (engine.name, FILE), value, tolerance, where)
                 known = found.setdefault(quantity, row)
-                if not row.share <= known.share:
+                if not row.tolerance_ratio <= known.tolerance_ratio:
                     found[quantity] = row
         yield from found.values()

@@ -13,8 +13,8 @@ from itertools import combinations
 import numpy as np
 
 from crosscheck.compare.check import (
+    CONSTRAINT_VIOLATION,
     NOISE,
-    OPEN,
     OWN_ERROR,
     POSES,
     ROUND_OFF,
@@ -81,7 +81,7 @@ def _kinetic_energies_apart(x: Trajectory, y: Trajectory) -> Array:
     return np.abs(x.kinetic_energy - y.kinetic_energy)
 
 
-def errors_of_runs(scene: Scene, engines: Sequence[Engine], runs: Runs) -> dict[str, float]:
+def measure_run_errors(scene: Scene, engines: Sequence[Engine], runs: Runs) -> dict[str, float]:
     """Compute by engine how far its run, as far as it came, is from the finest: m and rad, the larger.
 
     The finest is the refined run of the first engine with rigid constraints; without one there are none.
@@ -109,17 +109,19 @@ def displacements(runs: Mapping[str, Trajectory]) -> dict[str, float]:
     return found
 
 
-def rests(scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory]) -> bool:
+def nothing_moves_in_rigid_runs(
+    scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory]
+) -> bool:
     """True if in no run of a rigid engine anything moves but by round-off of the reach, or of 1 m and 1 rad.
 
     Soft constraints give way a little even so: engines that have them are asked if there are no others.
     """
     ran = [engine for engine in engines if engine.name in runs]
     asked = [engine for engine in ran if engine.evaluate_soft_constraints is None] or ran
-    return bool(asked) and stays({engine.name: runs[engine.name] for engine in asked}, scene)
+    return bool(asked) and nothing_moves({engine.name: runs[engine.name] for engine in asked}, scene)
 
 
-def stays(runs: Mapping[str, Trajectory], scene: Scene) -> bool:
+def nothing_moves(runs: Mapping[str, Trajectory], scene: Scene) -> bool:
     """Return True if nothing moves in runs but by round-off of the reach, or of 1 m and 1 rad."""
     reaches = {name: max(1.0, reach(scene, run.position)) for name, run in runs.items()}
     return all(far <= ROUND_OFF * reaches[name] for name, far in displacements(runs).items())
@@ -236,7 +238,7 @@ def compare_runs(
             tolerance / shown,
             where,
             judged=not name,
-            unsettled=name,
+            unconverged=name,
             detail="; ".join(coarse) if value > tolerance else "",
         )
 
@@ -266,7 +268,7 @@ def compare_runs(
         if runs[engine.name].constraint_violation is not None:
             violation, unit = partial(_violation, engine.name), length((engine,))
             fixed = engine.drift + noise
-            yield row("drift", OPEN, (engine,), violation, _violations_apart, fixed, unit)
+            yield row("drift", CONSTRAINT_VIOLATION, (engine,), violation, _violations_apart, fixed, unit)
 
     def kinetic_energy(a: Engine, b: Engine) -> Iterator[Check]:
         kinetic = runs[a.name].kinetic_energy
@@ -281,7 +283,7 @@ def compare_runs(
         if balance is not None:
             unit, apart = max(energy, balance.exchanged), _residuals_apart(scene)
             gap, fixed = partial(_residual, scene, engine.name), engine.energy_error + noise
-            yield row("energy", "energy less work, rel", (engine,), gap, apart, fixed, unit, unit)
+            yield row("energy", "energy balance error, rel", (engine,), gap, apart, fixed, unit, unit)
 
     # All checks, of pairs that have not differed before
     away = set(parted)

@@ -54,7 +54,7 @@ LARGE_SHARE = 0.3
 
 
 @dataclass(frozen=True)
-class Passage:
+class SingularConfigurations:
     """Singular configurations of a run.
 
     Attributes:
@@ -81,7 +81,7 @@ class Passage:
         )
 
 
-def passage(scene: Scene, run: Trajectory) -> Passage | None:
+def find_singular_configurations(scene: Scene, run: Trajectory) -> SingularConfigurations | None:
     """Find the singular configurations that a run starts in or passes; None if there are none.
 
     The smallest singular value of the independent constraints is evaluated at some outputs. Near a singular
@@ -137,7 +137,9 @@ def passage(scene: Scene, run: Trajectory) -> Passage | None:
     motion = np.abs(system.velocity_transformation(q) @ turned.T / body_units(scene)[:, None])
     share = np.max(motion.reshape(len(scene.mechanism.bodies), -1), axis=1)
     names = np.array(scene.mechanism.body_names)[share > LARGE_SHARE * np.max(share)]
-    return Passage(tuple(time for time, _ in found), margin(q) / largest, gained, tuple(names.tolist()))
+    return SingularConfigurations(
+        tuple(time for time, _ in found), margin(q) / largest, gained, tuple(names.tolist())
+    )
 
 
 def _spectrum(system: Relative, q: Array, count: int) -> tuple[Array, Array]:

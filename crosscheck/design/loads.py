@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from crosscheck.compare.activity import reduction, watched
-from crosscheck.compare.runs import stays
+from crosscheck.compare.runs import nothing_moves
 from crosscheck.report.plots import own_style, png
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.run import undetermined_lines
@@ -131,7 +131,7 @@ def loads(
                 acting[name] = found
     first, _ = next(iter(models.values()))
     envelope = load_envelope(first, runs)
-    still = [] if at_rest else [name for name, run in runs.items() if stays({name: run}, first)]
+    still = [] if at_rest else [name for name, run in runs.items() if nothing_moves({name: run}, first)]
     report = _report(first, envelope, at_rest, still, acting)
     progress("plot and recording")
     drawn = recorded(log_run, first, runs, markdown(report), report.title)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from crosscheck.compare.check import OPEN, POSES
+from crosscheck.compare.check import CONSTRAINT_VIOLATION, POSES
 from crosscheck.compare.runs import orientations_apart, positions_apart
 from newton_euler.model.control import DeclaredLaw
 from newton_euler.model.digital_control import Digital
@@ -179,10 +179,10 @@ def _agreement_plots(trajectories: dict[str, Trajectory], tolerances: Tolerances
     for name, quantity, title, values in (
         ("position", POSES[0], "position [m]", {e: positions_apart(first, r) for e, r in others}),
         ("angle", POSES[1], "angle [rad]", {e: orientations_apart(first, r) for e, r in others}),
-        ("drift", OPEN, "drift [m, rad]", _present(trajectories, "constraint_violation")),
+        ("drift", CONSTRAINT_VIOLATION, "drift [m, rad]", _present(trajectories, "constraint_violation")),
     ):
         lines = {engine: np.log10(np.maximum(np.max(x, axis=1), SMALLEST)) for engine, x in values.items()}
-        single = quantity == OPEN
+        single = quantity == CONSTRAINT_VIOLATION
         found = {e: tolerances.get((quantity, e) if single else (quantity, reference, e), 0.0) for e in lines}
         bounds = {engine: float(np.log10(bound)) for engine, bound in found.items() if bound > 0.0}
         yield Plot(group, ("agreement", name), title, lines, tolerances=bounds, judges=True)

@@ -42,7 +42,7 @@ def _row(figure: Checked, group: str = "") -> list[str | Cell]:
     if figure.was is None or figure.now is None:
         return [name, Cell(figure.problem or "the same", verdict), "", "", ""]
     change = f"{figure.now - figure.was:+.2e}"
-    share = f"{figure.share:.3g} {CHEAPER}" if figure.cheaper else f"{figure.share:.3g}"
+    share = f"{figure.tolerance_ratio:.3g} {CHEAPER}" if figure.cheaper else f"{figure.tolerance_ratio:.3g}"
     return [name, figure.where, f"{figure.was:.9g}", change, Cell(share, verdict)]
 
 

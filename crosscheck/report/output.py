@@ -87,7 +87,7 @@ def _moments(rows: Sequence[Check]) -> Iterator[tuple[float, str]]:
     """Times, s, at which levels of the runs are worst, and what is worst there."""
     for level in OF_RUNS:
         at_level = [row for row in rows if row.level == level and row.judged]
-        worst = max(at_level, key=lambda row: row.share, default=None)
+        worst = max(at_level, key=lambda row: row.tolerance_ratio, default=None)
         if worst and (found := MOMENT.fullmatch(worst.where)):
             place = ", ".join(filter(None, [found[1], worst.quantity]))
             text = f"{level}: {place}: {worst.value:.1e}, allowed {worst.tolerance:.0e}"

@@ -55,7 +55,7 @@ class Cost(BaseModel):
     """Run time, s, and error, m and rad, of an engine; None where it did not run."""
 
     wall_time: float | None = None
-    off_by: float | None = None
+    error: float | None = None
 
 
 class Bound(BaseModel):
@@ -242,7 +242,7 @@ def _entry(file: Path, results: Results, anchor: str, progress: Progress) -> Ent
         progress("plots")
         costs, bounds = {}, {}
         if isinstance(results, Compared):
-            costs = {name: (cost.wall_time, cost.off_by) for name, cost in results.engines.items()}
+            costs = {name: (cost.wall_time, cost.error) for name, cost in results.engines.items()}
             bounds = {(each.quantity, *each.between): each.tolerance for each in results.checks}
         entry.speed.extend(Picture(*each) for each in plots.speed(costs))
         entry.pictures.extend(Picture(*each) for each in plots.pictures(runs, bounds))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crosscheck.compare.check import OPEN, POSES
+from crosscheck.compare.check import CONSTRAINT_VIOLATION, POSES
 from crosscheck.report.table import seconds
 from crosscheck.support.palette import palette
 from newton_euler.model.euler_parameters import angle_between
@@ -169,9 +169,11 @@ def _differences(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
 def _drift(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
     lines = [
         (label, engine, time, np.maximum(violation.max(axis=1, initial=0.0), SMALLEST))
-        for label, engine, time, violation in _over_time(runs, "constraint_violation", OPEN)
+        for label, engine, time, violation in _over_time(runs, "constraint_violation", CONSTRAINT_VIOLATION)
     ]
-    tolerances = {(OPEN, engine): bounds.get((OPEN, engine)) for engine in runs}
+    tolerances = {
+        (CONSTRAINT_VIOLATION, engine): bounds.get((CONSTRAINT_VIOLATION, engine)) for engine in runs
+    }
     caption = "drift, largest over the joints; thin lines are tolerances"
     yield from _drawn(lines, palette(list(runs)), caption, True, tolerances)
 

@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from crosscheck.compare.activity import acted
-from crosscheck.compare.check import FILE, Check, not_compared, not_settled
+from crosscheck.compare.check import FILE, Check, not_compared, unconverged_reason
 from crosscheck.compare.coverage import Coverage
 from crosscheck.compare.crosscheck import Crosscheck
 from crosscheck.compare.reference_values import ReferenceCheck
 from crosscheck.compare.runs import displacements
 from crosscheck.compare.samples import admissible_basis, body_units
-from crosscheck.compare.two_models.compare import Against
+from crosscheck.compare.two_models.compare import TwoModelComparison
 from crosscheck.engines.stiffness import explicit_steps, fastest_decay
 from crosscheck.loading.model_files import fates_line, report_lines
 from crosscheck.report.summary import summary
@@ -81,7 +81,7 @@ def report(result: Crosscheck) -> Report:
 
 def _mappings(result: Crosscheck) -> Iterator[tuple[str, ImportReport]]:
     """Import reports of the model files, each after its file's title."""
-    models = result.models if isinstance(result, Against) else []
+    models = result.models if isinstance(result, TwoModelComparison) else []
     if result.mapping and not models:
         yield "the file", result.mapping
     yield from ((f"the file of {model.name}", model.mapping) for model in models if model.mapping)
@@ -95,10 +95,10 @@ def judged_word(result: Crosscheck) -> Cell:
 def _untested_table(found: Coverage) -> Table:
     """A row per element that the motion does not test, with how much of a change of it shows."""
     rows: Rows = [
-        [each.element, SAME_CODE if each.shared else f"{each.share:.1e}"] for each in found.untested
+        [each.element, SAME_CODE if each.shared else f"{each.effect:.1e}"] for each in found.untested
     ]
     title = "untested by the motion: 10 % more of these does not show"
-    return Table(title, [Column("element"), *figures("share of what would show")], rows, folded=True)
+    return Table(title, [Column("element"), *figures("effect (detectable above 1)")], rows, folded=True)
 
 
 def tables(result: Crosscheck) -> Iterator[Table]:
@@ -149,8 +149,8 @@ def _table(title: str, rows: list[Check]) -> Table:
 
 def _cell(row: Check) -> Cell:
     about = f"worst at {row.where}"
-    if row.unsettled:
-        return Cell(f"{row.value:.1e} not judged", "", f"{not_settled([row.unsettled])}; {about}")
+    if row.unconverged:
+        return Cell(f"{row.value:.1e} not judged", "", f"{unconverged_reason([row.unconverged])}; {about}")
     if not row.judged:
         return Cell(f"{row.value:.1e}", "", about)
     return judged(row.value, row.tolerance, row.agrees, about)
@@ -189,7 +189,7 @@ def limiting(result: Crosscheck) -> Iterator[str]:
         yield str(result.singular)
     for _, read in _mappings(result):
         yield from (f"finding, {finding}" for finding in read.findings)
-    if isinstance(result, Against):
+    if isinstance(result, TwoModelComparison):
         for model in result.models:
             lines = moved_start_lines(model.mapping, model.scene) if model.mapping else ()
             yield from (f"{model.name}: {line}" for line in lines)
@@ -237,7 +237,7 @@ def moved_start_lines(mapping: ImportReport, scene: Scene) -> Iterator[str]:
 def notes(result: Crosscheck) -> Iterator[str]:
     """Word all else that is to be known beside the figures, a line each, the most important first."""
     mapping, scene = result.mapping, result.scene
-    if result.rests:
+    if result.nothing_moves:
         yield _rest_line(result)
     yield from redundancy_lines(scene)
     impossible = [body.name for body in scene.mechanism.bodies if body.allow_unrealisable_inertia]

@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from crosscheck.compare.check import FILE, OF_EQUATIONS, OF_RUNS, OPEN, READING, REFERENCE, START, Check
+from crosscheck.compare.check import (
+    CONSTRAINT_VIOLATION,
+    FILE,
+    OF_EQUATIONS,
+    OF_RUNS,
+    READING,
+    REFERENCE,
+    START,
+    Check,
+)
 from crosscheck.compare.crosscheck import Crosscheck
 from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, figures, seconds
 
@@ -60,26 +69,26 @@ def levels_table(result: Crosscheck) -> Table:
         ]
         rows.append([level.partition(" and ")[0], held, *map(_worst, of_each), nearest(at_level)])
     heads = [Column("worst of"), *figures("checks", *columns)]
-    return Table("", [*heads, Column("share of tolerance, where")], rows)
+    return Table("", [*heads, Column("% of tolerance, where")], rows)
 
 
 def _worst(rows: Sequence[Check]) -> Cell:
     if not rows:
         return Cell("")
-    worst = max(rows, key=lambda row: row.share)
+    worst = max(rows, key=lambda row: row.tolerance_ratio)
     return Cell(f"{worst.value:.1e}", "" if worst.agrees else "fails")
 
 
 def nearest(rows: Sequence[Check]) -> Cell:
     """Word the check that is nearest its tolerance or exceeds it most."""
-    worst = max(rows, key=lambda row: row.share)
-    share, (quantity, _, unit) = worst.share, worst.quantity.rpartition(", ")
+    worst = max(rows, key=lambda row: row.tolerance_ratio)
+    share, (quantity, _, unit) = worst.tolerance_ratio, worst.quantity.rpartition(", ")
     text = f"{100.0 * share:.0f} %" if share >= 0.01 else "<1 %"
     if share > 1.0:
         text = f"{share:.0f} x" if 10.0 <= share < 1e4 else f"{share:.1g} x"
     # random as all states are at which equations are compared
     where = worst.where.removeprefix("random ").replace(" at ", ", ")
-    words = "" if worst.quantity == OPEN else quantity or unit  # drift is of little else
+    words = "" if worst.quantity == CONSTRAINT_VIOLATION else quantity or unit  # drift is of little else
     place = ", ".join(filter(None, [where, words]))
     about = worst.where.partition(" at ")[0]
     return Cell(f"{text:>4} {place}", "" if worst.agrees else "fails", about)
@@ -91,14 +100,14 @@ def engines_table(result: Crosscheck) -> Table:
     rows: Rows = []
     for engine in result.engines:
         run, stop = result.trajectories.get(engine.name), stopped.get(engine.name)
-        far = [f"{result.off_by[engine.name]:.1e}" if engine.name in result.off_by else ""]
+        far = [f"{result.run_errors[engine.name]:.1e}" if engine.name in result.run_errors else ""]
         how = brief_settings(run.settings) if run else ""
         when = "" if stop is None or stop.time is None else f" at {stop.time:.3g} s"
         ended = Cell(f"STOPPED{when}", "fails") if stop else how
         took = seconds(run.wall_time) if run else ""
-        rows.append([engine.name, took, *(far if result.off_by else []), ended])
+        rows.append([engine.name, took, *(far if result.run_errors else []), ended])
     heads = [Column(f"{result.scene.duration:g} s of motion"), *figures("run time")]
-    heads += figures("off by") if result.off_by else []
+    heads += figures("error") if result.run_errors else []
     return Table("", [*heads, Column("settings", below=True)], rows)
 
 

@@ -163,7 +163,7 @@ def _check(
         not result.differs,
         result.verdict,
         kept,
-        not result.rests,
+        not result.nothing_moves,
         result.untested,
         names,
         tuple(result.acting),
@@ -200,7 +200,7 @@ def worded(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str:
     if judged:
         found += f"; kept outputs agree too, closest to failing: {_difference(max(judged, key=_share))}"
     soft = sorted({figure.between[0] for figure in kept if figure.detail == SOFT_CONSTRAINTS})
-    unsettled = sum(bool(figure.unsettled) for figure in kept)
+    unsettled = sum(bool(figure.unconverged) for figure in kept)
     open_ = [f"reactions of {name}, whose constraints are soft" for name in soft]
     open_ += ["reactions that are not unique"] * any(figure.detail == NOT_UNIQUE for figure in kept)
     open_ += [f"{unsettled} numbers of unconverged runs"] if unsettled else []
@@ -209,7 +209,7 @@ def worded(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str:
 
 
 def _share(figure: Check) -> float:
-    return float(np.nan_to_num(figure.share, nan=np.inf))
+    return float(np.nan_to_num(figure.tolerance_ratio, nan=np.inf))
 
 
 def _difference(figure: Check) -> str:

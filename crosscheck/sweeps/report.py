@@ -322,7 +322,7 @@ def _checks(checked: Sequence[CheckedRun]) -> list[Part]:
         rows.append([str(each.run), each.why, verdict if each.complete else Cell("not all", "doubtful")])
         kept.append(f"run {each.run}")
         for figure in each.kept:
-            unsettled = "not converged" if figure.unsettled else "not judged"
+            unsettled = "not converged" if figure.unconverged else "not judged"
             apart = judged(figure.value, figure.tolerance, figure.agrees)
             if not figure.judged:
                 apart = Cell(f"{figure.value:.1e}, {figure.detail or unsettled}")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from command_line import run
 
-from crosscheck.compare.singularity import passage
+from crosscheck.compare.singularity import find_singular_configurations
 from crosscheck.library import load
 from newton_euler.equations.redundancy import constraint_rank
 from newton_euler.equations.relative import Relative
@@ -46,7 +46,7 @@ def crossings(times, angles, period=np.pi):
 def test_flat_parallelograms_are_passed_where_their_bars_lie(windows):
     scene = load("four_bar", N=windows)
     motion = simulate(scene)
-    found = passage(scene, motion)
+    found = find_singular_configurations(scene, motion)
     expected = crossings(motion.time, motion.joint("pivot_0").coordinates[:, 0])
     assert found.times == pytest.approx(expected, abs=1e-3)
     assert found.freedoms == windows
@@ -85,11 +85,11 @@ def margins(scene, outputs=slice(None)):
 def test_the_distance_of_a_near_miss_is_that_of_the_run():
     """Against the same run with outputs that are 1e-5 s apart, near 0.5235 s."""
     scene = near_miss(1e-7, 2.0, 0.02)
-    found = passage(scene, simulate(scene))
+    found = find_singular_configurations(scene, simulate(scene))
     closer = margins(replace(scene, duration=0.53, output_period=1e-5), slice(52_200, 52_500))
     assert found.distance == pytest.approx(np.min(closer) / np.max(margins(scene)), rel=0.02)
     further = near_miss(1e-6, 2.0, 0.02)
-    assert passage(further, simulate(further)) is None
+    assert find_singular_configurations(further, simulate(further)) is None
 
 
 def test_coarse_outputs_alone_invent_no_passage(monkeypatch):
@@ -99,18 +99,18 @@ def test_coarse_outputs_alone_invent_no_passage(monkeypatch):
     monkeypatch.setattr(
         "crosscheck.compare.singularity._closer", lambda *_: motion.first(1)
     )  # it stops at once
-    assert passage(scene, motion) is None
+    assert find_singular_configurations(scene, motion) is None
 
 
 def test_a_run_that_ends_before_passes_none():
     scene = replace(load("four_bar", N=1), duration=0.6)
-    assert passage(scene, simulate(scene)) is None
+    assert find_singular_configurations(scene, simulate(scene)) is None
 
 
 @pytest.mark.parametrize("name", ["pendulum", "tracker", "bricard"])
 def test_other_runs_pass_none(name):
     scene = load(name)
-    assert passage(scene, simulate(scene)) is None
+    assert find_singular_configurations(scene, simulate(scene)) is None
 
 
 def test_a_start_in_one_is_in_the_default_output(tmp_path, monkeypatch, capsys):

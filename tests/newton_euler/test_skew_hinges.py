@@ -7,7 +7,7 @@ import pytest
 
 import mjcf
 import urdf
-from crosscheck.compare.two_models.compare import against
+from crosscheck.compare.two_models.compare import compare_models
 from crosscheck.compare.two_models.unsimulated import Model
 from crosscheck.library.scene_file import read_scene, write_scene
 from crosscheck.loading.model_files import read_model
@@ -116,5 +116,5 @@ def test_where_on_their_axes_the_file_puts_the_hinges_makes_no_difference(tmp_pa
     for path, content in zip(paths, (MODELS["pair after triple"].format(key=""), text, other), strict=True):
         path.write_text(content)
     models = [Model(path.stem, str(path), {}, *read_model(str(path), {"duration": 0.1})) for path in paths]
-    assert against(models[0], models[1], lambda _: None).agrees
-    assert not against(models[0], models[2], lambda _: None).agrees
+    assert compare_models(models[0], models[1], lambda _: None).agrees
+    assert not compare_models(models[0], models[2], lambda _: None).agrees

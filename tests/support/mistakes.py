@@ -57,7 +57,7 @@ MISTAKES = {
         "crosscheck/compare/runs.py",
         "min(OWN_ERROR * change, UNRESOLVED * unit)",
         "OWN_ERROR * change",
-        "crosscheck/compare/test_unsettled.py",
+        "crosscheck/compare/test_unconverged.py",
     ),
     "a check of NaN agrees": (
         "crosscheck/compare/check.py",

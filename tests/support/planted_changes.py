@@ -64,7 +64,7 @@ def check(scene: Scene, engine: str = "pinocchio") -> Checked:
     runs = {"newton_euler": own.simulate(scene)}
     said = coverage(scene, runs, rows)
     if said is None or not all(row.agrees for row in rows):
-        raise CrosscheckError(f"newton_euler and {engine} part on {scene.name!r} as it is")
+        raise CrosscheckError(f"newton_euler and {engine} differ on {scene.name!r} as it is")
     tested = {covered.element: covered.tested for covered in said.elements}
     wrong = []
     for name, plants in _changes(scene):

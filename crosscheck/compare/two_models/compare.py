@@ -47,7 +47,7 @@ NOT_COMPLETED = "not run to the end"
 
 
 @dataclass(frozen=True, eq=False)
-class Against(Crosscheck):
+class TwoModelComparison(Crosscheck):
     """Result of a comparison of two models; runs are by the models' names, in the first's terms.
 
     Attributes:
@@ -95,7 +95,7 @@ class Against(Crosscheck):
         ending = f"; {NOT_COMPLETED}" if self.unfinished else ""
         if not failed:
             agree = f"{names} agree in all {len(judged)} checks{not_judged(self.checks)}"
-            agree += "; nothing moves" if self.rests else ""
+            agree += "; nothing moves" if self.nothing_moves else ""
             if moving := [other for other in self.unsimulated if other.moves]:
                 more = f" (and {len(moving) - 1} more)" if len(moving) > 1 else ""
                 return f"DIFFERENT in what is not compared: {moving[0].text}{more}; {agree}{ending}"
@@ -108,10 +108,12 @@ class Against(Crosscheck):
                 agree += f"; {NEVER_COMPARED}"
             return f"SAME: {agree}"
         row = failed[0]
-        worst = max((each for each in failed if each.level == row.level), key=lambda each: each.share)
+        worst = max(
+            (each for each in failed if each.level == row.level), key=lambda each: each.tolerance_ratio
+        )
         beside = "" if worst is row else f", {worst.quantity.rpartition(', ')[0] or worst.quantity} most"
         return (
-            f"DIFFERENT: {names} part at level '{row.level}': {row.quantity}: {row.value:.3g} > "
+            f"DIFFERENT: {names} differ at level '{row.level}': {row.quantity}: {row.value:.3g} > "
             f"{row.tolerance:.3g}, worst at {row.place} "
             f"({len(failed)} of {len(judged)} checks fail{beside}){ending}"
         )
@@ -136,7 +138,7 @@ def together(models: tuple[Model, Model]) -> str:
     return "_against_".join(model.name for model in models)[:100]
 
 
-def against(first: Model, second: Model, progress: Progress) -> Against:
+def compare_models(first: Model, second: Model, progress: Progress) -> TwoModelComparison:
     """Compare two models and run both for the first's duration; `progress` is told each stage.
 
     A run that cannot go on or is too long hides no difference that is known without it.
@@ -171,7 +173,7 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
     scene = replace(
         aligned.first, name=together((first, second)), description="newton_euler's equations of each"
     )
-    return Against(
+    return TwoModelComparison(
         source=first.source,
         options=first.options,
         scene=scene,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from crosscheck.compare.accelerations import acceleration_rows
-from crosscheck.compare.blame import Cause
+from crosscheck.compare.attribution import Cause
 from crosscheck.compare.check import (
     ROUND_OFF,
     START,
@@ -147,8 +147,8 @@ def differences(states: SharedStates) -> Iterator[Difference]:
         share = round_off(states.condition, states.noise) + states.condition * states.opening
         far = max(reach(first, state.position) for state in states.all)
         of_axes, of_points = (lambda k: _axes(aligned, joints[k])), (lambda k: _points(aligned, joints[k]))
-        yield Difference("open joints, rad", angles, share, joints, of_axes)
-        yield Difference("open joints, m", lengths, share * far, joints, of_points)
+        yield Difference("joint constraint violation, rad", angles, share, joints, of_axes)
+        yield Difference("joint constraint violation, m", lengths, share * far, joints, of_points)
         yield Difference("joint Jacobians, rel", freedoms, share, joints)
     if coupled := dict(_couplings_apart(aligned)):
         yield Difference("couplings, rel", np.array(list(coupled.values())), ROUND_OFF, tuple(coupled))

@@ -57,17 +57,17 @@ class Detection(Check):
     """First failing check that shows a fault. At the level `REFUSED` its quantity is the text of the error.
 
     Attributes:
-        odd: the outlier that the diagnosis names; empty if the checks do not determine it.
+        outlier: the outlier that the diagnosis names; empty if the checks do not determine it.
     """
 
-    odd: str = ""
+    outlier: str = ""
 
     @classmethod
-    def of(cls, figure: Check | Diagnosis, odd: str = "") -> Detection:
+    def of(cls, figure: Check | Diagnosis, outlier: str = "") -> Detection:
         """Make the detection of a failing check, or of the check that a diagnosis explains."""
-        between = figure.between if isinstance(figure, Check) else figure.parting
+        between = figure.between if isinstance(figure, Check) else figure.differing
         place = figure.value, figure.tolerance, figure.where
-        return cls(figure.level, figure.quantity, between, *place, odd=odd)
+        return cls(figure.level, figure.quantity, between, *place, outlier=outlier)
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class FaultResult:
     def _names(self, detection: Detection | None, right: frozenset[str]) -> bool:
         if detection is None or detection.where not in right:
             return False
-        return detection.odd == self.engine or (self.alone and not detection.odd)
+        return detection.outlier == self.engine or (self.alone and not detection.outlier)
 
 
 @dataclass(frozen=True)
@@ -234,7 +234,7 @@ class FaultFree:
         except NewtonEulerError as error:
             return _refusal(error, name)
         for found in diagnose(tuple(samples), rows)[:1]:
-            return Detection.of(found, found.odd)
+            return Detection.of(found, found.outlier)
         return None
 
 
@@ -274,7 +274,7 @@ def _refusal(error: NewtonEulerError, engine: str) -> Detection:
     element = getattr(error, "joint", getattr(error, "element", ""))
     named = re.search(r"'(.*)'", element)
     where = named[1] if named else element
-    return Detection(REFUSED, str(error), (engine,), np.nan, np.nan, where, odd=engine)
+    return Detection(REFUSED, str(error), (engine,), np.nan, np.nan, where, outlier=engine)
 
 
 def find_in_reading(
@@ -305,7 +305,7 @@ def _found_in_reading(
         failing = next((figure for figure in figures if not figure.agrees), None)
     except NewtonEulerError as error:
         where = fault.element if fault.element in str(error) else ""
-        refusal = Detection(REFUSED, str(error), (READING,), np.nan, np.nan, where, odd=READING)
+        refusal = Detection(REFUSED, str(error), (READING,), np.nan, np.nan, where, outlier=READING)
         return FaultResult(fault, READING, refusal, None, True)
     if failing is None:
         faulty = Samples(Relative(injected), own.states)
@@ -315,7 +315,7 @@ def _found_in_reading(
     named = any(_is_named(element, failing.where, report) for element in fault.right | fault.near)
     where = fault.element if named else failing.where
     place = failing.value, failing.tolerance, where
-    seen = Detection("verification", failing.quantity, (READING,), *place, odd=READING)
+    seen = Detection("verification", failing.quantity, (READING,), *place, outlier=READING)
     return FaultResult(fault, READING, seen, None, True)
 
 

@@ -167,7 +167,7 @@ def _outcome(found: FaultResult, detection: Detection | None) -> str:
         return f"missed: {fault}: smaller than the tolerances"
     if detection.level == REFUSED:
         return f"located wrongly: {fault}: refused: {detection.quantity}"
-    outlier = detection.odd or "no outlier"
+    outlier = detection.outlier or "no outlier"
     place = f"{outlier}, level {detection.level!r}, {detection.quantity}, at {detection.where}"
     return f"located wrongly: {fault}: {place}"
 

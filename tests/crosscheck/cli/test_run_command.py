@@ -139,12 +139,14 @@ def test_one_engine_alone_agrees_with_nobody(tmp_path, capsys, good):
 
 
 def test_one_engine_alone_can_fail(tmp_path, capsys, good, monkeypatch):
-    row = Check("drift", "open joints, m or rad", ("mujoco",), 2.0, 1.0, "elbow at 0 s")
+    row = Check("drift", "constraint violation, m or rad", ("mujoco",), 2.0, 1.0, "elbow at 0 s")
     monkeypatch.setattr("crosscheck.compare.crosscheck.stages", lambda *_: {"comparing": lambda _: [row]})
     path = scene_file(tmp_path, good)
     status, out, _ = run(capsys, "run", path, "--engines", "mujoco", "--output", tmp_path / "out")
     assert status == 1
-    verdict = "its own checks fail at level 'drift': open joints, m or rad: 2 > 1, worst at elbow at 0 s"
+    verdict = (
+        "its own checks fail at level 'drift': constraint violation, m or rad: 2 > 1, worst at elbow at 0 s"
+    )
     assert verdict in verdict_of(out)
 
 

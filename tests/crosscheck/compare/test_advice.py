@@ -18,7 +18,7 @@ import newton_euler
 from crosscheck.compare.advice import WANTED, Advice, fitting, redundancy_advice, soft_advice
 from crosscheck.compare.check import Check
 from crosscheck.compare.crosscheck import crosscheck
-from crosscheck.compare.runs import rests
+from crosscheck.compare.runs import nothing_moves_in_rigid_runs
 from crosscheck.engines.engine import ENGINES, choose
 from crosscheck.report.outcome import Outcome
 from crosscheck.report.render import terminal
@@ -226,7 +226,7 @@ def test_a_run_in_which_nothing_moves_is_called_so_and_teaches_nothing() -> None
     loop = replace(planar_four_bar(), duration=0.1, output_period=0.05)
     resting = replace(loop, gravity=np.zeros(3), initial_state=None)
     result = crosscheck(resting, engines, lambda _: None, "a_scene", {}, advised=True)
-    assert result.rests
+    assert result.nothing_moves
     assert result.outcome.passes()
     assert result.verdict.endswith("checks; nothing moves; motion covers 0 of 10 elements")
     assert [advice.topic for advice in result.advice] == ["redundancy"]  # of the equations, not the run
@@ -238,10 +238,10 @@ def test_a_run_in_which_nothing_moves_is_called_so_and_teaches_nothing() -> None
     # one engine that stands still where another moves has not said that nothing does
     falling = newton_euler.simulate(replace(loop, gravity=GRAVITY))
     both = {"newton_euler": result.trajectories["newton_euler"], "pinocchio": falling}
-    assert not rests(resting, choose(list(both)), both)
+    assert not nothing_moves_in_rigid_runs(resting, choose(list(both)), both)
 
     moving = crosscheck(loop, engines, lambda _: None, "a_scene", {})
-    assert not moving.rests
+    assert not moving.nothing_moves
     assert "nothing moves" not in "\n".join([moving.verdict, *notes(moving)])
 
 

@@ -19,7 +19,7 @@ from crosscheck.cli.run import _short_name
 from crosscheck.compare.check import OF_EQUATIONS, OF_RUNS, START
 from crosscheck.compare.two_models import compare
 from crosscheck.compare.two_models.align import alignments
-from crosscheck.compare.two_models.compare import Against, against
+from crosscheck.compare.two_models.compare import TwoModelComparison, compare_models
 from crosscheck.compare.two_models.levels import functions_apart
 from crosscheck.compare.two_models.unsimulated import Model
 from crosscheck.library.scene_file import write_scene
@@ -46,9 +46,9 @@ ROUND_OFF = 1e-11
 """Relative: what levels 1 to 4 may differ by in one mechanism of condition 30; measured are 6e-15."""
 
 
-def compared(first: Scene, second: Scene) -> Against:
+def compared(first: Scene, second: Scene) -> TwoModelComparison:
     models = (Model(name, name, {}, scene, None) for name, scene in (("a", first), ("b", second)))
-    return against(*models, lambda _: None)
+    return compare_models(*models, lambda _: None)
 
 
 def read_mjcf(folder: Path, text: str) -> Scene:
@@ -75,10 +75,10 @@ def linkage(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return read_mjcf(tmp_path_factory.mktemp("linkage"), LINKAGE.read_text())
 
 
-def first_failing(result: Against) -> tuple[str, str, str]:
+def first_failing(result: TwoModelComparison) -> tuple[str, str, str]:
     """Level, quantity and place of what the verdict names."""
     row = next(row for row in result.checks if not row.agrees)
-    assert f"part at level '{row.level}': {row.quantity}: " in result.verdict
+    assert f"differ at level '{row.level}': {row.quantity}: " in result.verdict
     assert f"worst at {row.place} (" in result.verdict
     assert {r.level for r in result.checks if not r.agrees} == {row.level}  # none after it
     return row.level, row.quantity.removesuffix(", rel"), row.where
@@ -123,11 +123,11 @@ def edited(text: str, element: str, attribute: str, entry: int) -> str:
         ('body name="coupler"', "mass", 0, "mass", "coupler"),
         ('joint name="a"', "pos", 1, "center of mass, m", "crank"),
         ('joint name="d"', "fullinertia", 3, "inertia", "rocker"),
-        ('joint name="d"', "axis", 0, "open joints, rad", "d"),
-        ('joint name="a"', "axis", 2, "open joints, rad", "a"),
-        ('body name="crank"', "pos", 0, "open joints, m", "a"),
-        ('site name="s1"', "pos", 0, "open joints, m", "c"),
-        ('body name="rocker"', "pos", 2, "open joints, m", "d"),
+        ('joint name="d"', "axis", 0, "joint constraint violation, rad", "d"),
+        ('joint name="a"', "axis", 2, "joint constraint violation, rad", "a"),
+        ('body name="crank"', "pos", 0, "joint constraint violation, m", "a"),
+        ('site name="s1"', "pos", 0, "joint constraint violation, m", "c"),
+        ('body name="rocker"', "pos", 2, "joint constraint violation, m", "d"),
     ],
 )
 def test_one_number_of_the_file_is_found(
@@ -255,7 +255,7 @@ def test_joints_of_another_kind_are_judged_by_the_motions_they_allow() -> None:
     hinge = scene.mechanism.joints[0]
     ball = injection.joint_kind(hinge, "spherical")(scene)
     assert first_failing(compared(scene, ball))[::2] == ("kinematics", "pivot")
-    assert first_failing(compared(ball, scene)) == ("model", "open joints, rad", "pivot")
+    assert first_failing(compared(ball, scene)) == ("model", "joint constraint violation, rad", "pivot")
 
 
 def test_gears_are_compared_by_what_they_couple() -> None:
@@ -431,7 +431,7 @@ def test_a_run_that_stops_does_not_hide_where_the_models_part(monkeypatch) -> No
     stopping_above(monkeypatch, 1.0)
     result = compared(pendulum(), injection.mass("rod", FAULT)(pendulum()))
     assert first_failing(result) == ("model", "mass", "rod")
-    assert result.verdict.startswith("DIFFERENT: a and b part at level 'model': mass, rel: ")
+    assert result.verdict.startswith("DIFFERENT: a and b differ at level 'model': mass, rel: ")
     assert result.verdict.endswith("; not run to the end")
     assert result.notes[0] == f"not run to the end: b: {STOPPED}"
     assert list(result.trajectories) == ["a", "b"]

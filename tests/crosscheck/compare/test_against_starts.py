@@ -24,7 +24,7 @@ from newton_euler.runs.assemble import assemble
         (injection.mass("coupler", FAULT), "mass", "coupler"),
         (injection.inertia_entry("rocker", 0, 1, FAULT), "inertia", "rocker"),
         (injection.center_of_mass("crank", np.array([0.0, 0.0, FAULT])), "center of mass, m", "crank"),
-        (injection.joint_point("b", np.array([FAULT, 0.0, 0.0])), "open joints, m", "b"),
+        (injection.joint_point("b", np.array([FAULT, 0.0, 0.0])), "joint constraint violation, m", "b"),
         (lambda scene: scene, "positions, m", "coupler"),
     ],
 )

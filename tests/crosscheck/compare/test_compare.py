@@ -111,7 +111,7 @@ def test_tracker_is_held_to_what_it_can_meet(tracker, tracker_run):
     # errors of order 2 in a step of 1 ms: 7.3e-9 m, and a bound three times that
     assert 1e-8 < figure(rows, "trajectories", "positions, m", "newton_euler", "mujoco").tolerance < 5e-8
     # a spline through points 10 ms apart misses 1e-6 where the dampers act within 9 ms
-    assert figure(rows, "energy", "energy less work, rel", "newton_euler").tolerance < 5e-5
+    assert figure(rows, "energy", "energy balance error, rel", "newton_euler").tolerance < 5e-5
 
 
 def test_a_ball_on_the_axis_of_a_hinge_is_a_joint_of_both_models(tmp_path):
@@ -148,7 +148,7 @@ def test_drift_of_mujoco_counts_its_soft_gears():
         opened = np.abs(two + 2.0 * one)
         assert run.constraint_violation[:, 1] == pytest.approx(opened, abs=1e-13)  # round-off
     assert np.max(soft.constraint_violation) > 10.0 * np.max(stiff.constraint_violation) > 1e-9
-    row = figure(verdicts(scene), "drift", "open joints, m or rad", "mujoco")
+    row = figure(verdicts(scene), "drift", "constraint violation, m or rad", "mujoco")
     assert row.value == np.max(stiff.constraint_violation)
     assert row.agrees
     assert row.where.startswith("two")
@@ -344,7 +344,7 @@ def test_a_mass_matrix_without_a_condition_is_named(monkeypatch):
 
 
 def test_a_check_without_a_verdict_agrees():
-    row = Check("drift", "open joints, m or rad", ("mujoco",), 0.5, 1e-2, "pin")
+    row = Check("drift", "constraint violation, m or rad", ("mujoco",), 0.5, 1e-2, "pin")
     assert not row.agrees
     assert replace(row, judged=False).agrees
     assert not replace(row, value=float("nan")).agrees

@@ -59,18 +59,18 @@ def pairs(level, *values, quantity="a"):
 
 
 @pytest.mark.parametrize(
-    ("values", "odd", "agree"),
+    ("values", "outlier", "agree"),
     [((5.0, 0.3, 6.0), MJ, (NE, PIN)), ((5.0, 6.0, 0.3), NE, (MJ, PIN)), ((0.3, 5.0, 6.0), PIN, (NE, MJ))],
 )
-def test_who_parts_from_two_that_agree_is_odd(values, odd, agree):
+def test_who_parts_from_two_that_agree_is_odd(values, outlier, agree):
     rows = [*pairs("model", 0.1, 0.1, 0.1, quantity="b"), *pairs("model", *values)]
     (found,) = diagnose(NAMES, rows)
-    assert (found.odd, found.agree, found.fault) == (odd, agree, "model")
+    assert (found.outlier, found.agree, found.fault) == (outlier, agree, "model")
     assert (found.within, found.everywhere) == (0.3, True)
     assert (found.level, found.quantity, found.where) == ("model", "a", "bar")
     assert found.value == 5.0
-    assert found.who == f"{odd} differs; {' and '.join(agree)} agree to 3e-01 (all checks)"
-    assert found.blame == f"{odd}'s model is wrong"
+    assert found.who == f"{outlier} differs; {' and '.join(agree)} agree to 3e-01 (all checks)"
+    assert found.fault_text == f"{outlier}'s model is wrong"
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_who_parts_from_two_that_agree_is_odd(values, odd, agree):
 )
 def test_models_and_integrations_are_told_apart(level, fault):
     (found,) = diagnose(NAMES, pairs(level, 5.0, 0.5, 5.0))
-    assert (found.odd, found.fault) == (MJ, fault)
+    assert (found.outlier, found.fault) == (MJ, fault)
 
 
 WRIST = NearlyRedundant("wrist", 6e-5, "redundant")
@@ -99,9 +99,9 @@ def test_noise_that_soft_constraints_alone_take_as_it_is_is_no_fault_of_an_engin
     level, literal, nearly, fault
 ):
     (found,) = diagnose(NAMES, pairs(level, 5.0, 0.5, 5.0), (), literal, [nearly])
-    assert (found.odd, found.fault) == (MJ, fault)
+    assert (found.outlier, found.fault) == (MJ, fault)
     if fault == "redundancy":
-        assert found.blame == (
+        assert found.fault_text == (
             "what each makes of nearly redundant constraints is the difference: "
             "joint 'wrist': singular value 6.0e-05, taken redundant"
         )
@@ -109,54 +109,57 @@ def test_noise_that_soft_constraints_alone_take_as_it_is_is_no_fault_of_an_engin
 
 def test_all_that_part_pairwise_are_named():
     (found,) = diagnose(NAMES, pairs("dynamics", 2.0, 3.0, 4.0))
-    assert (found.odd, found.parting, found.within) == ("", NAMES, None)
-    assert found.who == f"{NE}, {MJ} and {PIN} all part from each other"
-    assert not found.blame
+    assert (found.outlier, found.differing, found.within) == ("", NAMES, None)
+    assert found.who == f"{NE}, {MJ} and {PIN} all differ from each other"
+    assert not found.fault_text
 
 
 def test_what_the_others_part_in_later_is_told_too():
     rows = [*pairs("model", 5.0, 0.5, 5.0), row("dynamics", (NE, PIN), 3.0)]
     first, then = diagnose(NAMES, rows)
-    assert (first.odd, first.within, first.everywhere) == (MJ, 0.5, False)
+    assert (first.outlier, first.within, first.everywhere) == (MJ, 0.5, False)
     assert first.who == f"{MJ} differs; {NE} and {PIN} agree to 5e-01 (level 'model')"
-    assert then.who == f"{NE} and {PIN} part, and no third engine decides which is right"
+    assert then.who == f"{NE} and {PIN} differ, and no third engine decides which is right"
 
 
 def test_two_engines_are_told_apart_by_what_else_is_known():
     apart = row("model", (NE, MJ), 5.0)
     (found,) = diagnose((NE, MJ), [apart])
-    assert (found.odd, found.who) == ("", f"{NE} and {MJ} part, and no third engine decides which is right")
+    assert (found.outlier, found.who) == (
+        "",
+        f"{NE} and {MJ} differ, and no third engine decides which is right",
+    )
     balance = row("energy", (MJ,), 5.0, quantity="momentum balance, rel")
     (found,) = diagnose((NE, MJ), [apart, balance])
-    assert (found.odd, found.settled_by) == (MJ, "momentum balance, rel")
+    assert (found.outlier, found.decided_by) == (MJ, "momentum balance, rel")
     assert found.who == f"{MJ} differs; its own momentum balance, rel fails"
     both = replace(balance, between=(NE,))
-    assert diagnose((NE, MJ), [apart, balance, both])[0].odd == ""
+    assert diagnose((NE, MJ), [apart, balance, both])[0].outlier == ""
 
 
 def test_how_a_run_went_is_no_evidence_about_models():
     """Soft constraints of a right model drift; a balance of momenta says nothing of steps."""
     drift, balance = row("drift", (MJ,), 5.0), row("energy", (NE,), 5.0, quantity="momentum balance, rel")
     (found,) = diagnose((NE, MJ), [row("model", (NE, MJ), 5.0), drift])
-    assert found.odd == ""
+    assert found.outlier == ""
     first, _ = diagnose((NE, MJ), [row("trajectories", (NE, MJ), 5.0), drift, balance])
-    assert (first.odd, first.fault, first.settled_by) == (MJ, "integration", "a")
+    assert (first.outlier, first.fault, first.decided_by) == (MJ, "integration", "a")
 
 
 def test_one_of_two_is_odd_that_is_far_from_a_third_whose_tolerance_is_wide():
     wide = row("trajectories", (NE, MJ), 0.2), row("trajectories", (MJ, PIN), 5.0, 10.0)
     rows = [*wide, row("trajectories", (NE, PIN), 5.0)]
     (found,) = diagnose(NAMES, rows)
-    assert (found.odd, found.settled_by) == (PIN, "nearness")
+    assert (found.outlier, found.decided_by) == (PIN, "nearness")
     near = [replace(wide[0], value=0.8), *rows[1:]]
     (found,) = diagnose(NAMES, near)
-    assert found.who == f"{NE} and {PIN} part; {MJ} agrees with both"
+    assert found.who == f"{NE} and {PIN} differ; {MJ} agrees with both"
 
 
 def test_an_engine_that_fails_by_itself_is_odd():
     rows = [*pairs("trajectories", 0.1, 0.1, 0.1), *(row("drift", (name,), 0.1) for name in (NE, PIN))]
     (found,) = diagnose(NAMES, [*rows, row("drift", (MJ,), 5.0)])
-    assert (found.odd, found.agree, found.fault) == (MJ, (NE, PIN), "integration")
+    assert (found.outlier, found.agree, found.fault) == (MJ, (NE, PIN), "integration")
     (found,) = diagnose(NAMES, [*rows[:-1], row("drift", (PIN,), 5.0), row("drift", (MJ,), 5.0)])
     assert found.who == f"{MJ} and {PIN} fail by themselves"
 
@@ -172,14 +175,14 @@ def test_the_formulation_that_the_others_do_not_share_is_odd():
         *(row("dynamics", (cart, name), 5.0) for name in (MJ, PIN)),
     ]
     (found,) = diagnose(NAMES, rows)
-    assert (found.odd, found.agree) == (cart, (rel, MJ, PIN))
+    assert (found.outlier, found.agree) == (cart, (rel, MJ, PIN))
     assert found.summary()["engine"] == NE
-    assert found.blame == "newton_euler's cartesian formulation's model is wrong"
+    assert found.fault_text == "newton_euler's cartesian formulation's model is wrong"
     rows[4] = replace(rows[4], value=5.0)
     rows[5] = replace(rows[5], value=5.0)
-    assert diagnose(NAMES, rows)[0].odd == NE  # neither agrees with anybody
+    assert diagnose(NAMES, rows)[0].outlier == NE  # neither agrees with anybody
     (alone,) = diagnose((NE,), [rows[3], row("energy", (cart,), 5.0, quantity="momentum balance, rel")])
-    assert alone.odd == cart
+    assert alone.outlier == cart
 
 
 def from_file(*values):
@@ -189,15 +192,15 @@ def from_file(*values):
 def test_the_reading_is_to_blame_only_for_what_all_engines_share():
     agreed = pairs("model", 0.1, 0.1, 0.1)
     (found,) = diagnose(NAMES, [*from_file(5.0, 5.0, 5.0), *agreed])
-    assert (found.odd, found.fault, found.agree) == (FILE, "reading", NAMES)
+    assert (found.outlier, found.fault, found.agree) == (FILE, "reading", NAMES)
     assert found.who == f"the file differs; {NE}, {MJ} and {PIN} agree to 1e-01 (all checks)"
     (found,) = diagnose(NAMES, [*from_file(0.1, 5.0, 0.1), *pairs("model", 5.0, 0.1, 5.0)])
-    assert (found.odd, found.level, found.fault) == (MJ, READING, "model")
+    assert (found.outlier, found.level, found.fault) == (MJ, READING, "model")
     first, then = diagnose(NAMES, [*from_file(5.0, 5.0, 5.0), *pairs("model", 5.0, 0.1, 5.0)])
-    assert (first.odd, first.level) == (MJ, "model")
-    assert (then.odd, then.agree) == (FILE, (NE, PIN))
+    assert (first.outlier, first.level) == (MJ, "model")
+    assert (then.outlier, then.agree) == (FILE, (NE, PIN))
     (found,) = diagnose((NE,), from_file(5.0, 0.0, 0.0)[:1])
-    assert found.who == f"{NE} and the file part, and no other engine decides which is right"
+    assert found.who == f"{NE} and the file differ, and no other engine decides which is right"
 
 
 def test_figures_that_hold_or_only_inform_blame_nobody():
@@ -233,7 +236,7 @@ def with_fault(scene_name, fault, name):
 
 
 def check_blamed(found, name):
-    assert (found[0].odd, found[0].fault) == (name, "model")
+    assert (found[0].outlier, found[0].fault) == (name, "model")
     assert found[0].agree == tuple(other for other in NAMES if other != name)
     # what two right models differ by is round-off times conditions below 1e3
     assert found[0].within < 1e-9
@@ -274,7 +277,7 @@ def test_a_law_that_newton_euler_gets_wrong_is_blamed_on_it(law, force, tmp_path
     monkeypatch.setattr(law, "at_joint", force)
     result = crosscheck(found.scene, list(ENGINES.values()), lambda _: None, "driven", {}, found.report)
     (first,) = result.diagnosis
-    assert (first.odd, first.fault) == (NE, "model")
+    assert (first.outlier, first.fault) == (NE, "model")
     assert first.agree == (MJ, PIN, FILE)
 
 
@@ -296,7 +299,7 @@ def test_of_two_engines_the_one_with_wrong_forces_is_blamed(
     samples = {engine.name: [Samples(s, states) for s in engine.systems(scene)] for engine in engines}
     rows = [*compare_equations(engines, samples), *(momentum_row(name, samples[name][0]) for name in samples)]
     (found,) = diagnose((NE, other), rows)
-    assert (found.odd, found.fault) == (NE, "model")
+    assert (found.outlier, found.fault) == (NE, "model")
 
 
 def misread(fault, found):
@@ -320,7 +323,7 @@ def test_thirty_faults_in_the_reading_are_blamed_on_it():
         if result.agrees:  # what turns about y alone feels nothing of its other moments of inertia
             continue
         first, *others = result.diagnosis
-        assert (first.odd, first.level, first.fault) == (FILE, READING, "reading"), faults[k].name
+        assert (first.outlier, first.level, first.fault) == (FILE, READING, "reading"), faults[k].name
         assert first.agree == NAMES
         assert not others
         assert "the file differs; at level 'reading': " in result.verdict  # engines are not compared after it
@@ -338,7 +341,7 @@ def test_a_fault_of_one_formulation_is_blamed_on_it(wrong, name):
     samples[NE] = [Samples(faulty, states) if isinstance(s.system, wrong) else s for s in samples[NE]]
     for engines in (RIGID, RIGID[:2], RIGID[:1]):
         found = diagnose([engine.name for engine in engines], list(compare_equations(engines, samples)))
-        assert found[0].odd == name, engines
+        assert found[0].outlier == name, engines
 
 
 # Faults of integration, at runs of one model
@@ -380,9 +383,9 @@ COARSE = {
 @pytest.mark.parametrize("name", NAMES)
 def test_too_coarse_a_run_is_a_fault_of_integration(name):
     (first, *_) = with_run(name, COARSE[name])
-    assert (first.odd, first.level, first.fault) == (name, "trajectories", "integration")
+    assert (first.outlier, first.level, first.fault) == (name, "trajectories", "integration")
     assert first.agree == tuple(other for other in NAMES if other != name)
-    assert first.blame == f"{name}'s integration is at fault"
+    assert first.fault_text == f"{name}'s integration is at fault"
 
 
 def test_joints_that_drift_are_a_fault_of_integration():
@@ -391,12 +394,12 @@ def test_joints_that_drift_are_a_fault_of_integration():
         return replace(run, constraint_violation=run.constraint_violation + 1e-6)
 
     (found,) = with_run("newton_euler", drifting)
-    assert (found.odd, found.level, found.fault) == ("newton_euler", "drift", "integration")
+    assert (found.outlier, found.level, found.fault) == ("newton_euler", "drift", "integration")
 
 
 def test_softness_is_a_fault_of_integration():
     (found, *_) = with_run("mujoco", lambda scene: mjcf.simulate(scene, timestep=1e-3, solref=[0.05, 1.0]))
-    assert (found.odd, found.level, found.fault) == ("mujoco", "trajectories", "integration")
+    assert (found.outlier, found.level, found.fault) == ("mujoco", "trajectories", "integration")
 
 
 @pytest.mark.parametrize(("soft", "fault"), [(["mujoco"], "resolution"), ([], "integration")])
@@ -404,12 +407,12 @@ def test_a_soft_run_that_its_own_finer_one_changes_by_more_is_not_resolved(soft,
     """The difference is of a step that is too large, or of constraints that resist each other."""
 
     def row(between, value, detail=""):
-        return Check("energy", "energy less work, rel", between, value, 1e-2, "0.01 s", detail=detail)
+        return Check("energy", "energy balance error, rel", between, value, 1e-2, "0.01 s", detail=detail)
 
     rows = [row((name,), 1e-9) for name in ("newton_euler", "pinocchio")]
     rows.append(row(("mujoco",), 5.0, "mujoco's own run changes by 3 when refined"))
     (found,) = diagnose(NAMES, rows, soft=soft)
-    assert (found.odd, found.fault) == ("mujoco", fault)
+    assert (found.outlier, found.fault) == ("mujoco", fault)
 
 
 def test_an_engine_that_diverges_is_named_beside_what_the_others_say():

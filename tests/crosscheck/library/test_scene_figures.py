@@ -172,7 +172,7 @@ def test_a_wrong_figure_is_status_1(capsys, tmp_path, monkeypatch):
     assert status == 1
     verdict = verdict_of(out)
     assert verdict.startswith(
-        "DISAGREE: newton_euler and the reference part; against the reference: y: 0.00092 > "
+        "DISAGREE: newton_euler and the reference differ; against the reference: y: 0.00092 > "
     )
     assert verdict.endswith("(2 of 10 reference values fail)")
 

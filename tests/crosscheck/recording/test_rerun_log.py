@@ -22,7 +22,7 @@ from recordings import (
 )
 from rerun.chunk import RrdReader
 
-from crosscheck.compare.check import OPEN
+from crosscheck.compare.check import CONSTRAINT_VIOLATION
 from crosscheck.recording.blueprint import TIME
 from crosscheck.recording.log import (
     LONGEST_ARROW,
@@ -73,7 +73,11 @@ MOVING = of_engines(
 PLACED = {"/ground", "/labels/ground"}
 """Where they are at the start."""
 
-TOLERANCES = {("positions, m", "zeta", "alpha"): 1e-3, (OPEN, "zeta"): 1e-8, (OPEN, "alpha"): 1e-7}
+TOLERANCES = {
+    ("positions, m", "zeta", "alpha"): 1e-3,
+    (CONSTRAINT_VIOLATION, "zeta"): 1e-8,
+    (CONSTRAINT_VIOLATION, "alpha"): 1e-7,
+}
 
 LEVELS = {
     "/plots/coordinate/rail/target": 0.1,

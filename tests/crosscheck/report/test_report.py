@@ -15,7 +15,7 @@ import pytest
 from command_line import run, scene_file, short_example
 
 from crosscheck.cli import main
-from crosscheck.compare.check import OPEN, POSES
+from crosscheck.compare.check import CONSTRAINT_VIOLATION, POSES
 from crosscheck.library import SCENES
 from crosscheck.report.page import MOST_IN_FULL, PAGE, key_times, write_report
 from crosscheck.report.plots import SPEED, pictures
@@ -33,7 +33,7 @@ EVIL = "</table><script>alert('1')</script>\"&"
 
 DIFFERENCE = "difference from newton_euler, largest over the bodies; thin lines are tolerances"
 DIFFERENCES = [f"{quantity}: {DIFFERENCE}" for quantity in POSES]
-DRIFT = f"{OPEN}: drift, largest over the joints; thin lines are tolerances"
+DRIFT = f"{CONSTRAINT_VIOLATION}: drift, largest over the joints; thin lines are tolerances"
 ENERGIES = [f"{name}, J: energy" for name in ("kinetic", "potential", "work done by what has no potential")]
 
 

@@ -33,7 +33,7 @@ def result(rows=(), **more):
         "measured": (),
         "trajectories": {},
         "unfinished": (),
-        "off_by": {},
+        "run_errors": {},
         "advice": (),
         "differs": False,
     }
@@ -56,7 +56,7 @@ def test_levels_have_the_worst_of_each_engine_and_the_one_nearest_its_tolerance(
         figure("model", ("mujoco", "pinocchio"), 5e-7, where="rocker"),
         figure("model", ("relative", "cartesian"), 4e-9),
         figure("drift", ("newton_euler",), 1e-7),
-        figure("drift", ("mujoco",), 4e-3, quantity="open joints, m or rad", where="pin at 1 s"),
+        figure("drift", ("mujoco",), 4e-3, quantity="constraint violation, m or rad", where="pin at 1 s"),
     ]
     assert cells(levels_table(result(rows))) == {
         "model": ["5 ok", "2.0e-08", "3.0e-09", "50 % rocker, mass"],
@@ -89,7 +89,7 @@ def test_engines_have_their_time_their_error_and_when_they_stopped():
         "mujoco": SimpleNamespace(settings=settings, wall_time=1.5),
     }
     stopped = (Stop("pinocchio", "integration stopped", 0.25),)
-    table = engines_table(result(trajectories=runs, unfinished=stopped, off_by={"mujoco": 7e-8}))
+    table = engines_table(result(trajectories=runs, unfinished=stopped, run_errors={"mujoco": 7e-8}))
     assert cells(table) == {
         "newton_euler": ["2.5 ms", "", "DOP853 rtol 1e-10, projection, relative"],
         "mujoco": ["1.5 s", "7.0e-08", "RK4 1 ms, solref 0.002 s"],

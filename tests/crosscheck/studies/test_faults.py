@@ -119,7 +119,7 @@ def test_an_open_closure_is_refused_or_seen(example, own):
     assert refused.seen.level == REFUSED
     planted = find(fault, ENGINES["mujoco"], own)
     assert planted.seen.quantity == "joint points, m"
-    assert planted.moves.quantity == "open loops, rel"
+    assert planted.moves.quantity == "loop-closure error, rel"
     size = example.mechanism.size
     assert planted.seen.value == pytest.approx(1e-6 * size, rel=1e-6)  # coordinates of 1 m hold 1e-16
     for result in (refused, planted):
@@ -196,7 +196,7 @@ def refusal(fault, scene):
 
 def a_fault(size=1e-4, **values):
     fault = Fault("mass", "bar", "", size, lambda scene: scene, frozenset({"bar"}))
-    sighting = Detection("model", "mass, rel", (), 1e-4, 1e-12, "bar", odd="mujoco")
+    sighting = Detection("model", "mass, rel", (), 1e-4, 1e-12, "bar", outlier="mujoco")
     return FaultResult(fault, "mujoco", **{"seen": sighting, "moves": sighting, "observable": True} | values)
 
 
@@ -206,8 +206,8 @@ def search_of(*found):
 
 def test_shares_count_what_can_be_found():
     unseen = a_fault(seen=None, moves=None)
-    in_another = a_fault(seen=Detection("model", "mass, rel", (), 1e-4, 1e-12, "bar", odd="pinocchio"))
-    elsewhere = a_fault(seen=Detection("model", "mass, rel", (), 1e-4, 1e-12, "other", odd="mujoco"))
+    in_another = a_fault(seen=Detection("model", "mass, rel", (), 1e-4, 1e-12, "bar", outlier="pinocchio"))
+    elsewhere = a_fault(seen=Detection("model", "mass, rel", (), 1e-4, 1e-12, "other", outlier="mujoco"))
     nothing = a_fault(seen=None, moves=None, observable=False)
     assert in_all([a_fault(), unseen, elsewhere, nothing]) == Count(3, 2, 1)
     assert in_all([a_fault(), in_another]) == Count(2, 2, 1)
@@ -300,7 +300,7 @@ def test_all_faults_of_a_scene(name):
     for engine in INJECTED_ENGINES:
         seen = [f for f in large if f.engine == engine and f.seen]
         assert len(seen) >= 30
-        assert not [(f.fault.name, f.seen) for f in seen if f.seen.odd != engine]
+        assert not [(f.fault.name, f.seen) for f in seen if f.seen.outlier != engine]
     count, motion = in_all(large), by_motion(large)
     assert count.of > 200
     assert count.found == count.of

@@ -17,7 +17,7 @@ import mjcf
 import newton_euler
 import urdf
 from crosscheck import check
-from crosscheck.compare.two_models.compare import Against, against
+from crosscheck.compare.two_models.compare import TwoModelComparison, compare_models
 from crosscheck.compare.two_models.unsimulated import Model
 from crosscheck.library.scene_file import read_scene, write_scene
 from crosscheck.report.outcome import Outcome
@@ -286,9 +286,9 @@ def test_factors_of_a_loop_file_are_checked(factors):
     assert caught.value.key == "coupled"
 
 
-def compared(first: Scene, second: Scene) -> Against:
+def compared(first: Scene, second: Scene) -> TwoModelComparison:
     models = (Model(name, name, {}, scene, None) for name, scene in (("a", first), ("b", second)))
-    return against(*models, lambda _: None)
+    return compare_models(*models, lambda _: None)
 
 
 def test_two_models_are_compared_by_their_curves():

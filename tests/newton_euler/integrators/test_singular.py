@@ -377,7 +377,7 @@ def test_runs_of_an_undetermined_start_are_not_compared():
     assert found.outcome is Outcome.UNFINISHED
     # round-off decides whether another engine leaves the singular configuration or stops there
     assert [stop.what for stop in found.unfinished if stop.undetermined] == ["newton_euler"]
-    assert (found.diagnosis, found.notes, found.off_by) == ((), (), {})
+    assert (found.diagnosis, found.notes, found.run_errors) == ((), (), {})
     levels = {row.level for row in found.checks}
     assert levels >= set(OF_EQUATIONS)
     assert not levels & {"trajectories", "drift"}

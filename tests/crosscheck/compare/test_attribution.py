@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mechanisms import pendulum, seven_hinges, slider_tree
 
-from crosscheck.compare.blame import dynamic_cause, kinematic_cause
+from crosscheck.compare.attribution import dynamic_cause, kinematic_cause
 from crosscheck.compare.samples import Samples, States
 from crosscheck.studies.faults.injection import inertia_entry, joint_axes
 from newton_euler.equations.relative import Relative

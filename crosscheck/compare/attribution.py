@@ -39,10 +39,10 @@ from newton_euler.scalars import Array
 
 ForceAtJoint = Law | JointSpring | BallSpring
 
-OPEN = 1e-11
+MIN_VIOLATION = 1e-11
 """Sizes of the mechanism, rad, and as many a second: what is more is not round-off, see `kinematics`."""
 
-OPEN_ACCELERATION = 1e-9
+MIN_ACCELERATION_VIOLATION = 1e-9
 """Share of the largest acceleration: round-off of ill-conditioned masses opens joints by less."""
 
 MIN_RESIDUAL_RATIO = 1e-2
@@ -72,7 +72,7 @@ def _opened(samples: Samples) -> str | None:
     """The joint that a system opens where it keeps its own closed, or the body whose joints these are."""
     mechanism = samples.states.scene.mechanism
     openings = _openings(samples)
-    if not np.max(openings, initial=0.0) > OPEN:
+    if not np.max(openings, initial=0.0) > MIN_VIOLATION:
         return None
     opened = np.flatnonzero(openings > MIN_RESIDUAL_RATIO * openings.max())
     ends = [{mechanism.joints[k].first, mechanism.joints[k].second} for k in opened]
@@ -120,7 +120,7 @@ def _stuck(samples: Samples) -> str | None:
     mechanism = samples.states.scene.mechanism
     gaps = np.max([_gaps(mechanism, motion) for motion in samples.motions], axis=0)
     gaps[list(SpanningTree(mechanism).cuts)] = 0.0
-    return mechanism.joint_names[int(np.argmax(gaps))] if np.max(gaps, initial=0.0) > OPEN else None
+    return mechanism.joint_names[int(np.argmax(gaps))] if np.max(gaps, initial=0.0) > MIN_VIOLATION else None
 
 
 def _open_closure(samples: Samples) -> str | None:
@@ -131,7 +131,7 @@ def _open_closure(samples: Samples) -> str | None:
         if joint.kinds == ("ball",) and np.all(np.isfinite(joint.points))
     }
     name = max(gaps, key=lambda name: gaps[name], default="")
-    return name if name and gaps[name] > OPEN * samples.states.scene.mechanism.size else None
+    return name if name and gaps[name] > MIN_VIOLATION * samples.states.scene.mechanism.size else None
 
 
 def accelerated_joint(first: Samples, second: Samples) -> str | None:
@@ -143,7 +143,7 @@ def accelerated_joint(first: Samples, second: Samples) -> str | None:
     mechanism = first.states.scene.mechanism
     for samples in (second, first):
         gaps = np.max([_acceleration_gaps(mechanism, found) for found in samples.evaluations], axis=0)
-        if np.max(gaps, initial=0.0) > OPEN_ACCELERATION * samples.scales.acceleration:
+        if np.max(gaps, initial=0.0) > MIN_ACCELERATION_VIOLATION * samples.scales.acceleration:
             return mechanism.joint_names[int(np.argmax(gaps))]
     return None
 

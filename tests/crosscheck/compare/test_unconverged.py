@@ -81,8 +81,8 @@ def test_an_error_that_does_not_fall_excuses_nothing(far, finer, settled):
     # 1e-11: what newton_euler's own runs differ by
     assert row.value == pytest.approx(far, abs=1e-11)
     assert (row.agrees, not row.judged) == (settled is not None, settled is False)
-    assert row.unsettled == ("mujoco" if settled is False else "")
-    others = [row for row in rows if row.unsettled and row.quantity != "positions, m"]
+    assert row.unconverged == ("mujoco" if settled is False else "")
+    others = [row for row in rows if row.unconverged and row.quantity != "positions, m"]
     assert others == []
     more = (
         "; 1 more check is not judged: a finer run of mujoco reduces the difference too little"
@@ -95,14 +95,14 @@ def test_an_error_that_does_not_fall_excuses_nothing(far, finer, settled):
 def positions_unsettled(rows):
     """The engine for which the positions of two runs are not judged, or "", by the names of the two."""
     positions = [row for row in rows if (row.level, row.quantity) == ("trajectories", "positions, m")]
-    return {row.between: row.unsettled for row in positions}
+    return {row.between: row.unconverged for row in positions}
 
 
 def test_a_run_that_does_not_converge_is_told_from_the_one_it_is_compared_with():
     """Three engines: errors of the second that hide what the first gains are not the first's."""
     scene = replace(pendulum(), duration=0.1)
     rows = verdicts(scene, [off("pinocchio", 7e-6, 7e-8), off("mujoco", 8e-6, 2e-6)])
-    assert not [row for row in rows if row.unsettled]
+    assert not [row for row in rows if row.unconverged]
     rows = verdicts(
         scene, [off("newton_euler", 1e-6, 1e-8), off("mujoco", -8e-6, 1e-5), off("pinocchio", 0, 0)]
     )
@@ -145,7 +145,7 @@ def test_runs_are_refined_once_whatever_figures_need_them():
 
     engines = [off("newton_euler", 0, 0), off("mujoco", -1e-5, 1e-5), off("pinocchio", 0, 0)]
     rows = verdicts(scene, [counted(engine) for engine in engines])
-    assert [row.unsettled for row in rows if row.unsettled] == ["mujoco", "mujoco"]
+    assert [row.unconverged for row in rows if row.unconverged] == ["mujoco", "mujoco"]
     assert calls == {"newton_euler": 1, "mujoco": 1, "pinocchio": 1}
 
 
@@ -176,6 +176,6 @@ def test_round_off_that_does_not_fall_is_converged():
             simulate=lambda scene, far=far: opened(own.simulate(scene), far),
             refined=lambda scene, finer=finer: opened(own.refined(scene), finer),
         )
-        row = figure(verdicts(scene, [engine]), "drift", "open joints, m or rad", "newton_euler")
+        row = figure(verdicts(scene, [engine]), "drift", "constraint violation, m or rad", "newton_euler")
         assert row.agrees
-        assert row.unsettled == unsettled
+        assert row.unconverged == unsettled
