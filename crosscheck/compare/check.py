@@ -1,4 +1,9 @@
-"""Checks of a comparison: a value, its tolerance, and its level."""
+"""Checks: the atoms of a comparison of engines, each a value with its tolerance, at a level.
+
+The comparison modules of this package make checks; the diagnosis, the verdict and the reports read them. A
+level is a group of checks, such as "dynamics". This module also has the tolerances that several levels use
+and the sentences about checks that were not made or have no verdict.
+"""
 
 from __future__ import annotations
 
@@ -13,62 +18,67 @@ from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
 READING = "reading"
-"""Level of the verification of an imported scene against its model file, before the levels of engines."""
+"""Level that compares an imported scene with its model file, before the levels that compare engines."""
 
 OF_EQUATIONS = ("model", "kinematics", "dynamics", "accelerations and reactions")
+"""Levels that compare the equations of motion of two engines at given states, in their order."""
 
 OF_RUNS = ("trajectories", "drift", "energy")
-"""Levels of whole runs; the other levels compare equations."""
+"""Levels that compare whole simulations (runs), in their order."""
 
 LEVELS = (READING, *OF_EQUATIONS, *OF_RUNS)
+"""All levels of a comparison of engines, in their order."""
 
 REFERENCE = "reference"
-"""Level of reference values, after all others."""
+"""Level of reference values (published or exact results), after all others."""
 
 FILE = "file"
-"""Name of the model file in checks of the level `READING`, see `newton_euler.reading.verify`."""
+"""Name that stands for the model file in checks of the level `READING`."""
 
 POSES = ("positions, m", "orientations, rad")
-"""Quantities at the level "trajectories"."""
+"""Quantities at the level "trajectories": positions and orientations of all bodies."""
 
 CONSTRAINT_VIOLATION = "constraint violation, m or rad"
-"""Quantity at the level "drift"."""
+"""Quantity at the level "drift": largest residual of the joint constraints in a run."""
 
 START = "start"
 """Level after "model" if two models are compared, since each model has its own initial state."""
 
 OWN_ERROR = 4.0
-"""Error of a run in units of its change in a finer run: 3 times 4/3.
+"""Bound on the error of a run, divided by the change between the run and a refined run.
 
-If half the step leaves a quarter of the error (order 2), the error is 4/3 of the change. If half the step
-leaves half of the error (order 1), the error is twice the change; with a hundred times tighter tolerances, it
-is the change.
+Refined means half the step or a hundred times tighter tolerances. A method of order 2 has an error of 4/3 of
+the change, a method of order 1 of twice the change, and tighter tolerances give once the change. The bound is
+three times 4/3.
 """
 
 UNRESOLVED = 1e-2
-"""Largest tolerance that a refinement can add, relative to reach, 1 rad or energy."""
+"""Largest tolerance that a refined run can add, relative to reach, 1 rad or energy."""
 
 EPSILON = float(np.finfo(float).eps)
+"""Distance from 1 to the next double precision number."""
 
 ROUND_OFF = 1e-12
-"""Relative round-off of some hundred operations on numbers with 17 digits. The differences between engines in
-the scenes of the library are up to a fiftieth of it."""
+"""Relative round-off of some hundred operations in double precision. Engines differ by up to a fiftieth of
+this
+number in the scenes of the library."""
 
 MIN_VALUE_DIGITS, MAX_VALUE_DIGITS = 4, 17
-"""Significant digits of values in texts."""
+"""Range of the number of significant digits of values in texts."""
 
 NOISE = 10.0
-"""Difference caused by a nearly redundant constraint, in units of its singular value: different forms of the
-equations omit different combinations of rows."""
+"""Relative difference caused by a nearly redundant constraint, divided by the singular value of the
+constraint.
+Two forms of the equations omit different constraint equations, so they satisfy different ones exactly."""
 
 
 def round_off(condition: float, noise: float = 0.0) -> float:
     """Return the relative tolerance for round-off that a condition number magnifies.
 
     Args:
-        condition: condition number.
-        noise: largest singular value that was taken as redundant; motions are not determined better than
-            that.
+        condition: condition number of the matrices that are solved with.
+        noise: relative noise of the constraints, for example the largest singular value that is treated as
+            redundant. Motions are not determined better than that.
     """
     return min(max(ROUND_OFF, NOISE * noise) * condition, UNRESOLVED)
 
@@ -83,9 +93,10 @@ class Check:
         between: one or two names of engines or systems, or an engine and `FILE`.
         value, tolerance: value, and the largest value that passes.
         where: body, joint, term or time of the largest difference.
-        judged: False for a check without a verdict: it describes an engine, or could not be resolved.
-        unconverged: engine whose error does not decrease in a refined run, so that the check is not judged;
-            empty if there is none.
+        judged: False for a check that can neither pass nor fail: it describes an engine, or the engine is
+            `unconverged`.
+        unconverged: name of the engine whose error does not decrease in a refined run; such a check is not
+            judged. Empty if there is none.
         detail: the values that differ, as text; empty if unknown.
     """
 
@@ -101,12 +112,12 @@ class Check:
 
     @property
     def place(self) -> str:
-        """Place of the largest difference, with the values that differ."""
+        """Place of the largest difference, with the values that differ, for messages."""
         return f"{self.where}: {self.detail}" if self.detail else self.where
 
     @property
     def agrees(self) -> bool:
-        """True if the check passes or has no verdict; NaN does not pass."""
+        """True if the check passes or is not judged; NaN does not pass."""
         return not self.judged or bool(self.value <= self.tolerance)
 
     @property
@@ -118,15 +129,16 @@ class Check:
 
 
 def both_values(pair: tuple[str, str], one: ArrayLike, two: ArrayLike, unit: str) -> str:
-    """Format two values after the names of their owners, with as many digits as they need to differ.
+    """Format the values of two engines or models, with as many digits as show the difference.
 
     Args:
-        pair: names of the owners.
-        one, two: numbers, vectors or matrices; of matrices the rows that differ most are shown.
+        pair: names of the two engines or models.
+        one, two: their values: numbers, vectors or matrices. For matrices, only the row with the largest
+            difference is shown.
         unit: unit of the values.
     """
     values = np.array([np.atleast_1d(one), np.atleast_1d(two)], dtype=float)
-    if values.ndim == 3:
+    if values.ndim == 3:  # matrices: keep the row that differs most
         values = values[:, int(np.nanargmax(np.abs(values[0] - values[1]).max(axis=1)))]
     values[np.abs(values) < ROUND_OFF * np.nanmax(np.abs(values))] = 0.0
     texts: list[str] = []
@@ -140,12 +152,12 @@ def both_values(pair: tuple[str, str], one: ArrayLike, two: ArrayLike, unit: str
 def worst_check(
     level: str, quantity: str, between: tuple[str, ...], gap: Array, tolerance: float, names: Sequence[str]
 ) -> Check:
-    """Make the check of the largest gap.
+    """Make the check of the largest difference.
 
     Args:
         level, quantity, between, tolerance: attributes of the check.
-        gap: (n,) gaps of n elements, or (m, n) at m states.
-        names: (n,) names of the elements.
+        gap: (n,) differences of n elements (bodies, joints), or (m, n) at m states.
+        names: n names of the elements.
     """
     each = gap.max(axis=0) if gap.ndim == 2 else gap
     where = int(np.argmax(each))
@@ -153,7 +165,7 @@ def worst_check(
 
 
 def in_full(parts: Iterable[Iterator[Check]]) -> Iterator[Check]:
-    """Yield the checks of all parts, and then raise the first error that ended a part."""
+    """Yield the checks of all generators, even if some stop with an error; then raise the first error."""
     errors = []
     for part in parts:
         try:
@@ -165,55 +177,60 @@ def in_full(parts: Iterable[Iterator[Check]]) -> Iterator[Check]:
 
 
 def not_judged(rows: Sequence[Check]) -> str:
-    """Report the number of checks that are not judged, and why; empty if there are none."""
+    """Report how many checks are not judged because an engine is unconverged, and why; empty if none."""
     found = [row.unconverged for row in rows if row.unconverged]
     count = "1 more check is" if len(found) == 1 else f"{len(found)} more checks are"
     return f"; {count} not judged: {unconverged_reason(found)}" if found else ""
 
 
 def unconverged_reason(engines: Iterable[str]) -> str:
-    """Report why checks are not judged: a refined run does not reduce the difference as its error would."""
+    """Report why checks are not judged: refining the runs of these engines does not reduce the difference."""
     return f"a finer run of {' and '.join(dict.fromkeys(engines))} reduces the difference too little"
 
 
 def not_compared(rows: Sequence[Check]) -> Iterator[str]:
-    """Yield a line for each level at which pairs differ: the following levels were not compared."""
+    """Yield a line for each level at which pairs differ: these are not compared at later levels."""
+    # Group the pairs by the last level at which they differ
     levels = ("model", START, *OF_EQUATIONS[1:], *OF_RUNS)
     pairs = (row.between for row in rows if len(row.between) == 2 and FILE not in row.between)
-    parted: dict[str, list[Sequence[str]]] = {}
-    for between in dict.fromkeys(pairs):
-        failed = [row for row in rows if row.between == between and not row.agrees]
+    pairs_by_level: dict[str, list[Sequence[str]]] = {}
+    for pair in dict.fromkeys(pairs):
+        failed = [row for row in rows if row.between == pair and not row.agrees]
         last = max((levels.index(row.level) for row in failed), default=len(levels) - 1)
         if last + 1 < len(levels):
-            parted.setdefault(levels[last], []).append(between)
-    for level, found in parted.items():
-        words = "; ".join(" and ".join(between) for between in found)
-        shared = set(found[0]).intersection(*found[1:])
+            pairs_by_level.setdefault(levels[last], []).append(pair)
+    # Name an engine that all pairs of a level have in common once
+    for level, differing in pairs_by_level.items():
+        words = "; ".join(" and ".join(pair) for pair in differing)
+        shared = set(differing[0]).intersection(*differing[1:])
         if len(shared) == 1:
             (one,) = shared
-            others = [name for between in found for name in between if name != one]
+            others = [name for pair in differing for name in pair if name != one]
             words = f"{one} with {' and '.join(others)}"
         yield f"not compared after {level!r}: {words}"
 
 
 def reach(scene: Scene, position: Array) -> float:
-    """Return the larger of the mechanism's size and the largest distance of positions (..., 3) from the
-    origin, m.
+    """Return the reach, m: the mechanism's size, or the largest coordinate of any position if that is larger.
 
     The round-off of coordinates is proportional to the reach.
+
+    Args:
+        scene: the scene with the mechanism.
+        position: (..., 3) positions in the world frame, m.
     """
     return max(scene.mechanism.size, float(np.max(np.abs(position))))
 
 
 def finite(rows: Iterable[Check]) -> Iterator[Check]:
     """Yield the finite checks; then raise `CrosscheckError` for the first check that is not finite."""
-    wrong = []
+    not_finite = []
     for row in rows:
         if np.isfinite(row.value):
             yield row
         else:
-            wrong.append(row)
-    for row in wrong:
+            not_finite.append(row)
+    for row in not_finite:
         raise CrosscheckError(
             f"no check of {row.quantity} at level {row.level!r} between "
             f"{' and '.join(row.between)}: {row.value:g} at {row.where}"

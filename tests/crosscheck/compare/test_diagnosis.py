@@ -69,7 +69,7 @@ def test_who_parts_from_two_that_agree_is_odd(values, outlier, agree):
     assert (found.within, found.everywhere) == (0.3, True)
     assert (found.level, found.quantity, found.where) == ("model", "a", "bar")
     assert found.value == 5.0
-    assert found.who == f"{outlier} differs; {' and '.join(agree)} agree to 3e-01 (all checks)"
+    assert found.who == f"{outlier} differs; {' and '.join(agree)} agree within 3e-01 (all checks)"
     assert found.fault_text == f"{outlier}'s model is wrong"
 
 
@@ -118,7 +118,7 @@ def test_what_the_others_part_in_later_is_told_too():
     rows = [*pairs("model", 5.0, 0.5, 5.0), row("dynamics", (NE, PIN), 3.0)]
     first, then = diagnose(NAMES, rows)
     assert (first.outlier, first.within, first.everywhere) == (MJ, 0.5, False)
-    assert first.who == f"{MJ} differs; {NE} and {PIN} agree to 5e-01 (level 'model')"
+    assert first.who == f"{MJ} differs; {NE} and {PIN} agree within 5e-01 (level 'model')"
     assert then.who == f"{NE} and {PIN} differ, and no third engine decides which is right"
 
 
@@ -193,7 +193,7 @@ def test_the_reading_is_to_blame_only_for_what_all_engines_share():
     agreed = pairs("model", 0.1, 0.1, 0.1)
     (found,) = diagnose(NAMES, [*from_file(5.0, 5.0, 5.0), *agreed])
     assert (found.outlier, found.fault, found.agree) == (FILE, "reading", NAMES)
-    assert found.who == f"the file differs; {NE}, {MJ} and {PIN} agree to 1e-01 (all checks)"
+    assert found.who == f"the file differs; {NE}, {MJ} and {PIN} agree within 1e-01 (all checks)"
     (found,) = diagnose(NAMES, [*from_file(0.1, 5.0, 0.1), *pairs("model", 5.0, 0.1, 5.0)])
     assert (found.outlier, found.level, found.fault) == (MJ, READING, "model")
     first, then = diagnose(NAMES, [*from_file(5.0, 5.0, 5.0), *pairs("model", 5.0, 0.1, 5.0)])
