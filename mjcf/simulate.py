@@ -14,7 +14,7 @@ import numpy as np
 from mjcf.errors import DivergenceError, heard_warnings
 from mjcf.write import SOLIMP, TIMESTEP
 from newton_euler.arguments import checked
-from newton_euler.equations.applied_forces import blamed, surroundings
+from newton_euler.equations.applied_forces import surroundings, with_likely_causes
 from newton_euler.equations.parameters import pieces
 from newton_euler.errors import OptionError, UnknownNameError
 from newton_euler.integrators.options import MOST_FIXED_STEPS
@@ -262,4 +262,4 @@ def _divergence(warning: str, time: float, rows: Sequence[Output]) -> Divergence
     system, q, v = rows[-1][:3]
     state = system.state(q, v)
     at = surroundings(system.scene, state, time)
-    return DivergenceError(time, blamed(system.scene, state, warning.partition(". ")[0], at))
+    return DivergenceError(time, with_likely_causes(system.scene, state, warning.partition(". ")[0], at))

@@ -24,7 +24,7 @@ from newton_euler.compiled.run import (
     native_method,
     radau_of,
 )
-from newton_euler.equations.applied_forces import blamed, surroundings
+from newton_euler.equations.applied_forces import surroundings, with_likely_causes
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import singular_values
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out
@@ -330,4 +330,4 @@ class EvaluatedSystem(Callbacks):
             reason += "; for stiff equations use Radau"
         with np.errstate(all="ignore"):  # the message also covers numbers that are not finite
             around = surroundings(system.scene, state, time)
-            return IntegrationError(time, blamed(system.scene, state, reason, around))
+            return IntegrationError(time, with_likely_causes(system.scene, state, reason, around))

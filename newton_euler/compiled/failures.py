@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from newton_euler.compiled.equations import CompiledEquations
-from newton_euler.equations.applied_forces import blamed
+from newton_euler.equations.applied_forces import with_likely_causes
 from newton_euler.equations.dense import largest_share, singular_values
 from newton_euler.equations.system import dimensionless_jacobian, fastest_joint
 from newton_euler.integrators.fixed_step import RK4_LIMIT
@@ -84,7 +84,7 @@ def failure(
     else:
         reason = _reason(code, options, Status(status), x)
     stopped = UndeterminedStartError if status == Status.UNDETERMINED else IntegrationError
-    return stopped(reached, blamed(system.scene, state, reason, system.seen(q, v)))
+    return stopped(reached, with_likely_causes(system.scene, state, reason, system.seen(q, v)))
 
 
 def _instability(code: CompiledEquations, options: Options, states: Sequence[Array]) -> str:

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from newton_euler.compiled.evaluated import integrate_adaptive
-from newton_euler.equations.applied_forces import blamed, surroundings
+from newton_euler.equations.applied_forces import surroundings, with_likely_causes
 from newton_euler.equations.system import System, at_time
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.options import ADAPTIVE, Options
@@ -92,7 +92,7 @@ def integrate(
 def _with_blame(system: System, time: float, y: Array, reason: str) -> str:
     """Append the fastest joint and the largest force at a state y (nq + nv,) and time, s, to a reason."""
     state = system.state(y[: system.nq], y[system.nq :])
-    return blamed(system.scene, state, reason, surroundings(system.scene, state, time))
+    return with_likely_causes(system.scene, state, reason, surroundings(system.scene, state, time))
 
 
 Derivative = Callable[[float, Array], Array]

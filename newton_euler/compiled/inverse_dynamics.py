@@ -26,7 +26,7 @@ from newton_euler.equations.parameters import measuring, numbered, pieces, with_
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.row_choice import exchangeable_rows, flags_at
-from newton_euler.equations.servos import fault, servos_of
+from newton_euler.equations.servos import find_fault, servos_of
 from newton_euler.equations.system import Evaluation, at_time
 from newton_euler.errors import MechanismError, SingularityError, quoted
 from newton_euler.integrators.projection import worst_joint
@@ -209,7 +209,7 @@ class InverseDynamics:
             flags = dict(zip(self._exchangeable.numbers, self.flags(q[[row]])[0].tolist(), strict=True))
             # find the coordinate at fault; rows with dimensionless singular values below 1e-4 are dependent
             # to the precision at which the elimination fails
-            at = fault(self.system, q[row], self.servos.with_flags(flags), tolerance=1e-4)
+            at = find_fault(self.system, q[row], self.servos.with_flags(flags), tolerance=1e-4)
             if at is None and not len(self.servos.rows.numbers):
                 problem = f"has no finite solution at state {row}"
                 raise MechanismError("inverse dynamics", problem, "smaller rates and accelerations")

@@ -1,8 +1,8 @@
-"""Applied forces of a scene: sums of wrenches on the bodies, energies, and power.
+"""Applied forces of a scene: sums of wrenches on the bodies, energies and power.
 
-Both formulations use these sums, over generic scalars. Each kind of force is a class of
-`newton_euler.model.forces`. Forces on joint coordinates act through the coordinates
-(`newton_euler.equations.couplings`).
+Both forms of the equations of motion use these sums. The functions accept floats, and symbolic scalars when
+the equations are traced for compilation. Each kind of force is a class of `newton_euler.model.forces`. Forces
+on joint coordinates (springs and control laws at joints) are not part of the wrenches; the forms add them.
 """
 
 from __future__ import annotations
@@ -19,10 +19,13 @@ from newton_euler.scalars import Array, Scalar
 
 
 def surroundings(scene: Scene, state: State, time: float = 0.0) -> Surroundings:
-    """Compute the quantities that forces and armatures depend on, at a state and a time in s.
+    """Compute the quantities that forces and armatures (rotor inertias) depend on.
 
-    Angles include the revolutions of `State.angles`. Angles without an entry there are within half a
-    revolution.
+    Args:
+        scene: the scene with the forces.
+        state: poses and velocities of the bodies. Angles include the full revolutions of `State.angles`;
+            an angle without an entry there is between -pi and pi.
+        time: s.
     """
     mechanism, frames = scene.mechanism, state.frames()
     acting = {each.key for each in (*scene.joint_forces, *scene.armatures) if not each.on_ball}
@@ -34,9 +37,10 @@ def surroundings(scene: Scene, state: State, time: float = 0.0) -> Surroundings:
 
 
 def applied_wrenches(scene: Scene, at: Surroundings) -> list[Array]:
-    """Sum the wrenches (6,) of forces on each body, without forces on joint coordinates.
+    """Sum the wrenches of all forces on each body, without forces on joint coordinates.
 
-    A wrench is a force and a torque about the center of mass, N and N m, world frame. The ground is first.
+    Returns:
+        (6,) for each body, ground first: force in N, and torque about the center of mass in N m, world frame.
     """
     total: list[Array] = [np.zeros(6) for _ in at.frames]
     for force in scene.body_forces:
@@ -46,9 +50,15 @@ def applied_wrenches(scene: Scene, at: Surroundings) -> list[Array]:
 
 
 def energies(scene: Scene, frames: list[Frame], inertias: list[Array]) -> tuple[Scalar, Scalar]:
-    """Compute the kinetic energy and the potential energy of gravity (zero at the world origin), J.
+    """Compute the kinetic energy of the bodies and their potential energy of gravity, J.
 
-    `inertias` (3, 3) are in the body frames; `frames` have the rotations of the body frames.
+    Args:
+        scene: gives masses and gravity.
+        frames: pose and velocity of each body, ground first.
+        inertias: (3, 3) of each body about its center of mass, in the body frame, kg m^2, ground first.
+
+    Returns:
+        Kinetic energy; potential energy, zero at the world origin.
     """
     kinetic: Scalar = 0.0
     potential: Scalar = 0.0
@@ -67,19 +77,26 @@ def power(scene: Scene, at: Surroundings) -> Scalar:
     return sum((term for force in forces for term in force.powers(at)), start=0.0)
 
 
-def blamed(scene: Scene, state: State, reason: str, at: Surroundings) -> str:
-    """Complete the reason of a failure with the fastest joint and the largest force, if there is one."""
+def with_likely_causes(scene: Scene, state: State, reason: str, at: Surroundings) -> str:
+    """Append the fastest joint and the largest force at a state to the reason of a failure.
+
+    Args:
+        scene: the scene.
+        state: where the failure occurred.
+        reason: text of the error message.
+        at: quantities that the forces depend on at this state.
+    """
     reason = f"{reason}; fastest at joint {fastest_joint(scene.mechanism, state)!r}"
     with np.errstate(all="ignore"):
-        found = {_called(f): f.magnitude(at) for f in (*scene.joint_forces, *scene.body_forces)}
-    if not found:
+        magnitudes = {_force_name(f): f.magnitude(at) for f in (*scene.joint_forces, *scene.body_forces)}
+    if not magnitudes:
         return reason
-    largest = max(found, key=lambda element: np.nan_to_num(found[element], nan=np.inf))
+    largest = max(magnitudes, key=lambda name: np.nan_to_num(magnitudes[name], nan=np.inf))
     return f"{reason}, largest force: {largest}"
 
 
-def _called(force: Element) -> str:
-    """Name a force for a message; a spring with a damper by the parts of nonzero strength."""
+def _force_name(force: Element) -> str:
+    """Name a force for a message; of a spring with a damper, name the parts of nonzero strength."""
     if not isinstance(force, Spring):
         return force.element
     return force.element.replace("spring", " and ".join(force.active_parts) or "spring", 1)

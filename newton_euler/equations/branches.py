@@ -1,8 +1,9 @@
-"""Starts in singular configurations: velocities that belong to no branch of the motion.
+"""Check of an initial state at a singular configuration: are its velocities tangent to a branch of motion?
 
-In a singular configuration the constraint Jacobian J loses rank, so that more velocities meet J v = 0 than
-any motion has. A motion exists only if some acceleration a meets J a + dJ/dt v = 0. Each combination w of
-rows with w J = 0 demands w dJ/dt v = 0, an equation of second degree in v whose solutions are the branches.
+In a singular configuration, such as a flat four-bar, several motions (branches) cross. The constraint
+Jacobian J loses rank, so that more velocities v satisfy J v = 0 than are tangent to a branch. A motion exists
+only if some acceleration a satisfies J a + dJ/dt v = 0. Each combination w of rows with w J = 0 therefore
+demands w dJ/dt v = 0. This equation is of second degree in v; its solutions are the tangents of the branches.
 
 Source: A. Mueller, Local kinematic analysis of closed-loop linkages: mobility, singularities, and shakiness,
 Journal of Mechanisms and Robotics 8, 2016.
@@ -18,25 +19,31 @@ from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.scalars import Array
 
 DEPENDENT_ROW_RATIO = 1e-6
-"""Singular value, divided by the largest one, below which constraint rows are dependent."""
+"""Ratio of a singular value to the largest one below which constraint rows are dependent."""
 
 MAX_CONTRADICTION = 1e-3
-"""Largest w dJ/dt v, by the square of the dimensionless velocities, of a start on a branch. Velocities that a
-file gives with four digits reach 1e-4; velocities between two branches are of the order of 1."""
+"""Largest |w dJ/dt v| of velocities on a branch, divided by the squared norm of the dimensionless velocities.
+
+Velocities that a file gives with four digits reach 1e-4; velocities between two branches are of order 1."""
 
 DIFFERENCE_ANGLE = 1e-4
-"""Step of the difference quotient for dJ/dt to each side, rad or sizes of the mechanism."""
+"""Step of the central difference for dJ/dt, rad, or a length divided by the mechanism's size."""
 
 
 def joint_between_branches(system: Formulation, q: Array, v: Array) -> str:
-    """Find the joint that loses rank at a start whose velocities no motion has; empty if a motion has them.
+    """Find the joint whose constraint is dependent, at a start with velocities tangent to no branch.
 
-    Scenes with prescribed motions are not examined: their constraints depend on time.
+    Scenes with prescribed motions are not examined, because their constraints depend on time.
 
     Args:
-        q, v: coordinates and velocities (nv,) of the start, which meet the constraints.
+        system: equations of motion.
+        q: (nq,) initial coordinates, which satisfy the constraints.
+        v: (nv,) initial velocities, which satisfy the constraints.
+
+    Returns:
+        Name of the joint; empty if the velocities are tangent to a branch.
     """
-    # left null space of J
+    # left null space of J: combinations w of rows, one per column of `dependent`
     speed = float(np.linalg.norm(v / system.velocity_units))
     if system.scene.motions or speed == 0.0 or not len(system.phi_units):
         return ""

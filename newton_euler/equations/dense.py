@@ -1,10 +1,9 @@
-"""Dense linear algebra and dense solvers of the equations of motion, for floats.
+"""Dense linear algebra over floats: ranks, least-squares solutions and solvers of the equations of motion.
 
-Ranks are decided on dimensionless matrices: rows in meters are divided by the mechanism's size and so
-are velocities in m/s. Entries of a constraint Jacobian are then of order 1 whatever the size of the
-mechanism, and a row of round-off is told from a constraint. Rows that are redundant but for noise are left
-out before, see `newton_euler.equations.redundancy`; what is left is of full rank but in singular
-configurations.
+Ranks are decided on dimensionless matrices. Rows in meters and velocities in m/s are divided by the
+mechanism's size. Entries of a constraint Jacobian are then of order 1, whatever the size of the mechanism,
+and round-off is clearly smaller. Rows that are almost redundant are removed before
+(`newton_euler.equations.redundancy`). The remaining rows have full rank except in singular configurations.
 """
 
 from __future__ import annotations
@@ -15,19 +14,29 @@ import numpy as np
 
 from newton_euler.scalars import Array
 
-CLEAR_RANK = 1e-4  # share of the largest singular value, masses included, above which none is round-off
-RANK_TOLERANCE = 1e-9  # singular values below this, or this share of the largest, count as zero
+CLEAR_RANK = 1e-4
+"""Ratio to the largest singular value of L^-1 J^T above which a singular value is certainly not round-off.
+
+J is the constraint Jacobian and L the Cholesky factor of the mass matrix."""
+
+RANK_TOLERANCE = 1e-9
+"""Singular value below which it counts as zero; also the ratio to the largest one if that exceeds 1."""
 
 
 def largest(residuals: Array) -> float:
-    """Find the largest magnitude of a set of residuals, 0 for none."""
+    """Return the largest magnitude of an array of residuals, 0 for an empty array."""
     return float(np.max(np.abs(residuals), initial=0.0))
 
 
 def singular_values(matrix: Array, full: bool = False) -> tuple[Array, Array, Array]:
-    """Compute U, s and V^T of a matrix, reduced or `full`.
+    """Compute the singular value decomposition U, s, V^T of a matrix.
 
-    Raises `numpy.linalg.LinAlgError` for a matrix that is not finite: LAPACK would not return, or print.
+    Args:
+        matrix: (k, n).
+        full: True for square matrices U (k, k) and V^T (n, n), False for the reduced ones.
+
+    Raises:
+        numpy.linalg.LinAlgError: for a matrix that is not finite, for which LAPACK might not return.
     """
     if not np.isfinite(matrix).all():
         raise np.linalg.LinAlgError("a matrix is not finite")
@@ -36,12 +45,17 @@ def singular_values(matrix: Array, full: bool = False) -> tuple[Array, Array, Ar
 
 
 def numerical_rank(singular_values: Array) -> int:
-    """Count the singular values of a dimensionless matrix that are not round-off."""
+    """Count the singular values of a dimensionless matrix that are larger than round-off."""
     return int(np.sum(singular_values > RANK_TOLERANCE * max(1.0, np.max(singular_values, initial=0.0))))
 
 
 def largest_share(owners: Sequence[str], combination: Array) -> str:
-    """Find the owner with the largest share in a combination (k,) of rows."""
+    """Find the owner, such as a joint, of the rows with the largest coefficients in a combination of rows.
+
+    Args:
+        owners: (k,) name that each row belongs to.
+        combination: (k,) coefficients.
+    """
     weights: dict[str, float] = {}
     for owner, share in zip(owners, combination**2, strict=True):
         weights[owner] = weights.get(owner, 0.0) + share
@@ -56,12 +70,16 @@ def rank(matrix: Array) -> int:
 def minimum_norm(
     matrix: Array, right: Array, row_units: Array, column_units: Array, max_rank: int | None = None
 ) -> Array:
-    """Compute the x (n,) of least dimensionless length with matrix @ x = right in the least-squares sense.
+    """Compute the minimum-norm least-squares solution x (n,) of matrix @ x = right.
+
+    Residuals and norm are measured in dimensionless form.
 
     Args:
-        matrix: (k, n); right: (k,).
-        row_units, column_units: (k,) and (n,) units of the rows and of x.
-        max_rank: as in `independent_rows`.
+        matrix: (k, n).
+        right: (k,).
+        row_units: (k,) divisors that make the rows dimensionless.
+        column_units: (n,) divisors that make x dimensionless.
+        max_rank: largest rank; None for no limit.
     """
     if not matrix.size:
         return np.zeros(matrix.shape[1])
@@ -73,13 +91,17 @@ def minimum_norm(
 def independent_rows(
     jacobian: Array, row_units: Array, column_units: Array, max_rank: int | None = None
 ) -> Array:
-    """Compute combinations (k, r) of the rows of a Jacobian that imply all of them.
+    """Compute independent combinations of the rows of a Jacobian that span all of its rows.
 
-    With them as C, constraints J a = gamma become C^T J a = C^T gamma, and multipliers mu of those are
-    lambda = C mu: of all equivalent multipliers the smallest, in dimensionless terms.
+    With the result C (k, r), constraints J a = gamma become C^T J a = C^T gamma. Their multipliers mu give
+    lambda = C mu, which is the minimum-norm choice of all equivalent multipliers in dimensionless form.
 
-    At most `max_rank` combinations are kept. Redundant closures that are open by 1e-8, as at the states
-    that a difference quotient or a Newton iteration looks at, have a larger rank than closed ones.
+    Args:
+        jacobian: (k, n) matrix J.
+        row_units: (k,) divisors that make the rows dimensionless.
+        column_units: (n,) divisors that make a dimensionless.
+        max_rank: largest r; None for no limit. A limit is needed at states whose loops are slightly open,
+            as in difference quotients and Newton iterations: there redundant rows seem independent.
     """
     u, s, _ = singular_values(jacobian * column_units / row_units[:, None])
     return np.asarray(u[:, : numerical_rank(s)][:, :max_rank] / row_units[:, None])
@@ -94,15 +116,26 @@ def solve_constrained(
     column_units: Array,
     max_rank: int | None = None,
 ) -> tuple[Array, Array]:
-    """Solve M a = f + J^T lambda, J a = gamma for a (n,) and lambda (k,).
+    """Solve the equations of motion M a = f + J^T lambda, J a = gamma for a (n,) and lambda (k,).
 
-    L is the Cholesky factor of M, and U S V^T = L^-1 J^T for dimensionless rows J without the parts that are
-    redundant. L^T a = L^-1 f + U (S^-1 V^T gamma - U^T L^-1 f); not squaring J keeps its digits.
-    Units are as in `minimum_norm`, `max_rank` is as in `independent_rows`.
+    With the Cholesky factor L of M and the singular value decomposition U S V^T = L^-1 J^T of the
+    dimensionless independent rows,
+
+        L^T a = L^-1 f + U (S^-1 V^T gamma - U^T L^-1 f).
+
+    This form does not square J, and so keeps more digits than J M^-1 J^T.
+
+    Args:
+        mass: (n, n) mass matrix M.
+        force: (n,) force f.
+        jacobian: (k, n) constraint Jacobian J.
+        gamma: (k,) right side of the constraints.
+        row_units, column_units, max_rank: see `independent_rows`.
 
     Raises:
         numpy.linalg.LinAlgError: for an indefinite M, and for numbers that are not finite.
     """
+    # columns multiplied by L^-1: the force f, and J^T with dimensionless rows
     if not (np.isfinite(force).all() and np.isfinite(gamma).all()):
         raise np.linalg.LinAlgError("a force is not finite")
     lower = np.linalg.cholesky(mass)
@@ -110,13 +143,15 @@ def solve_constrained(
         return np.linalg.solve(lower.T, np.linalg.solve(lower, force)), np.zeros(len(gamma))
     columns = np.linalg.solve(lower, np.column_stack([force, jacobian.T / row_units]))
     free, responses = columns[:, 0], columns[:, 1:]
+    # rank: if the singular values leave a doubt, the Jacobian decides alone, without the masses
     u, s, vt = singular_values(responses)
     rank = len(gamma) if max_rank is None else min(len(gamma), max_rank)
     clear = 0 < rank <= len(s) and s[rank - 1] > CLEAR_RANK * s[0]
-    if not clear or np.any(s[rank:] > RANK_TOLERANCE * s[0]):  # the Jacobian alone decides the rank
+    if not clear or np.any(s[rank:] > RANK_TOLERANCE * s[0]):
         combine = row_units[:, None] * independent_rows(jacobian, row_units, column_units, max_rank)
         u, s, vt = singular_values(responses @ combine)
         rank, vt = len(s), vt @ combine.T
+    # accelerations and multipliers
     u, s, vt = u[:, :rank], s[:rank], vt[:rank]
     push = vt @ (gamma / row_units) / s - u.T @ free
     return np.linalg.solve(lower.T, free + u @ push), vt.T @ (push / s) / row_units
@@ -130,14 +165,18 @@ def solve_augmented(
     force_units: Array,
     max_rank: int | None = None,
 ) -> tuple[Array, Array]:
-    """Solve [[A, B^T], [J, 0]] (a, -lambda) = right for a (n,) and lambda (k,), as equation (21) is written.
+    """Solve the block system [[A, B^T], [J, 0]] (a, -lambda) = right for a (n,) and lambda (k,).
 
-    Redundant rows of J are combined into independent ones first, and all is made dimensionless.
+    Equation (21) of `newton_euler.equations.cartesian` has this form. The rows of J are combined into
+    independent ones first, and all rows and unknowns are made dimensionless.
 
     Args:
-        matrix, right: (n + k, n + k) and (n + k,).
-        row_units, column_units, force_units: (k,), (n,) and (n,), of rows of J, of a and of rows of A.
-        max_rank: as in `independent_rows`.
+        matrix: (n + k, n + k) block matrix.
+        right: (n + k,) right side.
+        row_units: (k,) divisors that make the rows of J dimensionless.
+        column_units: (n,) divisors that make a dimensionless.
+        force_units: (n,) divisors that make the rows of A dimensionless.
+        max_rank: see `independent_rows`.
 
     Raises:
         numpy.linalg.LinAlgError: for a singular matrix, and for a Jacobian that is not finite.
@@ -149,7 +188,7 @@ def solve_augmented(
     left[:n, :n] = matrix[:n, :n] * column_units / force_units[:, None]
     left[n:, :n] = combine.T @ jacobian * column_units
     push = matrix[:n, n:] @ combine / force_units[:, None]
-    share = np.max(np.abs(push), axis=0, initial=1e-300)  # multipliers in units of their own
+    share = np.max(np.abs(push), axis=0, initial=1e-300)  # scale of each multiplier's column
     left[:n, n:] = push / share
     unknowns = np.linalg.solve(left, np.concatenate([right[:n] / force_units, combine.T @ right[n:]]))
     return column_units * unknowns[:n], -(combine @ (unknowns[n:] / share))
@@ -162,7 +201,10 @@ def orthonormal_range(matrix: Array) -> Array:
 
 
 def orthonormal_null(matrix: Array, rank: int | None = None) -> Array:
-    """Compute orthonormal columns that span the null space of a dimensionless matrix of a given rank."""
+    """Compute orthonormal columns that span the null space of a dimensionless matrix.
+
+    `rank` is the rank of the matrix; None for the numerical rank.
+    """
     if not matrix.size:
         return np.eye(matrix.shape[1])
     _, s, vt = singular_values(matrix, full=True)
@@ -170,9 +212,16 @@ def orthonormal_null(matrix: Array, rank: int | None = None) -> Array:
 
 
 def least_squares(matrix: Array, right: Array, rank_tolerance: float | None = None) -> Array:
-    """Compute the shortest of the least-squares solutions.
+    """Compute the minimum-norm least-squares solution of matrix @ x = right.
 
-    Raises `numpy.linalg.LinAlgError` for numbers that are not finite: LAPACK might not return.
+    Args:
+        matrix: (k, n).
+        right: (k,).
+        rank_tolerance: ratio to the largest singular value below which a singular value counts as zero;
+            None for round-off.
+
+    Raises:
+        numpy.linalg.LinAlgError: for numbers that are not finite, for which LAPACK might not return.
     """
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
         raise np.linalg.LinAlgError("a matrix is not finite")

@@ -1,8 +1,9 @@
-"""Mechanisms driven at chosen joint coordinates, without forces: the basis of kinematics.
+"""Driven mechanisms for kinematics: chosen joint coordinates follow given functions, and no forces act.
 
-Each chosen coordinate gets a prescribed motion, a driving constraint next to those of the loops (E. J. Haug,
-Computer Aided Kinematics and Dynamics of Mechanical Systems, 1989, chapter 3). Poses for goals, starts with
-other initial coordinates and the forward kinematics of encoders solve the equations of such a mechanism.
+Each chosen coordinate gets a prescribed motion. This motion is a driving constraint in addition to the
+constraints of the loops (E. J. Haug, Computer Aided Kinematics and Dynamics of Mechanical Systems, 1989,
+chapter 3). Inverse kinematics, initial joint coordinates and forward kinematics from encoder readings solve
+the equations of such a mechanism.
 """
 
 from __future__ import annotations
@@ -19,18 +20,19 @@ from newton_euler.model.scene import Scene
 
 
 class DrivenMechanism(NamedTuple):
-    """A scene without forces whose last prescribed motions drive chosen coordinates; see `driven`.
+    """A scene without forces whose chosen joint coordinates are driven; see `driven`.
 
     Attributes:
-        scene: with the driving motions behind its other motions.
-        functions: names of the parameters that the driving motions' functions are, by joint coordinate.
+        scene: the scene; the driving motions follow its other prescribed motions.
+        functions: for each driven joint coordinate, the parameter name of the function of time that drives
+            the coordinate.
     """
 
     scene: Scene
     functions: Mapping[Key, str]
 
     def rows(self, system: Formulation) -> range:
-        """Return the rows of `phi` of the driving constraints, in the order of `functions`.
+        """Return the indices of the driving constraints in the residuals `phi`, in the order of `functions`.
 
         Args:
             system: equations of `scene`.
@@ -45,13 +47,14 @@ def driven(
     motions: Sequence[PrescribedMotion] | None = None,
     **changes: Any,
 ) -> DrivenMechanism:
-    """Drive joint coordinates of a scene that has no forces otherwise.
+    """Return a scene without forces in which chosen joint coordinates follow functions of time.
 
     Args:
-        scene: the mechanism; control laws and forces are left out.
-        functions: m or rad from the initial pose, by joint coordinate.
-        motions: other prescribed motions; those of the scene if None.
-        changes: of other fields of the scene, such as `initial_state`.
+        scene: the mechanism; its control laws and forces are removed.
+        functions: function of time for each driven coordinate (joint, number), m or rad from the initial
+            pose.
+        motions: prescribed motions of other coordinates; those of the scene if None.
+        changes: new values of other fields of the scene, such as `initial_state`.
     """
     others = scene.motions if motions is None else tuple(motions)
     driving = tuple(PrescribedMotion(joint, function, k) for (joint, k), function in functions.items())

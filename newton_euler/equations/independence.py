@@ -1,8 +1,9 @@
-"""Independent rows of a dimensionless matrix: one decision for all formulations, engines and readers.
+"""Selection of independent rows of a sparse dimensionless matrix, such as a constraint Jacobian.
 
-The independent part of a row is its component orthogonal to the other rows. A row counts as dependent if the
-length of this part is below a tolerance and several times below that of the weakest independent row. All
-matrices are sparse: there may be thousands of rows.
+The independent part of a row is the length of its component orthogonal to the selected rows. A row counts as
+dependent if its independent part is below a tolerance, and also several times below that of the weakest
+selected row. The forms of the equations, other engines and the readers of model files all use this decision.
+A sparse row is a dictionary from column to number; there may be thousands of rows.
 """
 
 from __future__ import annotations
@@ -25,29 +26,35 @@ from newton_euler.equations.sparse import (
 from newton_euler.scalars import Array
 
 ROW_ROUND_OFF = 1e-10
-"""Independent part of a row below which it is round-off, whatever the tolerance."""
+"""Independent part below which a row is dependent up to round-off, whatever the tolerance."""
 
 MIN_INEXACT = 1e-13
-"""Independent part of a row above which the row is not exactly redundant."""
+"""Independent part above which a dependent row is not exactly redundant."""
 
 CERTAIN_PIVOT = 1e-4
-"""Pivot of the Gram matrix, the square of the independent part, above which a row surely is independent."""
+"""Pivot of the Gram matrix above which a row is certainly independent.
+
+A pivot is the square of the row's independent part."""
 
 MIN_GAP_RATIO = 10.0
-"""Least ratio of the independent parts of the weakest independent row and the strongest redundant row."""
+"""Smallest ratio of the weakest selected row's independent part to that of the strongest dependent row."""
 
 
 class Independent(NamedTuple):
-    """A selection of rows that imply all others except for noise."""
+    """A selection of independent rows of a matrix; the other rows depend on them up to noise.
+
+    Attributes:
+        factor: factor of the Gram matrix (inner products) of the selected rows.
+        weak: independent parts of selected rows that are not certainly independent, by row number, in
+            descending order.
+        strong: smallest independent part of the other selected rows.
+        noise: largest independent part of a row that is not selected.
+    """
 
     factor: Factor
-    """Factor of the Gram matrix of these rows."""
     weak: dict[int, float]
-    """Small independent parts, by number of the row, the largest first."""
     strong: float
-    """The smallest independent part of the other selected rows."""
     noise: float
-    """The largest independent part of a row that is not selected."""
 
     @property
     def rows(self) -> list[int]:
@@ -58,15 +65,15 @@ class Independent(NamedTuple):
 def independent(rows: Rows, tolerance: float) -> Independent:
     """Select independent rows of a dimensionless matrix.
 
-    Rows are added in the order of their independent parts, the largest first. The selection ends where these
-    drop below `tolerance` and below the last one divided by `MIN_GAP_RATIO`; without such a gap, where the
-    rest is round-off.
+    Rows are added in descending order of their independent parts. The selection ends at a gap: the next
+    independent part is below `tolerance`, and below the smallest one so far divided by `MIN_GAP_RATIO`.
+    Without such a gap the selection ends when the remaining rows are dependent up to round-off.
 
     Args:
-        rows: of the matrix, about 1 long.
+        rows: sparse rows of the matrix, each of length about 1.
         tolerance: independent part below which a row counts as dependent.
     """
-    # rows without round-off
+    # rows that are zero up to round-off count as zero
     lengths = [length(row) for row in rows]
     noise = max((each for each in lengths if each <= ROW_ROUND_OFF), default=0.0)
     rows = [row if each > ROW_ROUND_OFF else {} for row, each in zip(rows, lengths, strict=True)]
@@ -80,23 +87,24 @@ def independent(rows: Rows, tolerance: float) -> Independent:
     least = float(np.sqrt(min((factor.pivots[i] for i in factor.order), default=1.0)))
     # the other rows one by one, the largest independent part first
     weak, strong = dict[int, float](), least
-    while doubtful and (new := _together(rows, factor, doubtful)) > MIN_INEXACT:
+    # a random combination of all doubtful rows first tells whether any of them is independent
+    while doubtful and (new := _independent_part_of_sum(rows, factor, doubtful)) > MIN_INEXACT:
         if new <= ROW_ROUND_OFF or MIN_GAP_RATIO * new <= min(tolerance, least / MIN_GAP_RATIO):
             noise = max(noise, new)
             break
-        shares = {i: remainder(rows, factor, rows[i]) for i in doubtful}
-        found = max(shares, key=lambda i: shares[i])
-        share = shares[found]
-        if share <= ROW_ROUND_OFF or (share <= tolerance and MIN_GAP_RATIO * share <= least):
-            noise = max(noise, share)
+        parts = {i: remainder(rows, factor, rows[i]) for i in doubtful}
+        best = max(parts, key=lambda i: parts[i])
+        part = parts[best]
+        if part <= ROW_ROUND_OFF or (part <= tolerance and MIN_GAP_RATIO * part <= least):
+            noise = max(noise, part)
             break
-        least = min(least, share)
-        if share < np.sqrt(CERTAIN_PIVOT):
-            weak[found] = share
+        least = min(least, part)
+        if part < np.sqrt(CERTAIN_PIVOT):
+            weak[best] = part
         else:
             strong = least
-        doubtful.remove(found)
-        factor = factorize(products, [*factor.order, found])
+        doubtful.remove(best)
+        factor = factorize(products, [*factor.order, best])
     return Independent(factor, weak, strong, noise)
 
 
@@ -106,9 +114,14 @@ def length(row: dict[int, float]) -> float:
 
 
 def remainder(rows: Rows, factor: Factor, row: dict[int, float]) -> float:
-    """Compute the length of the part of a row that is independent of the rows of a factor.
+    """Compute the independent part of a row: its distance from the span of the selected rows.
 
-    A second solution recovers the digits that the Gram matrix loses.
+    The Gram matrix loses digits; a second solution for the remaining vector recovers them.
+
+    Args:
+        rows: sparse rows of the matrix.
+        factor: factor of the Gram matrix of the selected rows.
+        row: the examined sparse row.
     """
     left = dict(row)
     for _ in range(2):
@@ -120,17 +133,17 @@ def remainder(rows: Rows, factor: Factor, row: dict[int, float]) -> float:
 
 
 def shares(rows: Rows, used: Sequence[int], others: Sequence[int]) -> Rows:
-    """Compute the shares X of independent rows in others that follow from them: others = X @ used.
+    """Express dependent rows as combinations of independent rows: others = X @ used.
 
-    A second solution recovers the digits that the Gram matrix loses.
+    The coefficients X are called shares. A second solution recovers the digits that the Gram matrix loses.
 
     Args:
-        rows: of a dimensionless matrix.
-        used: numbers of independent rows.
-        others: numbers of the other rows.
+        rows: sparse rows of a dimensionless matrix.
+        used: numbers of the independent rows.
+        others: numbers of the dependent rows.
 
     Returns:
-        For each of the others, its shares by number of the row in use.
+        For each of the dependent rows, its shares by number of the independent row.
     """
     products = gram([rows[i] for i in used], [rows[i] for i in used])
     factor = factorize(products, minimum_degree(products))
@@ -148,7 +161,17 @@ def shares(rows: Rows, used: Sequence[int], others: Sequence[int]) -> Rows:
 
 
 def least_step(rows: Rows, factor: Factor, right: Array, columns: int) -> Array:
-    """Compute the shortest x (columns,) with rows @ x = right (k,) for the rows of a factor."""
+    """Compute the shortest x with rows @ x = right for the selected rows.
+
+    Args:
+        rows: sparse rows of the matrix.
+        factor: factor of the Gram matrix of the selected rows.
+        right: (k,) right side of all rows.
+        columns: length of x.
+
+    Returns:
+        x (columns,).
+    """
     used = set(factor.order)
     weights = factor.solve({i: x for i, x in sparse_vector(right).items() if i in used})
     step = np.zeros(columns)
@@ -158,11 +181,11 @@ def least_step(rows: Rows, factor: Factor, right: Array, columns: int) -> Array:
     return step
 
 
-def _together(rows: Rows, factor: Factor, doubtful: list[int]) -> float:
-    """Compute the independent part of a random combination of rows: round-off if each row is dependent."""
+def _independent_part_of_sum(rows: Rows, factor: Factor, doubtful: list[int]) -> float:
+    """Compute the independent part of a random sum of rows: round-off if each of the rows is dependent."""
     weights = np.random.default_rng(1).uniform(1.0, 2.0, len(doubtful))
-    together: dict[int, float] = {}
+    total: dict[int, float] = {}
     for i, weight in zip(doubtful, weights, strict=True):
         for k, x in rows[i].items():
-            add(together, k, weight * x)
-    return remainder(rows, factor, together)
+            add(total, k, weight * x)
+    return remainder(rows, factor, total)

@@ -1,11 +1,11 @@
-"""Constraint rows whose linear dependence varies from configuration to configuration.
+"""Find redundant constraint rows whose linear dependence changes with the configuration.
 
-A row that is left out is a combination of rows in use. Its coefficients, called shares, are analytic
-functions of the configuration. If a share is not constant, two configurations in general position differ in
-it. Three regular configurations are compared (`MIN_REGULAR`): the first may be in a special position, for
-example symmetric, and the others are random steps away. If fewer regular configurations are known, all rows
-with shares in each other count as varying: an unneeded exchange of rows costs little, a missing one may cost
-the run.
+A redundant row that is left out is a linear combination of the rows in use. Its coefficients are called
+shares. If a share depends on the configuration, a run may have to exchange the row for a row in use
+(`newton_euler.equations.row_choice`). The shares of several configurations of a mechanism are compared. The
+first configuration may be special, for example symmetric; the others are random steps away. If fewer than
+`MIN_REGULAR` regular (not singular) configurations are known, all shares count as varying. An unnecessary
+exchange costs little, but a missing one may stop a run.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from newton_euler.equations.sparse import Rows
 from newton_euler.scalars import Array
 
 MIN_REGULAR = 3
-"""Number of regular configurations that decide whether shares are constant."""
+"""Number of regular configurations needed to decide whether shares are constant."""
 
 MAX_SHARE_CHANGE = 1e-6
-"""Largest difference of a share between configurations that is round-off, and largest share that is zero."""
+"""Change of a share between configurations up to which the share is constant; also a share that is zero."""
 
 
 class ScaledRows(NamedTuple):
-    """Rows of the constraint Jacobian at a configuration.
+    """Rows of the constraint Jacobian at a configuration, scaled to length about 1.
 
     Attributes:
-        rows: sparse rows in units of `scales`.
-        scales: (k,) natural magnitudes of the dimensionless rows.
+        rows: sparse dimensionless rows, each divided by its scale.
+        scales: (k,) natural magnitude of each dimensionless row before the division.
     """
 
     rows: Rows
@@ -41,51 +41,54 @@ class ScaledRows(NamedTuple):
 def varying_rows(
     configurations: Sequence[ScaledRows], used: Sequence[int], others: Sequence[int]
 ) -> dict[int, float]:
-    """Find the exchangeable rows, and their largest natural magnitudes.
+    """Find the rows that a run may have to exchange, and their largest natural magnitudes.
 
     Args:
-        configurations: closed configurations; ignored if the rows in use are dependent.
-        used: numbers of rows in use, which imply all others.
-        others: numbers of rows that are left out.
+        configurations: closed configurations. A configuration in which the rows in use are dependent is
+            singular and ignored.
+        used: numbers of the rows in use; all other rows are combinations of them.
+        others: numbers of the rows that are left out.
 
     Returns:
-        Natural magnitudes by row: rows left out with varying shares, and all rows connected with them by
-        shares.
+        Natural magnitude by row number, for left-out rows with varying shares and for all rows connected to
+        them: rows in use with a share in a left-out row, directly or through other rows.
     """
-    # rows connected by shares, and rows left out whose shares vary
+    # each left-out row and the rows with a share in it are connected
     regular = [at for at in configurations if are_independent(at.rows, used)]
-    found = [_shares(at, used, others) for at in regular]
-    links = [
-        {other, *(i for at in found for i, x in at[n].items() if abs(x) > MAX_SHARE_CHANGE)}
+    shares_at = [_unscaled_shares(at, used, others) for at in regular]
+    connected = [
+        {other, *(i for found in shares_at for i, x in found[n].items() if abs(x) > MAX_SHARE_CHANGE)}
         for n, other in enumerate(others)
     ]
-    more = {
+    # left-out rows whose shares vary
+    added = {
         other
         for n, other in enumerate(others)
-        if len(links[n]) > 1 and (len(regular) < MIN_REGULAR or _varies([at[n] for at in found]))
+        if len(connected[n]) > 1 and (len(regular) < MIN_REGULAR or _vary([found[n] for found in shares_at]))
     }
+    # all rows connected to these, directly or through other rows
     rows: set[int] = set()
-    # all rows connected with these
-    while more - rows:
-        rows |= more
-        more = {row for link in links if link & rows for row in link}
+    while added - rows:
+        rows |= added
+        added = {row for group in connected if group & rows for row in group}
     return {row: float(max(at.scales[row] for at in regular)) for row in sorted(rows)}
 
 
 def are_independent(rows: Rows, used: Sequence[int]) -> bool:
-    """True if some rows of a dimensionless matrix are independent."""
+    """Return True if the rows with the numbers `used` of a dimensionless matrix are independent."""
     return len(independent([rows[i] for i in used], 0.0).rows) == len(used)
 
 
-def _shares(at: ScaledRows, used: Sequence[int], others: Sequence[int]) -> Rows:
-    """Compute shares of the rows without the scales of the configuration."""
+def _unscaled_shares(at: ScaledRows, used: Sequence[int], others: Sequence[int]) -> Rows:
+    """Compute the shares of rows in use in each of the others, for rows before their division by scales."""
     return [
         {i: x * (at.scales[other] / at.scales[i]) for i, x in each.items()}
         for other, each in zip(others, shares(at.rows, used, others), strict=True)
     ]
 
 
-def _varies(found: Sequence[dict[int, float]]) -> bool:
-    """True if the shares of a row differ between configurations."""
-    values = np.array([[each.get(i, 0.0) for i in set().union(*found)] for each in found])
+def _vary(shares_of_row: Sequence[dict[int, float]]) -> bool:
+    """Return True if the shares in a row, one dictionary per configuration, differ between configurations."""
+    numbers = set().union(*shares_of_row)
+    values = np.array([[each.get(i, 0.0) for i in numbers] for each in shares_of_row])
     return bool(np.any(np.ptp(values, axis=0) > MAX_SHARE_CHANGE))

@@ -1,6 +1,8 @@
-"""Actuators of a scene and the joint coordinates that the actuators move, checked once for all states.
+"""Checks for inverse dynamics: can the actuators of a scene give chosen joint coordinates any accelerations?
 
-`newton_euler.equations.formulation.Formulation.servo_forces` computes the forces.
+The result is a `Servos` record with the coordinates, the actuators and the constraint rows in use.
+`newton_euler.equations.formulation.Formulation.servo_forces` then computes the actuator forces at a state.
+Both are listed by key: (name of the joint, number of its coordinate).
 """
 
 from __future__ import annotations
@@ -24,10 +26,10 @@ from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
 MIN_INDEPENDENT_RATE = 1e-3
-"""Smallest dimensionless part of a row that is independent of the rows chosen before."""
+"""Smallest dimensionless distance of a new row from the span of the rows chosen before."""
 
 COMPARED_DIGITS = 6
-"""Digits in which rows are compared, so that the choice does not depend on the processor's round-off."""
+"""Decimals in which rows are compared, so that the choice does not depend on the processor's round-off."""
 
 
 def servos_of(
@@ -36,12 +38,14 @@ def servos_of(
     actuators: Sequence[Key],
     form: Callable[[Scene], Formulation] = Relative,
 ) -> Servos:
-    """Check that actuators of a scene can give coordinates any accelerations.
+    """Check that actuators of a scene can give joint coordinates any accelerations.
 
     Args:
-        scene: the mechanism; control laws are ignored.
-        coordinates, actuators: as in `Servos`.
-        form: the formulation whose constraint rows are returned.
+        scene: the mechanism; its control laws are ignored.
+        coordinates: keys of the joint coordinates with desired accelerations, independent of each other.
+        actuators: keys of the joint coordinates on which actuators act: the same ones, or at least as many
+            others.
+        form: class of the equations whose constraint rows are returned.
 
     Raises:
         MechanismError: naming a coordinate that is given twice, follows a prescribed motion, depends on other
@@ -61,24 +65,29 @@ def servos_of(
         problem = f"has {decided.degrees_of_freedom} degrees of freedom, and {count} coordinates are chosen"
         needed = "as many where actuators are on other coordinates than these"
         raise MechanismError(f"scene {scene.name!r}", problem, needed)
-    faults = [fault(system, system.coordinates(state)[0], servos) for state in decided.states]
+    faults = [find_fault(system, system.coordinates(state)[0], servos) for state in decided.states]
     if all(faults):
         key, problem = faults[0] or (("", 0), "")
         raise MechanismError(f"coordinate {name(key)!r}", problem, "another choice")
     return scaled(servos, form(system.scene))
 
 
-def fault(
+def find_fault(
     system: Relative, q: Array, servos: Servos, tolerance: float = RANK_TOLERANCE
 ) -> tuple[Key, str] | None:
-    """Find a coordinate whose acceleration cannot be chosen in a configuration, and the reason; or None.
+    """Find a coordinate to which the actuators cannot give any acceleration in a configuration.
 
     Args:
-        system: equations of the scene that `measuring` returns for the coordinates and actuators.
+        system: equations of the scene that `newton_euler.equations.parameters.measuring` returns for the
+            coordinates and actuators.
         q: (nq,) configuration.
         servos: the coordinates and actuators.
         tolerance: dimensionless limit below which a singular value counts as zero.
+
+    Returns:
+        Key of the coordinate and the reason; None if the actuators can give all coordinates any acceleration.
     """
+    # coordinates must be independent of the constraints and of each other
     if not servos.coordinates:
         return None
     closed = dimensionless_jacobian(system, q)[servos.rows.in_use]
@@ -88,6 +97,7 @@ def fault(
     if rank < len(rows):
         share = np.abs(left[len(closed) :, rank:]).max(axis=1)
         return servos.coordinates[int(np.argmax(share))], "depends on loops and the other coordinates"
+    # rates of the actuators' coordinates for a unit rate of each coordinate must have full rank
     tangent = right[:rank].T @ (left[len(closed) :].T / values[:, None])
     acting = coordinate_rows(system, q, servos.actuators) @ tangent
     _, ratios, combinations = singular_values(acting, full=True)
@@ -97,26 +107,30 @@ def fault(
 
 
 def coordinate_rows(system: Relative, q: Array, keys: Sequence[Key]) -> Array:
-    """Compute dimensionless rates (k, nv) of measured joint coordinates for each dimensionless velocity."""
+    """Compute the dimensionless Jacobian (k, nv) of joint coordinates with respect to the velocities at q."""
     measured = system.measured(q, np.zeros(system.nv))
     rows = to_array([measured[key].jacobian for key in keys], system.nv)
     return rows * system.velocity_units / np.array([system.unit(key) for key in keys])[:, None]
 
 
 def tangents(system: Relative, q: Array) -> Array:
-    """Compute orthonormal dimensionless velocities (nv, d) that keep loops closed."""
+    """Compute orthonormal dimensionless velocities (nv, d) at q that keep all loops closed."""
     closed = dimensionless_jacobian(system, q)[mobility(system.scene).independent]
     return orthonormal_null(closed, len(closed))
 
 
 def independent_rows(rows: Array, chosen: Sequence[int], candidates: Iterable[int], count: int) -> list[int]:
-    """Choose independent rows of a dimensionless matrix greedily: each time the row farthest from the span.
+    """Choose independent rows of a dimensionless matrix: each time the row farthest from the span so far.
 
     Args:
         rows: (k, n) matrix.
         chosen: numbers of rows that are chosen already, at most `count`.
-        candidates: numbers of the other rows.
-        count: rows to choose; fewer if no row adds more than `MIN_INDEPENDENT_RATE`.
+        candidates: numbers of the rows to choose from.
+        count: total number of rows to choose; fewer are chosen if the distance of all candidates from the
+            span is below `MIN_INDEPENDENT_RATE`.
+
+    Returns:
+        Numbers of the chosen rows, the given ones first.
     """
     found, rest, left = list(chosen), list(candidates), rows.copy()
     for row in found:
@@ -132,7 +146,7 @@ def independent_rows(rows: Array, chosen: Sequence[int], candidates: Iterable[in
 
 
 def _remove(rows: Array, row: int) -> None:
-    """Subtract from all rows their projection onto one row."""
+    """Subtract from all rows (k, n), in place, their projection onto the row with a number."""
     length = np.linalg.norm(rows[row])
     if length > 0.0:
         along = rows[row] / length

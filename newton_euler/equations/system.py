@@ -1,7 +1,8 @@
-"""The protocol of equations of motion, for integrators, projection and comparison.
+"""The interface of equations of motion, which integrators, projection and comparison use.
 
-Both formulations of this package are such systems, and so are other engines' models once they are
-asked for accelerations under rigid constraints.
+Both forms of this package's equations implement `System`. So do the models of other engines, which give
+accelerations under rigid constraints. The state of a system is (q, v): coordinates q (nq,) and velocities
+v (nv,). Constraint residuals are called Phi; Phi is zero if all loops are closed.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ from newton_euler.scalars import Array, Scalar
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Observation:
-    """Poses, velocities and energies of one state in an engine; SI units.
+    """Poses, velocities and energies of one state, computed by an engine; SI units.
 
     Attributes:
-        state: poses and velocities as this engine's own kinematics give them.
-        kinetic_energy, potential_energy: J; potential energy is that of gravity, zero at the origin, and
-            of springs, zero at rest.
-        work: J, done since the start by forces without potential energy; None if it is not tracked.
+        state: poses and velocities from the engine's own kinematics.
+        kinetic_energy: J.
+        potential_energy: J, of gravity (zero at the world origin) and of springs (zero if relaxed).
+        work: J, work since the start of all forces without potential energy; None if it is not tracked.
     """
 
     state: State
@@ -39,13 +40,17 @@ class Observation:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Evaluation(Observation):
-    """Solution of the equations of motion at one state; world frame, SI; b bodies, j joints.
+    """Solution of the equations of motion at one state of a scene with b bodies and j joints.
+
+    Vectors are in the world frame. Redundant constraints leave reactions non-unique, see
+    `newton_euler.equations.reactions`.
 
     Attributes:
-        linear_acceleration, angular_acceleration: (b, 3) of the bodies.
-        reaction_force, reaction_torque: (j, 3) on the second body, at its joint point. Not unique where
-            constraints are redundant, see `newton_euler.equations.reactions`.
-        actuator_force: (a,) N or N m along the actuated coordinates.
+        linear_acceleration: (b, 3) m/s^2, of the centers of mass.
+        angular_acceleration: (b, 3) rad/s^2.
+        reaction_force: (j, 3) N, on the second body of each joint.
+        reaction_torque: (j, 3) N m, on the second body, about its joint point.
+        actuator_force: (a,) N or N m, along the actuated joint coordinates.
     """
 
     linear_acceleration: Array
@@ -57,7 +62,7 @@ class Evaluation(Observation):
 
 @dataclass(frozen=True, eq=False)
 class MassProperties:
-    """Mass properties of all b bodies, world frame at the initial pose, SI.
+    """Mass properties of all b bodies, ground first, in the world frame at the initial pose.
 
     Attributes:
         mass: (b,) kg.
@@ -71,77 +76,82 @@ class MassProperties:
 
     @classmethod
     def of(cls, mechanism: Mechanism) -> MassProperties:
-        """Return the mass properties that the mechanism states."""
-        turns = [rotation(body.quaternion) for body in mechanism.bodies]
+        """Collect the mass properties that the bodies of a mechanism declare."""
+        rotations = [rotation(body.quaternion) for body in mechanism.bodies]
         return cls(
             np.array([body.mass for body in mechanism.bodies]),
             np.array([body.center_of_mass for body in mechanism.bodies]),
-            np.array([a @ b.inertia @ a.T for a, b in zip(turns, mechanism.bodies, strict=True)]),
+            np.array([a @ b.inertia @ a.T for a, b in zip(rotations, mechanism.bodies, strict=True)]),
         )
 
 
 class System(Protocol):
-    """Second-order equations with constraints: qdot = rate(q, v), vdot = acceleration(q, v)."""
+    """Equations of motion with constraints: dq/dt = rate(q, v), dv/dt = acceleration(q, v)."""
 
     name: str
     scene: Scene
     mechanism: Mechanism
     time: Scalar
-    """Time of prescribed motions, control laws and wind, s."""
+    """Time, s, at which prescribed motions, control laws and wind are evaluated."""
     nq: int
+    """Length of q."""
     nv: int
+    """Length of v."""
     phi_units: Array
-    """(k,) units of the rows of `phi`: the mechanism's size for meters, 1 for radians."""
+    """(k,) divisors that make residuals `phi` dimensionless: the mechanism's size, m, for lengths, else 1."""
     velocity_units: Array
-    """(nv,) units of velocities."""
+    """(nv,) divisors that make velocities 1/s: the mechanism's size, m, for linear velocities, else 1."""
     quaternions: list[slice]
-    """Places of Euler parameters in q."""
+    """Slices of q with the quaternions (w, x, y, z)."""
 
     def mass_properties(self) -> MassProperties:
-        """Return the mass properties of the bodies in this system's own model."""
+        """Return the mass properties of the bodies as the model of this engine has them."""
 
     def joint_geometry(self) -> dict[str, JointGeometry]:
-        """Return the joints of this system's own model at the initial pose, by name.
+        """Return the joints at the initial pose, by name, as the model of this engine has them.
 
-        Joints that a model adds for bodies that only rods hold are left out.
+        Joints that a model adds, for bodies that are connected by rods only, are left out.
         """
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
         """Compute q (nq,) and v (nv,) of a state."""
 
     def state(self, q: Array, v: Array) -> State:
-        """Compute body poses and velocities by this system's own kinematics."""
+        """Compute the poses and velocities of the bodies by the kinematics of this engine."""
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
-        """Compute the coordinates (m or rad) and rates of `Scene.sensed`."""
+        """Compute each joint coordinate of `Scene.sensed`, which controllers read, and its rate; m or rad."""
 
     def rate(self, q: Array, v: Array) -> Array:
-        """Compute qdot (nq,)."""
+        """Compute dq/dt (nq,)."""
 
     def acceleration(self, q: Array, v: Array) -> Array:
-        """Compute vdot (nv,)."""
+        """Compute dv/dt (nv,)."""
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Compute M and f of M vdot = f + reactions; f has gravity, velocity terms and applied forces.
+        """Compute the mass matrix M and the force f of M dv/dt = f + constraint forces.
 
-        (nv, nv) and (nv,) for coordinates of a tree; (6 n, 7 n) and (6 n,) for the Cartesian form of n moving
-        bodies, whose rows are forces in the world and torques in the body.
+        The force f contains gravity, velocity terms and applied forces.
+
+        Returns:
+            M (nv, nv) and f (nv,) for joint coordinates; M (6 n, 7 n) and f (6 n,) for the Cartesian form of
+            n moving bodies, whose rows are forces in the world frame and torques in the body frame.
         """
 
     def phi(self, q: Array) -> Array:
-        """Compute the constraint residuals (k,) that projection removes."""
+        """Compute the constraint residuals Phi (k,), m or rad, which projection removes."""
 
     def phi_t(self) -> Array:
-        """Compute the partial derivative (k,) of `phi` by time, which prescribed motions have."""
+        """Compute the partial derivative of `phi` with respect to time (k,); prescribed motions have one."""
 
     def coupling_phi(self, q: Array) -> Array:
-        """Compute residuals (c,) of all couplings, m or rad."""
+        """Compute the residuals (c,) of all couplings between joint coordinates, m or rad."""
 
     def phi_jacobian(self, q: Array) -> Array:
-        """Compute the derivative (k, nv) of `phi` along `retract`, and of its rate by v."""
+        """Compute the constraint Jacobian (k, nv): derivative of `phi` for a step of `retract`."""
 
     def retract(self, q: Array, step: Array) -> Array:
-        """Move q by a small step (nv,)."""
+        """Return q moved by a small step (nv,), in the units of v times s; quaternions keep norm 1."""
 
     def observe(self, q: Array, v: Array) -> Observation:
         """Compute poses, velocities and energies."""
@@ -150,36 +160,39 @@ class System(Protocol):
         """Compute accelerations, reactions and energies."""
 
     def velocity_transformation(self, q: Array) -> Array:
-        """Compute v and omega of body 0, 1, ... for each velocity, (6 b, nv)."""
+        """Compute the matrix (6 b, nv) from v to the linear and angular velocity of bodies 0, 1, ..."""
 
 
 S = TypeVar("S", bound=System)
 
 
 def at_time(system: S, time: float) -> S:
-    """Copy a system to a time in s."""
+    """Return a copy of a system at a time in s."""
     changed = copy.copy(system)
     changed.time = time
     return changed
 
 
 def dimensionless_jacobian(system: System, q: Array) -> Array:
-    """Compute the dimensionless `phi_jacobian` (k, nv), for ranks and condition numbers."""
+    """Compute the constraint Jacobian (k, nv) in dimensionless form, for ranks and condition numbers."""
     return np.asarray(system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None])
 
 
 def constraint_rate(system: System, q: Array, v: Array) -> Array:
-    """Compute dPhi/dt (k,) = Phi_q qdot + Phi_t."""
+    """Compute the rate of the constraint residuals (k,), m/s or rad/s: Phi_q v + Phi_t."""
     return rate_of_phi(system, system.phi_jacobian(q), v)
 
 
 def rate_of_phi(system: System, jacobian: Array, v: Array) -> Array:
-    """Compute dPhi/dt (k,) from Phi_q (k, nv)."""
+    """Compute the rate of the constraint residuals (k,) from the constraint Jacobian Phi_q (k, nv)."""
     return np.asarray(jacobian @ v + system.phi_t())
 
 
 def fastest_joint(mechanism: Mechanism, state: State) -> str:
-    """Find the joint whose bodies have the largest relative velocity, in mechanism sizes and rad per s."""
+    """Find the joint whose two bodies have the largest relative velocity.
+
+    Linear velocities are divided by the mechanism's size, to compare them with angular velocities.
+    """
     with np.errstate(all="ignore"):
         motion = np.hstack([state.linear_velocity / mechanism.size, state.angular_velocity])
         speeds = [np.max(np.abs(motion[e.second] - motion[e.first])) for e in mechanism.equations]
