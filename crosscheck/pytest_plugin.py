@@ -83,19 +83,19 @@ class CheckedModel:
         """
         from crosscheck.regress.compare import compare
         from crosscheck.regress.report import tables
-        from crosscheck.regress.run import Guarded, guard, update
+        from crosscheck.regress.run import GuardedScene, guard_scene, update_baselines
         from crosscheck.report.render import terminal
 
         __tracebackhide__ = True
         found = self.verdict.crosscheck
         if found.source:
             with _errors_as_failures():
-                guarded = guard(found.source, dict(found.options))
+                guarded = guard_scene(found.source, dict(found.options))
         else:
             scene, path = found.scene, self.test_folder / f"{found.scene.name}.baseline.json"
-            guarded = Guarded(scene.name, dict(found.options), scene, path, found.mapping)
+            guarded = GuardedScene(scene.name, dict(found.options), scene, path, found.mapping)
         if self.reason is not None:
-            update([guarded], self.reason, lambda stage: None)
+            update_baselines([guarded], self.reason, lambda stage: None)
         elif not guarded.path.exists():
             pytest.fail(f"no baseline {guarded.path}; pytest {UPDATE_OPTION} REASON stores it", pytrace=False)
         else:

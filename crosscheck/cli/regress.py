@@ -22,7 +22,7 @@ from crosscheck.report.render import terminal
 from crosscheck.support.errors import CrosscheckError
 
 if TYPE_CHECKING:
-    from crosscheck.regress.run import Guarded
+    from crosscheck.regress.run import GuardedScene
 
 _file = click.Path(path_type=Path)
 
@@ -65,7 +65,7 @@ def regress_command(
     `crosscheck report OUTPUT` writes a page of the results.
     """
     from crosscheck.regress.report import outcome, report, tables, verdict
-    from crosscheck.regress.run import check, update
+    from crosscheck.regress.run import check_baselines, update_baselines
 
     if len(sources) != 1 and (settings or baseline):
         raise CrosscheckError("--set and --baseline are of one SCENE; name it")
@@ -74,15 +74,15 @@ def regress_command(
         if left_out:
             raise CrosscheckError(f"--update: {'; '.join(f'{n}: {why}' for n, why in left_out.items())}")
         with progress_shown() as progress:
-            made = update(guarded, reason, progress)
-        for each, found in zip(guarded, made, strict=True):
-            beside = f", {len(found.unsimulated)} lines on the file beside them" if found.unsimulated else ""
-            say(f"wrote {each.path}: {len(found.figures)} figures{beside}")
+            baselines = update_baselines(guarded, reason, progress)
+        for each, found in zip(guarded, baselines, strict=True):
+            more = f" and {len(found.unsimulated)} elements not simulated" if found.unsimulated else ""
+            say(f"wrote {each.path}: {len(found.quantities)} quantities{more}")
             for group, why in found.left_out.items():
                 say(f"  {group} left out: {why}")
         return AGREE
     with progress_shown() as progress:
-        compared, recordings, written = check(guarded, output, progress, left_out, allow_reduced)
+        compared, recordings, written = check_baselines(guarded, output, progress, left_out, allow_reduced)
     parts = everything(report(compared, recordings, left_out))[1:]  # the first are the verdicts, which follow
     click.echo(terminal(parts or tables(compared)), nl=False)
     for comparison in compared:
@@ -98,13 +98,13 @@ def regress_command(
 
 def _guarded(
     sources: tuple[str, ...], options: dict[str, str], baseline: Path | None
-) -> tuple[list[Guarded], dict[str, str]]:
+) -> tuple[list[GuardedScene], dict[str, str]]:
     """Load what is compared, and name the scenes of the library whose optional packages are not installed."""
     from crosscheck.library import SCENES
-    from crosscheck.regress.run import guard
+    from crosscheck.regress.run import guard_scene
     from newton_euler.errors import MissingPackageError
 
-    found: list[Guarded] = []
+    found: list[GuardedScene] = []
     left_out: dict[str, str] = {}
     for source in sources or tuple(SCENES):
         if source in SCENES and options and baseline is None:
@@ -112,7 +112,7 @@ def _guarded(
                 f"the baseline of {source!r} is of its defaults; --set needs --baseline FILE"
             )
         try:
-            one = guard(source, options, baseline)
+            one = guard_scene(source, options, baseline)
         except MissingPackageError as error:
             if sources:
                 raise

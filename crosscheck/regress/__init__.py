@@ -1,1 +1,1 @@
-"""Guards figures of scenes and models against change: measured, and compared with a stored baseline."""
+"""Regression tests of scenes and model files: measured quantities are compared with a stored baseline."""

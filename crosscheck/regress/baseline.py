@@ -1,7 +1,9 @@
-"""Baselines: what a scene's figures were, how far each may move, and who changed them why.
+"""Baseline files of `crosscheck regress`: the stored results that later runs of a scene are compared with.
 
-A file is JSON, one figure a line, so that a change of a baseline can be read line by line. A checksum ends
-the file: a damaged tolerance or a figure that was lost in a merge would otherwise never be noticed.
+A baseline holds quantities of one scene (masses, accelerations, trajectories, counts of steps) with the
+tolerance of each, the settings of their measurement, and the history of its updates. The file is JSON with
+one quantity per line, so that a version control system shows which quantity changed. A checksum at its end
+detects damaged files and lines lost in a merge.
 """
 
 from __future__ import annotations
@@ -33,32 +35,36 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 GroupName = Literal["model", "relative", "cartesian", "integrators", "mujoco", "pinocchio"]
-"""Name of a group of key figures, see `crosscheck.regress.measure.GROUPS`."""
+"""Name of a group of quantities that are measured together, see `crosscheck.regress.measure.GROUPS`."""
 
-OPERATIONS = "operations of "
-"""Start of the names of checks that count arithmetic operations of compiled code."""
+OPERATIONS_PREFIX = "operations of "
+"""Start of the names of quantities that count arithmetic operations of compiled code."""
 
-COUNTED = (": steps", ": evaluations")
-"""Ends of the names of checks that count the work of an integrator."""
+COUNT_SUFFIXES = (": steps", ": evaluations")
+"""Ends of the names of quantities that count the work of an integrator."""
 
-
-FORMAT = 3
-"""Format number of the files that this version writes and reads."""
+FILE_FORMAT = 3
+"""Version of the file format that `read_baseline` accepts and `Baseline.text` writes."""
 
 
 class _Strict(BaseModel):
+    """Base of all parts of a baseline file: a field that the class does not know is an error."""
+
     model_config = ConfigDict(extra="forbid")
 
 
-class StoredFigure(_Strict):
-    """One figure: a table of numbers, SI, world frame.
+class StoredQuantity(_Strict):
+    """One measured quantity: a table of numbers in SI units, vectors in the world frame.
 
     Attributes:
-        group: what measures it; one group fails or succeeds as a whole.
-        name, unit: of the quantity.
-        rows, columns: names of bodies, joints, times or components; one empty name for a single number.
-        value: a row for each of `rows`.
-        tolerance: how far the numbers of each row may move.
+        group: group of the measurement; all quantities of a group are measured, or none.
+        name: name of the quantity, unique within its group, such as "start: reaction force".
+        unit: unit of all numbers; empty for counts and ratios.
+        rows, columns: labels of the table: names of bodies or joints, times, or components of vectors. A
+        single
+            number has one row and one column, whose labels are empty.
+        value: (rows, columns) numbers.
+        tolerance: (rows,) largest allowed change of the numbers of each row, in `unit`.
     """
 
     group: GroupName
@@ -70,7 +76,8 @@ class StoredFigure(_Strict):
     tolerance: list[Annotated[float, Field(ge=0.0, allow_inf_nan=False)]]
 
     @model_validator(mode="after")
-    def _check_shape(self) -> StoredFigure:
+    def _check_shape(self) -> StoredQuantity:
+        """Refuse a table whose numbers do not match its labels."""
         if len(self.value) != len(self.rows) or any(len(row) != len(self.columns) for row in self.value):
             raise ValueError(f"value is not a table of {len(self.rows)} x {len(self.columns)} numbers")
         if len(self.tolerance) != len(self.rows):
@@ -79,66 +86,84 @@ class StoredFigure(_Strict):
 
     @property
     def array(self) -> Array:
-        """(rows, columns)."""
+        """(rows, columns) numbers of the table."""
         return np.array(self.value, dtype=float).reshape(len(self.rows), len(self.columns))
 
     @property
     def over_time(self) -> bool:
-        """True if rows are times, along which errors grow; otherwise all rows have one error."""
+        """True if the rows are times of a run, along which integration errors grow."""
         return self.name.endswith("over time")
 
     @property
     def is_cost(self) -> bool:
-        """True if the number is a cost (operations, steps, evaluations), which may fall but not grow."""
-        return self.name.startswith(OPERATIONS) or self.name.endswith(COUNTED)
+        """True for counts of operations, steps or evaluations: they may fall but not grow."""
+        return self.name.startswith(OPERATIONS_PREFIX) or self.name.endswith(COUNT_SUFFIXES)
 
 
 class StoredState(_Strict):
-    """A state of all bodies, as `newton_euler.model.state.State`."""
+    """State of all bodies of a mechanism in JSON, see `newton_euler.model.state.State`.
+
+    Attributes:
+        position: m, centers of mass in the world frame; body 0 is the ground.
+        quaternion: (w, x, y, z), orientations.
+        linear_velocity: m/s, in the world frame.
+        angular_velocity: rad/s, in the world frame.
+        angles: rad including full revolutions, as triples (joint name, number of its coordinate, angle). The
+        file
+            has no such field if the list is empty.
+    """
 
     position: list[Vector]
     quaternion: list[Quaternion]
     linear_velocity: list[Vector]
     angular_velocity: list[Vector]
     angles: list[tuple[str, int, Number]] = []
-    """Joints, numbers of their coordinates, and rad with revolutions; files leave an empty list out."""
 
     @model_serializer(mode="wrap")
-    def _content(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        found: dict[str, Any] = serialize(self)
-        return found if self.angles else {name: found[name] for name in found if name != "angles"}
+    def _omit_empty_angles(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return the content of the file, without `angles` if there are none."""
+        content: dict[str, Any] = serialize(self)
+        return content if self.angles else {name: content[name] for name in content if name != "angles"}
 
     @property
     def _arrays(self) -> dict[str, list[Any]]:
+        """The four fields with one entry per body, by name."""
         return {name: getattr(self, name) for name in type(self).model_fields if name != "angles"}
 
     @model_validator(mode="after")
     def _check_count(self) -> StoredState:
+        """Refuse fields that have different numbers of bodies."""
         if len({len(array) for array in self._arrays.values()}) > 1:
             raise ValueError("position, quaternion and velocities are of different numbers of bodies")
         return self
 
     @classmethod
     def of(cls, state: State) -> StoredState:
+        """Convert a state to its form in JSON."""
         arrays = (array.tolist() for array in state.arrays)
         names = ("position", "quaternion", "linear_velocity", "angular_velocity")
         angles = [(*key, float(angle)) for key, angle in state.angles.items()]
         return cls(**dict(zip(names, arrays, strict=True)), angles=angles)
 
     def state(self) -> State:
+        """Convert the form in JSON to a state."""
         angles = {(joint, number): angle for joint, number, angle in self.angles}
         arrays = {name: np.array(array, dtype=float) for name, array in self._arrays.items()}
         return State(**arrays, angles=angles)
 
 
-class Plan(_Strict):
-    """Settings of the measurement of figures; chosen when the baseline is made, the same ever after.
+class MeasurementPlan(_Strict):
+    """Settings with which all quantities of a scene are measured.
+
+    The settings are chosen once, for the baseline. Every comparison measures with the same settings.
 
     Attributes:
-        rtol: of the runs in each formulation of newton_euler, and of Radau.
-        step: s, of methods with fixed steps.
-        time: s, of `state`.
-        state: one that the scene passes through, with all that moves moving.
+        rtol: relative tolerances of runs with error control: by formulation of newton_euler (the choice of
+        its
+            coordinates, "relative" or "cartesian"), and for the integrator "Radau".
+        step: s, step of runs with fixed steps.
+        time: s, time of `state`.
+        state: a state of the scene's own run at which all bodies that can move do move.
     """
 
     rtol: dict[str, Annotated[float, Field(gt=0.0, lt=0.1)]]
@@ -146,80 +171,94 @@ class Plan(_Strict):
     time: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
     state: StoredState
 
-    def tighter(self, factor: float) -> Plan:
-        """Return the plan with the tolerances of error control multiplied by a factor."""
+    def tighter(self, factor: float) -> MeasurementPlan:
+        """Return the plan with all relative tolerances multiplied by a factor."""
         return self.model_copy(update={"rtol": {name: factor * rtol for name, rtol in self.rtol.items()}})
 
 
-class Record(_Strict):
-    """One time that the baseline was made."""
+class UpdateRecord(_Strict):
+    """Entry of a baseline's history: one creation or update of the baseline.
+
+    Attributes:
+        date: such as "2026-01-31", in UTC.
+        reason: why the baseline was updated, as the user wrote it.
+        versions: versions of Python and of the packages that measured, by name.
+    """
 
     date: str
     reason: Annotated[str, Field(min_length=1)]
     versions: dict[str, str]
 
     @classmethod
-    def now(cls, reason: str) -> Record:
+    def now(cls, reason: str) -> UpdateRecord:
+        """Return the record of an update today with the installed versions."""
         return cls(date=datetime.now(UTC).strftime("%Y-%m-%d"), reason=reason, versions=versions())
 
 
 class Baseline(_Strict):
-    """A scene's figures.
+    """Stored quantities of one scene, and how they were measured.
 
     Attributes:
-        format: of the file; another number is another meaning of its fields.
-        scene: its name.
-        options: of the scene, as they were set.
-        unsimulated: lines on what of a model file is in no figure.
-        history: every time that the file was made; the last made what is in it.
-        left_out: groups that have no figures here, and why.
-        sha256: of all other fields of the file; empty until the file is written.
+        format: version of the file format, `FILE_FORMAT`.
+        scene: name of the scene.
+        options: options that the scene was loaded with.
+        unsimulated: a line of text for each element of a model file that no quantity covers because the
+        element is
+            not simulated; None for a scene that is not read from a model file.
+        history: all updates of the baseline, the last one last.
+        plan: settings of the measurement.
+        left_out: groups without quantities, and the reason for each.
+        quantities: all measured quantities, in the order of their groups; named `figures` in the file.
+        sha256: checksum of all other fields; empty until `text` is called.
     """
 
-    format: int = FORMAT
+    format: int = FILE_FORMAT
     scene: str
     options: dict[str, str]
     unsimulated: list[str] | None = None
-    history: Annotated[list[Record], Field(min_length=1)]
-    plan: Plan
+    history: Annotated[list[UpdateRecord], Field(min_length=1)]
+    plan: MeasurementPlan
     left_out: dict[GroupName, str]
-    figures: Annotated[list[StoredFigure], Field(min_length=1)]
+    quantities: list[StoredQuantity] = Field(alias="figures", min_length=1)
     sha256: str = ""
 
     @field_validator("format")
     @classmethod
     def _check_format(cls, number: int) -> int:
-        if number != FORMAT:
-            remedy = "delete the file and make it by --update REASON"
-            raise ValueError(f"another version of crosscheck made the file; needed: {FORMAT}; {remedy}")
+        """Refuse files of another format."""
+        if number != FILE_FORMAT:
+            remedy = "delete the file and create it with --update REASON"
+            raise ValueError(f"another version of crosscheck wrote the file; needed: {FILE_FORMAT}; {remedy}")
         return number
 
     @model_validator(mode="after")
     def _check_names(self) -> Baseline:
-        names = Counter((figure.group, figure.name) for figure in self.figures)
+        """Refuse a group with two quantities of one name."""
+        names = Counter((quantity.group, quantity.name) for quantity in self.quantities)
         for (group, name), count in names.items():
             if count > 1:
-                raise ValueError(f"figure {name!r} of {group!r} is there twice")
+                raise ValueError(f"figures: {name!r} of group {group!r} is given twice")
         return self
 
     @property
-    def made(self) -> Record:
-        """Return when and why the figures were last made."""
+    def last_update(self) -> UpdateRecord:
+        """Date, reason and versions of the update that measured the quantities."""
         return self.history[-1]
 
     @property
     def groups(self) -> list[GroupName]:
-        """Groups that have figures, in their order."""
-        return list(dict.fromkeys(figure.group for figure in self.figures))
+        """Groups that have quantities, in the order of the file."""
+        return list(dict.fromkeys(quantity.group for quantity in self.quantities))
 
-    def figure(self, group: str, name: str) -> StoredFigure | None:
-        found = (figure for figure in self.figures if (figure.group, figure.name) == (group, name))
+    def find(self, group: str, name: str) -> StoredQuantity | None:
+        """Return the quantity of a name; None if the baseline has none."""
+        found = (quantity for quantity in self.quantities if (quantity.group, quantity.name) == (group, name))
         return next(found, None)
 
     def text(self) -> str:
-        """The content of the file: a line for each field, and for each entry of the long ones."""
+        """Format the JSON file: one line per field, and one line per entry of `unsimulated` and `figures`."""
         parts = []
-        for key, value in with_checksum(self.model_dump(mode="json")).items():
+        for key, value in with_checksum(self.model_dump(mode="json", by_alias=True)).items():
             text = json.dumps(value, allow_nan=False)
             if key in ("unsimulated", "figures") and value:
                 text = ",\n".join(f"  {json.dumps(entry, allow_nan=False)}" for entry in value)
@@ -228,8 +267,12 @@ class Baseline(_Strict):
         return "{\n" + ",\n".join(parts) + "\n}\n"
 
 
-def read(path: Path) -> Baseline:
-    """Read a baseline; raises `CrosscheckError` naming the file and the field at fault."""
+def read_baseline(path: Path) -> Baseline:
+    """Read a baseline file.
+
+    Raises:
+        CrosscheckError: if the file is missing, damaged or of another format; the message names the field.
+    """
     if not os.path.lexists(path):
-        raise CrosscheckError(f"no baseline {path}; make it by --update REASON")
-    return read_json(path, Baseline, "restore the file, or delete it and make it by --update REASON")
+        raise CrosscheckError(f"no baseline {path}; create it with --update REASON")
+    return read_json(path, Baseline, "restore the file, or delete it and create it with --update REASON")

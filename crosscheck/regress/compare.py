@@ -1,7 +1,8 @@
-"""Compare a scene's figures with its baseline: what moved, by how many tolerances, and from when on.
+"""Compare a scene with its baseline: which stored quantities changed, by how much, and from which time on.
 
-A cost (operations, steps, evaluations) moves only if it grows. A cost that falls by more than its tolerance
-is an improvement.
+`compare` measures all quantities of a baseline again and makes one check for each. A check fails if the
+quantity changed by more than its stored tolerance. Counts of operations, steps and evaluations are costs:
+they fail only if they grow, and a cost that falls by more than its tolerance is an improvement.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ import numpy as np
 
 from crosscheck.compare.activity import acted, watched_in_own_run, what_acted
 from crosscheck.compare.check import Check
-from crosscheck.regress.baseline import Baseline, Record, StoredFigure
-from crosscheck.regress.measure import MAIN, measure_group, regress_scene
+from crosscheck.regress.baseline import Baseline, StoredQuantity, UpdateRecord
+from crosscheck.regress.measure import MAIN_FORMULATION, measure_group, regress_scene
 from crosscheck.report.outcome import Outcome
 from crosscheck.support.versions import versions
 from newton_euler.model.scene import Scene
@@ -27,22 +28,25 @@ from newton_euler.reading.import_report import ImportedElement, ImportReport
 from newton_euler.scalars import Array
 
 MODEL_FILE = "model file"
-"""Name that stands for a group: contents of a model file that a scene does not have."""
+"""Level of checks of the elements of a model file that are not simulated; other levels are names of
+groups."""
 
 BETWEEN = ("baseline", "now")
+"""Names of the two compared results in each check."""
 
 
 @dataclass(frozen=True)
-class Checked(Check):
-    """One stored figure against what it is now, where it moved most.
+class BaselineCheck(Check):
+    """Check of one stored quantity against its present value, at the number that changed most.
 
-    Its level is the group of figures, its value the difference; infinite where there is nothing to compare.
+    The inherited `level` is the group of the quantity, and `value` is the absolute change. The value is
+    infinite if the quantity cannot be compared.
 
     Attributes:
-        unit: of the quantity.
-        was, now: SI; None where there is nothing to compare.
-        problem: why it could not be compared.
-        is_cost: whether the number counts operations, steps or evaluations.
+        unit: unit of the quantity.
+        was, now: stored and present number, in `unit`; None if there are no numbers to compare.
+        problem: why the quantity cannot be compared; empty if it can.
+        is_cost: whether the quantity counts operations, steps or evaluations.
     """
 
     unit: str = ""
@@ -60,85 +64,89 @@ class Checked(Check):
 
     @property
     def moved(self) -> bool:
+        """True if the check fails: the change exceeds the tolerance and is no improvement."""
         return not (self.agrees or self.cheaper)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A scene against its baseline.
+    """Result of the comparison of one scene with its baseline.
 
     Attributes:
-        scene: its name.
-        checked: what of a model file is in no figure, then all figures in the baseline's order.
-        made: when, why and with which versions the baseline was made.
-        now: versions of this run.
-        acting: elements of a model file that acted and were not simulated as the file has them.
-        diverges: s, first output time at which a pose is out of its tolerance; None if none is.
-        wall_time: s.
+        scene: name of the scene.
+        checks: checks of the elements of the model file that are not simulated, then those of all quantities,
+            in the order of the baseline.
+        last_update: date, reason and versions of the baseline's last update.
+        versions: installed versions of Python and of the packages, by name.
+        diverges: s, first output time at which the pose of a body is out of its tolerance; None if none is.
+        wall_time: s, duration of the comparison.
+        acting: elements of the model file that act during the run and are not simulated.
     """
 
     scene: str
-    checked: tuple[Checked, ...]
-    made: Record
-    now: dict[str, str]
+    checks: tuple[BaselineCheck, ...]
+    last_update: UpdateRecord
+    versions: dict[str, str]
     diverges: float | None
     wall_time: float
     acting: tuple[ImportedElement, ...] = ()
 
     @property
     def outcome(self) -> Outcome:
-        """The outcome of the comparison."""
+        """Outcome of the comparison: a failed check outweighs elements that are not simulated."""
         if self.moved:
             return Outcome.MOVED
         return Outcome.QUIET_ON_A_REDUCED_MODEL if self.acting else Outcome.QUIET
 
     @property
-    def moved(self) -> list[Checked]:
-        return [figure for figure in self.checked if figure.moved]
+    def moved(self) -> list[BaselineCheck]:
+        """Checks that fail."""
+        return [check for check in self.checks if check.moved]
 
     @property
-    def cheaper(self) -> list[Checked]:
-        """Costs that fell by more than their tolerance."""
-        return [figure for figure in self.checked if figure.cheaper]
+    def cheaper(self) -> list[BaselineCheck]:
+        """Checks of costs that fell by more than their tolerance."""
+        return [check for check in self.checks if check.cheaper]
 
     @property
     def changed_versions(self) -> list[str]:
-        """Such as "numpy 2.1.0 -> 2.2.0"."""
-        names = dict.fromkeys([*self.made.versions, *self.now])
-        pairs = ((name, self.made.versions.get(name, "none"), self.now.get(name, "none")) for name in names)
+        """Versions that changed since the last update, such as "numpy 2.1.0 -> 2.2.0"."""
+        stored = self.last_update.versions
+        names = dict.fromkeys([*stored, *self.versions])
+        pairs = ((name, stored.get(name, "none"), self.versions.get(name, "none")) for name in names)
         return [f"{name} {was} -> {now}" for name, was, now in pairs if was != now]
 
     @property
     def verdict(self) -> str:
-        """One line."""
-        made = f"the baseline of {self.made.date}"
+        """One line: the outcome, the number of checks, the changed versions and the time of divergence."""
+        baseline = f"the baseline of {self.last_update.date}"
+        count = len(self.checks)
         if not self.moved:
             left_out = "".join(f"; not simulated: {acted(entry)}" for entry in self.acting)
             if self.cheaper:
-                count = f"{len(self.cheaper)} of {len(self.checked)} figures"
-                return f"{self.scene}: quiet: nothing moved since {made}; {count} are cheaper{left_out}"
-            return f"{self.scene}: quiet: all {len(self.checked)} figures are as in {made}{left_out}"
-        made += f" ({self.made.reason})"
+                cheaper = f"{len(self.cheaper)} of {count} checks are cheaper"
+                return f"{self.scene}: quiet: no check fails against {baseline}; {cheaper}{left_out}"
+            return f"{self.scene}: quiet: all {count} checks match {baseline}{left_out}"
         since = ", ".join(self.changed_versions) or "no version changed"
-        when = "" if self.diverges is None else f"; poses part at {self.diverges:.6g} s"
-        moved = f"{len(self.moved)} of {len(self.checked)} figures"
+        when = "" if self.diverges is None else f"; poses differ from {self.diverges:.6g} s on"
+        moved = f"{len(self.moved)} of {count} checks fail against {baseline} ({self.last_update.reason})"
         cheaper = f"; {len(self.cheaper)} cheaper" if self.cheaper else ""
-        return f"{self.scene}: MOVED: {moved} since {made}: {since}{when}{cheaper}"
+        return f"{self.scene}: MOVED: {moved}: {since}{when}{cheaper}"
 
     def summary(self) -> dict[str, Any]:
-        """Result of the comparison, for JSON."""
+        """Return the result of the comparison as an entry of `scenes` in regress.json."""
         return {
             "scene": self.scene,
             "quiet": not self.moved,
             "outcome": self.outcome.value,
             "not_simulated": [asdict(entry) for entry in self.acting],
             "verdict": self.verdict,
-            "baseline": self.made.model_dump(),
-            "versions": self.now,
+            "baseline": self.last_update.model_dump(),
+            "versions": self.versions,
             "diverges": self.diverges,
             "wall_time": self.wall_time,
             "figures": [
-                asdict(figure) | {"moved": figure.moved, "cheaper": figure.cheaper} for figure in self.checked
+                asdict(check) | {"moved": check.moved, "cheaper": check.cheaper} for check in self.checks
             ],
         }
 
@@ -146,36 +154,44 @@ class Comparison:
 def compare(
     scene: Scene, baseline: Baseline, progress: Callable[[str], None], mapping: ImportReport | None = None
 ) -> Comparison:
-    """Measure a scene's figures as its baseline says and compare them.
+    """Measure the quantities of a baseline again and compare them.
 
     Args:
-        scene: as loaded.
-        progress: is told each stage.
-        mapping: what became of the elements of a model file; None for a scene of this package's own.
+        scene: the scene as it was loaded.
+        baseline: stored quantities, and the settings with which to measure them.
+        progress: function that receives the name of the scene and of each group before its measurement.
+        mapping: how each element of the model file was imported; None for a scene that is not of a model
+            file.
     """
     start = time.perf_counter()
-    measured = regress_scene(scene)
+    measured_scene = regress_scene(scene)
     watched = watched_in_own_run(scene, mapping) if mapping else None
-    checked = check_unsimulated(baseline.unsimulated or [], unsimulated(mapping, watched) or [])
+    checks = check_unsimulated(baseline.unsimulated or [], unsimulated(mapping, watched) or [])
     diverges = None
     for group in baseline.groups:
         progress(f"{scene.name}: {group}")
-        found = measure_group(group, measured, baseline.plan)
-        figures = [figure for figure in baseline.figures if figure.group == group]
-        checked.extend(check(figures, found))
-        if group == MAIN and not isinstance(found, str):
-            diverges = divergence(figures, found, measured.times)
+        found = measure_group(group, measured_scene, baseline.plan)
+        stored = [quantity for quantity in baseline.quantities if quantity.group == group]
+        checks.extend(check_group(stored, found))
+        if group == MAIN_FORMULATION and not isinstance(found, str):
+            diverges = divergence_time(stored, found, measured_scene.times)
     wall_time = time.perf_counter() - start
     acting = tuple(watched.acting) if watched else ()
-    return Comparison(scene.name, tuple(checked), baseline.made, versions(), diverges, wall_time, acting)
+    return Comparison(
+        scene.name, tuple(checks), baseline.last_update, versions(), diverges, wall_time, acting
+    )
 
 
 def unsimulated(mapping: ImportReport | None, watched: ImportReport | None) -> list[str] | None:
-    """Lines on what of a model file is in no figure and can move something, and which of it acts.
+    """List the elements of a model file that can move bodies and are not simulated exactly, one line each.
 
     Args:
-        mapping: what became of the elements of the file; None for a scene of this package's own.
-        watched: the same with what a run shows.
+        mapping: how each element of the file was imported; None for a scene that is not of a model file.
+        watched: the same report after a run, which shows which of the elements act.
+
+    Returns:
+        A line for each element that is not imported exactly, then a line for each element that acts; None
+        without a model file.
     """
     if mapping is None or watched is None:
         return None
@@ -183,51 +199,82 @@ def unsimulated(mapping: ImportReport | None, watched: ImportReport | None) -> l
     return lines + [f"acts, and is not simulated: {what_acted(entry)}" for entry in watched.acting]
 
 
-def check_unsimulated(stored: Sequence[str], found: Sequence[str]) -> list[Checked]:
-    """Lines on what of a model file is in no figure, against those of the baseline."""
+def check_unsimulated(stored: Sequence[str], found: Sequence[str]) -> list[BaselineCheck]:
+    """Check that the elements that are not simulated are the same as in the baseline.
+
+    Args:
+        stored: lines of `unsimulated` in the baseline.
+        found: lines of `unsimulated` of the present model file.
+    """
     gone, new = Counter(stored) - Counter(found), Counter(found) - Counter(stored)
-    same = [Checked(MODEL_FILE, line, BETWEEN, 0.0, 0.0, "") for line in stored if line not in gone]
+    same = [BaselineCheck(MODEL_FILE, line, BETWEEN, 0.0, 0.0, "") for line in stored if line not in gone]
     return same + [
-        Checked(MODEL_FILE, line, BETWEEN, np.inf, 0.0, "", problem=problem)
+        BaselineCheck(MODEL_FILE, line, BETWEEN, np.inf, 0.0, "", problem=problem)
         for lines, problem in ((gone, "no longer so"), (new, "new"))
         for line in lines.elements()
     ]
 
 
-def check(figures: Iterable[StoredFigure], found: list[StoredFigure] | str) -> list[Checked]:
-    """A group's figures against what was measured, or against why nothing was."""
-    now = {} if isinstance(found, str) else {figure.name: figure for figure in found}
+def check_group(stored: Iterable[StoredQuantity], found: list[StoredQuantity] | str) -> list[BaselineCheck]:
+    """Check all quantities of a group.
+
+    Args:
+        stored: quantities of the baseline.
+        found: present quantities, or the error message of the measurement.
+    """
+    now = {} if isinstance(found, str) else {quantity.name: quantity for quantity in found}
     problem = found if isinstance(found, str) else "no longer measured"
-    return [_check(figure, now.get(figure.name), problem) for figure in figures]
+    return [_check(quantity, now.get(quantity.name), problem) for quantity in stored]
 
 
-def _check(stored: StoredFigure, now: StoredFigure | None, problem: str) -> Checked:
-    checked = partial(Checked, stored.group, stored.name, BETWEEN, unit=stored.unit, is_cost=stored.is_cost)
+def _check(stored: StoredQuantity, now: StoredQuantity | None, problem: str) -> BaselineCheck:
+    """Check one quantity at the number that changed by the most tolerances.
+
+    Args:
+        stored: quantity of the baseline.
+        now: present quantity; None if it could not be measured.
+        problem: why it could not be measured.
+    """
+    make_check = partial(
+        BaselineCheck, stored.group, stored.name, BETWEEN, unit=stored.unit, is_cost=stored.is_cost
+    )
     if now is not None and (stored.rows, stored.columns) != (now.rows, now.columns):
-        now, problem = None, "is of other bodies, joints or times"
+        now, problem = None, "has other bodies, joints or times than the baseline"
     if now is None:
-        return checked(value=np.inf, tolerance=0.0, where="", problem=problem)
+        return make_check(value=np.inf, tolerance=0.0, where="", problem=problem)
     if stored.array.size == 0:
-        return checked(value=0.0, tolerance=0.0, where="")
-    row, column = np.unravel_index(int(np.argmax(_tolerances(stored, now))), stored.array.shape)
+        return make_check(value=0.0, tolerance=0.0, where="")
+    row, column = np.unravel_index(int(np.argmax(_change_ratios(stored, now))), stored.array.shape)
     was, found = float(stored.array[row, column]), float(now.array[row, column])
     where = ", ".join(filter(None, (stored.rows[row], stored.columns[column])))
-    return checked(value=abs(found - was), tolerance=stored.tolerance[row], where=where, was=was, now=found)
+    return make_check(
+        value=abs(found - was), tolerance=stored.tolerance[row], where=where, was=was, now=found
+    )
 
 
-def _tolerances(stored: StoredFigure, now: StoredFigure) -> Array:
-    """(rows, columns): by how many tolerances each number moved; infinite for what is not finite."""
+def _change_ratios(stored: StoredQuantity, now: StoredQuantity) -> Array:
+    """Return the change of each number divided by its tolerance, (rows, columns).
+
+    The ratio is infinite if the present number is not finite.
+    """
     difference = np.abs(now.array - stored.array)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(difference == 0.0, 0.0, difference / np.array(stored.tolerance)[:, None])
     return np.where(np.isfinite(now.array), ratio, np.inf)
 
 
-def divergence(figures: Iterable[StoredFigure], found: Iterable[StoredFigure], times: Array) -> float | None:
-    """s: the first output time at which a figure over time is out of its tolerance."""
-    now = {figure.name: figure for figure in found if figure.over_time}
-    out = np.zeros(len(times), dtype=bool)
-    for figure in figures:
-        if figure.name in now and len(figure.rows) == len(times):
-            out |= (_tolerances(figure, now[figure.name]) > 1.0).any(axis=1)
-    return float(times[np.argmax(out)]) if out.any() else None
+def divergence_time(
+    stored: Iterable[StoredQuantity], found: Iterable[StoredQuantity], times: Array
+) -> float | None:
+    """Return the first output time at which a quantity over time is out of its tolerance; None if none is.
+
+    Args:
+        stored, found: quantities of the baseline, and present quantities.
+        times: (n,) s, output times; the rows of quantities over time.
+    """
+    now = {quantity.name: quantity for quantity in found if quantity.over_time}
+    is_out = np.zeros(len(times), dtype=bool)
+    for quantity in stored:
+        if quantity.name in now and len(quantity.rows) == len(times):
+            is_out |= (_change_ratios(quantity, now[quantity.name]) > 1.0).any(axis=1)
+    return float(times[np.argmax(is_out)]) if is_out.any() else None

@@ -1,13 +1,17 @@
-"""Figures of a scene, measured in groups: equations and runs of each engine, with their tolerances.
+"""Measure the quantities of a scene that `crosscheck regress` compares with a baseline.
 
-newton_euler runs the whole scene in joint coordinates and a tenth of it in Cartesian ones, at tight
-tolerances. Its other integrators, MuJoCo and Pinocchio make a few dozen steps of one size: that takes all of
-their code, costs the same for every scene, and lets round-off grow little. The equations of all engines are
-evaluated at the initial state and at one that the scene passes through, those of newton_euler also with the
-joints open, where Baumgarte's gains act.
+The quantities come in groups (`GROUPS`): properties of the model, equations and runs of newton_euler in two
+formulations, its other integrators, and the engines MuJoCo and Pinocchio. A formulation is a choice of
+coordinates: "relative" are joint coordinates, "cartesian" are the positions and orientations of all bodies.
 
-Tolerances are those of the levels of `crosscheck.compare`: of equations round-off times condition, of runs
-that and what they change by where their error control is tighter.
+newton_euler runs the whole scene in joint coordinates, and a tenth of its duration in Cartesian coordinates,
+at tight tolerances. The other integrators and engines make a few dozen steps of one size. Such short runs
+execute all of their code, cost the same for every scene, and accumulate little round-off. The equations of
+all engines are evaluated at the initial state and at one state of the run. newton_euler's equations are also
+evaluated with joints pulled apart, where Baumgarte's stabilization (feedback of constraint violations) acts.
+
+Tolerances follow `crosscheck.compare`. Tolerances of equations are round-off times condition number.
+Tolerances of runs add the change of each quantity in a second run with tighter error control.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,11 +30,11 @@ from crosscheck.compare.energy import energy_balance
 from crosscheck.compare.samples import Samples, States, admissible_basis
 from crosscheck.engines.engine import ENGINES
 from crosscheck.regress.baseline import (
-    COUNTED,
-    OPERATIONS,
+    COUNT_SUFFIXES,
+    OPERATIONS_PREFIX,
     GroupName,
-    Plan,
-    StoredFigure,
+    MeasurementPlan,
+    StoredQuantity,
     StoredState,
 )
 from crosscheck.support.errors import CrosscheckError, reason_of
@@ -47,66 +51,77 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.runs.assemble import initial_state
 from newton_euler.runs.simulate import CompiledScene
 
+MAIN_FORMULATION: FormulationName = "relative"
+"""Formulation of newton_euler whose run over the whole duration is stored, and name of its group."""
+
 OUTPUT_COUNT = 25
-"""Output times of a whole run beside the start: enough to tell when it parts from the baseline."""
+"""Number of output times of a whole run after the initial one: enough to tell when two runs begin to
+differ."""
 
-STEPS = {"newton_euler": 40, "mujoco": 40, "pinocchio": 10}
-"""Numbers of steps of runs with fixed steps. Python calls Pinocchio four times per step."""
+FIXED_STEP_COUNTS = {"newton_euler": 40, "mujoco": 40, "pinocchio": 10}
+"""Numbers of steps of short runs, by engine. Python calls Pinocchio four times per step, therefore fewer."""
 
-SHARE, MOST_STEPS = 0.1, 1000
-"""Fraction of the scene's duration, and largest number of fixed steps, of the run in Cartesian coordinates.
-For redundant or nearly singular constraints it costs a hundred times as much as in joint coordinates, and
+CARTESIAN_FRACTION, MAX_CARTESIAN_STEPS = 0.1, 1000
+"""Limits of the run in Cartesian coordinates: fraction of the scene's duration, and number of fixed steps.
+
+With redundant or nearly singular constraints a run costs a hundred times as much as in joint coordinates, and
 both use the same integrator."""
 
-MOST_OPERATIONS = 1500
-"""Largest number of operations of a right-hand side for which Radau's traced derivatives, and the Cartesian
-form with Baumgarte gains, are compiled too. In larger scenes they take longer than everything else, and test
-no further code."""
+MAX_SLOW_OPERATIONS = 1500
+"""Largest number of operations of a compiled right-hand side for which slow code is measured, too.
 
-RADAU: Final = "Radau"
-"""The method of order 5."""
+Slow to compile are the traced derivatives of Radau, and Cartesian equations with Baumgarte's stabilization.
+In larger scenes they would take longer than all other measurements, and test no further code."""
 
 RADAU_RTOL = 1e-10
-"""Its tolerance: a few hundred steps for as long as the others' short runs."""
+"""Relative tolerance of Radau (implicit, order 5): a few hundred steps in a short run."""
 
-COUNT_RTOL, COUNT_SHARE = 1e-6, 0.02
-"""Relative tolerance of the runs whose steps are counted, and the fraction by which a count may grow. At the
-tolerances of other runs the number of steps depends on the round-off of the processor. Other versions of
-libraries round constants differently, which can add or remove a step."""
+COUNT_RTOL, MAX_COUNT_GROWTH = 1e-6, 0.02
+"""Relative tolerance of the runs whose steps are counted, and fraction by which a count may grow.
 
-OPEN = 1e-3
-"""Distance of coordinates from the constraints, sizes of the mechanism or rad; of velocities the same per
+At the tighter tolerances of other runs the number of steps depends on the round-off of the processor. Other
+versions of libraries round constants differently, which can add or remove a step."""
+
+JOINT_GAP = 1e-3
+"""Distance by which joints are pulled apart, in sizes of the mechanism or rad; velocities the same per
 second."""
 
-SOFT = 1e-8
-"""Relative improvement below which MuJoCo stops to iterate soft constraint forces, its default."""
+MUJOCO_SOLVER_TOLERANCE = 1e-8
+"""Relative improvement below which MuJoCo's iteration of soft constraint forces ends; MuJoCo's default."""
 
-RTOLS = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8)
-"""Relative tolerances of runs: the first one is used at which a run with a tenth of it also completes."""
+CANDIDATE_RTOLS = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8)
+"""Relative tolerances of runs: a plan takes the first at which a run, and a run with a tenth of it,
+complete."""
 
-TIGHTER = 0.1
-"""Times the tolerances of a run, for what it changes by."""
+TIGHTER_FACTOR = 0.1
+"""Factor of the relative tolerances in the second run, whose changes show the error of the first run."""
 
-EVALUATIONS = 4
-"""Evaluations of the equations in a step of RK4."""
+RK4_EVALUATIONS = 4
+"""Evaluations of the equations per step of RK4."""
 
 XYZ, WXYZ = ("x", "y", "z"), ("w", "x", "y", "z")
-MOMENTS = ("xx", "yy", "zz", "xy", "xz", "yz")
+"""Labels of the components of vectors and quaternions."""
 
 
 def regress_scene(scene: Scene) -> Scene:
-    """The scene with all outputs at `OUTPUT_COUNT` times.
+    """Return the scene with all kinds of outputs at `OUTPUT_COUNT` times after the initial one.
 
-    Reactions at an output of a mechanism with redundant constraints are worked out in Python, so that
-    hundreds of outputs would take longer than all else.
+    With redundant constraints, reactions are computed in Python at each output: hundreds of outputs would
+    take longer than all other measurements.
     """
     return replace(scene, output_period=scene.duration / OUTPUT_COUNT, outputs=frozenset(OUTPUTS))
 
 
-def measure_group(group: GroupName, scene: Scene, plan: Plan) -> list[StoredFigure] | str:
-    """The figures of one group, or why there are none.
+def measure_group(group: GroupName, scene: Scene, plan: MeasurementPlan) -> list[StoredQuantity] | str:
+    """Measure the quantities of one group, with tolerances for round-off only.
 
-    Whatever goes wrong in it is a result, as figures are: that of the code which is guarded.
+    Args:
+        group: name of the group.
+        scene: a result of `regress_scene`.
+        plan: settings of the measurement.
+
+    Returns:
+        The quantities, or the message of the first error: an error of the tested code is a result, too.
     """
     try:
         return list(GROUPS[group](Measurement(group, scene, plan)))
@@ -114,101 +129,141 @@ def measure_group(group: GroupName, scene: Scene, plan: Plan) -> list[StoredFigu
         return reason_of(error)
 
 
-def with_own_errors(group: GroupName, scene: Scene, plan: Plan) -> list[StoredFigure] | str:
-    """The figures of one group, with what tighter error control changes of them in their tolerances."""
+def measure_group_with_errors(
+    group: GroupName, scene: Scene, plan: MeasurementPlan
+) -> list[StoredQuantity] | str:
+    """Measure the quantities of one group for a new baseline.
+
+    The group is measured twice, the second time with tighter error control. `OWN_ERROR` times the change of
+    each quantity is added to its tolerance.
+
+    Args:
+        group: name of the group.
+        scene: a result of `regress_scene`.
+        plan: settings of the first measurement.
+
+    Returns:
+        The quantities, or the reason why the group is left out.
+    """
     found = measure_group(group, scene, plan)
-    tighter = measure_group(group, scene, plan.tighter(TIGHTER))
+    tighter = measure_group(group, scene, plan.tighter(TIGHTER_FACTOR))
     if isinstance(found, str) or isinstance(tighter, str):
         return found if isinstance(found, str) else tighter
-    if wrong := [figure.name for figure in found if not np.all(np.isfinite(figure.array))]:
+    if wrong := [quantity.name for quantity in found if not np.all(np.isfinite(quantity.array))]:
         return f"{wrong[0]} is not finite"
-    figures = []
-    for figure, other in zip(found, tighter, strict=True):
-        changes = np.max(np.abs(other.array - figure.array), axis=1, initial=0.0)
-        if figure.over_time:
-            changes = np.maximum.accumulate(changes)
+    quantities = []
+    for quantity, other in zip(found, tighter, strict=True):
+        changes = np.max(np.abs(other.array - quantity.array), axis=1, initial=0.0)
+        if quantity.over_time:
+            changes = np.maximum.accumulate(changes)  # errors grow along a run
         else:
             changes = np.full(len(changes), np.max(changes, initial=0.0))
-        tolerance = (np.array(figure.tolerance) + OWN_ERROR * changes).tolist()
-        figures.append(figure.model_copy(update={"tolerance": tolerance}))
-    return figures
+        tolerance = (np.array(quantity.tolerance) + OWN_ERROR * changes).tolist()
+        quantities.append(quantity.model_copy(update={"tolerance": tolerance}))
+    return quantities
 
 
-def make_plan(scene: Scene) -> Plan:
-    """Settings of the measurement of a scene.
+def make_plan(scene: Scene) -> MeasurementPlan:
+    """Choose the settings of the measurement of a scene: tolerances, fixed step, and a state in motion.
+
+    Args:
+        scene: a result of `regress_scene`.
 
     Raises:
         NewtonEulerError: for a scene that newton_euler cannot run at any tolerance.
     """
-    rtol: dict[str, float] = {MAIN: _tolerance(scene, MAIN), RADAU: RADAU_RTOL}
-    run = main_run(scene, rtol[MAIN])
+    rtol: dict[str, float] = {MAIN_FORMULATION: _feasible_rtol(scene, MAIN_FORMULATION), "Radau": RADAU_RTOL}
+    run = main_run(scene, rtol[MAIN_FORMULATION])
     assert run.kinetic_energy is not None
-    # half of the largest kinetic energy: all moves, nothing is special
+    # the state nearest to half of the largest kinetic energy: all bodies move, and no velocity is extreme
     n = int(np.argmin(np.abs(run.kinetic_energy - 0.5 * np.max(run.kinetic_energy))))
-    # as many evaluations a second as the adaptive run needs, so that RK4 is stable and not exact
-    step = float(f"{EVALUATIONS * scene.duration / run.settings['evaluations']:.1e}")
+    # as many evaluations per second as the adaptive run needs, so that RK4 is stable but not exact
+    step = float(f"{RK4_EVALUATIONS * scene.duration / run.settings['evaluations']:.1e}")
     for formulation in FORMULATIONS:
-        if formulation != MAIN:
-            rtol[formulation] = _tolerance(part(scene, formulation, step), formulation)
-    return Plan(rtol=rtol, step=step, time=float(run.time[n]), state=StoredState.of(run.state(n)))
+        if formulation != MAIN_FORMULATION:
+            rtol[formulation] = _feasible_rtol(shortened_scene(scene, formulation, step), formulation)
+    return MeasurementPlan(rtol=rtol, step=step, time=float(run.time[n]), state=StoredState.of(run.state(n)))
 
 
-def _tolerance(scene: Scene, formulation: FormulationName) -> float:
-    """The first of the `RTOLS` that works, also a tenth as large."""
+def _feasible_rtol(scene: Scene, formulation: FormulationName) -> float:
+    """Return the first of `CANDIDATE_RTOLS` at which runs complete, also with a tenth of it.
+
+    Raises:
+        NewtonEulerError: if no run in `MAIN_FORMULATION` completes. For other formulations the last candidate
+            is returned: their group fails later, and is left out with the reason.
+    """
     compiled = compile_scene(scene, formulation)
-    for rtol in RTOLS:
+    for rtol in CANDIDATE_RTOLS:
         try:
-            for each in (rtol, TIGHTER * rtol):
+            for each in (rtol, TIGHTER_FACTOR * rtol):
                 compiled.simulate(rtol=each, atol=0.01 * each)
             return rtol
         except NewtonEulerError:
-            if rtol == RTOLS[-1] and formulation == MAIN:
+            if rtol == CANDIDATE_RTOLS[-1] and formulation == MAIN_FORMULATION:
                 raise
-    return RTOLS[-1]  # the group fails at it, and is left out with the reason
+    return CANDIDATE_RTOLS[-1]
 
 
 def main_run(scene: Scene, rtol: float) -> Trajectory:
-    """The run that a recording shows: newton_euler in joint coordinates."""
-    return compile_scene(scene, MAIN).simulate(rtol=rtol, atol=0.01 * rtol)
+    """Run a scene in newton_euler in joint coordinates over its whole duration."""
+    return compile_scene(scene, MAIN_FORMULATION).simulate(rtol=rtol, atol=0.01 * rtol)
 
 
-def part(scene: Scene, formulation: str, step: float) -> Scene:
-    """The part of a scene that is run in a formulation: all output times, or the end of a part."""
-    if formulation == MAIN:
+def shortened_scene(scene: Scene, formulation: str, step: float) -> Scene:
+    """Return the scene with the duration of its run in a formulation.
+
+    In `MAIN_FORMULATION` this is the whole duration. In other formulations it is a fraction with one output
+    at its end, see `CARTESIAN_FRACTION`.
+
+    Args:
+        scene: a result of `regress_scene`.
+        formulation: "relative" or "cartesian".
+        step: s, fixed step of short runs.
+    """
+    if formulation == MAIN_FORMULATION:
         return scene
-    duration = min(SHARE * scene.duration, MOST_STEPS * step)
+    duration = min(CARTESIAN_FRACTION * scene.duration, MAX_CARTESIAN_STEPS * step)
     return replace(scene, duration=duration, output_period=duration)
 
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """The measurement of one group of figures of a scene, as a plan says."""
+    """Measurement of one group of quantities of a scene.
+
+    Attributes:
+        group: name of the group.
+        scene: a result of `regress_scene`.
+        plan: settings of the measurement.
+    """
 
     group: GroupName
     scene: Scene
-    plan: Plan
+    plan: MeasurementPlan
 
     @cached_property
     def states(self) -> tuple[tuple[str, float, State], ...]:
-        """Names, times (s) and states at which equations are evaluated."""
+        """The two states at which equations are evaluated: triples of label, time (s) and state."""
         return ("start", 0.0, initial_state(self.scene)), ("moving", self.plan.time, self.plan.state.state())
 
     def samples(self, system: System, time: float, state: State) -> Samples:
+        """Evaluate the equations of a system at a state, time in s."""
         return Samples(at_time(system, time), States(self.scene, (state,)))
 
     @cached_property
-    def share(self) -> dict[str, float]:
-        """Round-off of accelerations at both states: the tolerance of their level, and of all short runs.
+    def run_tolerance(self) -> dict[str, float]:
+        """Relative tolerance of accelerations at both states, by formulation; also that of all short runs.
 
-        A few dozen steps add up velocities from accelerations, and lengths from velocities.
+        In a few dozen steps, velocities sum up accelerations, and positions sum up velocities.
         """
         systems = {name: formulate(self.scene, name) for name in FORMULATIONS}
         return {
-            name: max(_shares(self.samples(system, time, state))[0] for _, time, state in self.states)
+            name: max(
+                _relative_tolerances(self.samples(system, time, state))[0] for _, time, state in self.states
+            )
             for name, system in systems.items()
         }
 
-    def figure(
+    def quantity(
         self,
         name: str,
         unit: str,
@@ -216,9 +271,15 @@ class Measurement:
         tolerance: float,
         rows: Sequence[str] = ("",),
         columns: Sequence[str] = ("",),
-    ) -> StoredFigure:
-        """(rows, columns) numbers, each with the same tolerance."""
-        return StoredFigure.model_construct(
+    ) -> StoredQuantity:
+        """Make a quantity of the group with one tolerance for all of its rows.
+
+        Args:
+            name, unit, rows, columns: see `StoredQuantity`.
+            array: numbers, reshaped to (rows, columns).
+            tolerance: largest allowed change, in `unit`.
+        """
+        return StoredQuantity.model_construct(
             group=self.group,
             name=name,
             unit=unit,
@@ -228,181 +289,213 @@ class Measurement:
             tolerance=[tolerance] * len(rows),
         )
 
-    def count(self, name: str, value: int) -> StoredFigure:
-        """A number of steps, evaluations or operations."""
-        return self.figure(name, "", float(value), float(np.ceil(COUNT_SHARE * value)))
+    def count(self, name: str, value: int) -> StoredQuantity:
+        """Make a quantity that counts steps, evaluations or operations."""
+        return self.quantity(name, "", float(value), float(np.ceil(MAX_COUNT_GROWTH * value)))
 
-    def equations(self, system: System) -> Iterator[StoredFigure]:
-        """Accelerations and reactions of a system at both states."""
+    def equations(self, system: System) -> Iterator[StoredQuantity]:
+        """Measure accelerations and reactions of a system at both states."""
         for label, time, state in self.states:
             samples = self.samples(system, time, state)
-            yield from self.evaluation(label, samples, samples.evaluations[0], *_shares(samples))
+            yield from self.evaluation(label, samples, samples.evaluations[0], *_relative_tolerances(samples))
 
     def evaluation(
-        self, label: str, samples: Samples, found: Evaluation, share: float, looser: float
-    ) -> Iterator[StoredFigure]:
-        """Accelerations of all bodies and reactions at all joints, as far as they are determined."""
+        self,
+        label: str,
+        samples: Samples,
+        found: Evaluation,
+        acceleration_tolerance: float,
+        reaction_tolerance: float,
+    ) -> Iterator[StoredQuantity]:
+        """Measure accelerations of all bodies and reactions at all joints.
+
+        The part of the reactions that redundant constraints leave undetermined is removed.
+
+        Args:
+            label: start of the names, such as "moving".
+            samples: equations at one state, with their typical acceleration and force.
+            found: accelerations and reactions at the state.
+            acceleration_tolerance, reaction_tolerance: relative to typical acceleration and force.
+        """
         mechanism, scales = self.scene.mechanism, samples.scales
         bodies, joints, size = mechanism.body_names[1:], mechanism.joint_names, scales.size
         reactions = found.reaction_force[None], found.reaction_torque[None]
         (force,), (torque,) = determined(*reactions, samples.states.undetermined, size)
-        acceleration, reaction = share * scales.acceleration, looser * scales.force
+        acceleration = acceleration_tolerance * scales.acceleration
+        reaction = reaction_tolerance * scales.force
         for name, unit, rows, array, allowed in (
             ("linear acceleration", "m/s^2", bodies, found.linear_acceleration[1:], acceleration),
             ("angular acceleration", "rad/s^2", bodies, found.angular_acceleration[1:], acceleration / size),
             ("reaction force", "N", joints, force, reaction),
             ("reaction torque", "N m", joints, torque, reaction * size),
         ):
-            yield self.figure(f"{label}: {name}", unit, array, allowed, rows, XYZ)
+            yield self.quantity(f"{label}: {name}", unit, array, allowed, rows, XYZ)
 
-    def open_joints(self, formulation: str) -> StoredFigure:
-        """Accelerations where joints are open and opening, under Baumgarte's gains.
+    def open_joints(self, formulation: str) -> StoredQuantity:
+        """Measure accelerations with joints pulled apart and moving apart, under Baumgarte's stabilization.
 
-        The tolerance is that of accelerations with the condition there: rows that are redundant where joints
-        are closed are nearly so.
+        The tolerance uses the condition number of the constraints in this state: constraints that are
+        redundant with closed joints are only nearly redundant with open joints.
         """
         system = at_time(formulate(self.scene, formulation, PAPER_ALPHA), self.plan.time)
         q, v = system.coordinates(self.plan.state.state())
-        step = OPEN * system.velocity_units * np.cos(1.0 + np.arange(system.nv))
+        step = JOINT_GAP * system.velocity_units * np.cos(1.0 + np.arange(system.nv))
         opened = system.retract(q, step)
         acceleration = system.acceleration(opened, v + step) / system.velocity_units
         columns = [str(k) for k in range(system.nv)]
         states = States(self.scene, (self.plan.state.state(),))
         condition = admissible_basis(system, opened, states.units)[1] * states.mass_condition
         allowed = round_off(condition, states.noise) * float(np.max(np.abs(acceleration), initial=0.0))
-        return self.figure("open joints: acceleration", "1/s^2", acceleration, allowed, columns=columns)
+        return self.quantity("open joints: acceleration", "1/s^2", acceleration, allowed, columns=columns)
 
-    def over_time(self, run: Trajectory) -> Iterator[StoredFigure]:
-        """Positions and quaternions of all bodies at all output times."""
+    def over_time(self, run: Trajectory) -> Iterator[StoredQuantity]:
+        """Measure positions and quaternions of all bodies at all output times of a run."""
         rows = [f"{time:.9g} s" for time in run.time]
         for name, unit, array, letters, scale in (
             ("position over time", "m", run.position, XYZ, reach(self.scene, run.position)),
             ("quaternion over time", "", run.quaternion, WXYZ, 1.0),
         ):
             columns = [f"{body} {letter}" for body in run.body_names[1:] for letter in letters]
-            yield self.figure(name, unit, array[:, 1:], round_off(1.0) * scale, rows, columns)
+            yield self.quantity(name, unit, array[:, 1:], round_off(1.0) * scale, rows, columns)
 
     def end_of_run(
         self, label: str, run: Trajectory, formulation: str = "relative"
-    ) -> Iterator[StoredFigure]:
-        """Poses and velocities of all bodies at the end, and by how much joints were open at most."""
+    ) -> Iterator[StoredQuantity]:
+        """Measure poses and velocities of all bodies at the end of a run, and its largest constraint
+        violation.
+
+        Args:
+            label: start of the names, such as "RK4".
+            run: the run, with velocities and constraint violations.
+            formulation: formulation of the equations, which sets the tolerances.
+        """
         assert run.linear_velocity is not None
         assert run.angular_velocity is not None
         assert run.constraint_violation is not None
         bodies, size = run.body_names[1:], self.scene.mechanism.size
-        share = self.share[formulation]
-        length = share * reach(self.scene, run.position)
+        relative = self.run_tolerance[formulation]
+        length = relative * reach(self.scene, run.position)
         linear, angular = run.linear_velocity, run.angular_velocity
-        speed = share * max(size, float(np.max(np.abs(linear))), size * float(np.max(np.abs(angular))))
+        speed = relative * max(size, float(np.max(np.abs(linear))), size * float(np.max(np.abs(angular))))
         for name, unit, array, allowed, letters in (
             ("position", "m", run.position, length, XYZ),
-            ("quaternion", "", run.quaternion, share, WXYZ),
+            ("quaternion", "", run.quaternion, relative, WXYZ),
             ("linear velocity", "m/s", linear, speed, XYZ),
             ("angular velocity", "rad/s", angular, speed / size, XYZ),
         ):
-            yield self.figure(f"{label}: {name} at the end", unit, array[-1, 1:], allowed, bodies, letters)
+            yield self.quantity(f"{label}: {name} at the end", unit, array[-1, 1:], allowed, bodies, letters)
         drift = np.max(run.constraint_violation, initial=0.0)
-        yield self.figure(f"{label}: drift", "m or rad", drift, share * max(size, 1.0))
+        yield self.quantity(f"{label}: drift", "m or rad", drift, relative * max(size, 1.0))
 
-    def counts(self, compiled: CompiledScene, integrator: IntegratorName) -> Iterator[StoredFigure]:
-        """Steps and evaluations of a run at `COUNT_RTOL`."""
+    def counts(self, compiled: CompiledScene, integrator: IntegratorName) -> Iterator[StoredQuantity]:
+        """Measure the numbers of steps and evaluations of a run at `COUNT_RTOL`."""
         run = compiled.simulate(integrator, rtol=COUNT_RTOL, atol=0.01 * COUNT_RTOL)
-        for name in COUNTED:
-            key = name.removeprefix(": ")
-            yield self.count(f"{integrator}, rtol {COUNT_RTOL:g}{name}", run.settings[key])
+        for suffix in COUNT_SUFFIXES:
+            key = suffix.removeprefix(": ")
+            yield self.count(f"{integrator}, rtol {COUNT_RTOL:g}{suffix}", run.settings[key])
 
     def short(self, steps: int) -> Scene:
-        """A few steps from the moving state; from the start where motions are prescribed from there."""
+        """Return the scene with a duration of a few fixed steps that starts from the plan's state in motion.
+
+        A scene with prescribed motions starts from its own initial state, as the motions begin there.
+        """
         start = initial_state(self.scene) if self.scene.motions else self.plan.state.state()
         duration = steps * self.plan.step
         return replace(self.scene, duration=duration, output_period=duration, initial_state=start)
 
 
-def _shares(samples: Samples) -> tuple[float, float]:
-    """Round-off of accelerations and of reactions, relative, see `comparison.accelerations`."""
+def _relative_tolerances(samples: Samples) -> tuple[float, float]:
+    """Return the relative tolerances of accelerations and of reactions for round-off.
+
+    Condition numbers of constraints and masses magnify round-off, see `crosscheck.compare.accelerations`.
+    """
     masses, noise = samples.states.mass_condition, samples.states.noise
     return round_off(samples.condition * masses, noise), round_off(samples.condition**2 * masses, noise)
 
 
-def _model(here: Measurement) -> Iterator[StoredFigure]:
-    """Measure what the scene is made of, at its initial pose: its changes explain those of other figures."""
+def _measure_model(here: Measurement) -> Iterator[StoredQuantity]:
+    """Measure properties of the model at its initial pose."""
     mechanism = here.scene.mechanism
     bodies, joints = mechanism.bodies[1:], mechanism.joints
-    turned = [rotation(body.quaternion) @ body.inertia @ rotation(body.quaternion).T for body in bodies]
-    tensors = np.reshape(turned, (-1, 9))[:, [0, 4, 8, 1, 2, 5]]
+    inertias = [rotation(body.quaternion) @ body.inertia @ rotation(body.quaternion).T for body in bodies]
+    moments = {"xx": 0, "yy": 4, "zz": 8, "xy": 1, "xz": 2, "yz": 5}  # indices of a flattened 3 x 3 matrix
+    tensors = np.reshape(inertias, (-1, 9))[:, list(moments.values())]
     for name, unit, array, rows, columns in (
         ("mass", "kg", [[body.mass] for body in bodies], mechanism.body_names[1:], ("",)),
         ("center of mass", "m", [body.center_of_mass for body in bodies], mechanism.body_names[1:], XYZ),
-        ("inertia in world axes", "kg m^2", tensors, mechanism.body_names[1:], MOMENTS),
+        ("inertia in world axes", "kg m^2", tensors, mechanism.body_names[1:], tuple(moments)),
         ("joint point", "m", [joint.point for joint in joints], mechanism.joint_names, XYZ),
         ("gravity", "m/s^2", [here.scene.gravity], ("",), XYZ),
     ):
         allowed = round_off(1.0) * float(np.max(np.abs(array), initial=0.0))
-        yield here.figure(name, unit, array, allowed, rows, columns)
+        yield here.quantity(name, unit, array, allowed, rows, columns)
 
 
-def _formulation(here: Measurement) -> Iterator[StoredFigure]:
+def _measure_formulation(here: Measurement) -> Iterator[StoredQuantity]:
+    """Measure equations, compiled code and an adaptive run of newton_euler in one formulation."""
     formulation, plan = cast(FormulationName, here.group), here.plan
     yield from here.equations(formulate(here.scene, formulation))
     yield here.open_joints(formulation)
-    compiled = compile_scene(part(here.scene, formulation, plan.step), formulation)
+    compiled = compile_scene(shortened_scene(here.scene, formulation, plan.step), formulation)
     for name, operations in compiled.operations.items():
-        yield here.count(f"{OPERATIONS}{name}", operations)
+        yield here.count(f"{OPERATIONS_PREFIX}{name}", operations)
     run = compiled.simulate(rtol=plan.rtol[formulation], atol=0.01 * plan.rtol[formulation])
-    if formulation == MAIN:
+    if formulation == MAIN_FORMULATION:
         yield from here.over_time(run)
     yield from here.end_of_run("DOP853", run, formulation)
-    found = energy_balance(here.scene, run)
-    assert found is not None
-    error = float(np.max(np.abs(found.residual))) / (found.exchanged or 1.0)
-    yield here.figure("DOP853: energy error", "relative", error, here.share[formulation])
+    balance = energy_balance(here.scene, run)
+    assert balance is not None
+    error = float(np.max(np.abs(balance.residual))) / (balance.exchanged or 1.0)
+    yield here.quantity("DOP853: energy error", "relative", error, here.run_tolerance[formulation])
     yield from here.counts(compiled, "DOP853")
 
 
-def _integrators(here: Measurement) -> Iterator[StoredFigure]:
-    step, short = here.plan.step, here.short(STEPS["newton_euler"])
-    compiled = compile_scene(short, MAIN)
+def _measure_integrators(here: Measurement) -> Iterator[StoredQuantity]:
+    """Measure short runs of newton_euler's other integrators, and runs with Baumgarte's stabilization."""
+    step, short = here.plan.step, here.short(FIXED_STEP_COUNTS["newton_euler"])
+    compiled = compile_scene(short, MAIN_FORMULATION)
     for integrator in ("RK4", "Euler"):
-        with _named(integrator):
+        with _naming_integrator(integrator):
             run = compiled.simulate(integrator, step=step)
         yield from here.end_of_run(integrator, run)
-    small = compiled.operations["derivative"] <= MOST_OPERATIONS
-    for formulation in FORMULATIONS if small else (MAIN,):
+    is_small = compiled.operations["derivative"] <= MAX_SLOW_OPERATIONS
+    for formulation in FORMULATIONS if is_small else (MAIN_FORMULATION,):
         name = f"RK4, {formulation}, Baumgarte"
-        with _named(name):
+        with _naming_integrator(name):
             run = compile_scene(short, formulation, "baumgarte").simulate("RK4", step=step)
         yield from here.end_of_run(name, run, formulation)
-    if small:
-        rtol = here.plan.rtol[RADAU]
-        with _named(RADAU):
-            run = compiled.simulate(RADAU, rtol=rtol, atol=0.01 * rtol)
-        yield from here.end_of_run(RADAU, run)
-        yield from here.counts(compiled, RADAU)
+    if is_small:
+        rtol = here.plan.rtol["Radau"]
+        with _naming_integrator("Radau"):
+            run = compiled.simulate("Radau", rtol=rtol, atol=0.01 * rtol)
+        yield from here.end_of_run("Radau", run)
+        yield from here.counts(compiled, "Radau")
 
 
 @contextmanager
-def _named(integrator: str) -> Iterator[None]:
-    """Name the integrator in the error of a run."""
+def _naming_integrator(integrator: str) -> Iterator[None]:
+    """Add the name of an integrator to the error message of its run."""
     try:
         yield
     except NewtonEulerError as error:
         raise CrosscheckError(f"{integrator}: {error}") from error
 
 
-def _engine(here: Measurement) -> Iterator[StoredFigure]:
-    engine, short = ENGINES[here.group], here.short(STEPS[here.group])
+def _measure_engine(here: Measurement) -> Iterator[StoredQuantity]:
+    """Measure equations and a short run of MuJoCo or Pinocchio, whichever the group is named after."""
+    engine, short = ENGINES[here.group], here.short(FIXED_STEP_COUNTS[here.group])
     (system,) = engine.systems(here.scene)
     yield from here.equations(system)
     if engine.evaluate_soft_constraints is not None:
         samples = here.samples(system, 0.0, initial_state(here.scene))
-        soft = SOFT * samples.condition**2
-        yield from here.evaluation(
-            "soft constraints", samples, engine.evaluate_soft_constraints(here.scene), soft, soft
-        )
-    yield from here.end_of_run("RK4", _fixed_run(here.group, short, here.plan.step))
+        soft = MUJOCO_SOLVER_TOLERANCE * samples.condition**2
+        found = engine.evaluate_soft_constraints(here.scene)
+        yield from here.evaluation("soft constraints", samples, found, soft, soft)
+    yield from here.end_of_run("RK4", _run_fixed_steps(here.group, short, here.plan.step))
 
 
-def _fixed_run(engine: str, scene: Scene, step: float) -> Trajectory:
+def _run_fixed_steps(engine: str, scene: Scene, step: float) -> Trajectory:
+    """Run a scene in "mujoco" or "pinocchio" with RK4 and a fixed step in s."""
     import mjcf
     import urdf
 
@@ -412,15 +505,12 @@ def _fixed_run(engine: str, scene: Scene, step: float) -> Trajectory:
     return urdf.simulate(scene, "RK4", step=step)
 
 
-MAIN: FormulationName = "relative"
-"""The formulation and group whose run is stored over time."""
-
-GROUPS: dict[GroupName, Callable[[Measurement], Iterator[StoredFigure]]] = {
-    "model": _model,
-    "relative": _formulation,
-    "cartesian": _formulation,
-    "integrators": _integrators,
-    "mujoco": _engine,
-    "pinocchio": _engine,
+GROUPS: dict[GroupName, Callable[[Measurement], Iterator[StoredQuantity]]] = {
+    "model": _measure_model,
+    "relative": _measure_formulation,
+    "cartesian": _measure_formulation,
+    "integrators": _measure_integrators,
+    "mujoco": _measure_engine,
+    "pinocchio": _measure_engine,
 }
-"""Measurements of figures, by name."""
+"""Functions that measure all quantities of a group, by the name of the group."""

@@ -1,4 +1,7 @@
-"""The report of scenes against their baselines."""
+"""Report of `crosscheck regress`: verdict and tables for the terminal and Markdown, JSON and JUnit XML.
+
+The input is a list of `Comparison`, one for each scene that was compared with its baseline.
+"""
 
 from __future__ import annotations
 
@@ -7,128 +10,143 @@ from dataclasses import replace
 from pathlib import Path
 
 from crosscheck.compare.activity import what_acted
-from crosscheck.regress.compare import Checked, Comparison
+from crosscheck.regress.compare import BaselineCheck, Comparison
 from crosscheck.report import render
 from crosscheck.report.outcome import Outcome
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, Verdict, figures, texts
 
-MOST_LINES = 12
-"""Figures of a scene in tables of what moved; the table of all figures has the rest."""
+MAX_SHOWN_CHECKS = 12
+"""Number of checks of a scene in its table of changes; the table of all checks has the others, too."""
 
-COLUMNS = [*texts("figure", "where"), *figures("was", "moved by", "tolerances")]
-
-CHEAPER = "cheaper"
-"""Added to the tolerances by which a cost fell."""
+COLUMNS = [*texts("quantity", "where"), *figures("was", "change", "change / tolerance")]
+"""Columns of the tables of checks."""
 
 
-def tables(found: Sequence[Comparison]) -> Iterator[Table]:
-    """Make a table of what moved and one of what became cheaper for each scene that has any.
+def tables(comparisons: Sequence[Comparison]) -> Iterator[Table]:
+    """Make a table of failed checks and one of cheaper costs for each scene that has any.
 
-    Each table holds the first figures and the number of the others.
+    Each table has at most `MAX_SHOWN_CHECKS` checks, and a line with the number of the others.
     """
-    for comparison in found:
-        for title, chosen in (("what moved", comparison.moved), ("what is cheaper", comparison.cheaper)):
-            if chosen:
-                rest = [f"and {len(chosen) - MOST_LINES} more"] if len(chosen) > MOST_LINES else []
-                rows = [_row(figure, f"{figure.level}: ") for figure in chosen[:MOST_LINES]]
-                yield Table(f"{comparison.scene}: {title}", COLUMNS, [*rows, *rest])
+    for comparison in comparisons:
+        for title, checks in (("what moved", comparison.moved), ("what is cheaper", comparison.cheaper)):
+            if checks:
+                hidden = len(checks) - MAX_SHOWN_CHECKS
+                rows = [_row(check, f"{check.level}: ") for check in checks[:MAX_SHOWN_CHECKS]]
+                more = [f"and {hidden} more"] if hidden > 0 else []
+                yield Table(f"{comparison.scene}: {title}", COLUMNS, [*rows, *more])
 
 
-def _row(figure: Checked, group: str = "") -> list[str | Cell]:
-    """Cells of `COLUMNS`."""
-    unit = f", {figure.unit}" if figure.unit else ""
-    name = f"{group}{figure.quantity}{unit}"
-    verdict: Verdict = "fails" if figure.moved else "improved" if figure.cheaper else "holds"
-    if figure.was is None or figure.now is None:
-        return [name, Cell(figure.problem or "the same", verdict), "", "", ""]
-    change = f"{figure.now - figure.was:+.2e}"
-    share = f"{figure.tolerance_ratio:.3g} {CHEAPER}" if figure.cheaper else f"{figure.tolerance_ratio:.3g}"
-    return [name, figure.where, f"{figure.was:.9g}", change, Cell(share, verdict)]
+def _row(check: BaselineCheck, prefix: str = "") -> list[str | Cell]:
+    """Format a check as a row of `COLUMNS`, with a prefix before the name of the quantity."""
+    unit = f", {check.unit}" if check.unit else ""
+    name = f"{prefix}{check.quantity}{unit}"
+    verdict: Verdict = "fails" if check.moved else "improved" if check.cheaper else "holds"
+    if check.was is None or check.now is None:
+        return [name, Cell(check.problem or "the same", verdict), "", "", ""]
+    change = f"{check.now - check.was:+.2e}"
+    ratio = f"{check.tolerance_ratio:.3g} cheaper" if check.cheaper else f"{check.tolerance_ratio:.3g}"
+    return [name, check.where, f"{check.was:.9g}", change, Cell(ratio, verdict)]
 
 
-def outcome(found: Sequence[Comparison]) -> Outcome:
-    """Return the outcome for all scenes."""
-    each = {comparison.outcome for comparison in found}
+def outcome(comparisons: Sequence[Comparison]) -> Outcome:
+    """Return the worst outcome of all scenes."""
+    outcomes = {comparison.outcome for comparison in comparisons}
     for worst in (Outcome.MOVED, Outcome.QUIET_ON_A_REDUCED_MODEL):
-        if worst in each:
+        if worst in outcomes:
             return worst
     return Outcome.QUIET
 
 
-def verdict(found: Sequence[Comparison], left_out: Mapping[str, str]) -> str:
-    """Word the result of all scenes in one line."""
-    moved = [comparison.scene for comparison in found if comparison.moved]
-    cheaper = [comparison.scene for comparison in found if comparison.cheaper]
-    count = sum(len(comparison.checked) for comparison in found)
-    improved = f"; cheaper: {', '.join(cheaper)}" if cheaper else ""
-    improved += f"; left out: {', '.join(left_out)}" if left_out else ""
+def verdict(comparisons: Sequence[Comparison], left_out: Mapping[str, str]) -> str:
+    """Format the result of all scenes in one line.
+
+    Args:
+        comparisons: results of the scenes that were compared.
+        left_out: reasons by name of the scenes that were not compared.
+    """
+    moved = [comparison.scene for comparison in comparisons if comparison.moved]
+    cheaper = [comparison.scene for comparison in comparisons if comparison.cheaper]
+    notes = f"; cheaper: {', '.join(cheaper)}" if cheaper else ""
+    notes += f"; left out: {', '.join(left_out)}" if left_out else ""
     if moved:
-        return f"{Outcome.MOVED}: {len(moved)} of {len(found)} scenes: {', '.join(moved)}{improved}"
-    scenes = "1 scene" if len(found) == 1 else f"{len(found)} scenes"
-    return f"{outcome(found)}: all {count} figures of {scenes}{improved}"
+        return f"{Outcome.MOVED}: {len(moved)} of {len(comparisons)} scenes: {', '.join(moved)}{notes}"
+    count = sum(len(comparison.checks) for comparison in comparisons)
+    scenes = "1 scene" if len(comparisons) == 1 else f"{len(comparisons)} scenes"
+    return f"{outcome(comparisons)}: all {count} checks of {scenes}{notes}"
 
 
 def report(
-    found: Sequence[Comparison],
+    comparisons: Sequence[Comparison],
     recordings: Mapping[str, Path],
     left_out: Mapping[str, str],
     allow_reduced: bool = False,
 ) -> Report:
-    """Report verdicts, scenes that are left out and why, what moved or became cheaper, and all figures.
+    """Make the report: verdicts, scenes that were left out, tables of changes, and tables of all checks.
 
     Args:
-        found: the comparisons.
-        recordings: files by scene.
-        left_out: reasons by the name of the scene that is not compared.
-        allow_reduced: whether elements that act and are not simulated are no failures.
+        comparisons: results of the scenes that were compared.
+        recordings: Rerun recordings by name of the scene.
+        left_out: reasons by name of the scenes that were not compared.
+        allow_reduced: whether elements of a model file may act that are not simulated; otherwise each is a
+        failure.
     """
-    acts: Verdict = "doubtful" if allow_reduced else "fails"
+    unsimulated: Verdict = "doubtful" if allow_reduced else "fails"
     lines: list[str] = []
-    every: list[Part] = []
-    for each in found:
-        lines.append(each.verdict)
-        if each.scene in recordings:
-            lines.append(f"recording: {recordings[each.scene]}")
+    all_checks: list[Part] = []
+    for comparison in comparisons:
+        lines.append(comparison.verdict)
+        if comparison.scene in recordings:
+            lines.append(f"recording: {recordings[comparison.scene]}")
         rows: Rows = []
-        for group in dict.fromkeys(figure.level for figure in each.checked):
-            rows += [group, *(_row(figure) for figure in each.checked if figure.level == group)]
-        if each.acting:
+        for group in dict.fromkeys(check.level for check in comparison.checks):
+            rows += [group, *(_row(check) for check in comparison.checks if check.level == group)]
+        if comparison.acting:
             rows.append("acts in the file, and is not simulated")
-            rows += [[what_acted(entry), Cell(f"from {entry.since:.4g} s on", acts)] for entry in each.acting]
-        every.append(Table(each.scene, COLUMNS, rows, folded=True))
+            for entry in comparison.acting:
+                rows.append([what_acted(entry), Cell(f"from {entry.since:.4g} s on", unsimulated)])
+        all_checks.append(Table(comparison.scene, COLUMNS, rows, folded=True))
     lines += [f"{name}: left out: {why}" for name, why in left_out.items()]
-    word = Cell(outcome(found).value, outcome(found).judged)
-    parts = [Lines("", lines), *tables(found), *every]
+    result = outcome(comparisons)
     return Report(
-        "crosscheck regress", verdict(found, left_out), word, parts, sum(each.wall_time for each in found)
+        "crosscheck regress",
+        verdict(comparisons, left_out),
+        Cell(result.value, result.judged),
+        [Lines("", lines), *tables(comparisons), *all_checks],
+        sum(comparison.wall_time for comparison in comparisons),
     )
 
 
 def as_json(
-    found: Sequence[Comparison],
+    comparisons: Sequence[Comparison],
     recordings: Mapping[str, Path],
     files: Mapping[Path, bytes],
     left_out: Mapping[str, str],
     whole: Report,
 ) -> bytes:
-    """Everything that was compared, with SHA-256 of the files beside it."""
+    """Format regress.json: all checks, the report, and SHA-256 checksums of files.
+
+    Args:
+        comparisons, recordings, left_out: as in `report`.
+        files: contents of the files that are written together with regress.json, by path.
+        whole: the report that `report` made.
+    """
     scenes = [
-        each.summary() | {"recording": str(recordings[each.scene]) if each.scene in recordings else None}
-        for each in found
+        comparison.summary()
+        | {"recording": str(recordings[comparison.scene]) if comparison.scene in recordings else None}
+        for comparison in comparisons
     ]
-    quiet = not any(comparison.moved for comparison in found)
-    cheaper = [comparison.scene for comparison in found if comparison.cheaper]
     content = {
-        "quiet": quiet,
-        "outcome": outcome(found).value,
-        "cheaper": cheaper,
+        "quiet": not any(comparison.moved for comparison in comparisons),
+        "outcome": outcome(comparisons).value,
+        "cheaper": [comparison.scene for comparison in comparisons if comparison.cheaper],
         "left_out": dict(left_out),
-        "verdict": verdict(found, left_out),
+        "verdict": verdict(comparisons, left_out),
         "scenes": scenes,
     }
     return render.as_json(content, whole, files)
 
 
 def junit(whole: Report) -> str:
-    """JUnit XML of a report: a suite per scene, a case per figure and per element that acts."""
-    return render.junit(replace(whole, parts=[part for part in whole.parts if part.folded]))
+    """Format the report as JUnit XML: a suite per scene, a case per check and per element that acts."""
+    all_checks = [part for part in whole.parts if part.folded]  # the other tables repeat some of their rows
+    return render.junit(replace(whole, parts=all_checks))

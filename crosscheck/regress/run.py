@@ -1,4 +1,10 @@
-"""Scenes and models against their baselines, and new baselines."""
+"""Run `crosscheck regress`: create baselines of scenes and model files, or compare scenes with their
+baselines.
+
+`guard_scene` loads a scene and locates its baseline. `update_baselines` measures scenes and writes baseline
+files. `check_baselines` compares scenes with their baselines and writes reports, and recordings of scenes
+that changed.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +19,22 @@ from crosscheck.library import SCENES
 from crosscheck.library.options import titled
 from crosscheck.loading.load import load_scene, with_excitation
 from crosscheck.loading.model_files import is_model_file
-from crosscheck.regress.baseline import Baseline, GroupName, Record, StoredFigure, read
+from crosscheck.regress.baseline import (
+    Baseline,
+    GroupName,
+    StoredQuantity,
+    UpdateRecord,
+    read_baseline,
+)
 from crosscheck.regress.compare import Comparison, compare, unsimulated
-from crosscheck.regress.measure import GROUPS, MAIN, main_run, make_plan, regress_scene, with_own_errors
+from crosscheck.regress.measure import (
+    GROUPS,
+    MAIN_FORMULATION,
+    main_run,
+    make_plan,
+    measure_group_with_errors,
+    regress_scene,
+)
 from crosscheck.regress.report import as_json, junit, report
 from crosscheck.report.render import markdown
 from crosscheck.support.errors import CrosscheckError
@@ -27,21 +46,22 @@ from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Array
 
 REPORTS = ("regress.json", "junit.xml", "summary.md")
-"""Files that a comparison writes, beside recordings."""
+"""Names of the report files that `check_baselines` writes."""
 
 Progress = Callable[[str], None]
+"""Function that receives the name of each stage of the work as it begins."""
 
 
 @dataclass(frozen=True, eq=False)
-class Guarded:
-    """A scene and where its baseline is.
+class GuardedScene:
+    """A scene and the location of its baseline.
 
     Attributes:
-        source: the name or file that it was loaded from.
-        options: of the scene, as they were set.
-        scene: as loaded.
-        path: of the baseline.
-        mapping: what became of the elements of a model file; None for a scene of this package's own.
+        source: name of a library scene, or path of a scene or model file.
+        options: options that the scene was loaded with.
+        scene: the scene as it was loaded.
+        path: baseline file.
+        mapping: how each element of a model file was imported; None for a scene that is not of a model file.
     """
 
     source: str
@@ -51,42 +71,66 @@ class Guarded:
     mapping: ImportReport | None = None
 
     def baseline(self) -> Baseline:
-        """The stored baseline; raises `CrosscheckError` if there is none, or if it is of something else."""
-        found = read(self.path)
+        """Read the baseline.
+
+        Raises:
+            CrosscheckError: if the file is missing or damaged, or is of another scene or of other options.
+        """
+        found = read_baseline(self.path)
         if found.scene != self.scene.name:
             raise CrosscheckError(f"{self.path}: scene: it is of {found.scene!r}, not of {self.scene.name!r}")
         if found.options != self.options:
             raise CrosscheckError(
                 f"{self.path}: options: of {titled(found.scene, found.options)}, not of "
-                f"{titled(self.scene.name, self.options)}; delete it to make one of other options"
+                f"{titled(self.scene.name, self.options)}; delete it to create one with other options"
             )
         return found
 
 
-def made_with(source: str, path: Path, options: dict[str, str]) -> dict[str, str]:
-    """Options of a model file: those given, and those of its baseline but `root`, which needs trust."""
+def stored_options(source: str, path: Path, options: dict[str, str]) -> dict[str, str]:
+    """Add the options that a baseline stores to the given options of a model file.
+
+    The option `root`, the folder from which other files may be read, is not taken from the baseline: the user
+    has to name trusted folders.
+
+    Args:
+        source: name of a library scene, or path of a scene or model file.
+        path: baseline file, which need not exist.
+        options: options that the user gave; they take precedence.
+    """
     if not (is_model_file(source) and path.exists()):
         return options
-    return {name: value for name, value in read(path).options.items() if name != "root"} | options
+    return {name: value for name, value in read_baseline(path).options.items() if name != "root"} | options
 
 
 def usual_path(source: str) -> Path:
-    """Return a baseline's default path: in this package for the library, else beside the file."""
+    """Return the default path of a baseline: in this package for a library scene, else next to the file."""
     if source in SCENES:
         return Path(__file__).parent / "baselines" / f"{source}.json"
     return Path(source).with_suffix(".baseline.json")
 
 
-def guard(source: str, options: dict[str, str], baseline: Path | None = None) -> Guarded:
-    """Load a scene or model file for its baseline, which is at its usual place if None."""
+def guard_scene(source: str, options: dict[str, str], baseline: Path | None = None) -> GuardedScene:
+    """Load a scene or model file with its options and those of its baseline.
+
+    Args:
+        source: name of a library scene, or path of a scene or model file.
+        options: options that the user gave.
+        baseline: baseline file; `usual_path` if None.
+    """
     path = baseline or usual_path(source)
-    options = with_excitation(source, made_with(source, path, options))
+    options = with_excitation(source, stored_options(source, path, options))
     scene, mapping = load_scene(source, options)
-    return Guarded(source, options, scene, path, mapping)
+    return GuardedScene(source, options, scene, path, mapping)
 
 
-def make(guarded: Guarded, reason: str, progress: Progress) -> Baseline:
-    """Measure a scene's figures and their tolerances; what they were stays in the history.
+def make_baseline(guarded: GuardedScene, reason: str, progress: Progress) -> Baseline:
+    """Measure a new baseline of a scene; the history of an existing baseline is kept.
+
+    Args:
+        guarded: the scene.
+        reason: why the baseline is created or updated.
+        progress: function that receives the name of each group before its measurement.
 
     Raises:
         CrosscheckError: for a scene that newton_euler cannot run at any tolerance.
@@ -97,35 +141,40 @@ def make(guarded: Guarded, reason: str, progress: Progress) -> Baseline:
         plan = make_plan(scene)
     except NewtonEulerError as error:
         raise CrosscheckError(f"scene {scene.name!r} cannot be run: {error}") from error
-    figures, left_out = list[StoredFigure](), dict[GroupName, str]()
+    quantities, left_out = list[StoredQuantity](), dict[GroupName, str]()
     for group in GROUPS:
         progress(f"{scene.name}: {group}")
-        found = with_own_errors(group, scene, plan)
+        found = measure_group_with_errors(group, scene, plan)
         if isinstance(found, str):
             left_out[group] = found
         else:
-            figures.extend(found)
-    if MAIN in left_out:
-        raise CrosscheckError(f"scene {scene.name!r} has no figures: {left_out[MAIN]}")
+            quantities.extend(found)
+    if MAIN_FORMULATION in left_out:
+        raise CrosscheckError(f"scene {scene.name!r} cannot be measured: {left_out[MAIN_FORMULATION]}")
     mapping = guarded.mapping
     watched = watched_in_own_run(guarded.scene, mapping) if mapping else None
     return Baseline(
         scene=scene.name,
         options=guarded.options,
-        unsimulated=unsimulated(guarded.mapping, watched),
-        history=[*history, Record.now(reason)],
+        unsimulated=unsimulated(mapping, watched),
+        history=[*history, UpdateRecord.now(reason)],
         plan=plan,
         left_out=left_out,
-        figures=figures,
+        figures=quantities,
     )
 
 
-def update(guarded: Sequence[Guarded], reason: str, progress: Progress) -> list[Baseline]:
-    """Make baselines anew and write them, all of them or none.
+def update_baselines(guarded: Sequence[GuardedScene], reason: str, progress: Progress) -> list[Baseline]:
+    """Measure and write baselines; if one of them fails, no file is written.
+
+    Args:
+        guarded: the scenes.
+        reason: why the baselines are created or updated; stored in each.
+        progress: function that receives the name of each stage.
 
     Raises:
-        CrosscheckError: for a reason that is empty or no text, a scene that cannot be run, and a file that
-            cannot be written or that holds no baseline.
+        CrosscheckError: for a reason that is empty or not text, a scene that cannot be run, an existing file
+            that is no baseline, and a file that cannot be written.
     """
     reason = " ".join(reason.split())
     try:
@@ -133,85 +182,97 @@ def update(guarded: Sequence[Guarded], reason: str, progress: Progress) -> list[
     except UnicodeEncodeError as error:
         raise CrosscheckError(f"--update: the reason {reason!r:.100} is not text in UTF-8") from error
     if not reason:
-        raise CrosscheckError("--update: the reason is empty; it is kept with the baseline")
+        raise CrosscheckError("--update: the reason is empty; give the text to store with the baseline")
     check_writable(*(each.path for each in guarded))
-    made = [make(each, reason, progress) for each in guarded]
-    write_files({each.path: baseline.text().encode() for each, baseline in zip(guarded, made, strict=True)})
-    return made
+    baselines = [make_baseline(each, reason, progress) for each in guarded]
+    write_files(
+        {each.path: baseline.text().encode() for each, baseline in zip(guarded, baselines, strict=True)}
+    )
+    return baselines
 
 
-def check(
-    guarded: Sequence[Guarded],
+def check_baselines(
+    guarded: Sequence[GuardedScene],
     folder: Path,
     progress: Progress,
     left_out: Mapping[str, str],
     allow_reduced: bool = False,
 ) -> tuple[list[Comparison], dict[str, Path], list[Path]]:
-    """Compare scenes with their baselines; write `REPORTS` and recordings of those that moved to a folder.
+    """Compare scenes with their baselines; write `REPORTS`, and a recording of each scene that changed.
 
     Args:
-        guarded: what is compared.
-        folder: where the files are written.
-        progress: is told each stage.
-        left_out: reasons by the name of the scene that is not compared.
-        allow_reduced: whether elements of a file that act and are not simulated are no failures.
+        guarded: the scenes.
+        folder: folder of the written files.
+        progress: function that receives the name of each stage.
+        left_out: reasons by name of the library scenes that are not compared.
+        allow_reduced: whether elements of a model file may act that are not simulated; otherwise each is a
+            failure.
 
     Returns:
-        What was found, the recordings by scene, and all files that were written.
+        The results, the recordings by name of the scene, and the paths of the reports.
 
     Raises:
-        CrosscheckError: for a baseline that is missing or cannot be read, and a file that cannot be written.
+        CrosscheckError: for a baseline that is missing or damaged, and a file that cannot be written.
     """
     from crosscheck.recording.log import log_run, recorded
 
+    # find all errors of files before any scene is run
     baselines = [each.baseline() for each in guarded]
     reports = [folder / name for name in REPORTS]
     for each in guarded:
         loops = [each.options["loops"]] if "loops" in each.options else []
         check_no_source(reports, [each.source, each.path, *loops])
     check_writable(*reports)
-    found, recordings, contents = [], dict[str, Path](), dict[Path, bytes]()
+    # compare, and record the scene and its baseline side by side if they differ
+    comparisons, recordings, contents = [], dict[str, Path](), dict[Path, bytes]()
     for each, baseline in zip(guarded, baselines, strict=True):
         comparison = compare(each.scene, baseline, progress, each.mapping)
-        found.append(comparison)
+        comparisons.append(comparison)
         if comparison.moved and (runs := both_runs(each.scene, baseline)):
             progress(f"{each.scene.name}: recording")
             path, title = folder / f"{each.scene.name}.rrd", f"{each.scene.name} against its baseline"
             text = markdown(report([comparison], {}, {}))
             recordings[each.scene.name] = path
             contents[path] = recorded(log_run, regress_scene(each.scene), runs, text, title)
-    whole = report(found, recordings, left_out, allow_reduced)
+    # write everything together
+    whole = report(comparisons, recordings, left_out, allow_reduced)
     texts = (
-        as_json(found, recordings, contents, left_out, whole),
+        as_json(comparisons, recordings, contents, left_out, whole),
         junit(whole).encode(),
         markdown(whole).encode(),
     )
     write_files(dict(zip(reports, texts, strict=True)) | contents)
-    return found, recordings, reports
+    return comparisons, recordings, reports
 
 
 def both_runs(scene: Scene, baseline: Baseline) -> dict[str, Trajectory]:
-    """A scene's run and that of its baseline; none of a scene that stops or that is of other bodies now."""
+    """Run a scene and take the run of its baseline, by the names that a recording shows.
+
+    The result is empty if the scene cannot be run, or if its bodies or times are not those of the baseline.
+    """
     scene = regress_scene(scene)
     stored = stored_run(scene, baseline)
     if stored is None:
         return {}
     try:
-        return {"newton_euler": main_run(scene, baseline.plan.rtol[MAIN]), "baseline": stored}
+        return {"newton_euler": main_run(scene, baseline.plan.rtol[MAIN_FORMULATION]), "baseline": stored}
     except NewtonEulerError:
         return {}
 
 
 def stored_run(scene: Scene, baseline: Baseline) -> Trajectory | None:
-    """The run that the baseline holds; None if its bodies or times are not the scene's."""
+    """Return the run that the baseline stores; None if its bodies or times are not the scene's.
+
+    The baseline has no poses of the ground: the scene's own are added.
+    """
     count, ground, *bodies = len(scene.times), *scene.mechanism.bodies
     poses = list[Array]()
-    for name, own in (("position", ground.center_of_mass), ("quaternion", ground.quaternion)):
-        figure = baseline.figure(MAIN, f"{name} over time")
-        if figure is None or figure.array.shape != (count, len(own) * len(bodies)):
+    for name, ground_pose in (("position", ground.center_of_mass), ("quaternion", ground.quaternion)):
+        stored = baseline.find(MAIN_FORMULATION, f"{name} over time")
+        if stored is None or stored.array.shape != (count, len(ground_pose) * len(bodies)):
             return None
-        others = figure.array.reshape(count, len(bodies), len(own))
-        poses.append(np.concatenate([np.tile(own, (count, 1, 1)), others], axis=1))
+        others = stored.array.reshape(count, len(bodies), len(ground_pose))
+        poses.append(np.concatenate([np.tile(ground_pose, (count, 1, 1)), others], axis=1))
     return Trajectory(
         engine="baseline",
         settings={},

@@ -49,11 +49,11 @@ class Outcome(StrEnum):
     DIFFERENT = "DIFFERENT"
     """Two models differ."""
     QUIET = "QUIET"
-    """All figures are those of the baselines."""
+    """All checks against the baselines pass."""
     QUIET_ON_A_REDUCED_MODEL = "QUIET ON A REDUCED MODEL"
     """The same, but elements of a file acted that were not simulated as the file has them."""
     MOVED = "MOVED"
-    """A figure is not that of its baseline."""
+    """A check against a baseline fails."""
 
     @property
     def judged(self) -> Verdict:

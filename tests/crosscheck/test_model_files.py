@@ -71,7 +71,7 @@ def test_convert_files_each_element_once(capsys, tmp_path):
     [
         (["bench"], "crosscheck.studies.benchmark.run.bench"),
         (["faults"], "crosscheck.studies.faults.find.find_faults"),
-        (["regress"], "crosscheck.regress.run.check"),
+        (["regress"], "crosscheck.regress.run.check_baselines"),
     ],
 )
 def test_what_a_model_file_loses_is_told(capsys, tmp_path, monkeypatch, arguments, target):

@@ -67,9 +67,9 @@ MISTAKES = {
     ),
     "a baseline compared with itself": (
         "crosscheck/regress/compare.py",
-        "_check(figure, now.get(figure.name), problem)",
-        "_check(figure, figure, problem)",
-        "crosscheck/regress/test_regress.py::test_a_figure_moves_where_it_leaves_its_tolerance",
+        "_check(quantity, now.get(quantity.name), problem)",
+        "_check(quantity, quantity, problem)",
+        "crosscheck/regress/test_regress.py::test_a_quantity_moves_where_it_leaves_its_tolerance",
     ),
     "the program of a scene with other numbers": (
         "newton_euler/codegen/fingerprint.py",

@@ -1,1 +1,1 @@
-"""Figures of the library's scenes, a file for each scene; `crosscheck regress` reads them."""
+"""Baselines of the library scenes, one JSON file per scene, which `crosscheck regress` reads."""

@@ -21,8 +21,7 @@ from crosscheck.library import load
 from crosscheck.library.entries import SCENE
 from crosscheck.library.scene_file import _content, read_scene
 from crosscheck.loading.size import check_scene
-from crosscheck.regress.baseline import Baseline
-from crosscheck.regress.baseline import read as read_baseline
+from crosscheck.regress.baseline import Baseline, read_baseline
 from crosscheck.regress.run import usual_path
 from crosscheck.solar.wind import wind_over_day
 from newton_euler import Scene, simulate

@@ -17,31 +17,38 @@ from crosscheck.library import load
 from crosscheck.library.scene_file import write_scene
 from crosscheck.regress import measure
 from crosscheck.regress import run as regress
-from crosscheck.regress.baseline import Record, StoredFigure, read
-from crosscheck.regress.compare import MODEL_FILE, Comparison, check, check_unsimulated, compare, divergence
-from crosscheck.regress.run import Guarded
+from crosscheck.regress.baseline import StoredQuantity, UpdateRecord, read_baseline
+from crosscheck.regress.compare import (
+    MODEL_FILE,
+    Comparison,
+    check_group,
+    check_unsimulated,
+    compare,
+    divergence_time,
+)
+from crosscheck.regress.run import GuardedScene
 
 ROOT = Path(__file__).parents[3]
 
 
-def figure(array, tolerance=(1e-9,), name="position"):
+def quantity(array, tolerance=(1e-9,), name="position"):
     array = np.atleast_2d(np.asarray(array, dtype=float))
     rows, columns = [f"row {k}" for k in range(len(array))], list("xyz"[: array.shape[1]])
-    return StoredFigure.model_construct(
+    return StoredQuantity.model_construct(
         group="relative", name=name, unit="m", rows=rows, columns=columns, value=array.tolist(),
         tolerance=[*tolerance] * (len(rows) // len(tolerance)),
     )  # fmt: skip
 
 
-# Tolerances and figures
+# Tolerances and quantities
 
 
 def tolerances(monkeypatch, measured, plain, tighter):
-    """The tolerances of one figure that is another with tighter error control."""
-    found = {measured.plan.rtol["relative"]: plain, 0.1 * measured.plan.rtol["relative"]: tighter}
-    monkeypatch.setitem(measure.GROUPS, "relative", lambda here: [found[here.plan.rtol["relative"]]])
-    (figure,) = measure.with_own_errors("relative", load("pendulum"), measured.plan)
-    return figure.tolerance
+    """Return the tolerances of a quantity that has another value with tighter error control."""
+    values = {measured.plan.rtol["relative"]: plain, 0.1 * measured.plan.rtol["relative"]: tighter}
+    monkeypatch.setitem(measure.GROUPS, "relative", lambda here: [values[here.plan.rtol["relative"]]])
+    (found,) = measure.measure_group_with_errors("relative", load("pendulum"), measured.plan)
+    return found.tolerance
 
 
 @pytest.mark.parametrize(
@@ -53,15 +60,15 @@ def tolerances(monkeypatch, measured, plain, tighter):
 )
 def test_a_tolerance_is_that_of_the_level_and_the_own_error(monkeypatch, measured, name, changes, grown):
     """The largest of all rows; over time it grows and never shrinks."""
-    plain, tighter = (figure([[x] for x in values], name=name) for values in ([0.0] * 3, changes))
+    plain, tighter = (quantity([[x] for x in values], name=name) for values in ([0.0] * 3, changes))
     wanted = [1e-9 + OWN_ERROR * each for each in grown]
     assert tolerances(monkeypatch, measured, plain, tighter) == pytest.approx(wanted, rel=1e-12)
 
 
-def test_a_group_with_a_figure_that_is_not_finite_is_left_out(monkeypatch, measured):
-    wrong = figure([[float("nan")]])
+def test_a_group_with_a_quantity_that_is_not_finite_is_left_out(monkeypatch, measured):
+    wrong = quantity([[float("nan")]])
     monkeypatch.setitem(measure.GROUPS, "relative", lambda here: [wrong])
-    found = measure.with_own_errors("relative", load("pendulum"), measured.plan)
+    found = measure.measure_group_with_errors("relative", load("pendulum"), measured.plan)
     assert found == "position is not finite"
 
 
@@ -71,9 +78,9 @@ def test_a_count_may_grow_by_two_percent(swing, measured):
 
 
 @pytest.mark.parametrize("moved", [0.9, -0.9, 1.1, -1.1])
-def test_a_figure_moves_where_it_leaves_its_tolerance(moved):
-    stored = figure([[1.0, 2.0], [3.0, 4.0]], [1e-6, 1e-9])
-    (found,) = check([stored], [figure([[1.0, 2.0], [3.0, 4.0 + moved * 1e-9]])])
+def test_a_quantity_moves_where_it_leaves_its_tolerance(moved):
+    stored = quantity([[1.0, 2.0], [3.0, 4.0]], [1e-6, 1e-9])
+    (found,) = check_group([stored], [quantity([[1.0, 2.0], [3.0, 4.0 + moved * 1e-9]])])
     assert found.moved == (abs(moved) > 1.0)
     assert found.where == "row 1, y"
     assert found.share == pytest.approx(abs(moved), rel=1e-5)  # 4 has 4e-16 of round-off
@@ -81,26 +88,26 @@ def test_a_figure_moves_where_it_leaves_its_tolerance(moved):
 
 @pytest.mark.parametrize("now", [float("nan"), float("inf")])
 def test_what_is_not_finite_has_moved(now):
-    (found,) = check([figure([[1.0]], [1e300])], [figure([[now]])])
+    (found,) = check_group([quantity([[1.0]], [1e300])], [quantity([[now]])])
     assert found.moved
 
 
 def test_what_is_not_measured_any_more_has_moved():
-    stored = figure([[1.0]], [1.0])
+    stored = quantity([[1.0]], [1.0])
     for measured, problem in (
         ("SingularityError: no", "SingularityError: no"),
-        ([figure([[1.0]], name="other")], "no longer measured"),
-        ([figure([[1.0], [2.0]])], "is of other bodies, joints or times"),
+        ([quantity([[1.0]], name="other")], "no longer measured"),
+        ([quantity([[1.0], [2.0]])], "has other bodies, joints or times than the baseline"),
     ):
-        (found,) = check([stored], measured)
+        (found,) = check_group([stored], measured)
         assert (found.moved, found.problem) == (True, problem)
 
 
 def test_divergence_is_at_the_first_time_out_of_a_tolerance():
     name, times = "position over time", np.array([0.0, 0.5, 1.0])
-    stored = figure([[0.0], [0.0], [0.0]], name=name)
-    assert divergence([stored], [figure([[0.0], [1e-8], [1.0]], name=name)], times) == 0.5
-    assert divergence([stored], [figure([[0.0], [1e-10], [0.0]], name=name)], times) is None
+    stored = quantity([[0.0], [0.0], [0.0]], name=name)
+    assert divergence_time([stored], [quantity([[0.0], [1e-8], [1.0]], name=name)], times) == 0.5
+    assert divergence_time([stored], [quantity([[0.0], [1e-10], [0.0]], name=name)], times) is None
 
 
 # Costs: operations, steps and evaluations may fall, and may not grow
@@ -124,17 +131,17 @@ COST_NAMES = ["operations of derivative", "DOP853, rtol 1e-06: steps", "DOP853, 
     ],
 )
 def test_a_cost_fails_only_where_it_grows(name, now, moved, cheaper):
-    (found,) = check([figure([[100.0]], [2.0], name)], [figure([[now]], name=name)])
+    (found,) = check_group([quantity([[100.0]], [2.0], name)], [quantity([[now]], name=name)])
     assert (found.moved, found.cheaper) == (moved, cheaper)
 
 
 def test_a_length_that_falls_has_moved():
-    (found,) = check([figure([[100.0]], [2.0])], [figure([[97.0]])])
+    (found,) = check_group([quantity([[100.0]], [2.0])], [quantity([[97.0]])])
     assert (found.moved, found.cheaper) == (True, False)
 
 
 def test_every_count_of_a_baseline_is_a_cost(measured):
-    costs = {(each.group, each.name) for each in measured.figures if each.is_cost}
+    costs = {(each.group, each.name) for each in measured.quantities if each.is_cost}
     for group, compiled in (
         ("relative", ("derivative", "output")),
         ("cartesian", ("derivative", "output", "position", "velocity")),
@@ -142,7 +149,7 @@ def test_every_count_of_a_baseline_is_a_cost(measured):
         counted = {f"operations of {name}" for name in compiled} | set(COST_NAMES[1:])
         assert {name for owner, name in costs if owner == group} == counted
     assert all(
-        float(value).is_integer() for each in measured.figures if each.is_cost for (value,) in each.value
+        float(value).is_integer() for each in measured.quantities if each.is_cost for (value,) in each.value
     )
 
 
@@ -151,10 +158,10 @@ def test_what_is_cheaper_is_reported_in_every_format(capsys, tmp_path, guarded, 
     model = Path(shutil.copy(guarded / "mine.yaml", tmp_path))
     assert run(capsys, "regress", model, "--update", "first")[0] == 0
     stored = Path("mine.baseline.json")
-    baseline = read(stored)
+    baseline = read_baseline(stored)
     name = "operations of derivative"
-    dearer, cost = baseline.model_copy(deep=True), baseline.figure("relative", name).value[0][0]
-    dearer.figure("relative", name).value[0][0] = 2.0 * cost
+    dearer, cost = baseline.model_copy(deep=True), baseline.find("relative", name).value[0][0]
+    dearer.find("relative", name).value[0][0] = 2.0 * cost
     stored.write_text(dearer.text())
 
     status, out, _ = run(capsys, "regress", model, "--output", "out")
@@ -173,7 +180,7 @@ def test_what_is_cheaper_is_reported_in_every_format(capsys, tmp_path, guarded, 
     assert list(tmp_path.glob("out/*.rrd")) == []
 
     cheaper = baseline.model_copy(deep=True)
-    cheaper.figure("relative", name).value[0][0] = 0.5 * cost
+    cheaper.find("relative", name).value[0][0] = 0.5 * cost
     stored.write_text(cheaper.text())
     assert run(capsys, "regress", model, "--output", "out")[0] == 1
 
@@ -189,7 +196,9 @@ def swing():
 @pytest.fixture(scope="module")
 def measured(swing):
     """The baseline of a second of the pendulum."""
-    return regress.make(Guarded("pendulum", {}, swing, Path("none.json")), "first", lambda _: None)
+    return regress.make_baseline(
+        GuardedScene("pendulum", {}, swing, Path("none.json")), "first", lambda _: None
+    )
 
 
 def test_every_group_measures_the_pendulum_as_mechanics_has_it(swing, measured):
@@ -197,11 +206,11 @@ def test_every_group_measures_the_pendulum_as_mechanics_has_it(swing, measured):
     assert measured.groups == list(measure.GROUPS)
     assert measured.plan.rtol == {"relative": 1e-12, "cartesian": 1e-12, "Radau": 1e-10}
     # at rest and released a pendulum falls along its circle: g times the sine, so less than g
-    start = measured.figure("relative", "start: linear acceleration").array
+    start = measured.find("relative", "start: linear acceleration").array
     assert 0.0 < np.linalg.norm(start) <= np.linalg.norm(swing.gravity)
     for engine in ("cartesian", "mujoco", "pinocchio"):
         names = engine, "relative"
-        other, mine = (measured.figure(name, "moving: linear acceleration").array for name in names)
+        other, mine = (measured.find(name, "moving: linear acceleration").array for name in names)
         assert other == pytest.approx(mine, abs=1e-11)  # round-off of 10 m/s^2, four sets of equations
     assert np.any(np.abs(measured.plan.state.state().linear_velocity) > 0.1)
 
@@ -209,14 +218,14 @@ def test_every_group_measures_the_pendulum_as_mechanics_has_it(swing, measured):
 def test_a_millionth_of_gravity_is_seen_in_every_engine(swing, measured):
     heavier = replace(swing, gravity=swing.gravity * (1.0 + 1e-6))
     found = compare(heavier, measured, lambda _: None)
-    assert {figure.level for figure in found.moved} == set(measure.GROUPS)
+    assert {check.level for check in found.moved} == set(measure.GROUPS)
     assert found.diverges is not None
     assert 0.0 < found.diverges <= swing.duration
     assert "MOVED" in found.verdict
 
 
 def test_versions_that_changed_are_named():
-    made = Record(date="2026-01-01", reason="first", versions={"python": "3.11.0", "numpy": "2.0.0"})
+    made = UpdateRecord(date="2026-01-01", reason="first", versions={"python": "3.11.0", "numpy": "2.0.0"})
     found = Comparison("s", (), made, {"python": "3.11.0", "numpy": "2.1.0", "pin": "4.1"}, None, 0.0)
     assert found.changed_versions == ["numpy 2.0.0 -> 2.1.0", "pin none -> 4.1"]
 
@@ -264,7 +273,7 @@ def test_a_user_guards_a_model(capsys, guarded, monkeypatch):
     status, out, _ = run(capsys, "regress", model, "-v")
     assert status == 0
     assert "QUIET" in out
-    assert "quaternion over time" in out  # as every figure
+    assert "quaternion over time" in out  # as every quantity
     assert {path.name for path in folder.iterdir()} == set(regress.REPORTS)
     assert json.loads((folder / "regress.json").read_text())["quiet"]
     assert ElementTree.parse(folder / "junit.xml").getroot().find("testsuite").get("failures") == "0"
@@ -299,7 +308,7 @@ def test_a_recording_holds_both_runs(swing, measured):
     assert regress.both_runs(load("four_bar"), measured) == {}  # of other bodies
 
 
-# What a model file holds and no figure is about
+# What a model file holds and no quantity is about
 
 
 @pytest.mark.parametrize(
@@ -311,13 +320,13 @@ def test_a_recording_holds_both_runs(swing, measured):
         (["a", "b", "b"], [("b", "new")]),
     ],
 )
-def test_what_is_in_no_figure_moves_where_its_line_does(found, moved):
+def test_what_is_in_no_quantity_moves_where_its_line_does(found, moved):
     checked = check_unsimulated(["a", "b"], found)
     assert {each.level for each in checked} == {MODEL_FILE}
     assert [(each.quantity, each.problem) for each in checked if each.moved] == moved
 
 
-def test_a_model_file_is_guarded_with_what_is_in_no_figure(capsys, tmp_path, monkeypatch):
+def test_a_model_file_is_guarded_with_what_is_in_no_quantity(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body name="leg" pos="0 0 1">
         <joint name="hip" axis="0 1 0" limited="true" range="-60 50"/>

@@ -15,7 +15,14 @@ from crosscheck.cli.shared import cli
 from crosscheck.library import SCENES
 from crosscheck.regress import measure
 from crosscheck.regress import run as regress
-from crosscheck.regress.baseline import Baseline, Plan, Record, StoredFigure, StoredState, read
+from crosscheck.regress.baseline import (
+    Baseline,
+    MeasurementPlan,
+    StoredQuantity,
+    StoredState,
+    UpdateRecord,
+    read_baseline,
+)
 from crosscheck.support.checksum import with_checksum
 from newton_euler.model.state import State
 
@@ -28,10 +35,10 @@ ROOT = Path(__file__).parents[3]
 def small_baseline():
     state = StoredState.of(State(*(np.zeros((2, n)) for n in (3, 4, 3, 3))))
     return Baseline(
-        scene="tracker", options={}, history=[Record.now("first")], left_out={},
-        plan=Plan(rtol={"relative": 1e-9}, step=0.1, time=0.0, state=state),
+        scene="tracker", options={}, history=[UpdateRecord.now("first")], left_out={},
+        plan=MeasurementPlan(rtol={"relative": 1e-9}, step=0.1, time=0.0, state=state),
         figures=[
-            StoredFigure(
+            StoredQuantity(
                 group="relative", name="position", unit="m", rows=["bar"], columns=["x"],
                 value=[[1.0 / 3.0]], tolerance=[1e-9],
             )
@@ -44,15 +51,15 @@ def reseal(content, **changes):
 
 
 def test_a_baseline_survives_its_file(tmp_path):
-    measured = read(regress.usual_path("tracker"))
+    measured = read_baseline(regress.usual_path("tracker"))
     path = tmp_path / "b.json"
     path.write_text(measured.text())
-    assert read(path) == measured
+    assert read_baseline(path) == measured
     path.write_bytes(measured.text().replace("\n", "\r\n").encode())  # as a checkout on Windows has it
-    assert read(path) == measured
-    # a figure a line, so that changes can be read
+    assert read_baseline(path) == measured
+    # a quantity a line, so that changes can be read
     assert sum(line.startswith('  {"group"') for line in measured.text().splitlines()) == len(
-        measured.figures
+        measured.quantities
     )
 
 
@@ -60,7 +67,7 @@ def test_a_baseline_survives_its_file(tmp_path):
     ("change", "field"),
     [
         (lambda c: c.pop("plan"), "plan: Field required"),
-        (lambda c: c.update(format=2), "format: another version of crosscheck made the file"),
+        (lambda c: c.update(format=2), "format: another version of crosscheck wrote the file"),
         (lambda c: c["history"][0].update(reason=""), "history.0.reason"),
         (lambda c: c["figures"][0].update(group="speed"), "figures.0.group: Input should be 'model', "),
         (lambda c: c["figures"][0].update(tolerance=[1.0, 1.0]), "figures.0: tolerance has 2 numbers"),
@@ -68,7 +75,7 @@ def test_a_baseline_survives_its_file(tmp_path):
             lambda c: c["figures"][0].update(value=[[1.0, 2.0]]),
             "figures.0: value is not a table",
         ),
-        (lambda c: c.update(figures=c["figures"] * 2), "file: figure 'position'"),
+        (lambda c: c.update(figures=c["figures"] * 2), "file: figures: 'position'"),
         (lambda c: c["plan"]["state"].update(position=[[0.0]]), "plan.state.position.0.1: Field required"),
         (lambda c: c["figures"][0].update(tolerance=[1e9]), "sha256: does not fit the other fields"),
         (lambda c: c["figures"][0].update(value=[[0.5]]), "sha256: does not fit the other fields"),
@@ -94,15 +101,15 @@ def test_a_corrupt_baseline_is_named_with_its_field(capsys, tmp_path, change, fi
 def test_a_missing_baseline_names_what_makes_it(capsys, tmp_path):
     path = tmp_path / "none.json"
     status, _, err = run(capsys, "regress", "four_bar", "--baseline", path)
-    assert (status, err) == (2, f"crosscheck: error: no baseline {path}; make it by --update REASON\n")
+    assert (status, err) == (2, f"crosscheck: error: no baseline {path}; create it with --update REASON\n")
 
 
 def test_the_library_has_a_baseline_for_each_scene():
     for name in SCENES:
-        found = read(regress.usual_path(name))
+        found = read_baseline(regress.usual_path(name))
         assert (found.scene, found.options) == (name, {})
         assert found.groups[:2] == ["model", "relative"]
-        assert len(found.figure("relative", "position over time").rows) == measure.OUTPUT_COUNT + 1
+        assert len(found.find("relative", "position over time").rows) == measure.OUTPUT_COUNT + 1
 
 
 # The action and the guide
@@ -155,17 +162,17 @@ def test_the_guide_is_a_workflow_of_ten_lines_that_fits_the_action():
 
 def test_a_model_file_has_the_options_of_its_baseline(tmp_path):
     path = tmp_path / "robot.baseline.json"
-    assert regress.made_with("robot.xml", path, {"key": "go"}) == {"key": "go"}
+    assert regress.stored_options("robot.xml", path, {"key": "go"}) == {"key": "go"}
     content = json.loads(small_baseline().text()) | {"options": {"key": "go", "duration": "2", "root": "/"}}
     path.write_text(json.dumps(with_checksum(content)))
-    assert regress.made_with("robot.xml", path, {"duration": "3"}) == {"key": "go", "duration": "3"}
-    assert regress.made_with("tracker", path, {}) == {}
+    assert regress.stored_options("robot.xml", path, {"duration": "3"}) == {"key": "go", "duration": "3"}
+    assert regress.stored_options("tracker", path, {}) == {}
 
 
 def test_options_of_one_baseline_are_not_those_of_the_next(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     seen = []
-    monkeypatch.setattr(regress, "check", lambda guarded, *_: seen.extend(guarded) or ([], {}, []))
+    monkeypatch.setattr(regress, "check_baselines", lambda guarded, *_: seen.extend(guarded) or ([], {}, []))
     (tmp_path / "m.xml").write_text(
         '<mujoco><worldbody><body name="bob"><joint/><geom size="1" pos="0 0 9"/></body></worldbody></mujoco>'
     )

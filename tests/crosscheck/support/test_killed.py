@@ -20,7 +20,7 @@ from command_line import scene_file, short_example
 
 import newton_euler
 from crosscheck.library import load
-from crosscheck.regress.baseline import read
+from crosscheck.regress.baseline import read_baseline
 from newton_euler.codegen.cache import CACHE_VARIABLE
 from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.run import needed
@@ -57,7 +57,7 @@ def check_complete(folder: Path) -> None:
         if path.suffix == ".npz":
             assert len(load_arrays(path)["time"]) == 6
         elif path.name == "four_bar.baseline.json":
-            assert read(path).scene == "four_bar"
+            assert read_baseline(path).scene == "four_bar"
         elif path.suffix == ".json":
             json.loads(path.read_text())
         elif path.suffix == ".rrd":
