@@ -11,10 +11,10 @@ import numpy as np
 
 from crosscheck.compare.check import OWN_ERROR, REFERENCE, UNRESOLVED, Check
 from crosscheck.engines.engine import Engine
-from crosscheck.library import FIGURES, SCENES
+from crosscheck.library import REFERENCE_QUANTITIES, SCENES
 from crosscheck.library.measure import Quantity
 from crosscheck.library.options import options_of
-from crosscheck.library.references import Known, known_figures
+from crosscheck.library.references import ReferenceValue, reference_values
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
@@ -36,11 +36,11 @@ class ReferenceCheck(Check):
         result: value in the engine's most accurate run.
     """
 
-    known: Known = field(kw_only=True)
+    known: ReferenceValue = field(kw_only=True)
     result: float = field(kw_only=True)
 
     @classmethod
-    def of(cls, engine: str, known: Known, result: float, own_error: float) -> ReferenceCheck:
+    def of(cls, engine: str, known: ReferenceValue, result: float, own_error: float) -> ReferenceCheck:
         """Make the check of a result whose engine has an error of `own_error`."""
         allowed, where = known.uncertainty + own_error, f"{engine} at {known.time:g} s"
         off = abs(result - known.value)
@@ -57,21 +57,21 @@ class ReferenceCheck(Check):
         return {"engine": self.engine} | known | measured | {"agrees": self.agrees}
 
 
-def known_of(source: str, options: Mapping[str, str | float]) -> list[Known]:
+def known_of(source: str, options: Mapping[str, str | float]) -> list[ReferenceValue]:
     """The reference values of a scene of the library under the options set; none for a scene file."""
-    if source not in FIGURES:
+    if source not in REFERENCE_QUANTITIES:
         return []
     chosen = {name: str(option.default) for name, option in options_of(SCENES[source]).items()}
     chosen |= {name: str(value) for name, value in options.items()}
     return [
         known
-        for known in known_figures(source)
+        for known in reference_values(source)
         if all(chosen[name] == str(value) for name, value in known.options.items())
     ]
 
 
 def measure(
-    source: str, scene: Scene, engine: Engine, run: Trajectory, known: list[Known]
+    source: str, scene: Scene, engine: Engine, run: Trajectory, known: list[ReferenceValue]
 ) -> Iterator[ReferenceCheck]:
     """All reference values of a scene as an engine gives them.
 
@@ -93,7 +93,7 @@ def measure(
         n = int(np.argmin(np.abs(fine.time - entry.time)))
         if abs(fine.time[n] - entry.time) > 1e-9 * scene.output_period:
             raise CrosscheckError(f"scene {scene.name!r} has no output at {entry.time:g} s")
-        figure = FIGURES[source][entry.quantity]
+        figure = REFERENCE_QUANTITIES[source][entry.quantity]
         values = _values(figure, fine)[: n + 1]
         change = float(np.max(np.abs(values - _values(figure, coarse)[: n + 1])))
         scale = float(np.max(np.abs(values)))

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from crosscheck.compare.check import UNRESOLVED
-from crosscheck.library import FIGURES
+from crosscheck.library import REFERENCE_QUANTITIES
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.system import Evaluation, System
 from newton_euler.errors import NewtonEulerError, choices
@@ -231,7 +231,7 @@ def _mujoco_refined(scene: Scene, in_full: bool = False) -> Trajectory:
 def _motion_of(scene: Scene) -> Scene:
     """Return the scene without reactions and actuator forces, which refined runs need for reference values
     only."""
-    if scene.name in FIGURES:
+    if scene.name in REFERENCE_QUANTITIES:
         return scene
     return replace(scene, outputs=scene.outputs - {"reactions", "actuation"})
 

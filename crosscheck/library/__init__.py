@@ -1,4 +1,7 @@
-"""The scene library: scenes by name, and scenes from files."""
+"""Load scenes: a mechanism with its forces, controllers, initial state and duration.
+
+`load` takes the name of a scene of the library, a scene file (YAML or JSON), or a model file (MJCF or URDF).
+"""
 
 from __future__ import annotations
 
@@ -48,41 +51,43 @@ SCENES: dict[str, Callable[..., Scene]] = {
     "stewart": stewart.stewart,
     "chain": chain.chain,
 }
-"""Functions that make a scene, by the scene's name. Their arguments are the scene's options."""
+"""Functions that make the scenes of the library, by name. Their arguments are the options of the scene."""
 
-FIGURES: dict[str, Quantities] = {
-    "pendulum": pendulum.FIGURES,
-    "free_top": free_top.FIGURES,
-    "heavy_top": heavy_top.FIGURES,
-    "four_bar": four_bar.FIGURES,
-    "andrews": andrews.FIGURES,
-    "slider_crank": slider_crank.FIGURES,
-    "bricard": bricard.FIGURES,
-    "flyball_governor": flyball_governor.FIGURES,
-    "stewart": stewart.FIGURES,
+REFERENCE_QUANTITIES: dict[str, Quantities] = {
+    "pendulum": pendulum.REFERENCE_QUANTITIES,
+    "free_top": free_top.REFERENCE_QUANTITIES,
+    "heavy_top": heavy_top.REFERENCE_QUANTITIES,
+    "four_bar": four_bar.REFERENCE_QUANTITIES,
+    "andrews": andrews.REFERENCE_QUANTITIES,
+    "slider_crank": slider_crank.REFERENCE_QUANTITIES,
+    "bricard": bricard.REFERENCE_QUANTITIES,
+    "flyball_governor": flyball_governor.REFERENCE_QUANTITIES,
+    "stewart": stewart.REFERENCE_QUANTITIES,
 }
-"""Quantities of a scene with reference values, see `crosscheck.library.references`."""
+"""Functions that measure quantities of a run for which reference values exist, by scene and quantity.
+
+The reference values are in `crosscheck.library.references`."""
 
 
 @checked
 def load(name: str, /, **options: str | float) -> Scene:
-    """The scene of that name, of that scene file (.yaml, .yml or .json) or of that model file.
+    """Load a scene of the library, a scene file (.yaml, .yml or .json) or a model file (.xml or .urdf).
 
     Args:
-        name: a name out of `SCENES`, or the path of a file.
-        options: the scene's own, for example `leg_inertia="aligned"` of the tracker; whole numbers
-            as such or in digits.
+        name: a name in `SCENES`, or the path of a file.
+        options: options of the scene or model file, for example `panel_inertia="literal"` of the tracker.
+            Numbers may be given as texts.
 
     Raises:
         CrosscheckError: for an unknown scene or option, and for a file that cannot be read.
-        newton_euler.NewtonEulerError: for a file whose mechanism cannot be.
+        newton_euler.NewtonEulerError: for a file with an impossible mechanism.
     """
     if name in SCENES:
-        return SCENES[name](**_read(name, options))
+        return SCENES[name](**_read_options(name, options))
     if is_model_file(name):
         return read_model(name, options)[0]
     if remedy := CONVERSION_ADVICE.get(Path(name).suffix.lower()):
-        raise CrosscheckError(f"{name!r} is of a format that is not read; {remedy}")
+        raise CrosscheckError(f"{name!r} is in a format that cannot be read; {remedy}")
     if Path(name).suffix not in (".yaml", ".yml", ".json"):
         raise CrosscheckError(
             f"unknown scene {name!r}; {choices(name, SCENES)}, or give a .yaml, .json, .xml or .urdf file"
@@ -94,25 +99,35 @@ def load(name: str, /, **options: str | float) -> Scene:
     return read_scene(name)
 
 
-def _read(name: str, given: dict[str, str | float]) -> dict[str, str | float]:
-    """The options that a scene takes, as it takes them."""
+def _read_options(name: str, given: dict[str, str | float]) -> dict[str, str | float]:
+    """Convert options of a library scene to the types of its arguments.
+
+    Args:
+        name: name of the scene.
+        given: options as the user set them.
+
+    Raises:
+        CrosscheckError: for an unknown option, a value that is not allowed, and an option that has no effect
+            because of the value of another option.
+    """
     known = options_of(SCENES[name])
     options = {}
     for option, value in given.items():
         if option not in known:
             valid = choices(option, known) if known else "it takes none"
             raise CrosscheckError(
-                f"unknown option {option!r} of scene {name!r}; {valid}, beside limits (crosscheck list)"
+                f"unknown option {option!r} of scene {name!r}; {valid}, and limits (crosscheck list)"
             )
         read = known[option].read(value)
         if read is None:
             raise CrosscheckError(f"{option} of scene {name!r} is {quoted(value)}; {known[option].wanted}")
         options[option] = read
     for option in options:
-        if beside := known[option].beside:
-            default = known[beside.option].default
-            other = options.get(beside.option, default)
-            if other == default if beside.value is None else other != beside.value:
-                where = f"{option} of scene {name!r} has no effect with {beside.option}={other}"
-                raise CrosscheckError(f"{where}; needed: {beside}")
+        if needed := known[option].only_with:
+            default = known[needed.option].default
+            other = options.get(needed.option, default)
+            is_met = other != default if needed.value is None else other == needed.value
+            if not is_met:
+                where = f"{option} of scene {name!r} has no effect with {needed.option}={other}"
+                raise CrosscheckError(f"{where}; needed: {needed}")
     return options

@@ -1,4 +1,5 @@
-"""Andrews' squeezing mechanism: seven bodies in a plane and three loops, driven by a constant torque.
+"""Scene of Andrews' squeezing mechanism: seven bodies in a plane and three loops, driven by a constant
+torque.
 
 E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section VII.7; parameters and published
 solution of the Test Set for IVP Solvers (F. Mazzia, C. Magherini, release 2.4, problem andrews); problem A03
@@ -124,12 +125,12 @@ ANGLES: dict[str, tuple[float, str, str]] = {
 
 
 def _angle(initial: float, body: str, against: str) -> Quantity:
-    """Return the quantity that measures the angle (n,), rad, of a body relative to another one."""
+    """Return the function that measures the angle (n,), rad, of a body relative to another one."""
     return lambda run: initial + angle(run, body, Z) - angle(run, against, Z)
 
 
 def _rate(body: str, against: str) -> Quantity:
-    """Return the quantity that measures the angular velocity (n,), rad/s, of a body relative to another."""
+    """Return the function that measures the angular velocity (n,), rad/s, of a body relative to another."""
     return lambda run: (angular_velocity(run, body) - angular_velocity(run, against)) @ Z
 
 
@@ -138,7 +139,7 @@ def _crank_pin(run: Trajectory) -> Array:
     return position(run, "crank", F - _along(BETA, 0.00092))
 
 
-FIGURES: dict[str, Quantity] = {
+REFERENCE_QUANTITIES: dict[str, Quantity] = {
     **{name: _angle(*entry) for name, entry in ANGLES.items()},
     **{f"{name}_dot": _rate(*entry[1:]) for name, entry in ANGLES.items()},
     **components(("F_x", "F_y"), _crank_pin),

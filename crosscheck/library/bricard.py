@@ -1,4 +1,4 @@
-"""Bricard's mechanism: an over-constrained loop of five bars and six hinges that has one freedom.
+"""Scene of Bricard's mechanism: an over-constrained loop of five bars and six hinges that has one freedom.
 
 Problem A04 of the IFToMM library of computational benchmark problems (M. Gonzalez, D. Dopico, U. Lugris,
 J. Cuadrado, A benchmarking system for MBS simulation software, Multibody System Dynamics 16, 2006). Six
@@ -70,7 +70,7 @@ def _bar(name: str, start: np.ndarray, end: np.ndarray) -> Body:
 P3 = 0.5 * (POINTS[2] - POINTS[1])
 """Hinge P3 (3,) in the frame of bar_2, m."""
 
-FIGURES: dict[str, Quantity] = {
+REFERENCE_QUANTITIES: dict[str, Quantity] = {
     **components(("P3_x", "P3_y", "P3_z"), lambda run: position(run, "bar_2", P3)),
     **components(("P3_vx", "P3_vy", "P3_vz"), lambda run: velocity(run, "bar_2", P3)),
     "q1": lambda run: angle(run, "bar_1", Y),

@@ -1,4 +1,4 @@
-"""Chain of N rods on hinges, an open tree of any size."""
+"""Scene of a chain of N rods on hinges: a mechanism without loops, of any size."""
 
 from __future__ import annotations
 

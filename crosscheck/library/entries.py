@@ -1,7 +1,10 @@
-"""Entries of scene files: what a file says of each element, and how it is made of that.
+"""Schema of scene files: a pydantic model for each kind of element, which checks the input and builds the
+element.
 
-Each class of `newton_euler` has an entry with the names and defaults of its attributes: a pydantic model,
-which checks the form of what a file says and builds the element. The mechanism checks the mechanics.
+Elements of a scene (bodies, joints, forces, controllers) are objects of dataclasses of `newton_euler`. The
+model of an element, its entry, is derived from the dataclass: same names of attributes and same defaults.
+Entries check names and types of the input. The constructors of `newton_euler` check the mechanics. `SCENE` is
+the entry of a whole file; `crosscheck.library.scene_file` reads and writes files with it.
 """
 
 from __future__ import annotations
@@ -38,12 +41,13 @@ from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Spline, Steps
 from newton_euler.model.state import State
 
-LARGEST = 1e100
+MAX_MAGNITUDE = 1e100
 """Largest magnitude of a number in a scene, so that squares and triple products stay finite."""
 
 
-def _plain(value: object) -> object:
-    """A number, or the text of one in YAML, as it is; no truth value and no digits with underscores."""
+def _check_is_number(value: object) -> object:
+    """Return a number or a text unchanged; refuse truth values, and digits with underscores or not in
+    ASCII."""
     if isinstance(value, bool):
         raise PydanticCustomError("truth_value", "Input should be a number, not a truth value")
     if isinstance(value, str) and ("_" in value or not value.isascii()):
@@ -51,23 +55,31 @@ def _plain(value: object) -> object:
     return value
 
 
-def _not_too_large(value: float) -> float:
-    if abs(value) > LARGEST:
-        raise PydanticCustomError("too_large", f"Input should be at most {LARGEST:g} in magnitude")
+def _check_magnitude(value: float) -> float:
+    """Return a number unchanged; refuse one that exceeds `MAX_MAGNITUDE`."""
+    if abs(value) > MAX_MAGNITUDE:
+        raise PydanticCustomError("too_large", f"Input should be at most {MAX_MAGNITUDE:g} in magnitude")
     return value
 
 
 Number = Annotated[
     float,
     Field(allow_inf_nan=False),
-    BeforeValidator(_plain),
-    AfterValidator(_not_too_large),
+    BeforeValidator(_check_is_number),
+    AfterValidator(_check_magnitude),
 ]
-Index = Annotated[int, BeforeValidator(_plain)]
-Vector = tuple[Number, Number, Number]
-Quaternion = tuple[Number, Number, Number, Number]
+"""Type of a finite number."""
 
-FORMS: dict[str, Any] = {
+Index = Annotated[int, BeforeValidator(_check_is_number)]
+"""Type of a whole number."""
+
+Vector = tuple[Number, Number, Number]
+"""Type of a vector (3,)."""
+
+Quaternion = tuple[Number, Number, Number, Number]
+"""Type of a unit quaternion (w, x, y, z)."""
+
+FIELD_TYPES: dict[str, Any] = {
     "str": str,
     "bool": bool,
     "int": Index,
@@ -78,28 +90,39 @@ FORMS: dict[str, Any] = {
     "tuple[tuple[str, int, float], ...]": list[tuple[str, Index, Number]],
     "Literal['world', 'body']": Literal["world", "body"],
 }
-"""Forms of attributes by their annotations."""
+"""Types of the fields of entries, by annotation of the attribute in `newton_euler`."""
 
 
 class Entry(BaseModel):
-    """The part of a scene file that makes an object of one class."""
+    """Base of all entries: the part of a scene file from which one element is built.
+
+    Attributes:
+        element_class: class of the element.
+        kind_name: value of the key `kind` in files; empty if entries of the class have no such key.
+    """
 
     model_config = ConfigDict(extra="forbid", defer_build=True)
-    made: ClassVar[type]
-    named: ClassVar[str]
+    element_class: ClassVar[type]
+    kind_name: ClassVar[str]
 
     def build(self) -> Any:
-        """Build the object; raises `NewtonEulerError` for one that cannot be."""
+        """Build the element.
+
+        Raises:
+            CrosscheckError: for an impossible part of the element, with the name of the element.
+            NewtonEulerError: for an impossible element.
+        """
         given = {name: getattr(self, name) for name in type(self).model_fields if name != "kind"}
         try:
             given = {name: _built(value) for name, value in given.items()}
         except NewtonEulerError as error:
-            name = f"{self.made.__name__.lower()} {given['name']!r}: " if "name" in given else ""
+            name = f"{self.element_class.__name__.lower()} {given['name']!r}: " if "name" in given else ""
             raise CrosscheckError(f"{name}{error}") from error
-        return self.made(**given)
+        return self.element_class(**given)
 
 
 def _built(value: Any) -> Any:
+    """Build all entries in a value, also inside lists and dictionaries; lists become tuples."""
     if isinstance(value, list):
         return tuple(map(_built, value))
     if isinstance(value, dict):
@@ -108,80 +131,107 @@ def _built(value: Any) -> Any:
 
 
 ENTRIES: dict[type, type[Entry]] = {}
-"""Entries by what they make."""
+"""Entries by the class of their elements."""
 
 
-def _entry(made: type, kind: str = "", **forms: Any) -> Any:
-    """Declare the entry of a class.
+def _declare_entry(element_class: type, kind: str = "", **field_types: Any) -> Any:
+    """Create the entry of a dataclass and add it to `ENTRIES`.
 
     Args:
-        made: a dataclass.
-        kind: of the entry, in a list of several kinds.
-        forms: of attributes whose annotations do not say them; None for one that files do not have.
+        element_class: the dataclass.
+        kind: value of the key `kind`, which distinguishes several entries at one place of a file.
+        field_types: types of fields by name, where `FIELD_TYPES` has none; None for an attribute that files
+            do not have.
     """
     declared: dict[str, Any] = {"kind": (Literal[kind], ...)} if kind else {}
-    for field in fields(made):
-        form = forms[field.name] if field.name in forms else FORMS[str(field.type)]
-        if form is not None:
-            declared[field.name] = form, ... if field.default is MISSING else field.default
-    ENTRIES[made] = create_model(made.__name__, __base__=Entry, **declared)
-    ENTRIES[made].made, ENTRIES[made].named = made, kind
-    return ENTRIES[made]
+    for field in fields(element_class):
+        field_type = field_types[field.name] if field.name in field_types else FIELD_TYPES[str(field.type)]
+        if field_type is not None:
+            declared[field.name] = field_type, ... if field.default is MISSING else field.default
+    entry = create_model(element_class.__name__, __base__=Entry, **declared)
+    entry.element_class, entry.kind_name = element_class, kind
+    ENTRIES[element_class] = entry
+    return entry
 
 
-def _several(form: Any) -> Any:
-    """A list of one form, for lack of static types."""
-    return list[form]
+def _list_of(entry: Any) -> Any:
+    """Return the type of a list of entries; a function, as static type checkers do not know the entries."""
+    return list[entry]
 
 
 def _one_of(entries: Iterable[Any]) -> Any:
+    """Return the type of one of several entries, which the key `kind` distinguishes."""
     return Annotated[Union[tuple(entries)], Field(discriminator="kind")]  # noqa: UP007 (of any number)
 
 
+# Entries of all elements, from simple shapes to control laws; names in capitals are types of fields.
 QUATERNION: dict[str, Any] = {"quaternion": Quaternion}
-BARS = [_entry(Capsule, "capsule"), _entry(Cylinder, "cylinder"), _entry(Sphere, "sphere")]
-SHAPE = _one_of([_entry(Box, "box", **QUATERNION), *BARS])
-BODY = _entry(Body, inertia=tuple[Vector, Vector, Vector], shapes=_several(SHAPE), meshes=None, **QUATERNION)
-ROWS: dict[str, Any] = dict.fromkeys(("slides", "hinges", "offsets"), list[Vector])
-JOINT = _one_of(_entry(made, kind, **ROWS) for kind, made in JOINT_KINDS.items())
-COUPLINGS = {"gear": Gear, "polynomial": PolynomialCoupling, "linear": LinearCoupling}
-COUPLING = _one_of(_entry(made, kind) for kind, made in COUPLINGS.items())
-SUM = _entry(Sum, "sum", terms=_several(ForwardRef("FUNCTION")))
-FUNCTIONS = {"polynomial": Polynomial, "sine": Sine}
+BARS = [
+    _declare_entry(Capsule, "capsule"),
+    _declare_entry(Cylinder, "cylinder"),
+    _declare_entry(Sphere, "sphere"),
+]
+SHAPE = _one_of([_declare_entry(Box, "box", **QUATERNION), *BARS])
+INERTIA_MATRIX = tuple[Vector, Vector, Vector]
+BODY = _declare_entry(Body, inertia=INERTIA_MATRIX, shapes=_list_of(SHAPE), meshes=None, **QUATERNION)
+AXES: dict[str, Any] = dict.fromkeys(("slides", "hinges", "offsets"), list[Vector])
+JOINT = _one_of(_declare_entry(joint_class, kind, **AXES) for kind, joint_class in JOINT_KINDS.items())
+COUPLING = _one_of(
+    [
+        _declare_entry(Gear, "gear"),
+        _declare_entry(PolynomialCoupling, "polynomial"),
+        _declare_entry(LinearCoupling, "linear"),
+    ]
+)
+# a sum has functions as its terms, which may be sums: its entry is completed once FUNCTION is defined
+SUM = _declare_entry(Sum, "sum", terms=_list_of(ForwardRef("FUNCTION")))
 SAMPLES: dict[str, Any] = dict.fromkeys(("times", "values"), list[Number])
-SAMPLED = [_entry(made, kind, **SAMPLES) for kind, made in (("spline", Spline), ("steps", Steps))]
-FUNCTION = _one_of([*(_entry(made, kind) for kind, made in FUNCTIONS.items()), *SAMPLED, SUM])
+FUNCTION = _one_of(
+    [
+        _declare_entry(Polynomial, "polynomial"),
+        _declare_entry(Sine, "sine"),
+        _declare_entry(Spline, "spline", **SAMPLES),
+        _declare_entry(Steps, "steps", **SAMPLES),
+        SUM,
+    ]
+)
 SUM.model_rebuild(_types_namespace={"FUNCTION": FUNCTION})
 VALUE: Any = Union[Number, FUNCTION]  # noqa: UP007
-FORMS["float | TimeFunction"] = VALUE
-FORCE = _one_of(_entry(made, made.kind) for made in get_args(Force))
+FIELD_TYPES["float | TimeFunction"] = VALUE
+FORCE = _one_of(_declare_entry(force_class, force_class.kind) for force_class in get_args(Force))
 GAINS: Any = dict[str, tuple[Number, Number]]
 MODEL: Any = dict[str, Union[Number, list[Number], list[list[Number]]]]  # noqa: UP007
-DECLARED = {
-    "pd": _entry(PD),
-    "state_feedback": _entry(StateFeedback, "state_feedback", gains=GAINS, targets=dict[str, VALUE]),
-    "computed_torque": _entry(ComputedTorque, "computed_torque", model=MODEL),
+CONTINUOUS_LAWS = {
+    "pd": _declare_entry(PD),
+    "state_feedback": _declare_entry(StateFeedback, "state_feedback", gains=GAINS, targets=dict[str, VALUE]),
+    "computed_torque": _declare_entry(ComputedTorque, "computed_torque", model=MODEL),
 }
+"""Entries of control laws in continuous time, by kind."""
 
 
-def _laws(entries: Mapping[str, Any]) -> Any:
-    """Return one of several laws by their kinds; one without a kind is a PD law."""
+def _one_of_laws(entries: Mapping[str, Any]) -> Any:
+    """Return the type of one of several control laws by kind; a law without a kind is a PD law."""
     tagged = [Annotated[entry, Tag(kind)] for kind, entry in entries.items()]
     return Annotated[Union[tuple(tagged)], Discriminator(_kind_of_law)]  # noqa: UP007
 
 
 def _kind_of_law(given: Any) -> str:
+    """Return the kind of a control law in a file."""
     return str(given.get("kind", "pd")) if isinstance(given, dict) else "pd"
 
 
 Limit = Union[Number, Literal["inf", "-inf"]]  # noqa: UP007
+"""Type of a limit that may be infinite."""
 
 
 class DigitalEntry(Entry):
-    """A declared law on a computer."""
+    """Entry of a digital controller: a control law that is sampled, with limits and delay.
+
+    Files write infinite limits as the texts "inf" and "-inf".
+    """
 
     kind: Literal["digital"]
-    law: _laws(DECLARED)  # type: ignore[valid-type]
+    law: _one_of_laws(CONTINUOUS_LAWS)  # type: ignore[valid-type]
     period: Number
     delay: Index = 0
     resolution: Number = 0.0
@@ -190,17 +240,18 @@ class DigitalEntry(Entry):
     stroke: tuple[Limit, Limit] = ("-inf", "inf")
 
     def build(self) -> Digital:
+        """Build the digital controller."""
         law: Entry = self.law
         force, slew, low, high = map(float, (self.force_limit, self.slew_limit, *self.stroke))
         return Digital(law.build(), self.period, self.delay, self.resolution, force, slew, (low, high))
 
 
-CONTROL = _laws(DECLARED | {"digital": DigitalEntry})
-MOTION = _entry(PrescribedMotion, function=FUNCTION)
+CONTROL = _one_of_laws(CONTINUOUS_LAWS | {"digital": DigitalEntry})
+MOTION = _declare_entry(PrescribedMotion, function=FUNCTION)
 
 
 class ArmatureEntry(Entry):
-    """A rotor inertia on a joint coordinate, or on a joint's ball."""
+    """Entry of an armature: the inertia of a motor's rotor, on a coordinate of a joint or on a ball joint."""
 
     joint: str
     inertia: Number
@@ -208,6 +259,11 @@ class ArmatureEntry(Entry):
     ball: bool = False
 
     def build(self) -> Armature | BallArmature:
+        """Build the armature.
+
+        Raises:
+            CrosscheckError: for an armature that has both a ball and a coordinate.
+        """
         if not self.ball:
             return Armature(self.joint, self.inertia, self.coordinate or 0)
         if self.coordinate is not None:
@@ -218,7 +274,10 @@ class ArmatureEntry(Entry):
 
 
 class StateEntry(Entry):
-    """The initial state of one body, world frame, SI; what is left out is as in the initial pose, at rest."""
+    """Entry of the initial state of one body, world frame, SI.
+
+    Fields that a file does not give are those of the initial pose at rest.
+    """
 
     position: Vector | None = None
     quaternion: Quaternion | None = None
@@ -227,10 +286,17 @@ class StateEntry(Entry):
 
 
 class _Scene(Entry):
-    """A scene file."""
+    """Base of `SCENE`, the entry of a whole scene file."""
 
     def build(self) -> Scene:
+        """Build the scene, after its size has been checked against the limits of `crosscheck.loading.size`.
+
+        Raises:
+            CrosscheckError: for a scene that is too large, and an impossible part of an element.
+            NewtonEulerError: for an impossible element or mechanism.
+        """
         given: Any = self
+        # each joint beyond one per body closes a loop
         loops = len(given.joints) - len(given.bodies) + len(given.couplings)
         forces = len(given.control) + len(given.forces) + len(given.armatures)
         check_counts("file", {"bodies": len(given.bodies), "closures": loops, "forces": forces})
@@ -265,22 +331,32 @@ SCENE = create_model(
     duration=(Number, ...),
     output_period=(Number, ...),
     ground=(str, "ground"),
-    bodies=(_several(BODY), ...),
-    joints=(_several(JOINT), ...),
-    couplings=(_several(COUPLING), []),
-    control=(_several(CONTROL), []),
-    forces=(_several(FORCE), []),
-    motions=(_several(MOTION), []),
+    bodies=(_list_of(BODY), ...),
+    joints=(_list_of(JOINT), ...),
+    couplings=(_list_of(COUPLING), []),
+    control=(_list_of(CONTROL), []),
+    forces=(_list_of(FORCE), []),
+    motions=(_list_of(MOTION), []),
     armatures=(list[ArmatureEntry], []),
     redundancy_tolerance=(float, REDUNDANCY_TOLERANCE),
     initial_state=(dict[str, StateEntry], {}),
     initial_angles=(dict[str, Number], {}),
     outputs=(list[str], list(OUTPUTS)),
 )
+"""Entry of a whole scene file."""
 
 
 def _state(mechanism: Mechanism, entries: dict[str, StateEntry], angles: dict[str, float]) -> State | None:
-    """Build the initial state; None if a file gives neither states of bodies nor angles."""
+    """Build the initial state of a scene.
+
+    Args:
+        mechanism: the mechanism.
+        entries: states by name of the body; other bodies are as in the initial pose, at rest.
+        angles: rad with revolutions, by label of the joint coordinate.
+
+    Returns:
+        The state; None if both dictionaries are empty.
+    """
     if not entries and not angles:
         return None
     keys = {label: key for key, label in mechanism.coordinate_labels.items()}

@@ -1,4 +1,4 @@
-"""Flyball governor: a slider that hangs on stiff, damped springs between two turning arms.
+"""Scene of a flyball governor: a slider that hangs on stiff, damped springs between two turning arms.
 
 Problem A05 of the IFToMM library of computational benchmark problems (M. Gonzalez, D. Dopico, U. Lugris,
 J. Cuadrado, A benchmarking system for MBS simulation software, Multibody System Dynamics 16, 2006). Its
@@ -127,7 +127,7 @@ ARM = np.cos(ALPHA) * X - np.sin(ALPHA) * Z
 CENTER = np.zeros(3)
 """Center of mass (3,) of a body, in its own frame, m."""
 
-FIGURES: dict[str, Quantity] = {
+REFERENCE_QUANTITIES: dict[str, Quantity] = {
     "s": lambda run: position(run, "slider", CENTER)[:, 2],
     "s_dot": lambda run: velocity(run, "slider", CENTER)[:, 2],
     "alpha": _alpha,
@@ -135,5 +135,6 @@ FIGURES: dict[str, Quantity] = {
     "shaft_omega": lambda run: angular_velocity(run, "shaft") @ Z,
     "energy_dissipated": _energy_dissipated,
 }
-"""Height (m) and velocity (m/s) of the slider, angle of the arms below the horizontal (rad), angle (rad) and
-angular velocity (rad/s) of the shaft, energy lost to the dampers (J)."""
+"""Height s (m) of the slider and its velocity; angle alpha (rad) of the arms below the horizontal.
+
+Angle (rad) and angular velocity (rad/s) of the shaft; energy lost to the dampers (J)."""

@@ -1,4 +1,5 @@
-"""Four-bar linkages in a row: N parallelograms that share their vertical bars, one degree of freedom."""
+"""Scene of four-bar linkages in a row: N parallelograms that share their vertical bars, one degree of
+freedom."""
 
 from __future__ import annotations
 
@@ -23,9 +24,10 @@ X, Y, Z = np.eye(3)
 def four_bar(N: Annotated[int, range(1, 1001)] = 2) -> Scene:
     """Return N windows of rods of 1 m and 1 kg, upright at the start, couplers moving at 1 m/s, 10 s.
 
-    Problem A02 of the IFToMM library of computational benchmark problems. All bars stay parallel, so one
-    angle describes any number of windows, and elliptic functions give this angle. When all bars lie on one
-    line, the configuration is singular: each window can fold in its own way, with N + 1 freedoms.
+    A window is one parallelogram: two vertical bars on hinges at their feet, and a coupler between their
+    tops. Problem A02 of the IFToMM library of computational benchmark problems. All bars stay parallel, so
+    one angle describes any number of windows, and elliptic functions give this angle. When all bars lie on
+    one line, the configuration is singular: each window can fold in its own way, with N + 1 freedoms.
 
     A planar loop of hinges has three redundant constraints. The right end of each coupler is a ball joint,
     which leaves one redundant constraint per window, along z.
@@ -59,7 +61,8 @@ def four_bar(N: Annotated[int, range(1, 1001)] = 2) -> Scene:
 
 
 def _swinging(mechanism: Mechanism, bars: int) -> State:
-    """Return the initial pose: the first `bars` moving bodies turn about their feet, the others translate."""
+    """Return the initial state: the first `bars` moving bodies turn about their feet, the couplers
+    translate."""
     state = State.initial(mechanism)
     state.linear_velocity[1 : 1 + bars] = 0.5 * SPEED * X
     state.angular_velocity[1 : 1 + bars] = -SPEED / LENGTH * Z
@@ -70,7 +73,7 @@ def _swinging(mechanism: Mechanism, bars: int) -> State:
 TOP = 0.5 * LENGTH * Y
 """Top (3,) of a bar in its own frame, m."""
 
-FIGURES: dict[str, Quantity] = {
+REFERENCE_QUANTITIES: dict[str, Quantity] = {
     **components(("B0_x", "B0_y"), lambda run: position(run, "bar_0", TOP)),
     **components(("B0_vx", "B0_vy"), lambda run: velocity(run, "bar_0", TOP)),
     "bar_omega_cw": lambda run: -angular_velocity(run, "bar_0") @ Z,

@@ -1,4 +1,4 @@
-"""Free top: an asymmetric body without torque. Elliptic functions solve Euler's equations for it.
+"""Scene of a free top: an asymmetric body without torque. Elliptic functions solve its equations of motion.
 
 L. D. Landau, E. M. Lifshitz, Mechanics, section 37. The case `dzhanibekov` starts next to the unstable axis:
 while the top stays near this axis, errors double every 1.2 s. The case `hairer` has the moments and the
@@ -47,7 +47,7 @@ def free_top(case: Literal["general", "dzhanibekov", "hairer"] = "general") -> S
     )
 
 
-FIGURES: dict[str, Quantity] = {
+REFERENCE_QUANTITIES: dict[str, Quantity] = {
     **components(("omega_x", "omega_y", "omega_z"), lambda run: spin(run, "top")),
     **components(("q0", "q1", "q2", "q3"), lambda run: quaternion(run, "top")),
 }

@@ -1,4 +1,5 @@
-"""Heavy top: a fast symmetric top on a fixed point that swings down to within 1e-6 rad of hanging.
+"""Scene of a heavy top: a fast symmetric top on a fixed point that swings down to within 1e-6 rad of hanging
+vertically.
 
 M. Geradin, A. Cardona, Flexible Multibody Dynamics, 2001; parameters as in Z. Terze, A. Muller,
 D. Zlatar, Singularity-free time integration of rotational quaternions using non-redundant ordinary
@@ -47,7 +48,7 @@ def heavy_top() -> Scene:
     )
 
 
-FIGURES: dict[str, Quantity] = {
+REFERENCE_QUANTITIES: dict[str, Quantity] = {
     **components(("com_x", "com_y", "com_z"), lambda run: position(run, "top", np.zeros(3))),
     **components(("omega_x", "omega_y", "omega_z"), lambda run: spin(run, "top")),
     **components(("q0", "q1", "q2", "q3"), lambda run: quaternion(run, "top")),

@@ -1,4 +1,7 @@
-"""Points, angles and velocities of bodies at the output times of a run, compared with published values."""
+"""Measure points, angles and velocities of bodies in a run, for comparison with reference values.
+
+A run is a `Trajectory`: poses and velocities of all bodies at n output times.
+"""
 
 from __future__ import annotations
 
@@ -11,24 +14,26 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 Quantity = Callable[[Trajectory], Array]
-"""A measured quantity (n,) at the output times of a run; SI."""
+"""Function that measures a scalar quantity of a run: (n,) values at its output times, SI."""
 
 Quantities = Mapping[str, Quantity]
-"""Quantities by the names that reference files give them."""
+"""Quantities by the names that files of reference values give them."""
 
 
 def position(run: Trajectory, body: str, offset: Array) -> Array:
     """Return world positions (n, 3), m, of a point of a body.
 
     Args:
-        offset: the point from the center of mass (3,), body frame, m.
+        run: the run.
+        body: name of the body.
+        offset: vector to the point from the center of mass (3,), body frame, m.
     """
     index = run.body_names.index(body)
     return np.asarray(run.position[:, index] + rotations(run.quaternion[:, index]) @ offset)
 
 
 def velocity(run: Trajectory, body: str, offset: Array) -> Array:
-    """Return world velocities (n, 3), m/s, of the point of a body that `position` describes."""
+    """Return world velocities (n, 3), m/s, of a point of a body; arguments as of `position`."""
     assert run.linear_velocity is not None
     assert run.angular_velocity is not None
     index = run.body_names.index(body)
@@ -44,8 +49,8 @@ def angular_velocity(run: Trajectory, body: str) -> Array:
 
 def spin(run: Trajectory, body: str) -> Array:
     """Return angular velocities (n, 3) of a body, body frame, rad/s."""
-    turns = rotations(run.quaternion[:, run.body_names.index(body)])
-    return np.einsum("nij,ni->nj", turns, angular_velocity(run, body))
+    rotation = rotations(run.quaternion[:, run.body_names.index(body)])
+    return np.einsum("nij,ni->nj", rotation, angular_velocity(run, body))
 
 
 def quaternion(run: Trajectory, body: str) -> Array:
@@ -59,6 +64,8 @@ def angle(run: Trajectory, body: str, axis: Array) -> Array:
     The body starts parallel to the world, turns about this axis only, and by less than pi between outputs.
 
     Args:
+        run: the run.
+        body: name of the body.
         axis: unit vector (3,), world frame.
     """
     p = quaternion(run, body)
@@ -66,7 +73,7 @@ def angle(run: Trajectory, body: str, axis: Array) -> Array:
 
 
 def components(names: tuple[str, ...], vector: Quantity) -> dict[str, Quantity]:
-    """Return one quantity for each component of a measured array (n, len(names))."""
+    """Split a measured array (n, len(names)) into one quantity for each of its columns."""
 
     def component(k: int) -> Quantity:
         return lambda run: vector(run)[:, k]

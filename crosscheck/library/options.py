@@ -1,8 +1,15 @@
-"""The options of a scene: what each of them can be, read off the annotations of the scene's function.
+"""Options of library scenes: names, allowed values, defaults and units, from the scene functions'
+annotations.
 
-`Literal["a", "b"]` is a choice of texts, `Annotated[int, range(1, 10), "kg"]` a whole number and its unit,
-`Annotated[float, Between(0.0, 1.0, "m")]` a number, and `Annotated[str, Text("PATH")]` any text. What has an
-effect beside another option's value alone is annotated with that, as `Beside("wind", "gust")`.
+An argument of a scene function is an option. Its annotation lists the allowed values:
+
+- `Literal["a", "b"]`: one of several texts;
+- `Annotated[int, range(1, 10), "kg"]`: a whole number, with its unit;
+- `Annotated[float, Between(0.0, 1.0, "m")]`: a number in an interval;
+- `Annotated[str, Text("PATH")]`: any text.
+
+An option that has an effect only with a certain value of another option has an `OnlyWith` in its annotation,
+such as `OnlyWith("wind", "gust")`.
 """
 
 from __future__ import annotations
@@ -17,13 +24,13 @@ from newton_euler.errors import plain_number
 
 
 def titled(name: str, options: Mapping[str, str]) -> str:
-    """A scene's name, with the options that were set."""
+    """Format a scene's name with the options that were set, as "four_bar (N=3)"."""
     settings = ", ".join(f"{option}={value}" for option, value in options.items())
     return f"{name} ({settings})" if settings else name
 
 
 class Between(NamedTuple):
-    """Numbers from the least to the most, and their unit."""
+    """Allowed values: numbers from `least` to `most`, in a unit."""
 
     least: float
     most: float
@@ -34,7 +41,7 @@ class Between(NamedTuple):
 
 
 class Text(NamedTuple):
-    """Any text, and the word for it."""
+    """Allowed values: any text; `word` describes the text in listings and messages, such as "CSV"."""
 
     word: str
 
@@ -42,8 +49,8 @@ class Text(NamedTuple):
         return self.word
 
 
-class Beside(NamedTuple):
-    """Another option, and the value that it has to have; any but its default if None."""
+class OnlyWith(NamedTuple):
+    """Condition of an option: another option must have a value; if None, any value but its default."""
 
     option: str
     value: str | None = None
@@ -59,15 +66,15 @@ class Option:
     """An option of a scene.
 
     Attributes:
-        values: texts or numbers that it can be.
-        default: the value unless another is given.
-        beside: what it has an effect beside alone; None for anything.
-        unit: of whole numbers.
+        values: allowed texts or numbers.
+        default: value if the user gives none.
+        only_with: condition under which the option has an effect; None if it always has.
+        unit: unit of whole numbers; empty if there is none.
     """
 
     values: tuple[str, ...] | range | Between | Text
     default: str | int | float
-    beside: Beside | None = None
+    only_with: OnlyWith | None = None
     unit: str = ""
 
     def __str__(self) -> str:
@@ -80,7 +87,7 @@ class Option:
 
     @property
     def wanted(self) -> str:
-        """The values that an error message asks for."""
+        """The request for an allowed value that ends an error message."""
         if isinstance(self.values, range):
             return f"choose a whole number from {self.values[0]} to {self.values[-1]}"
         if isinstance(self.values, Between):
@@ -90,7 +97,8 @@ class Option:
         return f"choose from: {', '.join(self.values)}"
 
     def read(self, value: str | float) -> str | int | float | None:
-        """Read a value, a number as such or in decimal digits; None for one that the option cannot be."""
+        """Convert a value to the type of the option, numbers also from text; None if the value is not
+        allowed."""
         if isinstance(self.values, Text):
             return value if isinstance(value, str) else None
         if isinstance(self.values, Between):
@@ -106,7 +114,7 @@ class Option:
 
 
 def options_of(scene: Callable[..., Any]) -> dict[str, Option]:
-    """Return the options of a scene's function by name."""
+    """Return the options of a scene function by name, in the order of its arguments."""
     hints = get_type_hints(scene, include_extras=True)
     return {
         name: _option(hints[name], parameter.default)
@@ -115,8 +123,9 @@ def options_of(scene: Callable[..., Any]) -> dict[str, Option]:
 
 
 def _option(hint: Any, default: str | float) -> Option:
+    """Make an option of the annotation and the default of an argument."""
     arguments = get_args(hint)
     numbers = next((each for each in arguments if isinstance(each, range | Between | Text)), None)
-    beside = next((each for each in arguments if isinstance(each, Beside)), None)
+    only_with = next((each for each in arguments if isinstance(each, OnlyWith)), None)
     units = [each for each in arguments if isinstance(each, str)] if numbers else []
-    return Option(numbers or arguments, default, beside, "".join(units))
+    return Option(numbers or arguments, default, only_with, "".join(units))

@@ -1,4 +1,5 @@
-"""Pendulum: a point mass on a massless bar, released horizontally. Elliptic functions give its motion.
+"""Scene of a pendulum: a point mass on a massless bar, released horizontally. Elliptic functions give its
+motion.
 
 Problem A01 of the IFToMM library of computational benchmark problems (M. Gonzalez, D. Dopico, U. Lugris,
 J. Cuadrado, A benchmarking system for MBS simulation software, Multibody System Dynamics 16, 2006).
@@ -67,7 +68,7 @@ def _bar_tension(run: Trajectory) -> Array:
     return np.asarray(-np.sum(force * _point(run), axis=1) / LENGTH)
 
 
-FIGURES: dict[str, Quantity] = {
+REFERENCE_QUANTITIES: dict[str, Quantity] = {
     **components(("x", "y"), _point),
     **components(("vx", "vy"), lambda run: velocity(run, "dumbbell", POINT)),
     "bar_tension": _bar_tension,

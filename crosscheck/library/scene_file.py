@@ -1,7 +1,9 @@
-"""Scenes from YAML or JSON files, and to them. SI, world frame at the initial pose.
+"""Read and write scene files, YAML or JSON: `read_scene` and `write_scene`.
 
-`newton_euler.model.yaml_source` or the JSON parser make plain lists, dictionaries and texts of a file, and
-`crosscheck.library.entries` a scene of these. `content` is the way back.
+All numbers are in SI units; vectors are in the world frame at the initial pose. `read_scene` parses a file to
+lists, dictionaries and texts, from which the schema in `crosscheck.library.entries` builds a scene.
+`write_scene` converts a scene back to such content; entries that have their default values are left out where
+that shortens the file.
 """
 
 from __future__ import annotations
@@ -35,17 +37,21 @@ from newton_euler.runs.assemble import initial_state
 
 
 def content(element: Any) -> dict[str, Any]:
-    """Return what a file says of an element: its attributes, those that are made of elements last."""
-    form = ENTRIES[type(element)]
-    found: dict[str, Any] = {"kind": form.named} if form.named else {}
-    found |= {name: plain(getattr(element, name)) for name in form.model_fields if name != "kind"}
+    """Convert an element to the content of its entry in a file: attributes by name, nested elements last."""
+    entry = ENTRIES[type(element)]
+    found: dict[str, Any] = {"kind": entry.kind_name} if entry.kind_name else {}
+    found |= {name: plain(getattr(element, name)) for name in entry.model_fields if name != "kind"}
     return dict(sorted(found.items(), key=lambda item: item[0] in ("shapes", "function")))
 
 
 def _law(law: Law) -> dict[str, Any]:
-    """Return what a file says of a control law."""
+    """Convert a control law to the content of its entry.
+
+    Raises:
+        CrosscheckError: for a controller that is a Python function.
+    """
     if isinstance(law, Sampled):
-        raise CrosscheckError(f"{law.element}: a controller in Python is not for a scene file")
+        raise CrosscheckError(f"{law.element}: a controller in Python cannot be written to a scene file")
     if not isinstance(law, Digital):
         return {name: value for name, value in content(law).items() if value != {} and value is not False}
     found: dict[str, Any] = {"kind": "digital", "period": law.period, "delay": law.delay}
@@ -54,11 +60,13 @@ def _law(law: Law) -> dict[str, Any]:
 
 
 def _limit(number: float) -> float | str:
+    """Return a number as files have it: an infinite one as text."""
     return number if np.isfinite(number) else str(number)
 
 
 def plain(value: Any) -> Any:
-    """Return an attribute as files have it, arrays and tuples as lists."""
+    """Convert an attribute to content of a file: arrays and tuples become lists, elements become
+    dictionaries."""
     if isinstance(value, tuple):
         return [plain(each) for each in value]
     if isinstance(value, np.ndarray | np.generic):
@@ -69,25 +77,33 @@ def plain(value: Any) -> Any:
 
 
 def _name(place: str | Key) -> str:
-    """Return the name of a joint for its first coordinate."""
-    if not isinstance(place, str) and place[1]:
-        problem = f"coordinate {place[1]} of joint {place[0]!r} is read by a law"
-        raise CrosscheckError(f"{problem}; scene files name first coordinates alone")
-    return place if isinstance(place, str) else place[0]
+    """Return the name of a joint, or the name in a key (name of a joint, number of its coordinate).
+
+    Raises:
+        CrosscheckError: for a coordinate other than the first, which files cannot name.
+    """
+    if isinstance(place, str):
+        return place
+    joint, number = place
+    if number:
+        problem = f"coordinate {number} of joint {joint!r} is read by a control law"
+        raise CrosscheckError(f"{problem}; scene files can only name the first coordinate of a joint")
+    return joint
 
 
 def read_scene(path: str) -> Scene:
     """Read a scene file.
 
     Raises:
-        CrosscheckError: naming the file and the line or field at fault.
+        CrosscheckError: for a file that cannot be read or is not a scene; the message names the file and the
+            line or field.
     """
     try:
         scene = SCENE.model_validate(_parse(path, read_text(path, "scene_size"))).build()
-        initial_state(scene)  # refused here, with the file's name, if its joints are open
+        initial_state(scene)  # raises an error if joints are open
     except ValidationError as error:
         found = error.errors()
-        # a key that nothing knows is often the one that is missing, misspelled
+        # an unknown key is often the misspelled name of a missing one: show both
         kinds = ([each for each in found if each["type"] == kind] for kind in ("extra_forbidden", "missing"))
         first = [each for kind in kinds for each in kind[:2]] or found[:1]
         raise CrosscheckError(f"{path}: {'; '.join(map(_problem, first))}") from error
@@ -99,8 +115,8 @@ def read_scene(path: str) -> Scene:
 
 
 def _problem(error: ErrorDetails) -> str:
-    """Say what is wrong with a field, and what it is unless all of its entry would be shown."""
-    # files need not say the kind of a PD law
+    """Format an error of validation: field, problem and value."""
+    # "pd" is the kind that the schema assumes for a control law without one: files need not have the key
     field = ".".join(str(part) for part in error["loc"] if part != "pd")[:100]
     match error["type"]:
         case "missing":
@@ -116,6 +132,12 @@ def _problem(error: ErrorDetails) -> str:
 
 
 def _parse(path: str, text: str) -> Any:
+    """Parse the text of a file as JSON if its name ends in .json, otherwise as YAML.
+
+    Raises:
+        CrosscheckError: for invalid JSON.
+        SourceError: for invalid YAML.
+    """
     if Path(path).suffix != ".json":
         return parse_yaml(path, text)
     try:
@@ -129,7 +151,11 @@ def _parse(path: str, text: str) -> Any:
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object; raises `CrosscheckError` for a key that comes twice."""
+    """Make a dictionary of the pairs of a JSON object.
+
+    Raises:
+        CrosscheckError: for a key that is given twice.
+    """
     found: dict[str, Any] = {}
     for key, value in pairs:
         if key in found:
@@ -139,19 +165,20 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class _NoAliases(yaml.SafeDumper):
-    """Scene files may not hold aliases, which PyYAML writes for a list that is there twice."""
+    """YAML dumper without aliases, the references that PyYAML writes for an object that occurs twice."""
 
     def ignore_aliases(self, data: Any) -> bool:
+        """Write every object in full."""
         return True
 
 
 def write_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write a scene file, .yaml, .yml or .json; it appears whole or not at all.
+    """Write a scene file (.yaml, .yml or .json); if writing fails, no partial file is left.
 
     Raises:
-        CrosscheckError: for a controller that is Python, and for a path that cannot be written.
+        CrosscheckError: for a controller in Python, and for a path that cannot be written.
     """
-    found = _content(scene)
+    found = _scene_content(scene)
     if Path(path).suffix == ".json":
         text = json.dumps(found, indent=1, allow_nan=False) + "\n"
     else:
@@ -159,8 +186,8 @@ def write_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
     write_files({Path(path): text.encode()})
 
 
-def _content(scene: Scene) -> dict[str, Any]:
-    """The content of a scene file."""
+def _scene_content(scene: Scene) -> dict[str, Any]:
+    """Convert a scene to the content of a scene file."""
     mechanism = scene.mechanism
     found: dict[str, Any] = {
         "name": scene.name,
@@ -190,12 +217,13 @@ def _content(scene: Scene) -> dict[str, Any]:
 
 
 def _body(body: Body) -> dict[str, Any]:
+    """Convert a body to the content of its entry."""
     found = content(body)
     return found if body.shapes else {name: value for name, value in found.items() if name != "shapes"}
 
 
 def _joint(joint: Joint) -> dict[str, Any]:
-    """Return the entries of a joint that are not as usual."""
+    """Convert a joint to the content of its entry, without fields that have their default values."""
     found = {"name": joint.name} | content(joint)
     if np.array_equal(joint.point, joint.reaction_point):
         del found["point_on_second"]
@@ -210,7 +238,7 @@ def _joint(joint: Joint) -> dict[str, Any]:
 
 
 def _state_content(scene: Scene) -> dict[str, dict[str, list[float]]]:
-    """Return the entries of the initial state that are not the initial pose at rest."""
+    """Convert the initial state: fields by body, where they differ from the initial pose at rest."""
     rest, found = State.initial(scene.mechanism), dict[str, dict[str, list[float]]]()
     state = rest if scene.initial_state is None else scene.initial_state
     for quantity in StateEntry.model_fields:
@@ -222,6 +250,6 @@ def _state_content(scene: Scene) -> dict[str, dict[str, list[float]]]:
 
 
 def _angles_content(scene: Scene) -> dict[str, float]:
-    """Return the angles of the initial state, rad with revolutions, by joint coordinate."""
+    """Convert the angles of the initial state: rad with revolutions, by label of the joint coordinate."""
     labels, state = scene.mechanism.coordinate_labels, scene.initial_state
     return {} if state is None else {labels[key]: float(angle) for key, angle in state.angles.items()}

@@ -1,4 +1,4 @@
-"""Spatial slider-crank: a crank drives a slider through a rod with a ball and a universal joint.
+"""Scene of a spatial slider-crank: a crank drives a slider through a rod with a ball and a universal joint.
 
 Problem "spatial rigid slider-crank mechanism" of the IFToMM library of computational benchmark problems,
 by R. Masoudi. The joint at the slider is universal, with one axis along the guide and fixed in the slider;
@@ -93,7 +93,7 @@ def _turning(mechanism: Mechanism) -> State:
 CENTER: Array = np.zeros(3)
 """Center of mass (3,) of a body, in its own frame, m."""
 
-FIGURES: dict[str, Quantity] = {
+REFERENCE_QUANTITIES: dict[str, Quantity] = {
     "crank_angle": lambda run: angle(run, "crank", X),
     "crank_omega": lambda run: angular_velocity(run, "crank") @ X,
     "slider_x": lambda run: position(run, "slider", CENTER)[:, 0],

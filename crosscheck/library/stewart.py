@@ -1,4 +1,5 @@
-"""Stewart platform: six legs on universal joints, and springs in the legs on which the platform drops.
+"""Scene of a Stewart platform: six legs on universal joints, and springs in the legs on which the platform
+drops.
 
 Geometry and masses are those of the case study "Stewart platform" of The MathWorks' SimMechanics (edition of
 2002): the legs are steel tubes and rods, the platform is a disc. The case study has no springs. Here each leg
@@ -111,7 +112,7 @@ CENTER = np.zeros(3)
 
 
 def _leg_length(k: int) -> Quantity:
-    """Return the quantity that measures the length (n,), m, of leg k, counted from 0, between its joints."""
+    """Return the function that measures the length (n,), m, of leg k, counted from 0, between its joints."""
 
     def length(run: Trajectory) -> Array:
         return np.asarray(np.linalg.norm(position(run, "platform", PLATFORM[k] - HOME) - BASE[k], axis=1))
@@ -119,7 +120,7 @@ def _leg_length(k: int) -> Quantity:
     return length
 
 
-FIGURES: dict[str, Quantity] = {
+REFERENCE_QUANTITIES: dict[str, Quantity] = {
     **components(("x", "y", "z"), lambda run: position(run, "platform", CENTER)),
     **components(("vx", "vy", "vz"), lambda run: velocity(run, "platform", CENTER)),
     **components(("q0", "q1", "q2", "q3"), lambda run: quaternion(run, "platform")),

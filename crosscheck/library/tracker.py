@@ -1,9 +1,10 @@
-"""The published dual-axis solar tracker: 7 bodies, 8 joints, two loops, 2 degrees of freedom.
+"""Scenes of a published dual-axis solar tracker: 7 bodies, 8 joints, two loops, 2 degrees of freedom.
 
-Appendix C of the paper, its tables as printed, and what has to be corrected in them: S. Srang, S. Ath,
-M. Yamakita, "Newton-Euler Based Dynamic Modeling and Control Simulation for Dual-Axis Parallel Mechanism
+Two sliders on vertical rails move a panel by two legs; the panel also rests on a column. Paper: S. Srang, S.
+Ath, M. Yamakita, "Newton-Euler Based Dynamic Modeling and Control Simulation for Dual-Axis Parallel Mechanism
 Solar Tracker", Advances in Science, Technology and Engineering Systems Journal 5(5), 709-716, 2020,
-doi:10.25046/aj050587. Body k of the paper is element k - 1 here.
+doi:10.25046/aj050587. The module has the tables of its Appendix C as printed, their corrections, and four
+scenes. Body k of the paper has index k - 1 in arrays. J_k is the inertia matrix of body k.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from crosscheck.library.options import Beside, Between, Text
+from crosscheck.library.options import Between, OnlyWith, Text
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import Box, Capsule, Mesh, Shape
@@ -29,6 +30,7 @@ from newton_euler.runs.moving_base import base_motion_from_csv, on_moving_base
 from newton_euler.scalars import Array
 
 BODY_NAMES = ("base", "slider_2", "slider_3", "column_4", "leg_5", "leg_6", "panel_7")
+"""Names of the bodies, with the numbers of the paper."""
 
 MASS = 1e-3 * np.array([475.09, 189.7, 189.7, 104.45, 53.25, 54.4, 890.5])
 """Masses of Table 1, kg."""
@@ -69,7 +71,15 @@ prints J2 (1,3) as -0.00102, another as -0.0102. The first is kept here, so that
 
 @dataclass
 class Tables:
-    """The four tables of Appendix C, with one row per body."""
+    """The four tables of Appendix C, with one row per body.
+
+    Attributes:
+        mass: (7,) kg.
+        center_of_mass: (7, 3) m, world frame, initial position.
+        euler_parameters: (7, 4) orientations (w, x, y, z).
+        inertia: (7, 3, 3), to be multiplied by `inertia_scale`.
+        inertia_scale: (7,) kg m^2.
+    """
 
     mass: Array
     center_of_mass: Array
@@ -113,14 +123,17 @@ PANEL = (0.07, 0.055)
 """Half the side lengths of the panel, m, for drawing and for wind loads."""
 
 STIFFNESS = 50.0
-"""K_p of both actuators, N/m (section 5)."""
+"""Proportional gain K_p of both actuators, N/m (section 5)."""
 
 DAMPING = (20.0, 25.0)
-"""K_d of the actuators, N s/m (section 5)."""
+"""Derivative gains K_d of the actuators, N s/m (section 5)."""
 
 
 def joint_data() -> dict[str, Any]:
-    """Return the reconstructed joint geometry of `tracker_joints.json`."""
+    """Read `tracker_joints.json`: the joint geometry, which the paper does not give.
+
+    `crosscheck.library.tracker_geometry` identifies the geometry from the tables.
+    """
     data: dict[str, Any] = json.loads(
         files("crosscheck.library").joinpath("tracker_joints.json").read_text(encoding="utf-8")
     )
@@ -131,7 +144,8 @@ def tracker(panel_inertia: Literal["realisable", "literal"] = "realisable") -> S
     """Return the paper's simulation: no gravity, PD control of both sliders, from rest, 5 s.
 
     Args:
-        panel_inertia: J7 as a rigid body can have it, or as printed (erratum 8).
+        panel_inertia: "literal" for the inertia of the panel as printed, which no rigid body can have
+            (erratum 8); "realisable" for the nearest possible one.
     """
     return _scene(
         "tracker",
@@ -148,7 +162,8 @@ def tracker_gravity() -> Scene:
 
 
 def tracker_aligned() -> Scene:
-    """Return the paper's simulation with J4 to J6 along the links instead of the world's z (erratum 10)."""
+    """Return the paper's simulation with the inertias J4 to J6 along the links instead of along the world's z
+    (erratum 10)."""
     return _scene(
         "tracker_aligned",
         "dual-axis solar tracker, inertias of the legs along the legs, no gravity",
@@ -156,13 +171,17 @@ def tracker_aligned() -> Scene:
     )
 
 
-WAVES = Beside("poses", "")
+WAVES = OnlyWith("poses", "")
+"""Condition of the options of waves: the poses of the boat are not read from a file."""
 
 Amplitude = Annotated[float, Between(0.0, 0.5, "rad"), WAVES]
+"""Type of an option of `tracker_on_boat`: amplitude of a rotation."""
 
 Height = Annotated[float, Between(0.0, 2.0, "m"), WAVES]
+"""Type of an option of `tracker_on_boat`: amplitude of the vertical motion."""
 
 Period = Annotated[float, Between(1.0, 60.0, "s"), WAVES]
+"""Type of an option of `tracker_on_boat`: period of a motion."""
 
 
 def tracker_on_boat(
@@ -204,12 +223,20 @@ def _scene(
     aligned_legs: bool = False,
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Scene:
+    """Make a scene of the tracker with PD control of both sliders, 5 s.
+
+    Args:
+        name, description: name and description of the scene.
+        literal_panel: use the panel's inertia as printed (erratum 8).
+        aligned_legs: turn the inertias J4 to J6 along the links (erratum 10).
+        gravity: (3,) m/s^2, world frame.
+    """
     tables = corrected_tables(literal_panel=literal_panel)
     data = joint_data()
     joints = [JOINT_KINDS[entry.pop("kind")](**entry) for entry in (dict(joint) for joint in data["joints"])]
     if aligned_legs:
-        for body in (3, 4, 5):
-            turn = _along(_link_axis(BODY_NAMES[body], joints))
+        for body in (3, 4, 5):  # column and legs
+            turn = _rotation_from_z(_link_axis(BODY_NAMES[body], joints))
             tables.inertia[body] = turn @ tables.inertia[body] @ turn.T
     bodies = [
         Body(
@@ -224,9 +251,13 @@ def _scene(
         )
         for k, (body, shapes) in enumerate(zip(BODY_NAMES, _shapes(tables, joints), strict=True))
     ]
+    sliders = (
+        ("slide_12", DAMPING[0], 1),
+        ("slide_13", DAMPING[1], 2),
+    )  # actuated joint, gain, index of the body
     control = tuple(
         PD(joint, STIFFNESS, damping, TARGET_HEIGHT - float(tables.center_of_mass[slider, 2]))
-        for joint, damping, slider in (("slide_12", DAMPING[0], 1), ("slide_13", DAMPING[1], 2))
+        for joint, damping, slider in sliders
     )
     return Scene(
         name,
@@ -247,18 +278,20 @@ def _link_axis(body: str, joints: list[Joint]) -> Array:
     return np.asarray((high - low) / np.linalg.norm(high - low))
 
 
-def _along(axis: Array) -> Array:
-    """Return the smallest rotation (3, 3) that turns the world's z to a unit vector (3,)."""
+def _rotation_from_z(axis: Array) -> Array:
+    """Return the smallest rotation (3, 3) that turns the world's z axis to a unit vector (3,)."""
     z = np.array([0.0, 0.0, 1.0])
     p = np.array([1.0 + z @ axis, *np.cross(z, axis)])
     return rotation(p / np.linalg.norm(p))
 
 
 def _shapes(tables: Tables, joints: list[Joint]) -> list[tuple[Shape, ...]]:
-    """Return the shapes of each body as in the paper's Figure 2, which have no effect on the motion."""
+    """Return the shapes of each body for drawing, as in the paper's Figure 2. Shapes have no effect on the
+    motion."""
     point = {joint.name: joint.point for joint in joints}
     centers = tables.center_of_mass
     base = centers[0] * [1.0, 1.0, 0.0]
+    # the ground: a plate, the rails of both sliders, and the foot of the column
     rails = [
         Capsule(centers[k] * [1.0, 1.0, 0.0], centers[k] * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.07], 0.003)
         for k in (1, 2)
@@ -269,6 +302,7 @@ def _shapes(tables: Tables, joints: list[Joint]) -> list[tuple[Shape, ...]]:
         *rails,
         Capsule(foot, point["hinge_14"], 0.006),
     )
+    # the panel: a plate, arms to its three joints, and the cross of the universal joint along its y axis, eta
     panel_rotation = rotation(tables.euler_parameters[6])
     eta, normal = panel_rotation[:, 1], panel_rotation[:, 2]
     panel: tuple[Shape, ...] = (
@@ -282,6 +316,7 @@ def _shapes(tables: Tables, joints: list[Joint]) -> list[tuple[Shape, ...]]:
     )
 
     def slider(body: int, joint: str) -> tuple[Shape, ...]:
+        """Return a block at the center of a slider, and the arm to the joint of its leg."""
         block = Box(np.array([0.012, 0.012, 0.01]), centers[body])
         return (block, Capsule(centers[body], point[joint], 0.003))
 

@@ -1,4 +1,9 @@
-"""Solar tracker under gravity: both sliders follow a smooth reference by one of four controllers."""
+"""Scene of the solar tracker under gravity: both sliders follow smooth references with one of four
+controllers.
+
+The controllers are computed torque, PD with and without gravity compensation, and an LQR (linear-quadratic
+regulator).
+"""
 
 from __future__ import annotations
 
@@ -7,7 +12,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from crosscheck.library.options import Beside, Between
+from crosscheck.library.options import Between, OnlyWith
 from crosscheck.library.tracker import tracker_gravity
 from newton_euler.analysis.linear.regulator import lqr
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
@@ -19,35 +24,42 @@ from newton_euler.model.smooth_functions import Sine
 from newton_euler.runs.variation import start
 
 STIFFNESS, DAMPING = 400.0, 40.0
-"""Gains of computed torque, 1/s^2 and 1/s: critically damped, errors decay with exp(-20 t)."""
+"""Gains of computed torque on position and velocity errors, 1/s^2 and 1/s.
 
-INERTIA = {"slide_12": 2.5, "slide_13": 0.7}
-"""Effective masses at the actuators at the initial pose, kg. They scale the gains of PD laws to be as fast as
-computed torque."""
+Errors are critically damped and decay with exp(-20 t), t in s."""
 
-REFERENCE = {
+EFFECTIVE_MASSES = {"slide_12": 2.5, "slide_13": 0.7}
+"""Effective masses at the actuators in the initial pose, by joint, kg.
+
+PD controllers with gains multiplied by these masses are as fast as computed torque."""
+
+REFERENCES = {
     "slide_12": Sine(-0.01, np.pi, 0.5 * np.pi, offset=0.01),
     "slide_13": Sine(-0.0075, 2.0 * np.pi, 0.5 * np.pi, offset=0.0075),
 }
-"""References of the sliders, m: up by 20 mm and back once in 2 s, up by 15 mm and back twice, from rest at
-the initial pose. The LQR is designed about the middle of this motion."""
+"""Reference displacements of the sliders by joint, m, from rest in the initial pose.
 
+In 2 s, one slider moves up by 20 mm and back once, the other moves up by 15 mm and back twice."""
 
-COMPUTER = Beside("period")
+DIGITAL_ONLY = OnlyWith("period")
+"""Condition of the options of digital controllers: the sampling period is not 0."""
 
 
 def tracker_computed_torque(
     controller: Literal["computed_torque", "pd", "pd_gravity", "lqr"] = "computed_torque",
     period: Annotated[float, Between(0.0, 0.05, "s")] = 0.0,
-    delay: Annotated[int, range(11), "periods", COMPUTER] = 0,
-    resolution: Annotated[float, Between(0.0, 0.001, "m"), COMPUTER] = 0.0,
-    force_limit: Annotated[float, Between(0.0, 1000.0, "N"), COMPUTER] = 0.0,
-    mass_error: Annotated[float, Between(-0.5, 0.5, "of it"), Beside("controller", "computed_torque")] = 0.0,
+    delay: Annotated[int, range(11), "periods", DIGITAL_ONLY] = 0,
+    resolution: Annotated[float, Between(0.0, 0.001, "m"), DIGITAL_ONLY] = 0.0,
+    force_limit: Annotated[float, Between(0.0, 1000.0, "N"), DIGITAL_ONLY] = 0.0,
+    mass_error: Annotated[
+        float, Between(-0.5, 0.5, "of it"), OnlyWith("controller", "computed_torque")
+    ] = 0.0,
 ) -> Scene:
-    """Return the tracker under gravity, both sliders on a smooth reference, 2 s.
+    """Return the tracker under gravity, both sliders on smooth references, 2 s.
 
     Args:
-        controller: computed torque; PD without or with gravity compensation; or an LQR about the middle.
+        controller: computed torque; PD without or with gravity compensation; or an LQR, designed for the
+            equations linearized in the middle of the motion.
         period: sampling period of a digital controller; 0 for a continuous controller.
         delay: delay of the digital controller, in periods.
         resolution: resolution of the encoders; 0 for exact measurements.
@@ -67,21 +79,24 @@ def tracker_computed_torque(
 def _laws(
     scene: Scene, controller: str, mass_error: float
 ) -> tuple[PD | ComputedTorque | StateFeedback, ...]:
+    """Make the continuous control laws of both actuators; arguments as of `tracker_computed_torque`."""
     if controller == "lqr":
-        middle = start(scene, **{name: (reference.offset, 0.0) for name, reference in REFERENCE.items()})
-        # position errors cost as much as the forces of the PD laws against them, rates likewise
-        weights = [(gain * INERTIA[name]) ** 2 for gain in (STIFFNESS, DAMPING) for name in REFERENCE]
-        targets: dict[str | Key, float | TimeFunction] = dict(REFERENCE.items())
-        return lqr(scene, weights, 1.0, middle.initial_state, list(REFERENCE), targets=targets)
+        middle = start(scene, **{name: (reference.offset, 0.0) for name, reference in REFERENCES.items()})
+        # weights of position and velocity errors: squares of the forces that the PD controllers would apply
+        weights = [
+            (gain * EFFECTIVE_MASSES[name]) ** 2 for gain in (STIFFNESS, DAMPING) for name in REFERENCES
+        ]
+        targets: dict[str | Key, float | TimeFunction] = dict(REFERENCES.items())
+        return lqr(scene, weights, 1.0, middle.initial_state, list(REFERENCES), targets=targets)
     if controller == "computed_torque":
         panel = scene.mechanism.body("panel_7")
         model = {"panel_7.mass": (1.0 + mass_error) * panel.mass} if mass_error else {}
         return tuple(
             ComputedTorque(name, STIFFNESS, DAMPING, reference, model=model)
-            for name, reference in REFERENCE.items()
+            for name, reference in REFERENCES.items()
         )
-    holds = controller == "pd_gravity"
+    compensates = controller == "pd_gravity"
     return tuple(
-        PD(name, STIFFNESS * mass, DAMPING * mass, REFERENCE[name], gravity_compensation=holds)
-        for name, mass in INERTIA.items()
+        PD(name, STIFFNESS * mass, DAMPING * mass, REFERENCES[name], gravity_compensation=compensates)
+        for name, mass in EFFECTIVE_MASSES.items()
     )

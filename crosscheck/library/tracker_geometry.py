@@ -1,10 +1,12 @@
-"""Identification of the tracker's joints from the paper's tables, which contain no joints.
+"""Identify the joint points of the solar tracker from the paper's tables, which list bodies but no joints.
 
-Run `python -m crosscheck.library.tracker_geometry` to repeat the identification and see its residuals.
+Run `python -m crosscheck.library.tracker_geometry` to repeat the identification and print its residuals. The
+result is stored in `tracker_joints.json`. Numbers in names of bodies are those of the paper: sliders 2 and 3,
+column 4, legs 5 and 6, panel 7. Joint `hinge_26` connects bodies 2 and 6.
 
 Assumption: the design is symmetric about the vertical plane through (1, -1, 0). Both sliders carry their
 joint at the same height and inward offset. The column stands on a hinge with axis (-1, 1, 0). The universal
-joint on top turns about the column's (1, 1, 0) and the panel's eta axis. Two balls lie at (-a, b, c) and
+joint on top turns about the column's (1, 1, 0) and the panel's eta (y) axis. Two balls lie at (-a, b, c) and
 (a, b, c) of the panel. The legs have equal length. With both sliders at 46 mm, the paper's target, the column
 is upright and the panel is horizontal with a yaw of 45 degrees.
 
@@ -26,17 +28,25 @@ from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.scalars import Array
 
 TABLES = corrected_tables()
+"""Tables of the paper with their errata applied."""
+
 CENTERS = TABLES.center_of_mass
-PANEL = rotation(TABLES.euler_parameters[6])
-"""Published orientation of the panel at the initial position."""
+"""Published centers of mass (7, 3), m, world frame; body k has index k - 1."""
+
+PANEL_ROTATION = rotation(TABLES.euler_parameters[6])
+"""Published orientation (3, 3) of the panel at the initial position."""
 
 RISE = TARGET_HEIGHT - CENTERS[1, 2]
-"""Rise of the sliders from the initial position to the target, m."""
+"""Distance by which the sliders rise from the initial position to the target, m."""
 
 HINGE_AXIS = np.array([-1.0, 1.0, 0.0]) / np.sqrt(2.0)
+"""Axis (3,) of the column's hinge, world frame."""
+
 CROSS_AXIS = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
-YAW = rotation(from_rotation_vector(np.array([0.0, 0.0, np.pi / 4])))
-"""Orientation of the horizontal panel: xi = (1, 1, 0), eta = (-1, 1, 0), both over sqrt 2."""
+"""Axis (3,) of the universal joint in the upright column, world frame."""
+
+HORIZONTAL = rotation(from_rotation_vector(np.array([0.0, 0.0, np.pi / 4])))
+"""Orientation (3, 3) of the horizontal panel: xi (x) along (1, 1, 0), eta (y) along (-1, 1, 0)."""
 
 PANEL_RADIUS = 0.1
 """Length that converts an orientation error of the panel (rad) into a length, m."""
@@ -54,7 +64,10 @@ PARAMETERS = (
     "place of leg 5's center of mass along the leg, share",
     "place of leg 6's center of mass along the leg, share",
 )
+"""Names of the unknowns of the fit: lengths in m, and two fractions of the length of a leg ("share")."""
+
 GUESS = np.array([0.016, 0.018, 0.046, 0.09, -0.03, -0.015, 0.05, -0.01, 0.053, 0.5, 0.5])
+"""Initial values (11,) of `PARAMETERS` for the fit."""
 
 
 def turn(axis: Array, angle: float) -> Array:
@@ -69,12 +82,20 @@ def mirror(point: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Symmetric design with given values of `PARAMETERS`, at the published heights of the sliders."""
+    """Symmetric design of the tracker, with its sliders at the published heights.
+
+    Attributes:
+        parameters: (11,) values of `PARAMETERS`.
+    """
 
     parameters: Array
 
     def points(self) -> tuple[Array, ...]:
-        """Return slider joint of leg 6, hinge, and in the panel universal joint, balls of legs 6 and 5, m."""
+        """Return the joint points of the design, each (3,), m.
+
+        World frame: joint of slider 2 and leg 6; hinge of the column. Frame of the panel, from its center of
+        mass: universal joint; ball of leg 6; ball of leg 5.
+        """
         offset, height, hinge, _, eta, zeta, a, c = self.parameters[:8]
         slider = np.array([CENTERS[1, 0] + offset, CENTERS[1, 1], height])
         foot = np.array([CENTERS[2, 0], CENTERS[1, 1], hinge])
@@ -82,21 +103,28 @@ class Design:
         return slider, foot, np.array([0.0, eta, zeta]), np.array([-a, a + eta, c]), np.array([a, a + eta, c])
 
     def panel(self, lean: float, pitch: float, roll: float) -> tuple[Array, Array]:
-        """Return center of mass and rotation of the panel for angles (rad) of hinge and universal joint."""
+        """Return the center of mass (3,), m, and the rotation (3, 3) of the panel for given angles.
+
+        Args:
+            lean: angle of the column's hinge, rad.
+            pitch, roll: angles of the universal joint about its axes in the column and in the panel, rad.
+        """
         _, foot, universal, _, _ = self.points()
         column = turn(HINGE_AXIS, lean)
         top = foot + column @ [0.0, 0.0, self.parameters[3]]
-        orientation = column @ turn(CROSS_AXIS, pitch) @ turn(HINGE_AXIS, roll) @ YAW
+        orientation = column @ turn(CROSS_AXIS, pitch) @ turn(HINGE_AXIS, roll) @ HORIZONTAL
         return top - orientation @ universal, orientation
 
     def predict(self) -> tuple[Array, Array]:
         """Return the initial centers of mass (4, 3) of bodies 4 to 7, m, and the rotation of body 7."""
         slider, foot, _, ball_6, ball_5 = self.points()
-        upright, yaw = self.panel(0.0, 0.0, 0.0)
+        upright, horizontal = self.panel(0.0, 0.0, 0.0)
         up = np.array([0.0, 0.0, RISE])
-        length = np.linalg.norm(upright + yaw @ ball_6 - slider - up)
+        length = np.linalg.norm(upright + horizontal @ ball_6 - slider - up)
 
+        # find the angles at which both legs have the length that the horizontal panel gives them
         def gaps(angles: Array) -> Array:
+            """Return the excess lengths of legs 6 and 5 and the displacement of leg 6 from its plane, m."""
             center, orientation = self.panel(*angles)
             on_6, on_5 = center + orientation @ ball_6, center + orientation @ ball_5
             return np.array(
@@ -117,9 +145,13 @@ class Design:
         return np.array([column, leg_5, leg_6, center]), orientation
 
     def residuals(self) -> Array:
-        """Return predicted minus published numbers (15,), m; the rotation error times `PANEL_RADIUS`."""
+        """Return predicted minus published numbers (15,), m: 12 of centers of mass, 3 of the panel's
+        orientation.
+
+        The rotation error is multiplied by `PANEL_RADIUS`.
+        """
         centers, orientation = self.predict()
-        error = orientation @ PANEL.T
+        error = orientation @ PANEL_ROTATION.T
         twist = 0.5 * np.array(
             [error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]]
         )
@@ -127,7 +159,7 @@ class Design:
 
 
 def fit() -> Design:
-    """Return the design with the least-squares fit to the published numbers."""
+    """Return the design that fits the published numbers best in the sense of least squares."""
     solution = least_squares(
         lambda x: Design(x).residuals(),
         GUESS,
@@ -147,11 +179,13 @@ def close_exactly(design: Design) -> dict[str, Array]:
     lengths (2), leg 6 stays in its plane (1).
     """
     slider, foot, universal, ball_6, ball_5 = design.points()
-    on_panel = [CENTERS[6] + PANEL @ s for s in (universal, ball_6, ball_5)]
+    # unknowns: 11 coordinates of joint points, center of the horizontal panel, angle of the column there
+    on_panel = [CENTERS[6] + PANEL_ROTATION @ s for s in (universal, ball_6, ball_5)]
     start = np.concatenate([slider[[0, 2]], foot[2:], on_panel[0], on_panel[1][[0, 2]], on_panel[2]])
     horizontal = design.panel(0.0, 0.0, 0.0)[0]
 
     def unpack(x: Array) -> dict[str, Array]:
+        """Return the joint points (3,), m, by name of the joint."""
         slider_6 = np.array([x[0], slider[1], x[1]])
         return {
             "hinge_26": slider_6,
@@ -163,16 +197,18 @@ def close_exactly(design: Design) -> dict[str, Array]:
         }
 
     def gaps(x: Array) -> Array:
+        """Return the six closure errors of the horizontal pose, m."""
         at = unpack(x)
         center, lean = x[11:14], x[14]
         moved = {
-            name: center + YAW @ PANEL.T @ (at[name] - CENTERS[6])
+            name: center + HORIZONTAL @ PANEL_ROTATION.T @ (at[name] - CENTERS[6])
             for name in ("universal_47", "ball_67", "ball_57")
         }
         column = at["hinge_14"] + turn(HINGE_AXIS, lean) @ (at["universal_47"] - at["hinge_14"])
         up = np.array([0.0, 0.0, RISE])
 
         def stretch(ball: str, foot_of_leg: str) -> float:
+            """Return by how much a leg is longer than at the initial position, m."""
             before = np.linalg.norm(at[ball] - at[foot_of_leg])
             return float(np.linalg.norm(moved[ball] - at[foot_of_leg] - up) - before)
 
@@ -189,9 +225,12 @@ def close_exactly(design: Design) -> dict[str, Array]:
 
 
 def _nearest_root(gaps: Callable[[Array], Array], start: Array, free: int) -> Array:
-    """Return the root of `gaps` nearest to `start` by Newton steps of least norm.
+    """Return the root of `gaps` nearest to `start`, by Newton steps of least norm.
 
-    The last `free` unknowns have a weight of 1e-3 in the norm.
+    Args:
+        gaps: function of n unknowns with fewer than n values.
+        start: (n,) unknowns.
+        free: number of unknowns, the last ones, whose change counts only by 1e-3 in the norm.
     """
     weight = np.ones(len(start))
     weight[-free:] = 1e3
@@ -205,7 +244,8 @@ def _nearest_root(gaps: Callable[[Array], Array], start: Array, free: int) -> Ar
 
 
 def main() -> None:
-    """Print the identified design, its residuals, and the distances to the joint points of the scene."""
+    """Print the identified design, its residuals, and its distances from the joint points in
+    `tracker_joints.json`."""
     design = fit()
     for name, value in zip(PARAMETERS, design.parameters, strict=True):
         print(f"{name:55s} {value:8.4f}" if "share" in name else f"{name:55s} {1e3 * value:8.3f} mm")

@@ -1,4 +1,4 @@
-"""The tracker as it would stand in the sun: under gravity, its sliders held stiffly."""
+"""Scenes of the solar tracker that follows the sun: under gravity, with stiff PD control of its sliders."""
 
 from __future__ import annotations
 
@@ -13,21 +13,23 @@ from newton_euler import PD, Axis
 from newton_euler.model.scene import Scene
 
 PANEL_NORMAL = Axis("panel_7", np.array([0.0, 0.0, 1.0]))
+"""Normal of the panel, in the frame of the panel: the axis that points at the sun."""
 
 PLACES = {"phnom_penh": (11.56, 104.92), "seville": (37.39, -5.99), "potsdam": (52.4, 13.07)}
-"""Latitude and longitude by name, degrees."""
+"""Latitude and longitude of each place, degrees north and east."""
 
 DATES = {"march": "2026-03-21", "june": "2026-06-21", "september": "2026-09-23", "december": "2026-12-21"}
+"""First days of the seasons of 2026, by month."""
 
-FASTER = 300.0
-"""Speed of the run relative to the sun: the hour before noon takes 12 s, which all engines can simulate."""
+SPEED_UP = 300.0
+"""Speed of the scene relative to the real sun: an hour takes 12 s, which all engines can simulate."""
 
 SET_POINTS = 13
-"""Number of set-points of the run, one per second."""
+"""Number of set-points of the sliders in the run, one per second."""
 
 
 def sun_tracker() -> Scene:
-    """Return the tracker under gravity with stiff PD laws, to follow the sun, see `crosscheck.solar.day`."""
+    """Return the tracker under gravity with stiff PD control; `crosscheck.solar.day` adds set-points."""
     scene = tracker_gravity()
     control = tuple(
         replace(law, stiffness=STIFFNESS, damping=DAMPING) for law in scene.control if isinstance(law, PD)
@@ -39,21 +41,23 @@ def tracker_sun_day(
     place: Literal["phnom_penh", "seville", "potsdam"] = "phnom_penh",
     date: Literal["march", "june", "september", "december"] = "march",
 ) -> Scene:
-    """Return the hour before noon of a day, 300 times as fast: stepped set-points, weight fed forward.
+    """Return the tracker in the hour before noon of a day, 300 times as fast as the real sun, 12 s.
+
+    The set-points change in steps, and the actuator forces that balance the weight are fed forward.
 
     Args:
         place: location of the tracker.
-        date: first day of a season of 2026.
+        date: month whose date is given in `DATES`.
     """
-    # other scenes need no solar positions
+    # imported here, since other scenes need no solar positions
     from crosscheck.solar.day import following
     from crosscheck.solar.place import Place, day_times, sun_over
     from crosscheck.solar.tracking import Tracking
 
-    at = Place(*PLACES[place])
-    day = day_times(DATES[date], at.zone, FASTER)
+    location = Place(*PLACES[place])
+    day = day_times(DATES[date], location.zone, SPEED_UP)
     noon = len(day) // 2
-    sun = sun_over(at, day[noon - SET_POINTS + 1 : noon + 1])
+    sun = sun_over(location, day[noon - SET_POINTS + 1 : noon + 1])
     scene, _, _ = following(sun_tracker(), PANEL_NORMAL, Tracking().normals(sun), period=1.0)
     description = "solar tracker, the hour before noon at 300 times its pace, under gravity"
     return replace(scene, name="tracker_sun_day", output_period=0.05, description=description)

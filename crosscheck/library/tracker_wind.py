@@ -1,4 +1,4 @@
-"""Solar tracker that moves its panel under gravity and wind."""
+"""Scene of the solar tracker that moves its panel under gravity and wind."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from crosscheck.library.options import Beside, Between
+from crosscheck.library.options import Between, OnlyWith
 from crosscheck.library.tracker import PANEL, tracker_gravity
 from newton_euler.model.control import PD
 from newton_euler.model.motions import TimeFunction
@@ -16,29 +16,36 @@ from newton_euler.model.smooth_functions import Sine
 from newton_euler.model.wind import WindLoad, wind_gust, wind_turbulence
 
 STIFFNESS, DAMPING = 5000.0, 100.0
-"""Gains of the PD laws, N/m and N s/m: 100 and 5 times the paper's, which let the panel sag by decimeters."""
+"""Gains of the PD controllers, N/m and N s/m: 100 and 5 times those of the paper.
 
-WEIGHT = (7.056, 5.767)
-"""Feedforward forces of the actuators, N. They hold the tracker at the start; without them it sags by a
-millimeter."""
+With the gains of the paper the panel sags by decimeters under gravity."""
 
-STROKE = (0.02, 0.015)
-"""Strokes of the sliders, m: up and down again, from rest."""
+FEEDFORWARD = (7.056, 5.767)
+"""Feedforward forces of the actuators, N, which balance the weight at the start.
+
+Without the forces the tracker sags by a millimeter."""
+
+STROKES = (0.02, 0.015)
+"""Strokes of both sliders, m: from rest upwards and back."""
 
 PERIODS = (5.0, 2.5)
-"""Periods of the strokes, s."""
+"""Periods of the motion of both sliders, s."""
 
-INTENSITY, LEAST = 0.14, 5.6
-"""Turbulence of class B of IEC 61400-1 (2005): standard deviation INTENSITY (0.75 speed + LEAST), m/s."""
+TURBULENCE_INTENSITY, SPEED_OFFSET = 0.14, 5.6
+"""Turbulence of class B of IEC 61400-1 (2005): dimensionless intensity, and wind speed in m/s.
 
-LENGTH = 5.67 * 2.0
+The standard deviation of the wind speed is TURBULENCE_INTENSITY (0.75 speed + SPEED_OFFSET)."""
+
+TURBULENCE_LENGTH = 5.67 * 2.0
 """Length scale of turbulence, m, for an assumed height of 2 m above the ground. The factor 5.67 is the
 standard's for hubs of wind turbines."""
 
-BAND = (0.1, 5.0)
-"""Frequencies of turbulence, Hz: half a period in a run at least, and at most what still moves the panel."""
+FREQUENCY_BAND = (0.1, 5.0)
+"""Lowest and highest frequency of the turbulence, Hz.
 
-SINES = 16
+The lowest makes half a period in a run. Higher frequencies have little effect on the panel."""
+
+SINE_COUNT = 16
 """Number of sines that make up the turbulence."""
 
 
@@ -46,15 +53,15 @@ def tracker_wind(
     wind: Literal["turbulent", "gust", "steady"] = "turbulent",
     speed: Annotated[float, Between(0.0, 60.0, "m/s")] = 10.0,
     direction: Annotated[float, Between(0.0, 360.0, "deg")] = 30.0,
-    seed: Annotated[int, range(1000), Beside("wind", "turbulent")] = 1,
+    seed: Annotated[int, range(1000), OnlyWith("wind", "turbulent")] = 1,
 ) -> Scene:
     """Return the tracker under gravity and wind, both sliders moved up and down by stiff PD laws, 5 s.
 
     Args:
-        wind: turbulent, one gust of half the speed, or steady.
+        wind: turbulent, one gust of half the mean speed, or steady.
         speed: mean speed of the wind, m/s.
-        direction: direction that the wind blows to, degrees from the x axis about the vertical.
-        seed: seed of the turbulence.
+        direction: direction to which the wind blows, degrees from the x axis about the vertical.
+        seed: random seed of the turbulence.
     """
     scene = tracker_gravity()
     panel = scene.mechanism.body("panel_7")
@@ -69,8 +76,8 @@ def tracker_wind(
         speed=_speed(wind, speed, seed),
     )
     control = tuple(
-        PD(law.joint, STIFFNESS, DAMPING, _up_and_down(stroke, period), feedforward=weight)
-        for law, stroke, period, weight in zip(scene.control, STROKE, PERIODS, WEIGHT, strict=True)
+        PD(law.joint, STIFFNESS, DAMPING, _up_and_down(stroke, period), feedforward=force)
+        for law, stroke, period, force in zip(scene.control, STROKES, PERIODS, FEEDFORWARD, strict=True)
     )
     description = "dual-axis solar tracker, stiff PD control along a motion, under gravity and wind"
     return replace(scene, name="tracker_wind", description=description, control=control, forces=(load,))
@@ -82,10 +89,10 @@ def _up_and_down(stroke: float, period: float) -> Sine:
 
 
 def _speed(wind: str, speed: float, seed: int) -> float | TimeFunction:
-    """Return the wind's speed, m/s, constant or over time."""
+    """Return the wind's speed, m/s, constant or over time; arguments as of `tracker_wind`."""
     if wind == "steady" or speed == 0.0:
         return speed
     if wind == "gust":
         return wind_gust(speed, 0.5 * speed, period=5.0)
-    deviation = INTENSITY * (0.75 * speed + LEAST)
-    return wind_turbulence(speed, deviation, LENGTH, seed, *BAND, SINES)
+    deviation = TURBULENCE_INTENSITY * (0.75 * speed + SPEED_OFFSET)
+    return wind_turbulence(speed, deviation, TURBULENCE_LENGTH, seed, *FREQUENCY_BAND, SINE_COUNT)

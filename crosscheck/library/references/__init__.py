@@ -1,8 +1,7 @@
-"""Figures of scenes that are known from elsewhere: closed forms, quadratures, published solutions.
+"""Reference values of library scenes: closed forms, quadratures and published solutions.
 
-A file for each scene of that name: where its figures come from, and for each of them the time (s), the
-quantity as in the scene's `FIGURES`, the value (SI) and what it may be off. Options of the scene that a
-figure holds for are listed where the scene has any; published values stand beside with their own digits.
+The folder has one JSON file per scene with the source of its reference values. Each entry of the list
+`figures` in a file is a `ReferenceValue`.
 """
 
 from __future__ import annotations
@@ -15,16 +14,16 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Known:
-    """One figure that is known.
+class ReferenceValue:
+    """Value of a quantity of a scene at one time, from a source other than a simulation of the scene.
 
     Attributes:
         time: s, an output time of the scene.
-        quantity: its name among the scene's figures.
-        unit: of the value.
-        value, uncertainty: the figure and what it may be off.
-        options: of the scene that it holds for.
-        published: as printed by others, if it was.
+        quantity: name of the quantity in the scene's `REFERENCE_QUANTITIES`.
+        unit: SI unit of the value.
+        value, uncertainty: value, and largest error that its source may have.
+        options: options of the scene for which the value holds.
+        published: the value as it is printed in a publication; empty if there is none.
     """
 
     time: float
@@ -36,10 +35,11 @@ class Known:
     published: str = ""
 
 
-def known_figures(scene: str) -> tuple[Known, ...]:
-    """All known figures of a scene of the library, under any options; none for a scene without a file."""
+def reference_values(scene: str) -> tuple[ReferenceValue, ...]:
+    """Read all reference values of a library scene, for all of its options; empty for a scene without a
+    file."""
     file = files(__name__).joinpath(f"{scene}.json")
     if not file.is_file():
         return ()
     content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return tuple(Known(**figure) for figure in content["figures"])
+    return tuple(ReferenceValue(**entry) for entry in content["figures"])

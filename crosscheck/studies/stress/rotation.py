@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
-from crosscheck.library import FIGURES, load
-from crosscheck.library.references import known_figures
+from crosscheck.library import REFERENCE_QUANTITIES, load
+from crosscheck.library.references import reference_values
 from crosscheck.studies.stress.cases import ANGLE_BOUND, ENERGY_BOUND, Bound, Case, Measurement, of_run
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
@@ -126,8 +126,8 @@ def torque_of_hinge(scene: Scene, run: Trajectory) -> float:
 def reference_error(scene: Scene, run: Trajectory) -> Measurement:
     """Measure the largest error of the heavy top's reference values, SI."""
     errors = []
-    for known in known_figures("heavy_top"):
+    for known in reference_values("heavy_top"):
         at = int(np.argmin(np.abs(run.time - known.time)))
-        off = abs(float(FIGURES["heavy_top"][known.quantity](run)[at]) - known.value)
+        off = abs(float(REFERENCE_QUANTITIES["heavy_top"][known.quantity](run)[at]) - known.value)
         errors.append((off, f"{known.quantity} at t = {known.time:g} s"))
     return Measurement(*max(errors))

@@ -19,7 +19,7 @@ from hostile_schemas import PLACE, VALUES, attempt, distinct, fields, fields_wit
 
 from crosscheck.library import load
 from crosscheck.library.entries import SCENE
-from crosscheck.library.scene_file import _content, read_scene
+from crosscheck.library.scene_file import _scene_content, read_scene
 from crosscheck.loading.size import check_scene
 from crosscheck.regress.baseline import Baseline, read_baseline
 from crosscheck.regress.run import usual_path
@@ -36,9 +36,9 @@ SAMPLED = pytest.mark.parametrize("step", [pytest.param(1, marks=pytest.mark.slo
 
 def scene_contents() -> dict[str, dict]:
     """Contents of scene files that hold entries of every kind."""
-    found = {name: _content(scene) for name, scene in ELEMENTS.items()}
+    found = {name: _scene_content(scene) for name, scene in ELEMENTS.items()}
     found |= {
-        name: _content(load(name))
+        name: _scene_content(load(name))
         for name in ("tracker_on_boat", "tracker_wind", "slider_crank", "tracker_computed_torque")
     }
     loop, feedback = short_example(), short_example()

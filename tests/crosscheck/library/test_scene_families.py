@@ -14,8 +14,8 @@ from scipy.special import ellipj, ellipk
 
 import newton_euler
 import urdf
-from crosscheck.library import FIGURES, load
-from crosscheck.library.references import known_figures
+from crosscheck.library import REFERENCE_QUANTITIES, load
+from crosscheck.library.references import reference_values
 from crosscheck.studies.stress.configurations import from_flat
 from crosscheck.studies.stress.runs import lasting
 from crosscheck.support.errors import CrosscheckError
@@ -56,7 +56,7 @@ def windows_run(request):
 
 
 def test_the_closed_form_is_the_reference():
-    for known in known_figures("four_bar"):
+    for known in reference_values("four_bar"):
         position, velocity = closed_form(known.options["N"], known.time)
         at = dict(zip(("B0_x", "B0_y", "B0_vx", "B0_vy"), (*position, *velocity), strict=True))
         at["bar_omega_cw"] = np.linalg.norm(velocity)
@@ -66,8 +66,8 @@ def test_the_closed_form_is_the_reference():
 
 def test_reference_figures(windows_run):
     windows, run = windows_run
-    for known in (known for known in known_figures("four_bar") if known.options["N"] == windows):
-        found = FIGURES["four_bar"][known.quantity](run)[np.argmin(abs(run.time - known.time))]
+    for known in (known for known in reference_values("four_bar") if known.options["N"] == windows):
+        found = REFERENCE_QUANTITIES["four_bar"][known.quantity](run)[np.argmin(abs(run.time - known.time))]
         # 65 steps of 1e-13, most of it in phase; near flat bars 1e-14 over (angle from flat)^2
         assert found == pytest.approx(known.value, rel=1e-10, abs=1e-11)
 

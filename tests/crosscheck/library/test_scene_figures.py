@@ -18,7 +18,7 @@ from crosscheck.cli.shared import UNFINISHED
 from crosscheck.compare.check import OWN_ERROR, UNRESOLVED
 from crosscheck.compare.reference_values import ROUND_OFF, known_of, measure
 from crosscheck.engines import engine as engines
-from crosscheck.library import FIGURES, SCENES, load
+from crosscheck.library import REFERENCE_QUANTITIES, SCENES, load
 from crosscheck.library.measure import angle, position, spin, velocity
 from crosscheck.report.table import Cell
 from crosscheck.support.errors import CrosscheckError
@@ -84,7 +84,7 @@ def test_a_run_is_judged_by_its_uncertainty_and_its_own_error(swing):
     )
     assert [each.known.quantity for each in found] == ["x", "y", "vx", "vy", "bar_tension"]
     for each in found:
-        figure = FIGURES["pendulum"][each.known.quantity]
+        figure = REFERENCE_QUANTITIES["pendulum"][each.known.quantity]
         change = abs(figure(fine) - figure(coarse)).max()
         assert each.result == figure(fine)[-1]
         assert each.tolerance == pytest.approx(
@@ -105,7 +105,7 @@ def test_a_coarse_run_excuses_no_more_than_a_hundredth(swing):
     elsewhere = newton_euler.simulate(replace(swing, gravity=0.5 * swing.gravity))
     engine = own(exact=lambda _: fine, refined=lambda _: elsewhere)
     for each in measure("pendulum", swing, engine, fine, half_second()):
-        largest = abs(FIGURES["pendulum"][each.known.quantity](fine)).max()
+        largest = abs(REFERENCE_QUANTITIES["pendulum"][each.known.quantity](fine)).max()
         own_error = (UNRESOLVED + ROUND_OFF) * largest
         assert each.tolerance == pytest.approx(each.known.uncertainty + own_error, rel=1e-12)
 
@@ -117,7 +117,7 @@ def test_an_engine_that_cannot_be_more_exact_is_judged_by_what_it_can(swing):
     runs = {"refined": newton_euler.simulate(swing, rtol=1e-11), "usual": newton_euler.simulate(swing)}
     engine = own(exact=fails, refined=lambda _: runs["refined"])
     (found, *_) = measure("pendulum", swing, engine, runs["usual"], half_second())
-    assert found.result == FIGURES["pendulum"]["x"](runs["refined"])[-1]
+    assert found.result == REFERENCE_QUANTITIES["pendulum"]["x"](runs["refined"])[-1]
     assert found.tolerance - found.known.uncertainty > ROUND_OFF
 
 
@@ -137,7 +137,7 @@ def test_an_exact_run_without_a_finer_one_is_judged_by_the_usual(swing):
 
     exact, usual = newton_euler.simulate(swing, rtol=1e-12, atol=1e-14), newton_euler.simulate(swing)
     (found, *_) = measure("pendulum", swing, own(exact=lambda _: exact, refined=fails), usual, half_second())
-    figure = FIGURES["pendulum"]["x"]
+    figure = REFERENCE_QUANTITIES["pendulum"]["x"]
     assert found.result == figure(exact)[-1]
     own_error = OWN_ERROR * abs(figure(exact) - figure(usual)).max() + ROUND_OFF * abs(figure(exact)).max()
     assert found.tolerance == pytest.approx(found.known.uncertainty + own_error, rel=1e-12)
@@ -166,8 +166,8 @@ def test_run_prints_and_stores_known_figures(capsys, tmp_path):
 
 
 def test_a_wrong_figure_is_status_1(capsys, tmp_path, monkeypatch):
-    right = FIGURES["pendulum"]
-    monkeypatch.setitem(FIGURES, "pendulum", {**right, "y": lambda run: 1.001 * right["y"](run)})
+    right = REFERENCE_QUANTITIES["pendulum"]
+    monkeypatch.setitem(REFERENCE_QUANTITIES, "pendulum", {**right, "y": lambda run: 1.001 * right["y"](run)})
     status, out, _ = run(capsys, "run", "pendulum", "--engines", "newton_euler", "--output", tmp_path)
     assert status == 1
     verdict = verdict_of(out)

@@ -345,10 +345,13 @@ def test_control_laws_that_cannot_be(capsys, tmp_path, good, law, message):
 @pytest.mark.parametrize(
     ("law", "words"),
     [
-        (StateFeedback("motor", {("motor", 1): (1.0, 2.0)}), "scene files name first coordinates alone"),
+        (
+            StateFeedback("motor", {("motor", 1): (1.0, 2.0)}),
+            "scene files can only name the first coordinate",
+        ),
         (
             Sampled("motor", lambda time, x, x_rate: 0.0, 0.01),
-            "a controller in Python is not for a scene file",
+            "a controller in Python cannot be written to a scene file",
         ),
     ],
 )

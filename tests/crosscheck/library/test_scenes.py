@@ -14,9 +14,9 @@ import pytest
 from scipy.special import ellipj, ellipk, ellipkinc
 
 import newton_euler
-from crosscheck.library import FIGURES, SCENES, load
+from crosscheck.library import REFERENCE_QUANTITIES, SCENES, load
 from crosscheck.library.free_top import CASES
-from crosscheck.library.references import known_figures
+from crosscheck.library.references import reference_values
 from newton_euler.model.euler_parameters import rotations
 
 G = 9.81
@@ -30,7 +30,7 @@ def exact_run(name, **options):
 
 
 def figure(name, run, quantity):
-    return FIGURES[name][quantity](run)
+    return REFERENCE_QUANTITIES[name][quantity](run)
 
 
 def accumulated(function, ends):
@@ -55,9 +55,9 @@ def about(axis, angle):
 
 KNOWN = [
     pytest.param(name, known, id=f"{name}-{known.quantity}-{known.time:g}-{list(known.options.values())}")
-    for name in FIGURES
+    for name in REFERENCE_QUANTITIES
     if name != "four_bar"  # in test_scene_families.py, to what is left after passing flat bars
-    for known in known_figures(name)
+    for known in reference_values(name)
 ]
 
 
@@ -73,13 +73,13 @@ def test_known_figures_to_ten_digits(name, known):
 
 
 def test_every_scene_with_figures_has_references_for_all_of_them():
-    assert FIGURES.keys() <= SCENES.keys()
-    for name, figures in FIGURES.items():
-        assert {known.quantity for known in known_figures(name)} == set(figures)
+    assert REFERENCE_QUANTITIES.keys() <= SCENES.keys()
+    for name, figures in REFERENCE_QUANTITIES.items():
+        assert {known.quantity for known in reference_values(name)} == set(figures)
 
 
 @pytest.mark.parametrize(
-    "known", [k for k in known_figures("andrews") if k.published], ids=lambda k: k.quantity
+    "known", [k for k in reference_values("andrews") if k.published], ids=lambda k: k.quantity
 )
 def test_andrews_published_solution(known):
     """The Test Set's solver had a tolerance, and its digits end there."""

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from crosscheck.compare.check import Check
 from crosscheck.compare.reference_values import ReferenceCheck
-from crosscheck.library.references import Known
+from crosscheck.library.references import ReferenceValue
 from crosscheck.report.run import tables
 
 
@@ -18,7 +18,7 @@ def result(rows=(), measured=()):
 
 
 def test_known_figures_stand_beside_what_was_found():
-    known = Known(2.0, "angle", "rad", 0.25, 1e-9)
+    known = ReferenceValue(2.0, "angle", "rad", 0.25, 1e-9)
     measured = [ReferenceCheck.of(name, known, 0.25 + off, 1e-8) for name, off in (("a", 1e-9), ("b", 0.5))]
     (table,) = tables(result(measured=measured))
     assert [column.heading.replace("\n", " ") for column in table.columns] == [

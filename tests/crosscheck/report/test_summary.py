@@ -11,7 +11,7 @@ from command_line import run
 from crosscheck.compare.check import FILE, REFERENCE, Check
 from crosscheck.compare.reference_values import ReferenceCheck
 from crosscheck.engines.engine_runs import Stop
-from crosscheck.library.references import Known
+from crosscheck.library.references import ReferenceValue
 from crosscheck.report.render import terminal
 from crosscheck.report.summary import (
     MAX_NOTES,
@@ -66,7 +66,7 @@ def test_levels_have_the_worst_of_each_engine_and_the_one_nearest_its_tolerance(
 
 def test_what_is_not_judged_is_not_counted_and_files_and_known_figures_are():
     informs = Check("kinematics", "condition", ("newton_euler", "mujoco"), 1e3, 1.0, "", judged=False)
-    known = Known(2.0, "angle", "rad", 0.25, 1e-9)
+    known = ReferenceValue(2.0, "angle", "rad", 0.25, 1e-9)
     measured = [ReferenceCheck.of("mujoco", known, 0.25 + 2e-9, 1e-8)]
     found = cells(
         levels_table(result([informs, figure("reading", ("mujoco", FILE), 0.0)], measured=measured))

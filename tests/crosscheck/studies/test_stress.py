@@ -14,7 +14,7 @@ import pytest
 from command_line import command, run
 
 from crosscheck.library import load
-from crosscheck.library.references import known_figures
+from crosscheck.library.references import reference_values
 from crosscheck.report.page import write_report
 from crosscheck.studies.stress import configurations, extremes, integration, rotation
 from crosscheck.studies.stress.cases import Bound, Case, Measurement, judge, of_run, refusal, run_cases
@@ -172,7 +172,7 @@ def test_an_unknown_topic_is_refused():
 
 @pytest.mark.parametrize("windows", [2, 40])
 def test_closed_motion_of_windows_against_elliptic_functions(windows):
-    known = [f for f in known_figures("four_bar") if f.options["N"] == windows and f.quantity == "B0_x"]
+    known = [f for f in reference_values("four_bar") if f.options["N"] == windows and f.quantity == "B0_x"]
     assert known
     scene = replace(load("four_bar", N=windows), output_period=0.5)
     angle = dict(zip(scene.times.tolist(), parallelogram_angle(scene).tolist(), strict=True))
