@@ -83,7 +83,7 @@ def test_a_quantity_moves_where_it_leaves_its_tolerance(moved):
     (found,) = check_group([stored], [quantity([[1.0, 2.0], [3.0, 4.0 + moved * 1e-9]])])
     assert found.moved == (abs(moved) > 1.0)
     assert found.where == "row 1, y"
-    assert found.share == pytest.approx(abs(moved), rel=1e-5)  # 4 has 4e-16 of round-off
+    assert found.tolerance_ratio == pytest.approx(abs(moved), rel=1e-5)  # 4 has 4e-16 of round-off
 
 
 @pytest.mark.parametrize("now", [float("nan"), float("inf")])
