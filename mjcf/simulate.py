@@ -17,7 +17,7 @@ from newton_euler.arguments import checked
 from newton_euler.equations.applied_forces import surroundings, with_likely_causes
 from newton_euler.equations.parameters import pieces
 from newton_euler.errors import OptionError, UnknownNameError
-from newton_euler.integrators.options import MOST_FIXED_STEPS
+from newton_euler.integrators.options import MAX_FIXED_STEPS
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory
 from newton_euler.runs.assemble import initial_state
@@ -154,8 +154,8 @@ def _step(scene: Scene, timestep: float | None) -> float:
     if not is_number or not 0.0 < float(timestep) < np.inf:
         raise OptionError("timestep", timestep, "a positive number of seconds")
     step = float(timestep)
-    if scene.duration / step > MOST_FIXED_STEPS:
-        least = f"at least {scene.duration / MOST_FIXED_STEPS:.3g} s, {MOST_FIXED_STEPS} steps"
+    if scene.duration / step > MAX_FIXED_STEPS:
+        least = f"at least {scene.duration / MAX_FIXED_STEPS:.3g} s, {MAX_FIXED_STEPS} steps"
         raise OptionError("timestep", timestep, least)
     wanted = [(float(interval), "between outputs") for interval in np.diff(scene.times)]
     wanted += [(law.period, f"period of joint {law.joint!r}") for law in repeated]

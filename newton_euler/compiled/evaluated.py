@@ -95,7 +95,7 @@ def integrate_adaptive(
     if options.integrator == "Radau":
         method: Any = radau_of(n, n + 1, options, most, evaluated.callback(n * n, evaluated.jacobian))
     else:
-        near = options.near(mobility(system.scene).residual, system.mechanism.size)
+        near = options.near_singular(mobility(system.scene).residual, system.mechanism.size)
         units = np.zeros(n)  # m or rad: a smaller coordinate has the round-off of this magnitude
         units[: system.nq] = min(1.0, system.mechanism.size)
         method = dop853_of(n, n + 1, options, near, most, units)

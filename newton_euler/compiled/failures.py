@@ -15,7 +15,7 @@ from newton_euler.equations.applied_forces import with_likely_causes
 from newton_euler.equations.dense import largest_share, singular_values
 from newton_euler.equations.system import dimensionless_jacobian, fastest_joint
 from newton_euler.integrators.fixed_step import RK4_LIMIT
-from newton_euler.integrators.options import Options, most_steps
+from newton_euler.integrators.options import Options, max_adaptive_steps
 from newton_euler.integrators.projection import worst_joint
 from newton_euler.integrators.singular import FAR_PIVOT_RATIO, NEAR_PIVOT_RATIO
 from newton_euler.integrators.status import Status
@@ -180,7 +180,7 @@ def _reason(code: CompiledEquations, options: Options, status: Status, x: Array)
     near = is_singular or code.pivot_ratio(x) < NEAR_PIVOT_RATIO
     joint, value = nearly_dependent(code, x) if near else ("", 0.0)
     place = f"a singular configuration, where joint {joint!r} loses rank"
-    reason = status.message.format(max_steps=most_steps(options), place=place)
+    reason = status.message.format(max_steps=max_adaptive_steps(options), place=place)
     if status not in (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL):
         return reason
     if near:

@@ -34,7 +34,7 @@ from newton_euler.integrators.constraint_ratio import ConstraintRatio, Progress
 from newton_euler.integrators.dense_projection import RESIDUAL_ROUND_OFF, Closing, closing_of, unprepared
 from newton_euler.integrators.dop853 import CONTROLS, Dop853, integrate_dop853
 from newton_euler.integrators.fixed_step import FixedStep, divisions, integrate_fixed
-from newton_euler.integrators.options import FIXED, Options, most_steps
+from newton_euler.integrators.options import FIXED, Options, max_adaptive_steps
 from newton_euler.integrators.projection import project
 from newton_euler.integrators.radau import Radau, integrate_radau
 from newton_euler.integrators.row_exchange import EXCHANGED, RowExchange, no_exchange
@@ -469,7 +469,7 @@ def method_of(code: CompiledEquations, options: Options, steps: Array, lanes: in
         steps: (room, size + 2 + flags) receives the first steps of DOP853.
         lanes: number of runs that are integrated at once.
     """
-    n, most = code.size, most_steps(options)
+    n, most = code.size, max_adaptive_steps(options)
 
     def scratch(*shape: int) -> Array:
         """Return a work array of a shape, for each lane."""
@@ -488,7 +488,7 @@ def method_of(code: CompiledEquations, options: Options, steps: Array, lanes: in
             control=scratch(2),
         )
     if options.integrator == "DOP853":
-        near = options.near(code.noise, code.scene.mechanism.size)
+        near = options.near_singular(code.noise, code.scene.mechanism.size)
         return dop853_of(n, code.inputs, options, near, most, round_off_units(code), steps, lanes)
     return radau_of(n, code.inputs, options, most, code.function("jacobian"), lanes)
 

@@ -1,7 +1,7 @@
-"""Integrators, projection onto the constraints, and passing singular configurations.
+"""Integrators of the equations of motion, projection onto the constraints, and singular configurations.
 
-All methods take a state and the records of `stepper`: the native functions of a scene and a table of runs.
-They write states at the output times and return a `Status`. `dop853` and `radau` choose their steps,
-`fixed_step` has RK4 and Euler. `projection` keeps states on the constraints, `singular` explains what is done
-near singular configurations. The functions are in the native subset of `codegen`. Start with `stepper`.
+Each integrator takes two records of `stepper`: the compiled equations of a scene and a table of runs. It
+writes the states at the output times and ends each run with a `Status`. `dop853` and `radau` choose their
+steps; `fixed_step` has RK4 and Euler. `projection` keeps closed loops closed. `singular` describes how steps
+pass configurations where the constraints become dependent. Start reading with `stepper`.
 """

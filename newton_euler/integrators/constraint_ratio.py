@@ -1,11 +1,13 @@
-"""Pivot ratio of the constraints alone: the distance to a singular configuration, whatever the masses are.
+"""Pivot ratio of the constraints alone: the distance to a singular configuration, independent of masses.
 
-The elimination of the equations of motion has small pivots near a singular configuration, and where a light
-body is next to a heavy one. The Gram matrix of the dimensionless constraint Jacobian has no masses. Its
-pivots, in units of what they usually are, tell the two apart. They are compiled and evaluated only where the
-pivots of the equations of motion are small.
+In a singular configuration the constraints of a closed loop become dependent. The elimination of the
+equations of motion has small pivots there, but also if a light body is next to a heavy one. The Gram matrix J
+J^T of the dimensionless constraint Jacobian J contains no masses. Its smallest pivot, divided by the usual
+size of that pivot, tells the two cases apart. This function is compiled and evaluated only if the pivots of
+the equations of motion are small.
 
-Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
+Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
+Python.
 """
 
 from __future__ import annotations
@@ -19,7 +21,13 @@ from newton_euler.codegen.native import Callback, Record, Vector, native
 
 
 class Progress(IntEnum):
-    """Values of `ConstraintRatio.progress`: without a function, before and after `prepare` was called."""
+    """State of the function of a `ConstraintRatio`.
+
+    Attributes:
+        UNKNOWN: there is no function; the pivot ratio of the equations of motion is used instead.
+        UNPREPARED: the function is not compiled yet; `ConstraintRatio.prepare` compiles it.
+        READY: the function is compiled.
+    """
 
     UNKNOWN = 0
     UNPREPARED = 1
@@ -27,18 +35,18 @@ class Progress(IntEnum):
 
 
 UNKNOWN_RATIO = -1.0
-"""Stands for the pivot ratio if the function cannot be compiled."""
+"""Result in place of a pivot ratio if the function could not be compiled."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConstraintRatio(Record):
-    """The function of a scene's constraints alone.
+    """The function that evaluates the pivot ratio of a scene's constraints.
 
     Attributes:
         progress: a `Progress`.
-        prepare: fills in this record.
-        evaluate: writes the pivot ratio at x (inputs,), 1 or less.
-        found: (1,) what it writes.
+        prepare: compiles the function and fills in this record.
+        evaluate: writes the pivot ratio, at most 1, at a state with time and parameters.
+        found: (1,) vector that `evaluate` writes to.
     """
 
     progress: int
@@ -48,13 +56,17 @@ class ConstraintRatio(Record):
 
 
 def no_ratio() -> ConstraintRatio:
-    """Return the record of equations whose own pivot ratio is that of the constraints."""
+    """Return the record without a function, for equations whose pivot ratio is independent of masses."""
     return ConstraintRatio(Progress.UNKNOWN, None, None, np.zeros(1))
 
 
 @native
 def evaluate_ratio(ratio: ConstraintRatio, x: Vector) -> float:
-    """Evaluate the pivot ratio of the constraints at x (inputs,) by a function that is ready."""
+    """Evaluate the pivot ratio of the constraints; `UNKNOWN_RATIO` if its function is not compiled.
+
+    Args:
+        x: state with time and parameters, (inputs,).
+    """
     if ratio.progress != Progress.READY:
         return UNKNOWN_RATIO
     ratio.evaluate(x, ratio.found)
@@ -63,7 +75,13 @@ def evaluate_ratio(ratio: ConstraintRatio, x: Vector) -> float:
 
 @native
 def constraint_ratio(ratio: ConstraintRatio, x: Vector) -> float:
-    """Return the pivot ratio of the constraints at x (inputs,), 0 if it is unknown; compile it if need be."""
+    """Return the pivot ratio of the constraints, after compiling its function in the first call.
+
+    The result is 0 if there is no function, and `UNKNOWN_RATIO` if the function cannot be compiled.
+
+    Args:
+        x: state with time and parameters, (inputs,).
+    """
     if ratio.progress == Progress.UNKNOWN:
         return 0.0
     if ratio.progress == Progress.UNPREPARED:

@@ -1,4 +1,9 @@
-"""Names and options of the methods of integration."""
+"""Names and options of the integrators and of the stabilization of closed loops.
+
+`Options` holds one integrator with its tolerances or its fixed step, and checks what the user asks for.
+`newton_euler.runs.simulate` makes it from the keyword arguments of a run. The algorithms themselves are in
+`dop853`, `radau` and `fixed_step`.
+"""
 
 from __future__ import annotations
 
@@ -10,41 +15,49 @@ from newton_euler.errors import OptionError, check_choice, check_choices, is_cou
 IntegratorName = Literal["DOP853", "Radau", "RK4", "Euler"]
 
 INTEGRATORS: tuple[IntegratorName, ...] = get_args(IntegratorName)
+"""All integrators that a run may name."""
 
 ADAPTIVE: tuple[IntegratorName, ...] = ("DOP853", "Radau")
-"""Runge-Kutta of order 8 (Hairer, Norsett, Wanner, Solving ODEs I, 1993, section II.5) and the stiff
-Radau IIA of order 5 (Hairer, Wanner, Solving ODEs II, 1996, section IV.8)."""
+"""Integrators that choose their steps by an error estimate: the explicit Runge-Kutta method DOP853 of order 8
+(Hairer, Norsett, Wanner, Solving ODEs I, 1993, section II.5) and the implicit Radau IIA of order 5 for stiff
+equations (Hairer, Wanner, Solving ODEs II, 1996, section IV.8)."""
 
 FIXED: tuple[IntegratorName, ...] = ("RK4", "Euler")
-"""Methods with fixed steps: classical Runge-Kutta of order 4, and semi-implicit Euler of order 1, velocities
-first, then positions with the new velocities. Euler takes gyroscopic torques t = -omega x I omega
-explicitly: they do no work, but each step h adds h^2/2 t^T I^-1 t to the energy of a freely turning body, a
-share of order (h omega)^2."""
+"""Integrators with fixed steps: classical Runge-Kutta of order 4, and semi-implicit Euler of order 1.
+
+Euler updates velocities first, then positions with the new velocities. Euler evaluates the gyroscopic torque
+t = -omega x I omega at the start of the step. This torque does no work, but each step h adds
+h^2/2 t^T I^-1 t to the energy of a freely rotating body, a fraction of order (h omega)^2."""
 
 FormulationName = Literal["relative", "cartesian"]
-"""The equations' unknowns: joint coordinates, or those of the bodies."""
+"""Coordinates of the equations of motion: joint coordinates (relative), or positions and Euler parameters of
+all bodies (cartesian)."""
 
 StabilizationName = Literal["projection", "baumgarte", "none"]
-"""Method that keeps loops closed."""
+"""Method that keeps loops closed during a run: projection onto the constraints after each step, Baumgarte
+feedback of the constraint violation, or none."""
 
 STABILIZATIONS: tuple[StabilizationName, ...] = get_args(StabilizationName)
+"""All stabilizations that a run may name."""
 
 PAPER_ALPHA = 10.0
-"""The paper's choice for K_D = 2 alpha, K_P = alpha^2 (Appendix B), 1/s."""
+"""Default gain alpha of Baumgarte stabilization, 1/s: feedback 2 alpha of the velocity error and alpha^2 of
+the position error (paper, Appendix B)."""
 
-MOST_STEPS = 1_000_000
-"""Steps after which an adaptive method gives up, if a run does not say."""
+DEFAULT_MAX_STEPS = 1_000_000
+"""Number of steps after which an adaptive integrator stops, if the run does not set `most_steps`."""
 
-COUNTED = 2**53
-"""Steps that doubles count one by one."""
+MAX_EXACT_COUNT = 2**53
+"""Largest number of steps that a double counts exactly: native code keeps its counts as doubles."""
 
-MOST_FIXED_STEPS = 20_000_000
-"""Default largest number of fixed steps of a run: seconds for a pendulum, minutes for the largest
-mechanisms."""
+MAX_FIXED_STEPS = 20_000_000
+"""Largest number of fixed steps of a run that does not set `most_steps`: they take seconds for a pendulum and
+minutes for the largest mechanisms."""
 
 
 class StepControl(TypedDict, total=False):
-    """The choice of steps, as keywords; see `Options`."""
+    """Keyword arguments of a run that control the steps of its integrator; see the attributes of
+    `Options`."""
 
     rtol: float
     atol: float
@@ -54,7 +67,15 @@ class StepControl(TypedDict, total=False):
 
 
 def baumgarte_alpha(stabilization: str, alpha: float | None) -> float:
-    """Return the alpha that equations take; raises `OptionError` for impossible choices."""
+    """Return the Baumgarte gain of a run, 1/s: 0 without Baumgarte stabilization.
+
+    Args:
+        stabilization: one of `STABILIZATIONS`.
+        alpha: gain that the user has asked for, or None for the default, `PAPER_ALPHA`.
+
+    Raises:
+        OptionError: if alpha is negative or not finite, or if the stabilization does not use alpha.
+    """
     check_choice("stabilization", stabilization, STABILIZATIONS)
     if alpha is None:
         return PAPER_ALPHA if stabilization == "baumgarte" else 0.0
@@ -67,21 +88,22 @@ def baumgarte_alpha(stabilization: str, alpha: float | None) -> float:
 
 @dataclass(frozen=True)
 class Options:
-    """A method of integration and its choice of steps.
+    """An integrator and the control of its steps.
 
     Attributes:
         integrator: one of `INTEGRATORS`.
-        rtol, atol: error control of the adaptive methods, per step and component.
-        step: s, of the methods with fixed steps; made smaller where it does not divide the time
-            between outputs, or sampling instants of controllers.
-        most_steps: steps after which an adaptive method is taken to be getting nowhere; if not given, a
-            million in native code and `MOST_STEPS` in Python. A run that needs more fixed steps, or more than
-            `MOST_FIXED_STEPS` if it is not given, is refused.
-        rest: rates of coordinates and velocities, SI, below all of which a mechanism is at rest: it stays
-            where it is until the next sampling instant or knot of a function of time, and no steps are made.
-            0 for never. Where motions die away with a time constant T, bodies are left some `rest` T from
-            where they would get to; unstable equilibria are taken for rest, too. DOP853's in native code.
-        projection: True to project onto the constraints after each step and at outputs.
+        rtol, atol: relative and absolute tolerance of the error of one step, for each component of the state.
+            Only the adaptive integrators use them.
+        step: largest step, s, of the integrators with fixed steps. The step is shortened if it does not
+            divide the time between two outputs or between two samples of a controller.
+        most_steps: largest number of steps of a run. None for the defaults: `DEFAULT_MAX_STEPS` for adaptive
+            integrators (fewer if Python evaluates the equations) and `MAX_FIXED_STEPS` for fixed steps.
+        rest: threshold of the rates of all coordinates and velocities, SI. If all are below, the mechanism
+            counts as at rest and is not integrated until the next controller sample or knot of a spline. The
+            default 0 turns this off. If a motion decays with time constant T, bodies stop about `rest` T
+            before their final positions. Unstable equilibria count as rest, too. Only DOP853 in native code
+            uses this option.
+        projection: True to project states onto the constraints after each step and at outputs.
     """
 
     integrator: str = "DOP853"
@@ -117,11 +139,11 @@ class Options:
 
     @classmethod
     def of(cls, integrator: str, control: StepControl) -> Options:
-        """Make the options of a method.
+        """Make options from the name of an integrator and keyword arguments.
 
         Raises:
-            UnknownNameError: for an option that there is not.
-            OptionError: for an impossible value, and tolerances of a method with fixed steps.
+            UnknownNameError: if there is no integrator or no option of this name.
+            OptionError: if a value is impossible, or if tolerances are given for fixed steps.
         """
         check_choice("integrator", integrator, INTEGRATORS)
         check_choices("option", control, StepControl.__annotations__)
@@ -131,27 +153,31 @@ class Options:
         return cls(integrator, **control)
 
     def check_steps(self, duration: float) -> None:
-        """Raise `OptionError` for fixed steps that are too many in a duration, s."""
-        most = self.most_steps or MOST_FIXED_STEPS
+        """Raise `OptionError` if a run of this duration, s, needs too many fixed steps."""
+        most = self.most_steps or MAX_FIXED_STEPS
         if self.step is not None and duration / self.step > most:
             needed = f"at least {duration / most:.3g} s, {most} steps; most_steps allows more"
             raise OptionError("step", self.step, needed)
 
-    def near(self, noise: float, size: float) -> tuple[float, float]:
-        """Return rtol and atol of steps next to a singular configuration of a mechanism of a size, m.
+    def near_singular(self, noise: float, size: float) -> tuple[float, float]:
+        """Return rtol and atol of steps next to a singular configuration, where branches of motion meet.
 
-        A motion is known no better than the noise of constraints that are taken as redundant (their largest
-        singular value). There it bends branches that meet by design around each other, and a step that saw
-        more than the noise would follow the bend.
+        Constraints that count as redundant are redundant only up to a small noise. The noise bends the
+        branches around each other. A step with a tolerance below the noise would follow the bend onto the
+        wrong branch.
+
+        Args:
+            noise: largest singular value of the constraints that count as redundant, dimensionless.
+            size: length of the mechanism, m.
         """
         return self.rtol + noise, self.atol + noise * min(1.0, size)
 
-    def chosen(self) -> dict[str, Any]:
-        """Return what a run was asked for, by name."""
+    def as_settings(self) -> dict[str, Any]:
+        """Return the integrator and its step or tolerances by name, as a trajectory records them."""
         control = {"step": self.step} if self.step else {"rtol": self.rtol, "atol": self.atol}
         return {"integrator": self.integrator} | control | ({"rest": self.rest} if self.rest else {})
 
 
-def most_steps(options: Options) -> int:
-    """Return the largest number of steps of an adaptive method."""
-    return min(options.most_steps or MOST_STEPS, COUNTED)
+def max_adaptive_steps(options: Options) -> int:
+    """Return the largest number of steps of an adaptive integrator in native code."""
+    return min(options.most_steps or DEFAULT_MAX_STEPS, MAX_EXACT_COUNT)

@@ -1,11 +1,14 @@
-"""Round-off of the rates, which no step size changes, measured where an error estimate looks like noise.
+"""Measure the round-off error of the rates, so that DOP853 does not shorten its steps because of round-off.
 
-Round-off of the rates adds to the error estimate of a step in proportion to the step size. Over a run the sum
-is the same for steps of any length, so that shorter steps gain nothing. In joint coordinates the round-off
-grows with the length of a chain: U. M. Ascher, D. K. Pai, B. P. Cloutier, Forward dynamics, elimination
-methods and formulation stiffness in robot simulation, Int. Journal of Robotics Research 16(6), 1997.
+Rates are the time derivatives of the state. Their round-off adds to the error estimate of a step in
+proportion to the step size. Over a run the sum is the same for steps of any length, so shorter steps gain
+nothing. In joint coordinates the round-off grows with the length of a chain: U. M. Ascher, D. K. Pai, B. P.
+Cloutier, Forward dynamics, elimination methods and formulation stiffness in robot simulation, Int. Journal of
+Robotics Research 16(6), 1997. `newton_euler.integrators.dop853` measures if an error estimate looks like
+noise.
 
-Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
+Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
+Python.
 """
 
 from __future__ import annotations
@@ -16,19 +19,22 @@ from newton_euler.integrators.status import Status
 from newton_euler.integrators.stepper import EPS, Equations
 
 ROUGH_ERROR_RATIO = 300.0
-"""Ratio of the squared error estimates of orders 3 and 5 below which both may be round-off. Round-off alone
-gives 12, the squared ratio of the lengths of the two rows of coefficients, within a factor of 10. Errors of
-the method give more the shorter a step is."""
+"""Ratio of the squared error estimates of orders 3 and 5 of DOP853, below which both may be round-off.
+
+Round-off alone gives 12, the squared ratio of the lengths of the two rows of coefficients, within a factor of
+10. The true error of the method gives a larger ratio, which grows as the step gets shorter."""
 
 ROUND_OFF_MARGIN = 3.0
-"""Factor between a measured sample of the round-off of the rates and the round-off that a step may have."""
+"""Safety factor: round-off that a step is assumed to have, in units of the measured round-off."""
 
 STEPS_TO_NEXT_MEASUREMENT = 24.0
-"""Steps that look like round-off, as those at the limit of stability do, until round-off is measured again
-after it was none: three evaluations in 24 steps are 1 % of all."""
+"""Number of suspicious steps to skip after a measurement that found no round-off. Steps at the limit of
+stability look like round-off, too. Three evaluations in 24 steps are 1 % of all evaluations."""
 
 SAMPLE_DECAY = 0.97
-"""Factor by which an earlier sample of the round-off counts at each new one: single samples may be small."""
+"""Factor for earlier samples of the round-off at each new sample. The largest of them counts, because a
+single
+sample may be small by chance."""
 
 
 @native
@@ -42,24 +48,26 @@ def measure_round_off(
     spare: Vector,
     round_off: Vector,
 ) -> Status:
-    """Measure the round-off of the rates (n,) at the start of a step of size h; returns a status.
+    """Measure the round-off of the rates at the start of a step; return a status.
 
-    The rates are evaluated again at two states that are changed by their own round-off, one up and one down.
-    What is linear in the change cancels, as the force of a stiff spring. The rates of coordinates are
-    evaluated once more at a state changed by what round-off of the rates adds within the step. The end of the
-    step would not do: if the step is much too long, the state there is anything.
+    The rates are evaluated at two states that differ from the start by one unit of round-off, in opposite
+    directions. Their mean cancels linear effects of this change, such as the force of a stiff spring. A third
+    evaluation shows what the round-off of the accelerations adds to the rates of coordinates within the step.
+    The state at the end of the step cannot be used for this purpose: if the step is much too long, that state
+    is meaningless.
 
     Args:
-        now: state at the start, with time and parameters.
-        units: (n,) of the state, SI: numbers below their unit have the absolute round-off of the unit.
-        at: a state with time and parameters, scratch.
-        rates: (n,) at `now`.
-        spare: 3 (n + 1) numbers, scratch.
-        round_off: (n,) of the rates, SI; its earlier values count, too.
+        system: equations of motion.
+        h: size of the step, s.
+        now: state with time and parameters at the start of the step.
+        units: (n,) natural magnitudes of the state, SI. A number below its unit has the round-off of the
+        unit. at: state with time and parameters, scratch. rates: (n,) rates at `now`. spare: 3 (n + 1)
+        numbers, scratch. round_off: (n,) round-off of the rates, SI; updated by the new sample.
     """
     n = system.n
     lower = spare[n + 1 :]
     moved = spare[2 * (n + 1) :]
+    # rates at two states, above and below the start by one unit of round-off
     at[n] = now[n]
     for i in range(n):
         change = EPS * max(abs(now[i]), units[i])
@@ -72,12 +80,14 @@ def measure_round_off(
     status = evaluate(system, at, lower)
     if status != Status.DONE:
         return status
+    # sample: mean difference of the rates; state that this sample changes over the step
     for i in range(n):
         spare[i] = 0.5 * ((spare[i] - rates[i]) + (lower[i] - rates[i]))
         at[i] = now[i] + h * spare[i]
     status = evaluate(system, at, moved)
     if status != Status.DONE:
         return status
+    # keep the larger of the sample and the decayed earlier samples
     for i in range(n):
         sample = abs(spare[i])
         if i < system.nq:

@@ -1,9 +1,13 @@
-"""Exchange of constraint rows between two steps of a run, see `newton_euler.equations.row_choice`.
+"""Exchange redundant constraint rows between two steps of a run, so that the rows in use stay independent.
 
-A compiled function finds the shares of the rows in use in those that are left out, after each step. Where one
-has become large, Python exchanges rows. The state does not change, only the flags behind it.
+A constraint row is one scalar constraint equation. If constraints are redundant, each row that is left out is
+a linear combination of the rows in use. The coefficients, called *shares*, may depend on the configuration
+(`newton_euler.equations.row_choice`). A compiled function computes the shares after each step. If a share
+becomes large, Python exchanges the two rows: it changes the flags of the rows, which follow the state and the
+time in the vector x.
 
-Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
+Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
+Python.
 """
 
 from __future__ import annotations
@@ -15,23 +19,25 @@ import numpy as np
 from newton_euler.codegen.native import Callback, Record, Vector, native
 
 MAX_SHARE = 1.5
-"""Share of a row in use in one that is left out, above which rows are exchanged. What is left of the first at
-the end of a step counts so many times in the second; without projection twice the share costs a digit."""
+"""Share above which rows are exchanged. The constraint violation of a row in use appears in the row that is
+left out, multiplied by the share. Without projection, twice this share costs a digit."""
 
 EXCHANGED = -1.0
-"""Value that Python writes in place of the squared share after it has exchanged rows."""
+"""Value that Python writes in place of the squared share to report that rows were exchanged."""
 
 
 @dataclass(frozen=True, eq=False)
 class RowExchange(Record):
-    """The exchangeable rows of a scene.
+    """The exchangeable constraint rows of a scene, and the functions that exchange them.
+
+    Both functions take x (inputs,), a state with time, flags and parameters, and write to `found`.
 
     Attributes:
-        count: their number, 0 for most scenes.
-        first: place of their flags in x (inputs,).
-        shares: the square of the largest share at x, then nonzeros of all rows.
-        exchange: changes the flags in x to those of better rows, and writes `EXCHANGED`.
-        found: what both write.
+        count: number of exchangeable rows, 0 for most scenes.
+        first: index of the first of their flags in x.
+        shares: writes the square of the largest share, then the nonzeros of all rows.
+        exchange: changes the flags in x to those of a better choice of rows, and writes `EXCHANGED`.
+        found: vector that both functions write to.
     """
 
     count: int
@@ -42,13 +48,18 @@ class RowExchange(Record):
 
 
 def no_exchange(first: int) -> RowExchange:
-    """Return the record of a scene without exchangeable rows, whose flags would begin at a place in x."""
+    """Return the record of a scene without exchangeable rows; `first` is the index of flags in x, if any."""
     return RowExchange(0, first, None, None, np.zeros(1))
 
 
 @native
 def exchange_rows(rows: RowExchange, x: Vector) -> int:
-    """Exchange rows if a share is too large at x (inputs,); return 1 if other rows are in use now."""
+    """Exchange rows if a share is larger than `MAX_SHARE`; return 1 if the rows in use have changed, else 0.
+
+    Args:
+        rows: exchangeable rows of the scene.
+        x: state with time, flags and parameters (inputs,), whose flags may change.
+    """
     if rows.count == 0:
         return 0
     rows.shares(x, rows.found)
@@ -59,6 +70,6 @@ def exchange_rows(rows: RowExchange, x: Vector) -> int:
 
 @native
 def copy_flags(rows: RowExchange, source: Vector, x: Vector) -> None:
-    """Copy the flags of one x (inputs,) to another."""
+    """Copy the flags of constraint rows from `source` to x, both states with time, flags and parameters."""
     for i in range(rows.first, rows.first + rows.count):
         x[i] = source[i]

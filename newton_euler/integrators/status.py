@@ -1,4 +1,4 @@
-"""Statuses of steps, projections and runs: one vocabulary for all methods, with the message of each."""
+"""Result of a step, a projection or a run of an integrator, with a message for each case."""
 
 from __future__ import annotations
 
@@ -6,18 +6,21 @@ from enum import IntEnum
 
 
 class Status(IntEnum):
-    """Status of a step, a projection or a run.
+    """Result of a step, a projection or a run: `DONE` or the reason why it stopped.
 
-    Native code sees the number of a status.
+    The compiled integrators return the integer. `newton_euler.compiled.failures` turns it into an exception
+    with the message.
 
     Attributes:
-        message: what the user reads. Fields in braces are filled in by the module that reports the failure:
-            `joint` and `residual` (m or rad), `max_steps`, and `place`, the singular configuration.
+        message: text for the user. `newton_euler.compiled.failures` replaces the fields in braces: `joint`
+        and
+            `residual` (m or rad), `max_steps`, and `place`, a description of the singular configuration.
     """
 
     message: str
 
     def __new__(cls, number: int, message: str = "") -> Status:
+        """Make a member with its number and its message."""
         status = int.__new__(cls, number)
         status._value_ = number
         status.message = message

@@ -1,13 +1,19 @@
-"""Contract between methods of integration and the scenes that they integrate: records, counts and statuses.
+"""Interface between the integrators and the equations that they integrate, and steps that all of them share.
 
-Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
+An integrator gets two records: `Equations` has the functions of a scene, `Table` has the runs and the output
+times. The input of every function is one vector, a *state with time and parameters*: the n numbers (q, v),
+the time, flags of constraint rows, and the parameters of the scene. A flag leaves out a redundant constraint
+row; flags may change between steps. Parameters stay constant.
 
-A state is a vector of n numbers y = (q, v), followed by the time, the flags of exchangeable constraint rows
-and the scene's parameters. Callbacks read all of it; methods leave the parameters alone, and flags change
-between steps. Methods make one run after another; several at once, one in each lane, if they are compiled for
-that (`newton_euler.codegen.translate`). A derivative callback writes n rates and, in
-place n, the pivot ratio of its elimination: a number that is not positive where the equations are too close
-to singular to be trusted.
+A derivative function writes the n rates and, in place n, the *pivot ratio* of its elimination. The pivot
+ratio measures the distance to a singular configuration, where constraints become dependent: 1 far away, and
+0 or less where the rates cannot be trusted.
+
+A compiled integrator makes one run after another. It can also make several runs at once, each in one *lane*
+of the processor's vector registers (`newton_euler.codegen.translate`).
+
+Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
+Python.
 """
 
 from __future__ import annotations
@@ -25,18 +31,20 @@ from newton_euler.scalars import Array
 
 
 class Count(IntEnum):
-    """Places in the vector of counts of a run.
+    """Indices into the vector of counts of a run.
 
     Attributes:
-        STEPS, EVALUATIONS, REJECTED, DENSE_CALLS: numbers of accepted steps, of evaluated rates, of rejected
-            steps and of evaluations by the dense form.
-        TIME_REACHED: s.
+        STEPS: number of accepted steps.
+        EVALUATIONS: number of evaluations of the rates.
+        REJECTED: number of rejected steps.
+        DENSE_CALLS: number of evaluations of the rates by the dense, rank-revealing form.
+        TIME_REACHED: time, s, that the run has reached.
         STOP_REQUEST: 0, `STOP_ALL_RUNS` or `LEAVE_LANE`.
-        ROWS_WRITTEN: rows of the table of states.
-        SHORT_STEPS: consecutive steps below the fraction `SHORT_STEP_FRACTION` of the whole time.
-        STATUS: how the run ended, a `Status`.
-        ROUND_OFF_EXCESS: the largest error estimate, in units of the tolerance, of an accepted step whose
-            estimate is explained by round-off.
+        ROWS_WRITTEN: number of output times whose states are written.
+        SHORT_STEPS: number of consecutive steps shorter than `SHORT_STEP_FRACTION` of the run.
+        STATUS: number of the `Status` with which the run ended.
+        ROUND_OFF_EXCESS: largest error estimate of an accepted step, in units of the tolerance, that was
+            accepted because round-off explains it; else 0.
     """
 
     STEPS = 0
@@ -52,55 +60,65 @@ class Count(IntEnum):
 
 
 COUNTS = len(Count)
+"""Length of the vector of counts of a run."""
 
 STOP_ALL_RUNS, LEAVE_LANE = 1.0, 2.0
-"""Values of `Count.STOP_REQUEST`: no more runs are made, or this run is left to other code."""
+"""Values of `Count.STOP_REQUEST`: make no more runs, or stop this run because other code will make it again
+alone, outside its lane."""
 
 STEPS_PER_PAUSE = 64
-"""Steps after which Python is given a chance to see that the user wants to stop."""
+"""Number of steps after which Python checks whether the user wants to interrupt the run."""
 
 EPS = 2.3e-16
-"""Distance of doubles near 1."""
+"""Relative spacing of double-precision numbers, rounded up."""
 
 SHORT_STEP_FRACTION, MAX_SHORT_STEPS = 1e-10, 1000
-"""An adaptive method gets nowhere if so many steps in a row are below this share of the whole."""
+"""An adaptive integrator stops with `Status.STEP_TOO_SMALL` after more than `MAX_SHORT_STEPS` consecutive
+steps
+that are shorter than the fraction `SHORT_STEP_FRACTION` of the run."""
 
 HUGE = 1e300
-"""A sum of rates that is not below it is not finite."""
+"""Stands for infinity: a value that is not below it, NaN included, counts as not finite."""
 
 ANGLE, QUATERNION, QUATERNION_WITH_RATES = 1.0, 2.0, 3.0
-"""Marks of coordinates, in the vector `marks`: those that mean the same after a full revolution, and the
-first of four Euler parameters, whose velocities are an angular velocity or their own rates at the same
-places."""
+"""Values in `Equations.marks`. `ANGLE`: a coordinate with period 2 pi. `QUATERNION`: the first of four Euler
+parameters whose velocities are an angular velocity. `QUATERNION_WITH_RATES`: the first of four Euler
+parameters
+whose velocities are their own time derivatives, at the same places in v."""
 
 
 @dataclass(frozen=True, eq=False)
 class Equations(Record):
-    """The equations of motion and constraints of a scene, as steppers call them.
+    """The equations of motion and the constraints of a scene, as functions that integrators call.
 
-    `position` writes the state after one Newton step, `velocity` one with its velocities projected; both
-    write the squared residual at their argument in place n and their pivot ratio after it, and take several
-    states side by side, one per lane. `closing` is for where their pivot ratio is too small.
+    The functions take a state with time and parameters, (inputs,). They write into their second argument.
 
     Attributes:
-        n, nq: lengths of a state (q, v) and of q.
+        n: length of a state (q, v).
+        nq: length of the coordinates q.
         inputs: length of a state with time and parameters.
-        derivative, dense: rates and pivot ratio of a state, compiled, and by the dense form.
+        derivative: writes the rates (n,) and the pivot ratio by the compiled sparse elimination.
+        dense: writes the same by a dense, rank-revealing form, which is slower and works in singular
+            configurations.
         loses_rank: 1 if constraints may become dependent in some configuration, else 0.
-        ratio: pivot ratio of the constraints alone.
-        projecting: 1 if states are kept on the constraints, else 0.
-        tolerance: dimensionless residual below which projection has nothing to do.
-        open_tolerance: dimensionless residual that a constraint may have after projection.
-        lanes: number of states that `position` and `velocity` take; 1 if each lane has a run of its own.
-        position, velocity: projection.
-        closing: projection by the dense form.
-        exchange: constraint rows among which a run chooses.
-        projection_work: (inputs + n + 3, lanes) scratch.
-        pause: asks whether the user wants to stop.
-        marks: (n,) of angles and Euler parameters.
+        ratio: pivot ratio of the constraints alone, without masses.
+        projecting: 1 if states are projected onto the constraints after each step, else 0.
+        tolerance: dimensionless constraint residual below which a state is not projected.
+        open_tolerance: largest dimensionless residual that a constraint may have after projection.
+        lanes: number of states that `position` and `velocity` take at once; 1 if each lane has another run.
+        position: writes (n + 2, lanes): the state after one Newton step towards the constraints, the squared
+            residual before the step, and the pivot ratio of the Newton step.
+        velocity: writes (n + 2, lanes): the state with its velocities projected, the squared residual of the
+            coordinates, and the pivot ratio.
+        closing: projection by the dense form, for states where these pivot ratios are too small.
+        exchange: redundant constraint rows, which a run may exchange for each other.
+        projection_work: (inputs + n + 3, lanes) scratch of the projection.
+        pause: writes a value other than 0 into its second argument if the user wants to stop.
+        marks: (n,) `ANGLE`, `QUATERNION` or `QUATERNION_WITH_RATES`, and 0 for other coordinates.
         groups: number of groups of coordinates and velocities that constraints connect.
-        members: their places, see `newton_euler.compiled.constraint_groups.group_places`.
-        counts: (COUNTS,) of the current run.
+        members: indices into (q, v) of each group, as `newton_euler.compiled.constraint_groups.group_places`
+            writes them.
+        counts: (COUNTS,) counts of the current run, see `Count`.
     """
 
     n: int
@@ -128,18 +146,20 @@ class Equations(Record):
 
 @dataclass(frozen=True, eq=False)
 class Table(Record):
-    """Runs, and their states at the output times.
+    """The runs to make: their start states, and room for their states at the output times.
 
     Attributes:
-        count: of output times.
-        output_state_size: number of elements of a state that outputs need, nq or n; the others are anything.
-        runs: their number.
-        stride: from a run to the next that is made after it: 1, or the number of lanes.
-        first: (1,) number of the first run.
-        times: (count,) s.
-        ends: (runs, inputs) states with time and parameters: where runs start, and, once they are made, end.
-        states: (runs, count, n).
-        tallies: (runs, COUNTS) of the runs that are made.
+        count: number of output times.
+        output_state_size: nq if outputs need coordinates only, n if they need velocities too. Elements of the
+            output states beyond this number may be undefined.
+        runs: number of runs.
+        stride: step from one run to the next run that the same lane makes: 1, or the number of lanes.
+        first: (1,) number of the first run of a lane.
+        times: (count,) output times, s, ascending; the first is the start and the last is the end of a run.
+        ends: (runs, inputs) states with time and parameters: start states, which the integrator overwrites
+            with the end states.
+        states: (runs, count, n) states at the output times.
+        tallies: (runs, COUNTS) counts of the completed runs, see `Count`.
     """
 
     count: int
@@ -153,11 +173,12 @@ class Table(Record):
     tallies: Shared
 
 
-def counted(counts: Array) -> dict[str, float]:
+def reported_counts(counts: Array) -> dict[str, float]:
     """Return the counts of a run, (COUNTS,), that are of interest to users, by name.
 
-    If round-off explains error estimates beyond the tolerance, "round_off" is the largest of them in units of
-    the tolerance.
+    The entry "round_off" exists only if steps were accepted although their error estimate exceeded the
+    tolerance, because round-off explains it. Its value is the largest such estimate in units of the
+    tolerance.
     """
     names = {
         "steps": Count.STEPS,
@@ -165,15 +186,18 @@ def counted(counts: Array) -> dict[str, float]:
         "evaluations": Count.EVALUATIONS,
         "dense": Count.DENSE_CALLS,
     }
-    found: dict[str, float] = {name: int(counts[place]) for name, place in names.items()}
-    return found | (
-        {"round_off": float(counts[Count.ROUND_OFF_EXCESS])} if counts[Count.ROUND_OFF_EXCESS] > 0.0 else {}
-    )
+    by_name: dict[str, float] = {name: int(counts[index]) for name, index in names.items()}
+    if counts[Count.ROUND_OFF_EXCESS] > 0.0:
+        by_name["round_off"] = float(counts[Count.ROUND_OFF_EXCESS])
+    return by_name
 
 
 @native
 def stop_request(system: Equations) -> int:
-    """Return the wish to stop, 0 if there is none; the user's is asked for every `STEPS_PER_PAUSE` steps."""
+    """Return `Count.STOP_REQUEST`, 0 if nothing wants the run to stop.
+
+    Every `STEPS_PER_PAUSE` steps `pause` checks whether the user has interrupted the run.
+    """
     counts = system.counts
     if int(counts[Count.STEPS] + counts[Count.REJECTED]) % STEPS_PER_PAUSE == STEPS_PER_PAUSE - 1:
         system.pause(counts, counts[Count.STOP_REQUEST :])
@@ -182,7 +206,13 @@ def stop_request(system: Equations) -> int:
 
 @native
 def before_step(system: Equations, table: Table, max_steps: int, h: float, now: Vector) -> Status:
-    """Check that an adaptive method may take a step of size h, of at most `max_steps`."""
+    """Check that an adaptive integrator may take another step; return `Status.DONE` or the reason to stop.
+
+    Args:
+        max_steps: largest number of steps of the run, rejected ones included.
+        h: size of the step, s.
+        now: state with time at the start of the step.
+    """
     counts = system.counts
     counts[Count.TIME_REACHED] = now[system.n]
     if counts[Count.STEPS] + counts[Count.REJECTED] >= max_steps:
@@ -198,7 +228,7 @@ def before_step(system: Equations, table: Table, max_steps: int, h: float, now: 
 
 @native
 def start_run(system: Equations, table: Table, run: int, now: Vector) -> None:
-    """Go to the start of a run."""
+    """Copy the start state of run number `run` into `now`, and set its counts to zero."""
     start = table.ends[system.inputs * run :]
     for i in range(system.inputs):
         now[i] = start[i]
@@ -209,7 +239,15 @@ def start_run(system: Equations, table: Table, run: int, now: Vector) -> None:
 
 @native
 def finish_run(system: Equations, table: Table, run: int, status: int, now: Vector) -> int:
-    """Write where and how a run ended; returns the number of the next one, if there is to be one."""
+    """Write the end state and the counts of a run into the table; return the number of the next run.
+
+    The number is at least `table.runs` if no other run is to be made.
+
+    Args:
+        run: number of the run in the table.
+        status: `Status` with which the run ended.
+        now: state with time and parameters at the end.
+    """
     end = table.ends[system.inputs * run :]
     tally = table.tallies[COUNTS * run :]
     counts = system.counts
@@ -227,7 +265,7 @@ def finish_run(system: Equations, table: Table, run: int, status: int, now: Vect
 
 @native
 def write_row(system: Equations, states: Vector, row: int, state: Vector) -> None:
-    """Write a state into a row of those of a run."""
+    """Write a state (n,) into row number `row` of the states (count, n) of a run."""
     here = states[system.n * row :]
     for i in range(system.n):
         here[i] = state[i]
@@ -236,10 +274,14 @@ def write_row(system: Equations, states: Vector, row: int, state: Vector) -> Non
 
 @native
 def unwind_angles(system: Equations, x: Vector, before: Vector) -> None:
-    """Take full revolutions off the marked angles; `before` moves along.
+    """Bring marked angles of the state x back into -pi to pi by a full revolution.
 
-    An angle of many revolutions has fewer digits than its sine needs, and a tolerance relative to it would
-    let steps grow with it.
+    A large angle has too few digits after the decimal point for an accurate sine. A tolerance relative to the
+    angle would also allow larger errors after many revolutions.
+
+    Args:
+        x: state (n,), changed.
+        before: another state (n,) of the same run, whose angles change by the same revolution.
     """
     for i in range(system.n):
         if system.marks[i] == ANGLE and abs(x[i]) > pi:
@@ -250,15 +292,19 @@ def unwind_angles(system: Equations, x: Vector, before: Vector) -> None:
 
 @native
 def normalize_quaternions(system: Equations, x: Vector, before: Vector) -> None:
-    """Give marked Euler parameters p norm 1, whatever a run does about its constraints.
+    """Normalize the marked Euler parameters p = (w, x, y, z) of the state x, with or without projection.
 
-    A norm n would scale rotations by n^2. It is one of coordinates, not of the mechanism: no drift that
-    one would want to see. Rates become those of the same angular velocity of the body, 2 L pdot / n^2 at
-    `before`, where they were taken (paper, equation 11); that may be x itself.
+    Euler parameters of norm r would scale vectors by r^2 instead of only rotating them. If the velocities are
+    the rates pdot, they become the rates of the same angular velocity 2 L pdot / r^2 (paper, equation 11).
+
+    Args:
+        x: state (n,), changed.
+        before: state (n,) with the Euler parameters for which the rates in x hold; may be x itself.
     """
     nq = system.nq
     for i in range(nq):
         if system.marks[i] >= QUATERNION:
+            # norm of p in x, squared norm of p = (a, b, c, d) in `before`
             a = before[i]
             b = before[i + 1]
             c = before[i + 2]
@@ -268,6 +314,7 @@ def normalize_quaternions(system: Equations, x: Vector, before: Vector) -> None:
             for j in range(4):
                 x[i + j] = x[i + j] / norm
             if system.marks[i] == QUATERNION_WITH_RATES:
+                # half the angular velocity (u, v, w) of the body, and the rates that it gives with the new p
                 k = nq + i
                 u = (a * x[k + 1] - b * x[k] - c * x[k + 3] + d * x[k + 2]) / square
                 v = (a * x[k + 2] + b * x[k + 3] - c * x[k] - d * x[k + 1]) / square

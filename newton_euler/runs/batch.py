@@ -37,7 +37,7 @@ from newton_euler.integrators.options import (
     StabilizationName,
     StepControl,
 )
-from newton_euler.integrators.stepper import COUNTS, counted
+from newton_euler.integrators.stepper import COUNTS, reported_counts
 from newton_euler.model.digital_control import Digital
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -96,7 +96,7 @@ class Batch(Sequence[Trajectory]):
         if number in self.errors:
             raise self.errors[number]
         arrays = named(self._compiled, self._runs.results[number])
-        settings = self.settings | counted(self._runs.counts[number])
+        settings = self.settings | reported_counts(self._runs.counts[number])
         found = native_trajectory(self.scene, settings, self.wall_time / len(self), arrays)
         return replace(found, mechanism=self._mechanism(number))
 
@@ -198,7 +198,7 @@ def simulate_batch(
     chosen = formulation, integrator, stabilization, alpha
     batch = make_batch(scene, states, parameters, threads, *chosen, **control)
     batch._compiled.warn()
-    runs = (batch.settings | counted(counts) for counts in batch._runs.counts)
+    runs = (batch.settings | reported_counts(counts) for counts in batch._runs.counts)
     warn_of_round_off(scene, Options.of(integrator, control), runs)
     return batch
 
@@ -250,7 +250,7 @@ def make_batch(
     results[list(errors)] = np.nan
     runs = Runs(starts, results, np.zeros((count, COUNTS)), errors)
     wall_time = _make(runs, compiled, options, workers)
-    settings = compiled.settings | {"threads": workers} | options.chosen()
+    settings = compiled.settings | {"threads": workers} | options.as_settings()
     return Batch(scene, settings, wall_time, dict(sorted(runs.errors.items())), compiled, runs)
 
 

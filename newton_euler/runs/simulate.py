@@ -31,7 +31,7 @@ from newton_euler.integrators.options import (
     StepControl,
     baumgarte_alpha,
 )
-from newton_euler.integrators.stepper import counted
+from newton_euler.integrators.stepper import reported_counts
 from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -180,7 +180,7 @@ class CompiledScene(CompiledEquations):
             )
         results, counts, stopped, wall_time = integrate_intervals(self, x, options)
         arrays = named(self, results)
-        settings = self.settings | options.chosen() | counted(counts)
+        settings = self.settings | options.as_settings() | reported_counts(counts)
         settings |= {"trace_time": self.trace_time, "compile_time": self.compile_time}
         if stopped is None:
             return native_trajectory(self.scene, settings, wall_time, arrays)
@@ -287,7 +287,7 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
         except NewtonEulerError as error:
             stopped = stopped or IntegrationError(t, str(error))
             break
-    settings = settings | options.chosen() | dict(counts)
+    settings = settings | options.as_settings() | dict(counts)
     return trajectory_from(scene, engine, settings, wall_time, evaluations, coupled, stopped)
 
 

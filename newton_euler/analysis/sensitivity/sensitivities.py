@@ -167,7 +167,7 @@ def sensitivities(
     start, directions = Starts(code, labels)(numbers)
     found = FollowedRun(code, options, ("output", "coordinates"))(start, directions)
     # the trajectory, and derivatives in its shapes
-    settings = code.settings | options.chosen() | found.counts
+    settings = code.settings | options.as_settings() | found.counts
     outputs = named(code, found.results)
     signs = outputs["quaternion"].copy()
     run = native_trajectory(scene, settings, found.wall_time, outputs)

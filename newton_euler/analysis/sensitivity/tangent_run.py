@@ -18,10 +18,10 @@ from newton_euler.compiled.outputs import at_rows
 from newton_euler.compiled.run import Integrator
 from newton_euler.equations.parameters import pieces_along
 from newton_euler.errors import OptionError, SensitivityError
-from newton_euler.integrators.options import Options, StepControl, most_steps
+from newton_euler.integrators.options import Options, StepControl, max_adaptive_steps
 from newton_euler.integrators.singular import FAR_PIVOT_RATIO, NEAR_PIVOT_RATIO, UNSAFE_PIVOT_RATIO
 from newton_euler.integrators.status import Status
-from newton_euler.integrators.stepper import COUNTS, HUGE, Count, counted
+from newton_euler.integrators.stepper import COUNTS, HUGE, Count, reported_counts
 from newton_euler.integrators.tangent_steps import carry_tangents, tangent_methods
 from newton_euler.integrators.tangents import TangentCount, Tangents, evaluate_along
 from newton_euler.runs.intervals import Interval, integrate_intervals
@@ -211,7 +211,7 @@ class FollowedRun:
         derivatives = {
             name: found[0] if len(found) == 1 else np.concatenate(found) for name, found in parts.items()
         }
-        return Followed(run.results, derivatives, counted(run.counts), run.wall_time)
+        return Followed(run.results, derivatives, reported_counts(run.counts), run.wall_time)
 
     def _along(
         self, integrator: Integrator, begun: Array, interval: Interval, directions: Array
@@ -256,7 +256,7 @@ class FollowedRun:
             for this program of rates.
         """
         # results, and the record of the native code
-        code, most, rates = self._code, most_steps(self._options), self._code.function(program)
+        code, most, rates = self._code, max_adaptive_steps(self._options), self._code.function(program)
         floor = UNSAFE_PIVOT_RATIO if program == RATES else NEAR_PIVOT_RATIO
         settled = code.function(PROJECTED) if code.projects else None
         functions = {name: code.function(name + ALONG) for name in self._programs}

@@ -17,7 +17,7 @@ from newton_euler.integrators.dense_projection import RESIDUAL_ROUND_OFF
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.projection import project_rows
 from newton_euler.integrators.status import Status
-from newton_euler.integrators.stepper import COUNTS, Count, Table, counted
+from newton_euler.integrators.stepper import COUNTS, Count, Table, reported_counts
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.reading.excitation import random_states
 from newton_euler.runs.simulate import CompiledScene
@@ -118,7 +118,7 @@ def one_by_one(code, x, options):
         except IntegrationError as error:
             results[k] = np.nan
             errors[k] = str(error)
-        counts.append(counted(integrator.counts))
+        counts.append(reported_counts(integrator.counts))
     return results, counts, errors
 
 
@@ -134,7 +134,7 @@ def in_groups(code, x, options, groups):
     for group in groups:
         make(runs, np.array(group))
     errors = {k: str(error) for k, error in sorted(runs.errors.items())}
-    return runs.results, [counted(counts) for counts in runs.counts], errors
+    return runs.results, [reported_counts(counts) for counts in runs.counts], errors
 
 
 @pytest.mark.parametrize(
