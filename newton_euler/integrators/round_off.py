@@ -33,8 +33,7 @@ stability look like round-off, too. Three evaluations in 24 steps are 1 % of all
 
 SAMPLE_DECAY = 0.97
 """Factor for earlier samples of the round-off at each new sample. The largest of them counts, because a
-single
-sample may be small by chance."""
+single sample may be small by chance."""
 
 
 @native

@@ -74,8 +74,7 @@ EPS = 2.3e-16
 
 SHORT_STEP_FRACTION, MAX_SHORT_STEPS = 1e-10, 1000
 """An adaptive integrator stops with `Status.STEP_TOO_SMALL` after more than `MAX_SHORT_STEPS` consecutive
-steps
-that are shorter than the fraction `SHORT_STEP_FRACTION` of the run."""
+steps that are shorter than the fraction `SHORT_STEP_FRACTION` of the run."""
 
 HUGE = 1e300
 """Stands for infinity: a value that is not below it, NaN included, counts as not finite."""
@@ -83,8 +82,7 @@ HUGE = 1e300
 ANGLE, QUATERNION, QUATERNION_WITH_RATES = 1.0, 2.0, 3.0
 """Values in `Equations.marks`. `ANGLE`: a coordinate with period 2 pi. `QUATERNION`: the first of four Euler
 parameters whose velocities are an angular velocity. `QUATERNION_WITH_RATES`: the first of four Euler
-parameters
-whose velocities are their own time derivatives, at the same places in v."""
+parameters whose velocities are their own time derivatives, at the same places in v."""
 
 
 @dataclass(frozen=True, eq=False)
