@@ -1,12 +1,17 @@
-"""Projection next to a singular configuration, by a dense form that tells weak constraints from strong ones.
+"""Projection of a state onto the constraints near a singular configuration, where constraints become
+dependent.
 
-Corrections are M^-1 J^T times multipliers, the direction in which wrong multipliers lead a run astray: what
-they did is undone, whatever it was, as far as constraints are strong enough. With L the Cholesky factor of
-the metric, the columns of L^-1 J^T become orthonormal ones, the longest that is left first (modified
-Gram-Schmidt with column pivoting: G. H. Golub, C. F. Van Loan, Matrix Computations, fourth edition, Johns
-Hopkins 2013, sections 5.2.8 and 5.4.2). What is left of weak constraints is short, and is left out.
+The projection moves the state along M^-1 J^T, with the mass matrix M and the constraint Jacobian J. Errors of
+constraint forces move a state along the same directions, so the projection undoes them. With L the Cholesky
+factor of the metric (M + J^T J), the columns of L^-1 J^T are orthonormalized by the modified Gram-Schmidt
+method with column pivoting (G. H. Golub, C. F. Van Loan, Matrix Computations, fourth edition, Johns Hopkins
+2013, sections 5.2.8 and 5.4.2). A constraint whose remaining column is short depends almost completely on the
+others. It is called *weak* and corrects nothing.
 
-Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
+`close` projects one state. `newton_euler.integrators.projection` calls it if its faster sparse form fails.
+
+Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
+Python.
 """
 
 from __future__ import annotations
@@ -22,42 +27,50 @@ from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.scalars import Array
 
 MAX_DENSE_ITERATIONS = 20
-"""Newton's steps at most, of which each makes residuals half as large or is the last."""
+"""Largest number of Newton steps. A step that does not halve the residual at least is the last one."""
 
 RESIDUAL_ROUND_OFF = 16.0 * np.finfo(float).eps
-"""Residuals below this share of the mechanism's size are what evaluating them loses."""
+"""Constraint residual, as a fraction of the mechanism's size, below which it is only round-off."""
 
 REUSE_JACOBIAN_BELOW = 1e-12
-"""Dimensionless residual that a Newton step of 1e-6 leaves. The next one may do with the same Jacobian: it
-leaves 1e-6 / `WEAK_CONSTRAINT_LENGTH` of the residual at most."""
+"""Dimensionless residual below which the next Newton step uses the same Jacobian again. A Newton step of size
+1e-6 leaves such a residual, and the old Jacobian leaves at most 1e-6 / `WEAK_CONSTRAINT_LENGTH` of it."""
 
 WEAK_CONSTRAINT_LENGTH = 3e-5
-"""Dimensionless length, as a share of the longest, below which a column of what constraints measure says too
-little to correct a state by it: the correction of a velocity would have the round-off of its residual divided
-by the square."""
+"""Length of a remaining column of L^-1 J^T, as a fraction of the longest one, below which its constraint is
+weak and corrects nothing. A correction would divide the round-off of the residual by the square of this
+length."""
 
 
 @dataclass(frozen=True, eq=False)
 class Closing(Record):
-    """The constraints and the mass matrix of a scene, all dimensionless, and scratch to close it.
+    """Dimensionless constraints and mass matrix of a scene, and working memory for the projection.
+
+    Phi are the constraint equations, Phi_q is their Jacobian, M is the mass matrix.
 
     Attributes:
-        nq, nv: lengths of q and v.
+        nq, nv: lengths of the coordinates q and of the velocities v.
         inputs: length of a state with time and parameters.
-        constraints: k, their number; negative before `prepare` has been called.
-        on_jacobian, on_mass: numbers of nonzeros.
-        prepare: fills in this record.
-        retract: q (nq,) moved by the step (nv,) that x (inputs,) has in place of velocities, SI.
-        evaluate: Phi (k,), dPhi/dt (k,), nonzeros of Phi_q (k, nv) and of M (nv, nv) at x (inputs,).
-        places: of these nonzeros in the whole matrices, row by row.
-        units: (nv,) of v, SI.
-        at, moved, found: (inputs,), (nq,) and what `evaluate` writes: where it is, and scratch.
-        rows, lower: (k, nv) and (nv, nv) Phi_q and the factor of the metric.
-        basis, shares: (r, nv) orthonormal vectors that span what strong constraints measure, r = min(k, nv),
-            longest first, and (r, k) the share that constraints have in each.
-        chosen, inverse: (r,) which constraint each vector was made of, and its inverse length, 0 for what is
-            weak.
-        lengths, rest, step: (k,), (k,) and (nv,) scratch.
+        constraints: number k of constraints; negative before `prepare` has filled in this record.
+        on_jacobian, on_mass: numbers of nonzeros of Phi_q and of M.
+        prepare: compiles the functions and fills in this record when a run first needs them.
+        retract: writes q (nq,) moved by a step (nv,), SI. The step is in the place of the velocities in the
+            argument, a state with time and parameters.
+        evaluate: writes Phi (k,), dPhi/dt (k,), the nonzeros of Phi_q (k, nv) and of M (nv, nv) at a state.
+        places: indices of these nonzeros in the full matrices, row by row.
+        units: (nv,) natural magnitudes of v, SI.
+        at: (inputs,) present state of the iteration.
+        moved: (nq,) scratch for `retract`.
+        found: results of `evaluate`.
+        rows: (k, nv) Phi_q, later the columns of L^-1 Phi_q^T.
+        lower: (nv, nv) metric, later its Cholesky factor L.
+        basis: (r, nv) orthonormal vectors, r = min(k, nv), in the order in which they were chosen.
+        shares: (r, k) component of each constraint along each of these vectors.
+        chosen: (r,) number of the constraint that each vector was made from.
+        inverse: (r,) inverse length of its column, 0 for a weak constraint.
+        lengths: (k,) squared lengths of the remaining columns.
+        rest: (k,) remaining residuals.
+        step: (nv,) correction of the state, SI.
     """
 
     nq: int
@@ -86,7 +99,10 @@ class Closing(Record):
 
 
 def unprepared(prepare: Callback, nq: int, nv: int) -> Closing:
-    """Return a record that native code has filled in when it is first needed; as it is, nothing closes."""
+    """Return an empty record, which `prepare` fills in when a run first needs it.
+
+    Until then, `close_by` reports that it finds no state on the constraints.
+    """
     nothing = [np.zeros(0)] * 14
     return Closing(nq, nv, 0, -1, 0, 0, prepare, None, None, *nothing)
 
@@ -100,12 +116,18 @@ def closing_of(
     functions: tuple[Any, Any],
     lanes: int = 1,
 ) -> Closing:
-    """Return a record with scratch for a state in each lane.
+    """Return a record with working memory for one state in each lane.
+
+    A lane is one of several runs that compiled code makes at once.
 
     Args:
-        units: (nv,) of v.
-        places: of nonzeros of Phi_q and M in the whole matrices.
-        functions: retract and evaluate.
+        nq: length of q.
+        units: (nv,) natural magnitudes of v, SI.
+        inputs: length of a state with time and parameters.
+        places: indices of the nonzeros of Phi_q and of M in the full matrices, row by row.
+        constraints: number of constraints.
+        functions: `Closing.retract` and `Closing.evaluate`.
+        lanes: number of lanes.
     """
     nv = len(units)
     rank = min(constraints, nv)
@@ -142,10 +164,10 @@ def closing_of(
 
 @native
 def factor_metric(closing: Closing) -> int:
-    """Put Phi_q into its rows and factor the metric of corrections; 1 if it is definite.
+    """Fill in the full Jacobian and factor the metric M + J^T J; return 1 if the metric is definite, else 0.
 
-    It is the mass matrix, of largest diagonal element 1, and, as what the constraints measure costs nothing
-    on them, J^T J: that makes Euler parameters definite.
+    M is scaled so that its largest diagonal element is 1. The term J^T J does not change the projection and
+    makes the metric definite for Euler parameters, whose mass matrix is singular.
     """
     nv = closing.nv
     k = closing.constraints
@@ -193,7 +215,10 @@ def factor_metric(closing: Closing) -> int:
 
 @native
 def orthogonalize(closing: Closing) -> None:
-    """Find the orthonormal vectors that span what strong constraints measure; changes their rows."""
+    """Orthonormalize the columns of L^-1 J^T, longest first; write `basis`, `shares`, `chosen` and `inverse`.
+
+    `rows` are overwritten.
+    """
     nv = closing.nv
     k = closing.constraints
     rows = closing.rows
@@ -243,7 +268,11 @@ def orthogonalize(closing: Closing) -> None:
 
 @native
 def correct(closing: Closing, residuals: Vector) -> None:
-    """Find the step, SI, that undoes residuals (k,) of strong constraints."""
+    """Compute `closing.step`, the change of v or of q that removes the residuals of all but weak constraints.
+
+    Args:
+        residuals: (k,) dimensionless residuals of positions or of velocities.
+    """
     nv = closing.nv
     k = closing.constraints
     lower = closing.lower
@@ -260,7 +289,7 @@ def correct(closing: Closing, residuals: Vector) -> None:
             rest[row] -= length * closing.shares[k * r + row]
         for i in range(nv):
             step[i] += length * closing.basis[nv * r + i]
-    # back substitution: L^T step = what was found
+    # back substitution: solve L^T step = y for the vector y of the loop above
     for m in range(nv):
         i = nv - 1 - m
         left = step[i]
@@ -274,7 +303,7 @@ def correct(closing: Closing, residuals: Vector) -> None:
 
 @native
 def squared(count: int, residuals: Vector) -> float:
-    """Square a vector of residuals."""
+    """Return the sum of squares of the first `count` residuals."""
     square = 0.0
     for i in range(count):
         square += residuals[i] * residuals[i]
@@ -283,8 +312,12 @@ def squared(count: int, residuals: Vector) -> float:
 
 @native
 def close_by(closing: Closing, x: Vector, y: Vector) -> None:
-    """Write into y (nq + nv + 1,) the state on the constraints near that of x (inputs,), and 1.0, or -1.0 if
-    it was not found."""
+    """Project a state onto the constraints by a record that is filled in.
+
+    Args:
+        x: state with time and parameters (inputs,).
+        y: (nq + nv + 1,) written: the projected state, then 1.0 for success or -1.0 for failure.
+    """
     nq = closing.nq
     nv = closing.nv
     k = closing.constraints
@@ -336,7 +369,7 @@ def close_by(closing: Closing, x: Vector, y: Vector) -> None:
     # fail if the loops stay open
     if not left <= CLOSURE_TOLERANCE * CLOSURE_TOLERANCE:
         return
-    # velocities: two corrections, the second one for the digits
+    # velocities: two corrections, the second one removes the round-off of the first
     for _time in range(2):
         for i in range(nq + nv):
             at[i] = y[i]
@@ -349,7 +382,7 @@ def close_by(closing: Closing, x: Vector, y: Vector) -> None:
 
 @native
 def close(closing: Closing, x: Vector, y: Vector) -> None:
-    """Close a state as `close_by` does, after filling in the record if nothing has yet."""
+    """Project a state onto the constraints as `close_by` does; fill in the record first if it is empty."""
     if closing.constraints < 0:
         closing.prepare(x, y)
     close_by(closing, x, y)

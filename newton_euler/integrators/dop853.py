@@ -1,8 +1,13 @@
-"""DOP853: Runge-Kutta of order 8 with error estimates of orders 5 and 3 and dense output of order 7.
+"""DOP853: explicit Runge-Kutta integrator of order 8 with error control and interpolated outputs.
 
-The pair of Dormand and Prince in the form DOP853: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary
-Differential Equations I, second edition, Springer 1993, section II.5 (step) and II.6 (dense output).
-Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
+The method of Dormand and Prince with error estimates of orders 5 and 3 and dense output (interpolation within
+the step) of order 7: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, second
+edition, Springer 1993, section II.5 (step) and II.6 (dense output). `integrate_dop853` makes all runs of a
+`Table`. Each step adds three things to the book's method: projection onto the constraints, special treatment
+of singular configurations (`newton_euler.integrators.singular`), and a check for round-off.
+
+Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
+Python.
 """
 
 from __future__ import annotations
@@ -19,8 +24,8 @@ from newton_euler.integrators.dop853_tableau import (
     ERROR_3,
     ERROR_5,
     NODES,
-    SECOND,
-    SECOND_OF_STEP,
+    SECOND_NONZERO,
+    SECOND_NONZERO_OF_STEP,
     STAGES,
 )
 from newton_euler.integrators.projection import (
@@ -61,31 +66,34 @@ from newton_euler.integrators.stepper import (
 )
 
 MIN_FIRST_STEP_ULPS = 1e3
-"""Smallest first step in units of the spacing of doubles at its time."""
+"""Smallest first step, in units of the spacing of double-precision numbers near the start time."""
 
 SAFETY, MIN_STEP_FACTOR, MAX_STEP_FACTOR = 0.9, 0.2, 10.0
-"""Factors of the step-size control, as in scipy."""
+"""Step-size control: safety factor, and the smallest and largest ratio of a step to the one before it. The
+values are those of SciPy."""
 
 ERROR_EXPONENT = -1.0 / 8.0
-"""Exponent of the error in the step-size control."""
+"""Exponent of the error estimate in the step-size control: -1 / order."""
 
 
 class Control(IntEnum):
-    """Places in the vector `control` of a run.
+    """Indices into `Dop853.control`, the variables of the step control that a run keeps between steps.
 
     Attributes:
         STEP: size of the next step, s.
-        MAX_GROWTH: the largest factor for the step after the next one.
-        PLACEMENT_TRIES: how often the step was shortened to pass a singular configuration between stages.
-        NEXT_ROW: row of the table that is written next.
-        UNCLIPPED_STEP: the size, s, before the step was shortened to end with the run.
-        OVERSHOOTS_END: 1 if steps may go beyond the end of the run, else 0.
-        STARTS_SINGULAR: 1 until the run has left a singular configuration where it began, then 0.
-        ERROR_RATIO: the squared error estimates of order 3 over those of order 5 of the last step.
-        ROUND_OFF_MARK: 1 if round-off made most of the error estimate when it was measured last. A negative
-            number counts the steps that look like round-off until it is measured again.
-        PROJECTION_CHANGE: the change by projection for which the step was rejected last, in tolerances.
-        PROJECTION_NOISE: the change by projection of the step accepted last if it was 1 or more, else 0.
+        MAX_GROWTH: largest allowed ratio of the step after the next one to the next one.
+        PLACEMENT_TRIES: number of times that this step was shortened so that a singular configuration lies
+            between two of its stages.
+        NEXT_ROW: index of the output time that is written next.
+        UNCLIPPED_STEP: size of the step, s, before it was shortened to end with the run.
+        OVERSHOOTS_END: 1 if the last step may go beyond the end of the run, else 0.
+        STARTS_SINGULAR: 1 until the run has left a singular configuration in which it started, then 0.
+        ERROR_RATIO: ratio of the squared error estimates of orders 3 and 5 of the last step.
+        ROUND_OFF_MARK: 1 if round-off dominated the error estimate in the last measurement. If negative,
+            minus the number of suspicious steps to skip before the next measurement.
+        PROJECTION_CHANGE: change of the state by projection, in units of the tolerance, for which the last
+            try of this step was rejected; `HUGE` if it was not.
+        PROJECTION_NOISE: change by projection of the last accepted step if it was 1 or more, else 0.
     """
 
     STEP = 0
@@ -102,35 +110,34 @@ class Control(IntEnum):
 
 
 CONTROLS = len(Control)
+"""Length of the vector `Dop853.control`."""
 
 FAILED_STEP_ERROR = 1e10
-"""Stands for the error of a step that could not be evaluated or projected."""
+"""Error, in units of the tolerance, of a step that could not be evaluated or projected: it is rejected."""
 
 
 @dataclass(frozen=True, eq=False)
 class Dop853(Record):
-    """The method and its state.
+    """Options of DOP853 and its working memory for one run.
 
     Attributes:
-        rtol, atol: tolerances.
-        near_rtol, near_atol: the same next to a singular configuration, which may be larger.
-        max_steps: the largest number of steps.
-        rest: rates, SI, below which a mechanism stays where it is until the end; 0 for never.
-        units: (n,) of the state, SI: numbers below their unit have the absolute round-off of the unit.
-        now, at, end, projected: states with time and parameters: where a step begins, of a stage, where it
-            ends, and the end on the constraints.
-        k: (16, n + 1) derivatives of the stages.
-        terms: (7, n) of the dense output.
-        room: number of steps that are kept, the first ones.
-        steps: (room, n + 2 + flags) states, times and flags where steps begin, and the sizes of the steps.
-        round_off: (n,) of the rates, SI, as measured so far in steps that looked like round-off.
-        control: (CONTROLS,) size of the next step, s, the largest factor for the one after it, tries to place
-            it, the row of the table that is due, the size before the step was cut to end with the run, s, 1
-            if steps may go beyond that end, 1 until the run has left a singular configuration where it
-            began, the ratio of the squared error estimates of orders 3 and 5 of the last step, and 1 if
-            round-off made most of the error estimate where it was measured last, or less than 0: minus the
-            steps that look like round-off until it is measured again, and the change by projection for which
-            the step was rejected last, in units of the tolerance.
+        rtol, atol: relative and absolute tolerance of the error of a step, for each component.
+        near_rtol, near_atol: the same near a singular configuration; they may be larger.
+        max_steps: largest number of steps of a run.
+        rest: threshold of all rates, SI, below which the mechanism counts as at rest until the end of the
+            run; 0 turns this off.
+        units: (n,) natural magnitudes of the state, SI. A number below its unit has the round-off of the
+            unit.
+        now: state with time and parameters at the start of the step.
+        at: the same at a stage of the step.
+        end: the same at the end of the step.
+        projected: the end of the step after projection onto the constraints.
+        k: (16, n + 1) rates and pivot ratio of each stage.
+        terms: (7, n) coefficients of the dense output.
+        room: largest number of steps that are stored in `steps`, from the first step on; 0 for none.
+        steps: (room, n + 2 + flags) state, time and flags at the start of each stored step, and its size, s.
+        round_off: (n,) round-off of the rates, SI, as measured so far.
+        control: (CONTROLS,) variables of the step control, see `Control`.
     """
 
     rtol: float
@@ -154,7 +161,12 @@ class Dop853(Record):
 
 @native
 def store_step(rows: RowExchange, h: float, method: Dop853, number: int) -> None:
-    """Keep a step of size h if there is room for it."""
+    """Store the start and the size of step number `number`, if there is room for it.
+
+    Args:
+        rows: exchangeable constraint rows, whose flags follow the state and the time.
+        h: size of the step, s.
+    """
     count = rows.first + rows.count
     if number < method.room:
         kept = method.steps[(count + 1) * number :]
@@ -165,11 +177,22 @@ def store_step(rows: RowExchange, h: float, method: Dop853, number: int) -> None
 
 @native
 def advance(s: int, h: float, count: int, row: int, x: Vector, k: Vector, at: Vector) -> None:
-    """Advance `count` numbers x to stage s of a step of size h, their rates in the rows of k; into `at`."""
+    """Compute the state of stage s from the rates of the earlier stages.
+
+    Args:
+        s: number of the stage, 1 to 15.
+        h: size of the step, s.
+        count: length of the state.
+        row: length of a row of k.
+        x: (count,) state at the start of the step.
+        k: rates of the earlier stages, one stage in each row.
+        at: (count,) state of the stage, written.
+    """
     weights = COUPLING[16 * s :]
-    second = int(SECOND[s])
+    second = int(SECOND_NONZERO[s])
     part = (count + 3) // 4
-    for i0 in range(part):  # four sums at a time: each has to wait for its last product
+    # four independent sums at a time, because each addition has to wait for the one before it
+    for i0 in range(part):
         i1 = i0 + part if i0 + part < count else i0
         i2 = i0 + 2 * part if i0 + 2 * part < count else i0
         i3 = i0 + 3 * part if i0 + 3 * part < count else i0
@@ -182,16 +205,16 @@ def advance(s: int, h: float, count: int, row: int, x: Vector, k: Vector, at: Ve
             change1 += weights[j] * k[row * j + i1]
             change2 += weights[j] * k[row * j + i2]
             change3 += weights[j] * k[row * j + i3]
-        at[i0] = x[i0] + h * change0  # once, for each sum with the state loses digits
+        # the state is added last, because adding small changes to it one by one would lose digits
+        at[i0] = x[i0] + h * change0
         at[i1] = x[i1] + h * change1
         at[i2] = x[i2] + h * change2
         at[i3] = x[i3] + h * change3
 
 
 @native
-def stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> Status:
-    """Evaluate stage s of a step of size h: its state in `at`, its derivative in row s of k; returns a
-    status."""
+def evaluate_stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> Status:
+    """Evaluate stage s of a step of size h, s: write its state to `at` and its rates to row s of k."""
     n = system.n
     row = n + 1
     advance(s, h, n, row, method.now, method.k, at)
@@ -201,8 +224,14 @@ def stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> St
 
 @native
 def error_norm(system: Equations, h: float, margin: float, method: Dop853) -> float:
-    """Estimate the error of a step, root mean square, in units of the tolerance and `margin` times the
-    round-off that rates add in the step."""
+    """Estimate the error of a step (II.5): the root mean square of the components in units of their scales.
+
+    The scale of a component is its tolerance plus `margin` times the round-off of its rate over the step.
+
+    Args:
+        h: size of the step, s; the rates of all stages are in `method.k`.
+        margin: factor of the round-off, 0 to ignore it.
+    """
     row = system.n + 1
     now = method.now
     end = method.end
@@ -214,7 +243,7 @@ def error_norm(system: Equations, h: float, margin: float, method: Dop853) -> fl
         scale += margin * h * method.round_off[i]
         five = 0.0 + ERROR_5[0] * k[i]
         three = 0.0 + ERROR_3[0] * k[i]
-        for j in range(SECOND_OF_STEP, STAGES):
+        for j in range(SECOND_NONZERO_OF_STEP, STAGES):
             five += ERROR_5[j] * k[row * j + i]
             three += ERROR_3[j] * k[row * j + i]
         fifth += (five / scale) * (five / scale)
@@ -230,9 +259,16 @@ def error_norm(system: Equations, h: float, margin: float, method: Dop853) -> fl
 def prepare_dense(
     h: float, count: int, row: int, stride: int, begun: Vector, end: Vector, k: Vector, terms: Vector
 ) -> None:
-    """Work out the terms of the dense output of `count` numbers in a step of size h, `stride` apart.
+    """Compute the seven terms of the dense output of a step (II.6) from the rates of all sixteen stages.
 
-    All sixteen stages are known, their rates in the rows of k, of which `terms` may take the place.
+    Args:
+        h: size of the step, s.
+        count: length of the state.
+        row: length of a row of k.
+        stride: distance between two terms in `terms`.
+        begun, end: (count,) states at the start and at the end of the step.
+        k: rates of the stages, one stage in each row.
+        terms: the seven terms, written; may be the same memory as k.
     """
     for i in range(count):
         change = end[i] - begun[i]
@@ -242,7 +278,7 @@ def prepare_dense(
         fourth = 0.0 + DENSE[16] * k[i]
         fifth = 0.0 + DENSE[32] * k[i]
         sixth = 0.0 + DENSE[48] * k[i]
-        for j in range(SECOND_OF_STEP, 16):
+        for j in range(SECOND_NONZERO_OF_STEP, 16):
             third += DENSE[j] * k[row * j + i]
             fourth += DENSE[16 + j] * k[row * j + i]
             fifth += DENSE[32 + j] * k[row * j + i]
@@ -257,29 +293,43 @@ def prepare_dense(
 
 
 @native
-def interpolate(count: int, n: int, share: float, method: Dop853, y: Vector) -> None:
-    """Interpolate the first `count` of the n elements of the state at a share (0 to 1) of the step."""
+def interpolate(count: int, n: int, theta: float, method: Dop853, y: Vector) -> None:
+    """Evaluate the dense output (II.6) within a step.
+
+    Args:
+        count: number of elements to interpolate, the first ones of the state.
+        n: length of the state.
+        theta: time in the step, as a fraction 0 to 1.
+        y: (n,) the interpolated state, written.
+    """
     terms = method.terms
-    left = 1.0 - share
-    w1 = share * left
-    w2 = share * w1
+    left = 1.0 - theta
+    w1 = theta * left
+    w2 = theta * w1
     w3 = left * w2
-    w4 = share * w3
+    w4 = theta * w3
     w5 = left * w4
-    w6 = share * w5
+    w6 = theta * w5
     for i in range(count):
-        low = share * terms[i] + w1 * terms[n + i] + w2 * terms[2 * n + i] + w3 * terms[3 * n + i]
+        low = theta * terms[i] + w1 * terms[n + i] + w2 * terms[2 * n + i] + w3 * terms[3 * n + i]
         high = w4 * terms[4 * n + i] + w5 * terms[5 * n + i] + w6 * terms[6 * n + i]
         y[i] = method.now[i] + (low + high)
 
 
 @native
 def first_step(system: Equations, method: Dop853, span: float) -> float:
-    """Choose a first step size (Hairer, Norsett, Wanner, section II.4); k holds the derivative at `now`."""
+    """Choose the size of the first step, s (Hairer, Norsett, Wanner, section II.4, "Starting step size").
+
+    Row 0 of `method.k` holds the rates at the start.
+
+    Args:
+        span: duration of the run, s, the largest possible step.
+    """
     n = system.n
     now = method.now
     at = method.at
     k = method.k
+    # guess from the norms of the state (d0) and of its rates (d1)
     d0 = 0.0
     d1 = 0.0
     for i in range(n):
@@ -289,7 +339,9 @@ def first_step(system: Equations, method: Dop853, span: float) -> float:
     d0 = sqrt(d0 / n)
     d1 = sqrt(d1 / n)
     h = min(1e-6 if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1, span)
-    h = max(h, min(MIN_FIRST_STEP_ULPS * EPS * abs(now[n]), span))  # next to the origin the state says little
+    # a state near zero gives too small a guess: the step must at least change the time
+    h = max(h, min(MIN_FIRST_STEP_ULPS * EPS * abs(now[n]), span))
+    # second derivative (d2) from one explicit Euler step
     for i in range(n):
         at[i] = now[i] + h * k[i]
     at[n] = now[n] + h
@@ -300,6 +352,7 @@ def first_step(system: Equations, method: Dop853, span: float) -> float:
         change = (k[n + 1 + i] - k[i]) / scale
         d2 += change * change
     d2 = sqrt(d2 / n) / h
+    # step for which the error of order 8 is a hundredth of the tolerance
     largest = max(d1, d2)
     wanted = max(1e-6, 1e-3 * h) if largest <= 1e-15 else (0.01 / largest) ** 0.125
     return min(min(100.0 * h, wanted), span)
@@ -307,15 +360,25 @@ def first_step(system: Equations, method: Dop853, span: float) -> float:
 
 @native
 def error_on_constraints(n: int, h: float, closing: Closing, method: Dop853) -> float:
-    """Estimate the error of a step after projection; the projected end is left in row 13 of k.
+    """Estimate the error of a step between projected states, for steps near a singular configuration.
 
-    Near a singular configuration multipliers have few digits. What they add to a state in vain is off
-    the constraints, and no step is short enough for it not to matter.
+    There the constraint forces have few correct digits. Their errors move the state off the constraints, and
+    shorter steps do not help. So the end of the step and the two embedded solutions of lower order are
+    projected first, and the projections are compared. Rows 13 to 15 of k receive the three projected states.
+
+    Args:
+        n: length of the state.
+        h: size of the step, s.
+        closing: projection by the dense form.
+
+    Returns:
+        error in units of the tolerance, or `FAILED_STEP_ERROR` if a projection fails.
     """
     row = n + 1
     at = method.at
     end = method.end
     k = method.k
+    # project the end of the step, and the solutions that differ from it by the estimates of orders 5 and 3
     close(closing, end, k[13 * row :])
     if not k[13 * row + n] > 0.0:
         return FAILED_STEP_ERROR
@@ -334,6 +397,7 @@ def error_on_constraints(n: int, h: float, closing: Closing, method: Dop853) -> 
     close(closing, at, k[15 * row :])
     if not min(k[14 * row + n], k[15 * row + n]) > 0.0:
         return FAILED_STEP_ERROR
+    # combine the differences of the projected states as `error_norm` does
     fifth = 0.0
     third = 0.0
     for i in range(n):
@@ -349,16 +413,23 @@ def error_on_constraints(n: int, h: float, closing: Closing, method: Dop853) -> 
 
 @native
 def write_outputs(system: Equations, table: Table, states: Vector, method: Dop853, near: int) -> Status:
-    """Write rows of a run's states that its step has reached; returns a status."""
+    """Write the states at the output times that an accepted step has reached; return a status.
+
+    Args:
+        states: (count, n) states of the run at the output times.
+        near: 1 for a step near a singular configuration, whose outputs are projected by the dense form.
+    """
     n = system.n
     now = method.now
     times = table.times
     h = method.control[Control.STEP]
+    # the three stages of the dense output
     for s in range(STAGES + 1, 16):
-        status = stage(system, method, s, h, method.at)
+        status = evaluate_stage(system, method, s, h, method.at)
         if status != Status.DONE:
             return status
     prepare_dense(h, n, n + 1, n, now, method.end, method.k, method.terms)
+    # interpolate all rows within the step, then project them together
     due = int(method.control[Control.NEXT_ROW])
     row = due
     while row < table.count and times[row] <= now[n] + h:
@@ -373,7 +444,7 @@ def write_outputs(system: Equations, table: Table, states: Vector, method: Dop85
 
 @native
 def finish_at_rest(system: Equations, table: Table, states: Vector, method: Dop853) -> None:
-    """Write `now` into the rows that are due if it rests, and go to their end."""
+    """End the run if the mechanism is at rest: write the present state to all remaining rows of `states`."""
     n = system.n
     largest = 0.0
     for i in range(system.n):
@@ -387,7 +458,10 @@ def finish_at_rest(system: Equations, table: Table, states: Vector, method: Dop8
 
 @native
 def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853) -> Status:
-    """Begin a run at `now`; returns a status."""
+    """Begin a run at the state `method.now`: project it, write the first output, choose the first step.
+
+    The result is `Status.DONE` or the reason why the run cannot start.
+    """
     now = method.now
     for i in range(system.inputs):
         method.at[i] = now[i]
@@ -421,7 +495,9 @@ def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853
 def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853) -> Status:
     """Try a step (Hairer, Norsett, Wanner, sections II.4 to II.6); return a status.
 
-    If the step is rejected, only the size of the next try changes, and the status is `DONE`.
+    If the step is rejected, the state stays as it is and only the size of the next try changes. The status is
+    `Status.DONE` in both cases. "Step 1" to "step 6" in comments are those of the list in
+    `newton_euler.integrators.singular`.
     """
     n = system.n
     row = n + 1
@@ -445,12 +521,12 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     # the other stages; the last one is evaluated at the end of the step, as the first of the next step
     pivot_ratio = HUGE
     for s in range(1, STAGES + 1):
-        status = stage(system, method, s, h, end if s == STAGES else method.at)
+        status = evaluate_stage(system, method, s, h, end if s == STAGES else method.at)
         if status != Status.DONE:
             break
         pivot_ratio = min(pivot_ratio, k[row * s + n])
-    # reject a clipped step near a singular configuration: no step can end there, so that the
-    # last step goes beyond the end and the end is interpolated (step 5 of `singular`)
+    # reject a clipped step near a singular configuration: no step can end there, so the last step goes beyond
+    # the end of the run, and the end is interpolated (step 5 of `singular`)
     if system.projecting == 1 and pivot_ratio < NEAR_PIVOT_RATIO and control[Control.UNCLIPPED_STEP] > h:
         counts[Count.REJECTED] += 1.0
         control[Control.OVERSHOOTS_END] = 1.0
@@ -470,8 +546,8 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         error = error_norm(system, h, 0.0, method)
         end[n] = now[n] + h
     excess = error
-    # measure round-off if the error estimate does not look like an error of the method: round-off of
-    # the rates is no reason to shorten the step (`newton_euler.integrators.round_off`)
+    # if the error estimate looks like round-off, measure the round-off of the rates and add it to the
+    # tolerance: a shorter step would not reduce it (`newton_euler.integrators.round_off`)
     rough = 0
     if control[Control.ERROR_RATIO] < ROUGH_ERROR_RATIO or (
         control[Control.ROUND_OFF_MARK] == 1.0 and error >= 1.0
@@ -498,7 +574,8 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     if system.projecting == 1 and pivot_ratio < NEAR_PIVOT_RATIO and status == Status.DONE:
         near = 1
         error = min(error, error_on_constraints(n, h, system.closing, method))
-    # and the step is placed so that the configuration lies between two stages (step 4)
+    # and the step is shortened so that the singular configuration lies between two stages (step 4); the pivot
+    # ratios are those at the start, at stage 9 (0.6 of the step) and at the end
     if near == 1 and control[Control.PLACEMENT_TRIES] < MAX_PLACEMENT_TRIES:
         shorter = SAFETY * error**ERROR_EXPONENT if error > 1.0 else 1.0
         wanted = crossing_factor(k[n], k[row * 9 + n], k[row * STAGES + n], shorter)
@@ -579,7 +656,10 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
 
 @native
 def integrate_dop853(system: Equations, table: Table, method: Dop853) -> None:
-    """Make all runs of the table; a lane that has made one takes the next at once."""
+    """Integrate all runs of the table, one after the other.
+
+    In compiled code for several lanes, each lane starts its next run as soon as its run has ended.
+    """
     run = int(table.first[0])
     fresh = 1
     while run < table.runs:

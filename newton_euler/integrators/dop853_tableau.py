@@ -1,14 +1,16 @@
-"""The tableau of DOP853: nodes and weights of stages, error estimates and dense output.
+"""Coefficients (Butcher tableau) of the Runge-Kutta method DOP853, which `dop853` implements.
 
-The pair of Dormand and Prince of order 8 with error estimates of orders 5 and 3: E. Hairer, S. P. Norsett,
-G. Wanner, Solving Ordinary Differential Equations I, second edition, Springer 1993, section II.5 (step) and
-II.6 (dense output).
+DOP853 is the method of Dormand and Prince of order 8 with error estimates of orders 5 and 3 and a dense
+output
+of order 7: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, second edition,
+Springer 1993, section II.5 (step) and II.6 (dense output). Indices start at 0.
 """
 
 from __future__ import annotations
 
 STAGES = 12
-"""Stages of a step; stage 12 is the derivative at its end, stages 13 to 15 serve dense output."""
+"""Number of stages of a step, 0 to 11. Stage 12 is the derivative at the end of the step. Stages 13 to 15 are
+evaluated for dense output only."""
 
 # fmt: off
 NODES = (
@@ -16,7 +18,7 @@ NODES = (
     0.3333333333333333, 0.25, 0.3076923076923077, 0.6512820512820513, 0.6, 0.8571428571428571, 1, 1,
     0.1, 0.2, 0.7777777777777778,
 )
-"""c: where in the step each stage is taken."""
+"""Nodes c of stages 0 to 15: the time of each stage as a fraction of the step."""
 
 COUPLING = (
     0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
@@ -49,22 +51,24 @@ COUPLING = (
     -0.42889630158379194, 0, 0, 0, 0, -4.697621415361164, 7.683421196062599, 4.06898981839711,
     0.3567271874552811, 0, 0, 0, -0.0013990241651590145, 2.9475147891527724, -9.15095847217987, 0,
 )
-"""a, sixteen a row: the weights of earlier stages in the state of each stage."""
+"""Matrix a, 16 x 16 row by row: weights of the rates of earlier stages (columns) in the state of each
+stage."""
 
-SECOND = (1, 1, 1, 2, 2, 3, 3, 3, 3, 3, 3, 3, 5, 6, 5, 5)
-"""The second stage that has a weight in the state of each stage; the first one is stage 0."""
+SECOND_NONZERO = (1, 1, 1, 2, 2, 3, 3, 3, 3, 3, 3, 3, 5, 6, 5, 5)
+"""Column of the second nonzero weight in each row of `COUPLING`. The first nonzero weight is in column 0, so
+a sum over column 0 and the columns from this one on is complete."""
 
 ERROR_3 = (
     -0.18980075407240762, 0, 0, 0, 0, 4.450312892752409, 1.8915178993145003, -5.801203960010585,
     -0.4226823213237919, -0.1521609496625161, 0.20136540080403034, 0.02265179219836082, 0,
 )
-"""Weights of the error estimate of order 3, stages 0 to 12."""
+"""Weights of the rates of stages 0 to 12 in the error estimate of order 3."""
 
 ERROR_5 = (
     0.01312004499419488, 0, 0, 0, 0, -1.2251564463762044, -0.4957589496572502, 1.6643771824549864,
     -0.35032884874997366, 0.3341791187130175, 0.08192320648511571, -0.022355307863886294, 0,
 )
-"""Weights of the error estimate of order 5, stages 0 to 12."""
+"""Weights of the rates of stages 0 to 12 in the error estimate of order 5."""
 
 DENSE = (
     -8.428938276109013, 0, 0, 0, 0, 0.5667149535193777, -3.0689499459498917, 2.38466765651207,
@@ -80,8 +84,10 @@ DENSE = (
     93.40532418362432, -37.45832313645163, 104.0996495089623, 29.8402934266605, -43.53345659001114,
     96.32455395918828, -39.17726167561544, -149.72683625798564,
 )
-"""Weights of stages 0 to 15 in the last four terms of the dense output, sixteen a row."""
+"""Weights of the rates of stages 0 to 15 in the last four of the seven terms of the dense output, one term in
+each row of 16."""
 # fmt: on
 
-SECOND_OF_STEP = 5
-"""The second stage that has a weight in error estimates and dense output; the first one is stage 0."""
+SECOND_NONZERO_OF_STEP = 5
+"""Stage of the second nonzero weight in the error estimates and in the dense output; the first one is stage
+0."""

@@ -1,7 +1,11 @@
-"""Methods with fixed steps: classical Runge-Kutta of order 4 (RK4) and semi-implicit Euler.
+"""Integrators with fixed steps: classical Runge-Kutta of order 4 (RK4) and semi-implicit Euler.
 
-Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well. The time between
-two outputs is divided into equal steps of at most the wanted size.
+`integrate_fixed` makes all runs of a `Table` and writes the states at the output times. The time between two
+outputs is divided into equal steps of at most the requested size. After each step the state is projected onto
+the constraints, unless the run does without projection.
+
+Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
+Python.
 """
 
 from __future__ import annotations
@@ -36,32 +40,39 @@ from newton_euler.integrators.stepper import (
 )
 
 RK4 = FIXED.index("RK4")
+"""Value of `FixedStep.number` for RK4."""
 
 
 class Progress(IntEnum):
-    """Places in the vector `control`: row of the table that is written next, and steps taken towards it."""
+    """Indices into `FixedStep.control`.
+
+    Attributes:
+        NEXT_ROW: index of the output time that is written next.
+        STEPS_TAKEN: number of steps taken since the output before.
+    """
 
     NEXT_ROW = 0
     STEPS_TAKEN = 1
 
 
 RK4_LIMIT = 2.785
-"""Largest product of a gain alpha and a step of RK4 that is stable (E. Hairer, G. Wanner, Solving Ordinary
-Differential Equations II, second edition, Springer 1996, section IV.2)."""
+"""Largest product of the Baumgarte gain alpha, 1/s, and the step, s, for which RK4 is stable (E. Hairer,
+G. Wanner, Solving Ordinary Differential Equations II, second edition, Springer 1996, section IV.2)."""
 
 
 @dataclass(frozen=True, eq=False)
 class FixedStep(Record):
-    """The method and its state.
+    """Options of an integrator with fixed steps and its working memory for one run.
 
     Attributes:
-        number: its place in `FIXED`.
-        step: s, the largest.
-        rate: qdot of a state, for Euler.
-        now, at: states with time and parameters: where a step begins, of a stage.
-        k: (4, n + 1) derivatives of the stages.
-        change: (n,) change of the state in a step of RK4, and where one of Euler began.
-        control: (2,) the row of the table that is due, and steps taken towards it.
+        number: index of the integrator in `newton_euler.integrators.options.FIXED`.
+        step: largest size of a step, s.
+        rate: function that writes the rates of the coordinates, qdot, of a state; only Euler calls it.
+        now: state with time and parameters at the start of the step.
+        at: the same at a stage of the step.
+        k: (4, n + 1) rates and pivot ratio of each stage.
+        change: (n,) change of the state in a step of RK4, or the coordinates at the start of a step of Euler.
+        control: (2,) progress between two outputs, see `Progress`.
     """
 
     number: int
@@ -76,7 +87,7 @@ class FixedStep(Record):
 
 @native
 def divisions(span: float, step: float) -> int:
-    """Count the equal steps of at most `step` that make up a span."""
+    """Return the number of equal steps of at most `step`, s, that a time `span`, s, is divided into."""
     count = int(span / step * (1.0 - 1e-9))
     if float(count) < span / step * (1.0 - 1e-9):
         count += 1
@@ -85,7 +96,13 @@ def divisions(span: float, step: float) -> int:
 
 @native
 def step_rk4(system: Equations, method: FixedStep, h: float, end: float, span: float) -> Status:
-    """Take a step of size h to the time `end` of a run of a span, all s; returns a status."""
+    """Take a step of classical Runge-Kutta and project the end; return a status.
+
+    Args:
+        h: size of the step, s.
+        end: time at the end of the step, s.
+        span: duration of the run, s.
+    """
     n = system.n
     row = n + 1
     now = method.now
@@ -96,6 +113,7 @@ def step_rk4(system: Equations, method: FixedStep, h: float, end: float, span: f
         at[i] = now[i]
         change[i] = 0.0
     at[n] = now[n]
+    # four stages: `change` sums up their rates, `at` becomes the state of the next stage
     pivot_ratio = NEAR_PIVOT_RATIO
     for s in range(4):
         status = evaluate(system, at, k[row * s :])
@@ -108,6 +126,7 @@ def step_rk4(system: Equations, method: FixedStep, h: float, end: float, span: f
             change[i] += weight * k[row * s + i]
             at[i] = now[i] + reach * k[row * s + i]
         at[n] = now[n] + reach
+    # near a singular configuration: check the start of the run, or whether the stages contradict each other
     if pivot_ratio < NEAR_PIVOT_RATIO:
         first = 1 if system.counts[Count.STEPS] == 0.0 else 0
         if k[n] >= UNSAFE_PIVOT_RATIO or (system.projecting == 0 and first == 0):
@@ -125,13 +144,15 @@ def step_rk4(system: Equations, method: FixedStep, h: float, end: float, span: f
 
 @native
 def step_euler(system: Equations, method: FixedStep, h: float, end: float, span: float) -> Status:
-    """Take a step as `step_rk4` does: velocities first, then positions with the new velocities.
+    """Take a step of semi-implicit Euler: velocities first, then positions with the new velocities.
 
-    Near a singular configuration it loses no digits that a method of order 1 would have.
+    Arguments and result are those of `step_rk4`. Near a singular configuration no check is needed: a method
+    of order 1 has fewer digits than round-off destroys there.
 
-    Rates of Euler parameters stand for an angular velocity, which is what goes on from step to step: left to
-    point where they did, they would grow by half of their square times h^2 in a step. What gyroscopic
-    torques add is the method's own, see `newton_euler.integrators.options.FIXED`.
+    If velocities are rates of Euler parameters, each step keeps the angular velocity that they represent.
+    Unchanged rates would no longer be tangential to the unit sphere and would grow by half of their square
+    times h^2 in a step. Euler's own error of gyroscopic torques is described at
+    `newton_euler.integrators.options.FIXED`.
     """
     n = system.n
     nq = system.nq
@@ -143,6 +164,7 @@ def step_euler(system: Equations, method: FixedStep, h: float, end: float, span:
         status = check_singular_start(system, span, 1, now, k)
     if status != Status.DONE:
         return status
+    # velocities, then the rates of the coordinates with the new velocities
     for i in range(nq, n):
         now[i] += h * k[i]
     normalize_quaternions(system, now, now)
@@ -150,6 +172,7 @@ def step_euler(system: Equations, method: FixedStep, h: float, end: float, span:
     for i in range(nq):
         begun[i] = now[i]
         now[i] += h * k[i]
+    # norms of Euler parameters, revolutions of angles, and projection
     now[n] = end
     normalize_quaternions(system, now, begun)
     unwind_angles(system, now, k)
@@ -158,7 +181,7 @@ def step_euler(system: Equations, method: FixedStep, h: float, end: float, span:
 
 @native
 def begin_fixed(system: Equations, states: Vector, method: FixedStep) -> Status:
-    """Begin a run at `now`; returns a status."""
+    """Begin a run at the state `method.now`: project it and write the first output; return a status."""
     for i in range(system.inputs):
         method.at[i] = method.now[i]
     method.control[Progress.NEXT_ROW] = 1.0
@@ -170,12 +193,17 @@ def begin_fixed(system: Equations, states: Vector, method: FixedStep) -> Status:
 
 @native
 def step_fixed(system: Equations, table: Table, states: Vector, method: FixedStep) -> Status:
-    """Take a step towards the row that is due; returns a status."""
+    """Take one step towards the next output time, and write the output if it is reached; return a status.
+
+    Args:
+        states: (count, n) states of the run at the output times.
+    """
     times = table.times
     counts = system.counts
     now = method.now
     due = int(method.control[Progress.NEXT_ROW])
     taken = int(method.control[Progress.STEPS_TAKEN])
+    # equal steps between the output before and the next one
     count = divisions(times[due] - times[due - 1], method.step)
     h = (times[due] - times[due - 1]) / count
     counts[Count.TIME_REACHED] = now[system.n]
@@ -190,6 +218,7 @@ def step_fixed(system: Equations, table: Table, states: Vector, method: FixedSte
         status = step_euler(system, method, h, end, span)
     if status != Status.DONE:
         return status
+    # choose other constraint rows if necessary; write the output after the last of the equal steps
     if exchange_rows(system.exchange, now) == 1:
         copy_flags(system.exchange, now, method.at)
     counts[Count.STEPS] += 1.0
@@ -203,7 +232,10 @@ def step_fixed(system: Equations, table: Table, states: Vector, method: FixedSte
 
 @native
 def integrate_fixed(system: Equations, table: Table, method: FixedStep) -> None:
-    """Make all runs of the table; a lane that has made one takes the next at once."""
+    """Integrate all runs of the table, one after the other.
+
+    In compiled code for several lanes, each lane starts its next run as soon as its run has ended.
+    """
     run = int(table.first[0])
     fresh = 1
     while run < table.runs:

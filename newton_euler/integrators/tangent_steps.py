@@ -29,7 +29,7 @@ from newton_euler.integrators.dop853 import (
     MIN_STEP_FACTOR,
     SAFETY,
 )
-from newton_euler.integrators.dop853_tableau import ERROR_3, ERROR_5, SECOND_OF_STEP, STAGES
+from newton_euler.integrators.dop853_tableau import ERROR_3, ERROR_5, SECOND_NONZERO_OF_STEP, STAGES
 from newton_euler.integrators.singular import NEAR_PIVOT_RATIO
 from newton_euler.integrators.status import Status
 from newton_euler.integrators.stepper import HUGE, STEPS_PER_PAUSE
@@ -78,7 +78,7 @@ def estimate_errors(tangents: Tangents, h: float) -> None:
     for i in range(size):
         five = ERROR_5[0] * k[i]
         three = ERROR_3[0] * k[i]
-        for j in range(SECOND_OF_STEP, STAGES):
+        for j in range(SECOND_NONZERO_OF_STEP, STAGES):
             five += ERROR_5[j] * k[row * j + i]
             three += ERROR_3[j] * k[row * j + i]
         fives[i] = five
