@@ -268,7 +268,7 @@ def orthogonalize(closing: Closing) -> None:
 
 @native
 def correct(closing: Closing, residuals: Vector) -> None:
-    """Compute `closing.step`, the change of v or of q that removes the residuals of all but weak constraints.
+    """Compute `closing.step`; subtracting it from v or q removes the residuals of all but weak constraints.
 
     Args:
         residuals: (k,) dimensionless residuals of positions or of velocities.

@@ -1,14 +1,18 @@
-"""LU factors of dense matrices with partial pivoting, real and complex, for Newton's iterations of implicit
-steppers.
+"""LU factorization of dense real and complex matrices with partial pivoting, for the implicit integrator
+Radau.
 
-Matrices are shifted Jacobians, lambda - J. Rates of hinges and slides are velocities alone, so J begins with
-a block of zeros, as far as the first Euler parameters, and the matrix with a diagonal block of `m` rows:
-eliminated as it stands, it leaves the rest to be pivoted and solved (E. Hairer, G. Wanner, Solving Ordinary
-Differential Equations II, second edition, Springer 1996, section IV.8).
+The matrices are lambda I - J, with the Jacobian J of the rates by the state and a number lambda. The rates of
+joint coordinates are velocities and depend on no coordinate. So J begins with a block of zeros, and the
+matrix begins with a diagonal block of m rows. These rows need no pivoting and no elimination among themselves
+(E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, second edition, Springer 1996, section
+IV.8).
 
-Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well. Matrices are
-stored column by column; a complex one as its real and its imaginary parts in two matrices (Golub and Van
-Loan, Matrix Computations, fourth edition, 2013, section 3.4).
+Matrices are stored column by column: element (i, k) of an (n, n) matrix a is a[n k + i]. A complex matrix is
+stored as two matrices, its real and its imaginary parts. Algorithms: G. H. Golub, C. F. Van Loan, Matrix
+Computations, fourth edition, 2013, section 3.4.
+
+Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
+Python.
 """
 
 from __future__ import annotations
@@ -18,7 +22,10 @@ from newton_euler.codegen.native import Vector, native
 
 @native
 def zero_block(n: int, a: Vector) -> int:
-    """Count the rows of the block of zeros with which a (n, n), by rows or by columns, begins."""
+    """Return the size m of the largest leading (m, m) block of the matrix a (n, n) that is zero.
+
+    The matrix may be stored by rows or by columns.
+    """
     for m in range(n):
         for k in range(m + 1):
             if a[n * m + k] != 0.0 or a[n * k + m] != 0.0:
@@ -36,11 +43,16 @@ def exchange(x: Vector, i: int, j: int) -> None:
 
 @native
 def factor_real(n: int, m: int, a: Vector, pivots: Vector) -> int:
-    """Factor a (n, n), which begins with a diagonal block of m rows, in place; 1 if it is singular, else 0.
+    """Replace a real matrix by its LU factors; return 1 if the matrix is singular, else 0.
 
-    Rows from m on are exchanged as `pivots` (n,) says.
+    Args:
+        n: number of rows and columns.
+        m: size of the leading diagonal block.
+        a: (n, n) matrix, column by column.
+        pivots: (n,) written: in step k, row k was exchanged with row pivots[k].
     """
     for k in range(n):
+        # pivot: the largest element of the column, below the diagonal block
         best = k
         if k >= m:
             for i in range(k + 1, n):
@@ -52,6 +64,7 @@ def factor_real(n: int, m: int, a: Vector, pivots: Vector) -> int:
         if best != k:
             for j in range(n):
                 exchange(a, n * j + k, n * j + best)
+        # eliminate: column of L, then the remaining matrix; rows of the diagonal block need no elimination
         inverse = 1.0 / a[n * k + k]
         below = m if k < m else k + 1
         for i in range(below, n):
@@ -66,7 +79,14 @@ def factor_real(n: int, m: int, a: Vector, pivots: Vector) -> int:
 
 @native
 def solve_real(n: int, m: int, a: Vector, pivots: Vector, x: Vector) -> None:
-    """Solve A x = x (n,) in place by the factors of `factor_real`."""
+    """Solve A y = x and write the solution y to x.
+
+    Args:
+        n, m: as in `factor_real`.
+        a, pivots: factors of A by `factor_real`.
+        x: (n,) right-hand side, overwritten.
+    """
+    # exchange rows, forward substitution with L, back substitution with U
     for k in range(m, n):
         exchange(x, k, int(pivots[k]))
     for k in range(n):
@@ -83,8 +103,14 @@ def solve_real(n: int, m: int, a: Vector, pivots: Vector, x: Vector) -> None:
 
 @native
 def factor_complex(n: int, m: int, a: Vector, b: Vector, pivots: Vector) -> int:
-    """Factor a + ib (n, n) as `factor_real` does; 1 if it is singular, else 0."""
+    """Replace the complex matrix a + ib by its LU factors; return 1 if the matrix is singular, else 0.
+
+    Args:
+        n, m, pivots: as in `factor_real`.
+        a, b: (n, n) real and imaginary parts, column by column.
+    """
     for k in range(n):
+        # pivot: the largest element of the column by |re| + |im|, below the diagonal block
         best = k
         if k >= m:
             size = 0.0
@@ -100,6 +126,7 @@ def factor_complex(n: int, m: int, a: Vector, b: Vector, pivots: Vector) -> int:
             for j in range(n):
                 exchange(a, n * j + k, n * j + best)
                 exchange(b, n * j + k, n * j + best)
+        # inverse of the pivot, re + i im; then eliminate as in `factor_real`
         square = a[n * k + k] * a[n * k + k] + b[n * k + k] * b[n * k + k]
         re = a[n * k + k] / square
         im = -b[n * k + k] / square
@@ -120,7 +147,14 @@ def factor_complex(n: int, m: int, a: Vector, b: Vector, pivots: Vector) -> int:
 
 @native
 def solve_complex(n: int, m: int, a: Vector, b: Vector, pivots: Vector, x: Vector, y: Vector) -> None:
-    """Solve (A + iB) (x + iy) = x + iy (n,) in place by the factors of `factor_complex`."""
+    """Solve a complex linear system with the right-hand side x + iy, and write the solution to x and y.
+
+    Args:
+        n, m: as in `factor_real`.
+        a, b, pivots: factors of the matrix by `factor_complex`.
+        x, y: (n,) real and imaginary parts of the right-hand side, overwritten.
+    """
+    # exchange rows, forward substitution with L, back substitution with U
     for k in range(m, n):
         exchange(x, k, int(pivots[k]))
         exchange(y, k, int(pivots[k]))

@@ -1,12 +1,18 @@
-"""Projection onto the constraints, and the drift that is left without it.
+"""Projection of states onto the constraints, and a check of the constraint violation without projection.
 
-A state is projected after each step: coordinates by Newton's steps of least length, then velocities (E.
-Eich-Soellner, C. Fuehrer, Numerical Methods in Multibody Dynamics, Teubner 1998, chapter 5). There are three
-forms:
+Integration errors open closed loops a little in each step. Projection closes them again: it moves the
+coordinates by Newton steps of least length, then changes the velocities by a least-norm correction
+(E. Eich-Soellner, C. Fuehrer, Numerical Methods in Multibody Dynamics, Teubner 1998, chapter 5). There are
+three forms:
 
-- native, on the compiled `position` and `velocity` of `Equations`; several rows of outputs side by side;
-- in Python, for any `System`: `project_position`, `project_velocity`;
-- next to a singular configuration: `newton_euler.integrators.dense_projection`.
+- `project` and `project_rows` in native code, by the compiled functions `Equations.position` and
+  `Equations.velocity`;
+- `project_position` and `project_velocity` in Python, for any `System`;
+- `newton_euler.integrators.dense_projection`, which both integrators and `project` use near a singular
+  configuration.
+
+Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
+Python.
 """
 
 from __future__ import annotations
@@ -41,37 +47,44 @@ from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
 MAX_NATIVE_ITERATIONS = 10
-"""Newton's steps in native code, which begins near the constraints."""
+"""Largest number of Newton steps in native code, which starts close to the constraints."""
 
 MAX_LANE_ITERATIONS = 3
-"""Largest number of iterations for states in lanes, which dense output has placed close to the
-constraints."""
+"""Largest number of Newton steps for interpolated outputs, which are very close to the constraints and are
+projected together, one state in each lane of a vector register."""
 
 MAX_ITERATIONS = 20
-"""Largest number of iterations in Python, where mechanisms are assembled too."""
+"""Largest number of Newton steps in Python, which also assembles mechanisms from rough initial positions."""
 
 MIN_PIVOT = 1e-10
-"""Pivot ratio of the least-squares problem above which its corrections are more than magnified round-off."""
+"""Smallest pivot ratio (smallest pivot over its usual size) of the least-squares problem for which its
+correction is accurate. Below, `newton_euler.integrators.dense_projection` is used."""
 
 QUADRATIC_RATE = 1e-4
-"""A residual r leaves one of r^2 times a number that grows with the root of 1 / pivot ratio; a hundred such
-are allowed for."""
+"""Factor in the estimate of the residual after a Newton step. A dimensionless residual r leaves about
+c r^2 / sqrt(pivot ratio); the step is the last one if 100 times this, with c = 1, is below the tolerance."""
 
 MIN_SHRINK = 0.5
-"""Factor by which projection has to change a shorter step less than the longer one before it. The change
-falls with a high power of the step; what does not fall is round-off."""
+"""If a rejected step is repeated with a shorter size, projection has to change the state by less than this
+fraction of the change before. A true error falls with a high power of the step size; round-off does not."""
 
 MAX_NOISE_GROWTH = 2.0
-"""Factor by which the round-off in the change by projection may grow from one step to the next."""
+"""Largest factor by which the round-off in the change by projection may grow from one step to the next."""
 
 MAX_DRIFT = 1e-2
-"""Lengths of the mechanism's longest body, or rad, by which a joint may drift without projection before what
-runs on is another mechanism: a hundredth can be seen."""
+"""Largest constraint violation of a joint without projection, in lengths of the longest body or in rad.
+Beyond
+it the run is no longer one of the mechanism: a violation of a hundredth is visible."""
 
 
 @native
 def project_densely(system: Equations, x: Vector, scratch: Vector) -> Status:
-    """Project as `project` does, by the dense form; `scratch` is (n + 1,)."""
+    """Project coordinates and velocities of a state by the dense form; return `DONE` or `OPEN`.
+
+    Args:
+        x: state with time and parameters (inputs,); changed only if the projection succeeds.
+        scratch: (n + 1,) working memory.
+    """
     close(system.closing, x, scratch)
     if not scratch[system.n] > 0.0:
         return Status.OPEN
@@ -82,7 +95,7 @@ def project_densely(system: Equations, x: Vector, scratch: Vector) -> Status:
 
 @native
 def copy_to_lanes(inputs: int, lanes: int, x: Vector, given: Vector) -> None:
-    """Copy x (inputs,) into all lanes of `given` (inputs, lanes)."""
+    """Copy a state x (inputs,) into all lanes of `given` (inputs, lanes)."""
     for i in range(inputs):
         for lane in range(lanes):
             given[lanes * i + lane] = x[i]
@@ -90,16 +103,17 @@ def copy_to_lanes(inputs: int, lanes: int, x: Vector, given: Vector) -> None:
 
 @native
 def project(system: Equations, with_velocities: int, x: Vector) -> Status:
-    """Put a state on the constraints, positions first, velocities if wanted (1 or 0); returns a status.
+    """Project one state onto the constraints, coordinates first, then velocities; return a status.
 
-    After `MAX_NATIVE_ITERATIONS` the residual is found once more, for what the last one left is what counts.
-    x (inputs,) is a state with time and parameters.
+    Args:
+        with_velocities: 1 to project velocities too, 0 for coordinates only.
+        x: state with time and parameters (inputs,), changed.
     """
     n = system.n
     lanes = system.lanes
     found = system.projection_work[lanes * system.inputs :]
     left = HUGE
-    # positions: Newton's iteration
+    # positions: Newton's iteration; the last round only evaluates the residual that the round before left
     for step in range(MAX_NATIVE_ITERATIONS + 1):
         copy_to_lanes(system.inputs, lanes, x, system.projection_work)
         system.position(system.projection_work, found)
@@ -107,7 +121,7 @@ def project(system: Equations, with_velocities: int, x: Vector) -> Status:
             return project_densely(system, x, found)
         before = left
         left = found[lanes * n]
-        # at round-off, or at an end
+        # stop at round-off, if the residual does not halve any more, or after the last step
         if (
             left < system.tolerance * system.tolerance
             or left >= 0.25 * before
@@ -117,7 +131,7 @@ def project(system: Equations, with_velocities: int, x: Vector) -> Status:
         for i in range(n):
             x[i] = found[lanes * i]
         if left * left < QUADRATIC_RATE * found[lanes * (n + 1)] * system.tolerance * system.tolerance:
-            left = 0.0  # so the next one would find
+            left = 0.0  # the quadratic convergence makes the next residual negligible
             break
     # velocities: one linear least-norm problem
     if with_velocities == 1:
@@ -139,8 +153,14 @@ def project(system: Equations, with_velocities: int, x: Vector) -> Status:
 
 @native
 def project_side_by_side(system: Equations, with_velocities: int) -> int:
-    """Project a state in each lane of `work`, each as `project` does; 1 if a few steps did for all of them,
-    else 0."""
+    """Project one state in each lane of `projection_work`; return 1 for success, 0 if a lane does not
+    converge.
+
+    Each lane computes what `project` does. If the result is 0, the caller projects each state alone.
+
+    Args:
+        with_velocities: 1 to project velocities too, 0 for coordinates only.
+    """
     n = system.n
     lanes = system.lanes
     work = system.projection_work
@@ -192,10 +212,13 @@ def project_side_by_side(system: Equations, with_velocities: int) -> int:
 def project_rows(
     system: Equations, table: Table, states: Vector, first: int, end: int, near: int, x: Vector
 ) -> Status:
-    """Put rows `first` to `end` of the states of a run on the constraints, if wanted; returns a status.
+    """Project the output states of a run, if the run projects; return a status.
 
-    Near a singular configuration (`near` is 1) they are by the dense form. x has the parameters; the rest of
-    it is scratch.
+    Args:
+        states: (count, n) states of the run at the output times.
+        first, end: the rows to project are `first` to `end` - 1.
+        near: 1 near a singular configuration, where the dense form projects; else 0.
+        x: (inputs,) the parameters of the run; the other elements are scratch.
     """
     n = system.n
     lanes = system.lanes
@@ -241,9 +264,11 @@ def project_rows(
 
 @native
 def begin_run(system: Equations, states: Vector, now: Vector) -> Status:
-    """Put the first state of a run on the constraints if wanted, and into its states; returns a status.
+    """Prepare the start of a run: choose constraint rows, project, and write the first output.
 
-    The rows in use are chosen for it.
+    Args:
+        states: (count, n) states of the run at the output times.
+        now: state with time and parameters at the start, changed.
     """
     exchange_rows(system.exchange, now)
     if system.projecting == 1:
@@ -256,7 +281,13 @@ def begin_run(system: Equations, states: Vector, now: Vector) -> Status:
 
 @native
 def begin_adaptive(system: Equations, table: Table, states: Vector, now: Vector, rates: Vector) -> Status:
-    """Begin, and evaluate the rates (n + 1) of the first state; returns a status."""
+    """Prepare the start of a run of DOP853 or Radau, and check that it may start there; return a status.
+
+    Args:
+        states: (count, n) states of the run at the output times.
+        now: state with time and parameters at the start, changed.
+        rates: (n + 1,) rates and pivot ratio at the start, written.
+    """
     status = begin_run(system, states, now)
     if status == Status.DONE:
         status = evaluate(system, now, rates)
@@ -268,9 +299,12 @@ def begin_adaptive(system: Equations, table: Table, states: Vector, now: Vector,
 
 @native
 def finish_step(system: Equations, near: int, now: Vector, carried: Vector) -> Status:
-    """Complete a step: angles within half a revolution, norms 1, on the constraints; returns a status.
+    """Complete a step: unwind angles, normalize Euler parameters and project the state; return a status.
 
-    Near a singular configuration (`near` is 1) projection is by the dense form. `carried` moves with angles.
+    Args:
+        near: 1 near a singular configuration, where the dense form projects; else 0.
+        now: state with time and parameters at the end of the step, changed.
+        carried: (n,) another state, whose angles change by the same full revolutions.
     """
     unwind_angles(system, now, carried)
     normalize_quaternions(system, now, now)
@@ -283,13 +317,14 @@ def finish_step(system: Equations, near: int, now: Vector, carried: Vector) -> S
 
 @native
 def project_end(system: Equations, near: int, end: Vector, projected: Vector, unprojected: Vector) -> Status:
-    """Complete a step that may still be rejected; returns a status.
+    """Complete a step that may still be rejected, without changing its start; return a status.
 
     Args:
         near: 1 near a singular configuration, where projection is by the dense form, else 0.
-        end: state (n,) where the step ends, and the time.
-        projected: state with time and parameters, which becomes the completed end.
-        unprojected: (n,) becomes the end, with its angles in the revolutions of `projected`.
+        end: (n + 1,) state and time at the end of the step, before projection.
+        projected: state with time and parameters, written: the end after projection.
+        unprojected: (n,) written: the end before projection, with angles in the same revolution as
+            `projected`.
     """
     for i in range(system.n):
         projected[i] = end[i]
@@ -302,19 +337,23 @@ def project_end(system: Equations, near: int, end: Vector, projected: Vector, un
 def change_by_projection(
     system: Equations, unprojected: Vector, projected: Vector, rtol: float, atol: float
 ) -> float:
-    """Compute how far projection moved a state (n,): root mean square in units of the tolerance.
+    """Compute the change of a state by projection: root mean square in units of the tolerance.
 
-    The change is the part of a step's error that opens the constraints. The error estimate of a step cannot
-    see the change. Coordinates and velocities are measured by their norms, not one by one: projection spreads
-    the change over all of them, those that are near zero included. Each group that constraints connect is
-    measured by itself, and the largest change counts.
+    This change is the part of a step's error that violates the constraints. Coordinates and velocities are
+    measured by their norms, not one by one, because projection spreads the change over all of them, also over
+    those near zero. Each group of coordinates and velocities that constraints connect is measured separately,
+    and the largest result counts.
+
+    Args:
+        unprojected, projected: (n,) states before and after projection.
+        rtol, atol: relative and absolute tolerance of a step.
     """
     largest_change = 0.0
-    place = 0
+    place = 0  # in `members`: count of coordinates, their indices, count of velocities, their indices, ...
     for _group in range(system.groups):
         total = 0.0
         counted = 0
-        for _part in range(2):
+        for _part in range(2):  # coordinates, velocities
             count = int(system.members[place])
             change = 0.0
             size = 0.0
@@ -333,34 +372,38 @@ def change_by_projection(
 
 @native
 def is_error_of_step(moved: float, before: float, noise: float) -> int:
-    """Return 1 if a step has to be rejected for the change by projection, else 0.
+    """Return 1 if a step has to be rejected because projection changed its end too much, else 0.
 
     Far from the origin, round-off of the constraints can exceed the tolerance. Shorter steps do not reduce
-    round-off, so a change that does not shrink with the step is accepted, and so are changes of about this
-    size in the steps that follow.
+    round-off. So a change that does not shrink with the step is accepted. Changes of about this size are then
+    accepted in the following steps, too.
 
     Args:
-        moved: change of this step, in tolerances.
-        before: change of the longer step that was rejected just before; `HUGE` if there was none.
-        noise: change of the step accepted last if it was 1 or more, else 0.
+        moved: change of this step by projection, in units of the tolerance.
+        before: change of the longer try of this step that was rejected just before; `HUGE` if there was none.
+        noise: change of the last accepted step if it was 1 or more, else 0.
     """
     return 1 if moved >= 1.0 and moved >= MAX_NOISE_GROWTH * noise and moved < MIN_SHRINK * before else 0
 
 
-@np.errstate(invalid="ignore")  # of hinges in a row, which do not reach every orientation
+@np.errstate(invalid="ignore")  # angles of several hinges in a row are NaN for orientations out of reach
 def project_position(system: System, q: Array) -> Array:
-    """Find the coordinates near q that meet phi(q) = 0 to round-off, by Newton's steps of least length.
+    """Find the coordinates nearest to q that satisfy phi(q) = 0, by Newton steps of least length.
 
-    Nearly redundant constraints stay open as far as the others leave them.
+    Only independent constraints are solved. Redundant ones keep the residual that follows from the others.
+
+    Args:
+        q: (nq,) coordinates to start from.
 
     Raises:
-        AssemblyError: if the independent constraints stay open by more than `CLOSURE_TOLERANCE`, or nearly
-            redundant ones by more than the scene's tolerance.
+        AssemblyError: if an independent constraint keeps a residual of more than `CLOSURE_TOLERANCE`, or a
+            redundant one more than the scene's redundancy tolerance.
     """
     at = best = system.retract(q, np.zeros(system.nv))
     if not len(system.phi_units):
         return best
     unused = rows_left_out(system)
+    # iterate until the residual is at round-off, or has not improved twice in a row
     worse, least = 0, np.inf
     for _ in range(MAX_ITERATIONS + 1):
         phi, jacobian = system.phi(at), without(system.phi_jacobian(at), unused)
@@ -379,7 +422,12 @@ def project_position(system: System, q: Array) -> Array:
 
 
 def _check_closed(system: System, q: Array, phi: Array) -> None:
-    """Raise `AssemblyError` for residuals (k,) at q beyond `CLOSURE_TOLERANCE`, or noise of rows left out."""
+    """Raise `AssemblyError` if residuals are too large; `project_position` states the limits.
+
+    Args:
+        q: (nq,) coordinates.
+        phi: (k,) residuals of all constraints at q, m or rad.
+    """
     unused = rows_left_out(system)
     noise = largest(phi[unused] / system.phi_units[unused])
     loose = loosely_closed(system.scene.redundancy_tolerance)
@@ -389,7 +437,12 @@ def _check_closed(system: System, q: Array, phi: Array) -> None:
 
 
 def project_velocity(system: System, q: Array, v: Array) -> Array:
-    """Find the velocities nearest to v that meet the constraints' rate, Phi_q v + Phi_t = 0."""
+    """Find the velocities nearest to v that satisfy the constraints' time derivative, Phi_q v + Phi_t = 0.
+
+    Args:
+        q: (nq,) coordinates.
+        v: (nv,) velocities.
+    """
     if not len(system.phi_units):
         return v
     unused = rows_left_out(system)
@@ -401,17 +454,20 @@ def project_velocity(system: System, q: Array, v: Array) -> Array:
 
 
 def joint_violations(mechanism: Mechanism, state: State) -> Array:
-    """Evaluate the largest residual (j,) of each joint's equations in a state, m or rad."""
+    """Evaluate the constraint violation of each joint, its largest residual in m or rad; return (joints,)."""
     frames = state.frames()
     return np.array([largest(e.phi(frames[e.first], frames[e.second])) for e in mechanism.equations])
 
 
 def check_still_closed(scene: Scene, times: Array, phi: Array) -> None:
-    """Raise `IntegrationError` at the first of times (n,) with a residual (n, k) of more than `MAX_DRIFT`.
+    """Raise `IntegrationError` if a joint has drifted open by more than `MAX_DRIFT` at an output time.
 
-    Residuals are those of all joints, then of couplings. Where the first are larger than that, as of a start
-    that nobody has checked, twice as much is allowed: gains may still close it. Nothing is known of the steps
-    between the times, which are those of outputs: a joint that closes again by the next one passes.
+    If a run starts with a larger violation, twice the initial violation is allowed, because Baumgarte
+    stabilization may still reduce it. A violation that disappears between two output times is not detected.
+
+    Args:
+        times: (n,) output times, s.
+        phi: (n, k) residuals of all joints, then of couplings, m or rad.
     """
     coupled, mechanism = couplings(scene), scene.mechanism
     drifts = np.abs(phi) / row_units(mechanism.equations, coupled, mechanism.longest)
@@ -429,7 +485,7 @@ def check_still_closed(scene: Scene, times: Array, phi: Array) -> None:
 
 
 def worst_joint(system: System, state: State) -> tuple[str, float]:
-    """Find the joint or gear with the largest residual: its name and that residual, m or rad."""
+    """Return the name of the joint or coupling with the largest residual, and the residual, m or rad."""
     coupled = couplings(system.scene)
     phi = residuals(system.mechanism, coupled, state.frames(), system.time, state.angles).phi
     violations = np.concatenate([joint_violations(system.mechanism, state), np.abs(phi)])
