@@ -1,9 +1,14 @@
-"""Radau IIA of order 5, stiffly accurate, with the traced Jacobian.
+"""Radau IIA of order 5: implicit Runge-Kutta integrator for stiff equations of motion.
 
-E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, second edition, Springer 1996, section IV.8.
-The Jacobian need not be exact, so its pivot ratio is not asked for. The three stages are one linear system of
-3 n unknowns in Newton's iteration; the eigenvectors of A^-1 make it one real system and one complex one of n
-unknowns each. Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
+Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, second edition, Springer 1996,
+section IV.8. A step has three stages. Newton's iteration solves for all stages together, a linear system of 3
+n unknowns. A transformation by the eigenvectors of A^-1, the inverse of the method's coefficient matrix,
+splits it into one real and one complex system of n unknowns. The Jacobian of the rates by the state is exact,
+from automatic differentiation, unless Python evaluates the equations; then finite differences are accurate
+enough. `integrate_radau` makes all runs of a `Table`.
+
+Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
+Python.
 """
 
 from __future__ import annotations
@@ -39,15 +44,20 @@ from newton_euler.integrators.stepper import (
 from newton_euler.scalars import Array
 
 SQRT_6 = sqrt(6.0)
+
 NODES = ((4.0 - SQRT_6) / 10.0, (4.0 + SQRT_6) / 10.0, 1.0)
-"""c: where in the step the stages are (section IV.5)."""
+"""Nodes c: the time of each stage as a fraction of the step (section IV.5)."""
 
 ERROR_WEIGHTS = ((-13.0 - 7.0 * SQRT_6) / 3.0, (-13.0 + 7.0 * SQRT_6) / 3.0, -1.0 / 3.0)
-"""Weights of the stages in the error estimate of order 3 (section IV.8)."""
+"""Weights e_i of the stages z_i in the error estimate of order 3 (section IV.8)."""
 
 
 def _collocation() -> tuple[Array, Array]:
-    """Work out A of the collocation method at NODES, and the powers' coefficients from values at NODES."""
+    """Compute the coefficient matrix A of the collocation method, and the matrix of its dense output.
+
+    Both matrices are (3, 3). The second one turns values of a polynomial p with p(0) = 0 at `NODES` into the
+    coefficients of theta, theta^2 and theta^3.
+    """
     powers = np.array([[c ** (k + 1) for k in range(3)] for c in NODES])  # of polynomials with p(0) = 0
     rates = np.array([[(k + 1) * c**k for k in range(3)] for c in NODES])
     coefficients = np.linalg.inv(powers)
@@ -55,7 +65,10 @@ def _collocation() -> tuple[Array, Array]:
 
 
 def _transformation() -> tuple[float, complex, Array]:
-    """Find the real and one complex eigenvalue of A^-1, and T = [v, Re w, Im w] of their eigenvectors."""
+    """Compute the real eigenvalue of A^-1, one of the complex pair, and the transformation T (3, 3).
+
+    The columns of T are v, Re w and Im w, with the real eigenvector v and the complex eigenvector w.
+    """
     values, vectors = np.linalg.eig(np.linalg.inv(_collocation()[0]))
     real = int(np.argmin(np.abs(values.imag)))
     pair = int(np.argmax(values.imag))
@@ -66,47 +79,53 @@ def _transformation() -> tuple[float, complex, Array]:
 
 _REAL, _COMPLEX, _T = _transformation()
 GAMMA, ALPHA, BETA = _REAL, _COMPLEX.real, _COMPLEX.imag
-"""Eigenvalues gamma and alpha +- i beta of A^-1."""
+"""Eigenvalues gamma and alpha +- i beta of A^-1 (section IV.8)."""
 
 TO_STAGES = tuple(float(x) for x in _T.ravel())
 FROM_STAGES = tuple(float(x) for x in np.linalg.inv(_T).ravel())
-"""T and its inverse, row by row: stages Z = T W."""
+"""The transformation T and its inverse, row by row: stages Z = T W, with the transformed stages W."""
 
 DENSE = tuple(float(x) for x in _collocation()[1].ravel())
-"""Coefficients of theta, theta^2, theta^3 from the stages, row by row."""
+"""Matrix of the dense output, row by row. Applied to the stages, it gives the coefficients of theta, theta^2
+and theta^3, where theta is the time as a fraction of the step."""
 
-_SHARES = np.linspace(0.0, 1.0, 1001)
-INTERPOLATION_ERROR = float(np.max(np.abs(_SHARES * np.prod([_SHARES - c for c in NODES], axis=0))))
+_THETAS = np.linspace(0.0, 1.0, 1001)
+INTERPOLATION_ERROR = float(np.max(np.abs(_THETAS * np.prod([_THETAS - c for c in NODES], axis=0))))
 """Largest error of the collocation polynomial within a step, in units of h^4 y''''/24."""
 
 MAX_NEWTON_STEPS = 6
+"""Largest number of Newton steps for the stages of a step."""
 
 ROUND_OFF_CORRECTION = 1e-2
-"""Share of the tolerance below which a correction that does not shrink any more is round-off, which stiff
-forces magnify: shorter steps would not have less of it."""
+"""Norm of a Newton correction, in units of the tolerance, below which it may be round-off. Such a correction
+need not converge any further: stiff forces magnify round-off, and shorter steps do not reduce it."""
 
 MIN_STEP_FACTOR, MAX_STEP_FACTOR = 0.2, 10.0
-"""Factors from one step size to the next."""
+"""Smallest and largest ratio of a step size to the one before it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Radau(Record):
-    """The method and its state.
+    """Options of Radau and its working memory for one run.
 
     Attributes:
-        rtol, atol, max_steps: tolerances and the largest number of steps.
-        jacobian: derivative (n, n) of the rates by a state.
-        now, at, projected: states with time and parameters: where a step begins, of a stage, and where the
-            step ends on the constraints.
-        before: (n,) where the step before began.
-        slope: (n + 2) derivative at `now`, and its pivot ratio.
-        z, w: (3, n) stages, and their transforms.
-        f: (3, n + 1) derivatives of the stages.
-        change: (3 n + 2) of the transforms; change[3 n] is the rate of convergence.
-        terms: (3, n) of the collocation polynomial.
-        matrix: (n, n) Jacobian.
-        real, re, im: (n, n) factors of gamma/h - J and (alpha + i beta)/h - J.
-        pivots: (2, n).
+        rtol, atol: relative and absolute tolerance of the error of a step, for each component.
+        max_steps: largest number of steps of a run.
+        jacobian: function that writes the Jacobian (n, n) of the rates by the state, row by row.
+        now: state with time and parameters at the start of the step.
+        at: the same at a stage of the step.
+        projected: the same at the end of the step, after projection onto the constraints.
+        before: (n,) state at the start of the step before.
+        slope: (n + 2,) rates at `now`, then the pivot ratio.
+        z: (3, n) stages, as differences from the state at the start of the step.
+        w: (3, n) transformed stages W = T^-1 Z.
+        f: (3, n + 1) rates and pivot ratio of each stage.
+        change: (3 n + 2,) Newton correction of w; change[3 n] is the rate of convergence.
+        terms: (3, n) coefficients of the collocation polynomial.
+        matrix: (n, n) Jacobian J, row by row.
+        real: (n, n) LU factors of gamma/h I - J.
+        re, im: (n, n) real and imaginary parts of the LU factors of (alpha + i beta)/h I - J.
+        pivots: (2, n) row exchanges of both factorizations.
     """
 
     rtol: float
@@ -132,7 +151,13 @@ class Radau(Record):
 
 @native
 def factor_matrices(n: int, m: int, h: float, method: Radau) -> int:
-    """Factor the matrices of a step of size h; 1 if one is singular, else 0. J begins with m zero rows."""
+    """Factor the matrices of the real and the complex linear system; return 1 if one is singular, else 0.
+
+    Args:
+        n: length of the state.
+        m: size of the leading block of zeros of the Jacobian.
+        h: size of the step, s.
+    """
     real = method.real
     re = method.re
     im = method.im
@@ -152,7 +177,7 @@ def factor_matrices(n: int, m: int, h: float, method: Radau) -> int:
 
 @native
 def scaled_norm(n: int, x: Vector, now: Vector, rtol: float, atol: float) -> float:
-    """Return the root mean square of x in units of the tolerance."""
+    """Return the root mean square of x (n,) in units of the tolerance at the state `now`."""
     total = 0.0
     if n == 0:
         return total
@@ -164,7 +189,13 @@ def scaled_norm(n: int, x: Vector, now: Vector, rtol: float, atol: float) -> flo
 
 @native
 def solve_stages(system: Equations, method: Radau, m: int, h: float) -> int:
-    """Find the stages z by Newton's iteration; returns the number of its steps, negative if it failed."""
+    """Solve for the stages z by simplified Newton iterations; return their number, -1 if they fail.
+
+    Args:
+        method: record with factored matrices and a first guess of the stages z, which are overwritten.
+        m: size of the leading block of zeros of the Jacobian.
+        h: size of the step, s.
+    """
     n = system.n
     now = method.now
     at = method.at
@@ -245,9 +276,15 @@ def solve_stages(system: Equations, method: Radau, m: int, h: float) -> int:
 
 @native
 def interpolate_radau(count: int, n: int, theta: float, now: Vector, terms: Vector, y: Vector) -> None:
-    """Interpolate the first `count` of the n elements of the state at a share of the step.
+    """Evaluate the collocation polynomial, within a step or beyond its end as a prediction.
 
-    Beyond the step the collocation polynomial predicts.
+    Args:
+        count: number of elements to evaluate, the first ones of the state.
+        n: length of the state.
+        theta: time as a fraction of the step; more than 1 beyond its end.
+        now: (n,) state at the start of the step.
+        terms: (3, n) coefficients of the polynomial.
+        y: (count,) result, written.
     """
     for i in range(count):
         y[i] = now[i] + theta * (terms[i] + theta * (terms[n + i] + theta * terms[2 * n + i]))
@@ -255,7 +292,7 @@ def interpolate_radau(count: int, n: int, theta: float, now: Vector, terms: Vect
 
 @native
 def prepare_dense(n: int, z: Vector, terms: Vector) -> None:
-    """Work out the coefficients (3, n) of the collocation polynomial from the stages."""
+    """Compute the coefficients `terms` (3, n) of the collocation polynomial from the stages z (3, n)."""
     for k in range(3):
         for i in range(n):
             terms[n * k + i] = (
@@ -265,12 +302,16 @@ def prepare_dense(n: int, z: Vector, terms: Vector) -> None:
 
 @native
 def error_of_step(n: int, m: int, h: float, method: Radau, slope: Vector) -> float:
-    """Estimate the error of a step, of order 3, in units of the tolerance; `change` is left with it.
+    """Estimate the error of a step by a formula of order 3, in units of the tolerance (section IV.8).
 
-    `at` (n,) is left with what the tolerance is relative to.
+    The first n elements of `method.change` receive the error. Those of `method.at` receive the magnitudes of
+    the state that the relative tolerance refers to.
 
     Args:
-        slope: (n,) derivative where the step begins.
+        n: length of the state.
+        m: size of the leading block of zeros of the Jacobian.
+        h: size of the step, s.
+        slope: (n,) rates at the start of the step.
     """
     z = method.z
     at = method.at
@@ -288,28 +329,37 @@ def error_of_step(n: int, m: int, h: float, method: Radau, slope: Vector) -> flo
 
 @native
 def error_within(n: int, h: float, before_h: float, method: Radau) -> float:
-    """Estimate the error of the collocation polynomial between the nodes, in units of the tolerance.
+    """Estimate the error of interpolated outputs between the nodes of a step, in units of the tolerance.
 
-    Stiff components meet the nodes however long the step is, and the error estimate of the step says
-    nothing of the rest. The fourth derivative is taken from the cubic terms of this polynomial and of
-    the one before, whose coefficients `terms` (3, n) are; `at` is what the tolerance is relative to.
+    Stiff components are accurate at the nodes even in long steps, so the error estimate of the step does not
+    include the error between the nodes. The fourth derivative is estimated from the cubic terms of the
+    collocation polynomials of this step and of the step before. `method.terms` still holds the latter.
+    `error_of_step` must have written `method.at`.
+
+    Args:
+        n: length of the state.
+        h, before_h: sizes of this step and of the step before, s.
     """
     z = method.z
     total = 0.0
     for i in range(n):
         cubic = DENSE[6] * z[i] + DENSE[7] * z[n + i] + DENSE[8] * z[2 * n + i]
         fourth = 12.0 * (cubic / h**3.0 - method.terms[2 * n + i] / before_h**3.0) / (h + before_h)
-        share = INTERPOLATION_ERROR * h**4.0 * fourth / 24.0 / (method.atol + method.rtol * method.at[i])
-        total += share * share
+        relative = INTERPOLATION_ERROR * h**4.0 * fourth / 24.0 / (method.atol + method.rtol * method.at[i])
+        total += relative * relative
     return sqrt(total / n)
 
 
 @native
 def run_radau(system: Equations, table: Table, states: Vector, method: Radau) -> Status:
-    """Integrate one run, and write its states at all times; return a status.
+    """Integrate one run, and write its states at all output times; return a status.
 
     The steps follow Hairer, Wanner, section IV.8, with projection onto the constraints after each step.
-    Comments name subsections of IV.8.
+    Titles in comments are those of subsections of IV.8.
+
+    Args:
+        states: (count, n) states of the run at the output times, written.
+        method: record whose state `now` is the start of the run.
     """
     n = system.n
     now = method.now
@@ -324,7 +374,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
     rtol = method.rtol
     atol = method.atol
     projected = method.projected
-    unprojected = method.w  # which is free between two steps
+    unprojected = method.w  # scratch: the transformed stages are not used between two steps
     # start: project the state, evaluate its rates, choose the first step (volume I, section II.4)
     for i in range(system.inputs):
         at[i] = now[i]
@@ -339,15 +389,15 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
     d1 = scaled_norm(n, slope, now, rtol, atol)
     h = min(1e-6 if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1, stop - now[n])
     method.jacobian(now, method.matrix)
-    due = 1
-    fresh = 1
-    factored = 0
-    before_h = 0.0
+    due = 1  # index of the next output time
+    fresh = 1  # 1 if the Jacobian is that of the present state
+    factored = 0  # 1 if the LU factors are those of the present Jacobian and step size
+    before_h = 0.0  # size and error of the step before, 0 if there is none
     before_error = 0.0
-    moved_before = HUGE
-    moved_noise = 0.0
-    rejected = 0
-    m = 0
+    moved_before = HUGE  # change by projection for which this step was rejected
+    moved_noise = 0.0  # change by projection of the step before if it was 1 or more
+    rejected = 0  # 1 if the last try of this step was rejected for its error
+    m = 0  # size of the leading block of zeros of the Jacobian
     for i in range(3 * n):
         z[i] = 0.0
     while due < table.count:
@@ -378,7 +428,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         # solve for the stages by simplified Newton iterations
         taken = solve_stages(system, method, m, h)
         pivot_ratio = min(min(f[n], f[2 * n + 1]), f[3 * n + 2])
-        # reject a step with unsafe accelerations (step 3 of `singular`)
+        # reject a step with unsafe accelerations (step 3 of `newton_euler.integrators.singular`)
         if taken >= 0 and pivot_ratio < UNSAFE_PIVOT_RATIO and slope[n] >= UNSAFE_PIVOT_RATIO:
             counts[Count.REJECTED] += 1.0
             h = UNSAFE_STEP_FACTOR * h
@@ -394,8 +444,8 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
                 h = 0.5 * h
             factored = 0
             continue
-        # error estimate of order 3; in the first step and after a rejection once more from a corrected
-        # start, because stiff components exaggerate the first estimate ("Step size selection")
+        # error estimate of order 3; in the first step and after a rejection, a second estimate from a
+        # corrected start, because stiff components exaggerate the first one ("Step size selection")
         convergence = change[3 * n]
         error = error_of_step(n, m, h, method, slope)
         if error > 1.0 and (rejected == 1 or counts[Count.STEPS] == 0.0):
@@ -468,8 +518,8 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
             status = evaluate(system, now, slope)
         if status != Status.DONE:
             return status
-        # keep the Jacobian while Newton's iteration converges fast, and the factors while the step
-        # hardly changes ("Step size selection")
+        # keep the Jacobian while Newton's iteration converges fast, and keep step size and factors if the
+        # next step would be at most 20 % longer ("Step size selection")
         before_h = h
         before_error = max(error, 1e-2)
         fresh = 0
@@ -488,7 +538,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
 
 @native
 def integrate_radau(system: Equations, table: Table, method: Radau) -> None:
-    """Make all runs of the table."""
+    """Integrate all runs of the table, one after the other."""
     run = int(table.first[0])
     while run < table.runs:
         start_run(system, table, run, method.now)

@@ -1,10 +1,11 @@
-"""Pass singular configurations, where constraints of a loop become dependent, without losing digits.
+"""Passage of runs through singular configurations, where the constraints of a closed loop become dependent.
 
-In a singular configuration the sparse elimination divides by pivots that vanish. The *pivot ratio* is the
-smallest pivot divided by its usual size. The ratio falls with the square of the distance to the singular
-configuration. Round-off in accelerations grows with the cube of the inverse distance. Without the measures
-below, error control would shorten steps without end, and the run could continue on another branch of the
-mechanism's motion.
+This module has the functions that the integrators call for this purpose, and the list of all measures. In a
+singular configuration the sparse elimination divides by pivots that vanish. The *pivot ratio* is the smallest
+pivot divided by its usual size. The ratio falls with the square of the distance to the singular
+configuration. Round-off in accelerations grows with the cube of the inverse distance. A *branch* is one of
+the motions that meet in a singular configuration. Without the measures below, error control would shorten
+steps without end, and the run could continue on another branch of the mechanism's motion.
 
 Masses that differ by large factors make pivots small, too. A singular configuration is a property of the
 constraint Jacobian, so `evaluate` compares small pivots with the pivots of the constraints alone
@@ -21,16 +22,17 @@ constraint Jacobian, so `evaluate` compares small pivots with the pivots of the 
 5. No step can end in a singular configuration. If the run ends there, the last step goes beyond the end of
    the run, and the end is interpolated.
 6. The error of a step near a singular configuration is the error of its projections
-   (`newton_euler.integrators.dop853.error_on_constraints`). What wrong multipliers add is normal to the
-   constraints. Projection in the metric of the mass matrix removes this part
-   (`newton_euler.integrators.dense_projection`), as far as constraints are strong enough.
+   (`newton_euler.integrators.dop853.error_on_constraints`). Errors of the constraint forces move the state
+   normal to the constraints, and projection in the metric of the mass matrix removes this part
+   (`newton_euler.integrators.dense_projection`).
 7. Steps of RK4 cannot be placed. If the stages of a step contradict each other (`stage_contradiction`), the
    run ends.
 
 Equations that Python evaluates have no sparse form, so step 1 changes nothing. Their pivot ratio is defined
 in `newton_euler.compiled.evaluated`.
 
-Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
+Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
+Python.
 """
 
 from __future__ import annotations
@@ -96,7 +98,7 @@ joints, and `newton_euler.integrators.projection.check_still_closed` refuses the
 
 @native
 def ratio_for_steps(with_masses: float, alone: float) -> float:
-    """Choose the pivot ratio that steps are placed, shortened and refused by.
+    """Choose the pivot ratio by which steps are placed, shortened or refused.
 
     Far from a singular configuration, the masses alone make pivots small: the constraints decide. Near a
     singular configuration, accelerations lose as many digits as the pivots with masses show.
@@ -110,11 +112,15 @@ def ratio_for_steps(with_masses: float, alone: float) -> float:
 
 @native
 def evaluate(system: Equations, x: Vector, y: Vector) -> Status:
-    """Evaluate y = derivative(x); return a status.
+    """Evaluate the rates and the pivot ratio of a state; return a status.
 
     The dense form evaluates where the pivot ratio of the sparse form is not positive. If constraints cannot
     lose rank, a small pivot ratio comes from the masses alone. The pivot ratio is 1 then: no step has to be
     placed, shortened or refused for it. Otherwise `ratio_for_steps` chooses.
+
+    Args:
+        x: state with time and parameters (inputs,).
+        y: (n + 1,) rates and pivot ratio, written.
     """
     system.derivative(x, y)
     system.counts[Count.EVALUATIONS] += 1.0
