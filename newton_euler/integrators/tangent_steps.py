@@ -1,18 +1,20 @@
-"""Steps of tangents: those of a run once more, with error control of their own.
+"""Integrate the tangents of a run (derivatives of its states, forward sensitivities) along its recorded
+steps.
 
-The steps of a run are taken once more, its states and several directions side by side, by the same stages of
-the same sizes (internal numerical differentiation: H. G. Bock, Randwertproblemmethoden zur
-Parameteridentifizierung in Systemen nichtlinearer Differentialgleichungen, Bonner Mathematische Schriften
-183, 1987). So the run itself knows nothing of it. Every few steps the tangents are put on the linearized
-constraints, Phi_q S + Phi_p = 0 and its rate, by steps of least length as states are.
+The run is made first and records its steps. Then `integrate_tangents` repeats the steps of DOP853 with the
+same sizes, for the states and several tangents together (internal numerical differentiation: H. G. Bock,
+Randwertproblemmethoden zur Parameteridentifizierung in Systemen nichtlinearer Differentialgleichungen, Bonner
+Mathematische Schriften 183, 1987). Every few steps the tangents S are projected onto the linearized
+constraints, Phi_q S + Phi_p = 0 and its time derivative.
 
-What a state at rest, or a slow one, lets be a step may be far too long for its tangents, which vibrate
-beside it. So they have error control of their own, as sensitivities need (R. P. Dickinson, R. J. Gelinas,
-Journal of Computational Physics 21, 1976; R. Serban, A. C. Hindmarsh, CVODES, ASME IDETC 2005): a step in
-which the embedded estimate of their error (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations
-I, 1993, section II.5) is beyond their tolerance is taken in parts.
+A step that is short enough for a slow state may be too long for tangents that vibrate. So tangents have their
+own error control (R. P. Dickinson, R. J. Gelinas, Journal of Computational Physics 21, 1976; R. Serban, A. C.
+Hindmarsh, CVODES, ASME IDETC 2005). If the error estimate of the tangents (Hairer, Norsett, Wanner, Solving
+Ordinary Differential Equations I, 1993, section II.5) exceeds their tolerance, the step is divided into
+*substeps*.
 
-Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
+Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
+Python.
 """
 
 from __future__ import annotations
@@ -45,26 +47,29 @@ from newton_euler.integrators.tangents import (
 )
 
 MAX_COMPARED_RATIO = 0.1
-"""Ratio of the sizes of two parts that show of what order an error is."""
+"""Largest ratio of the sizes of two substeps whose errors are compared to find the order of the error."""
 
 CROSSING_DIP = 0.5
-"""Ratio of pivot ratios in a step that is not just anywhere near a singular configuration, but passes one."""
+"""Ratio of the smallest to the largest pivot ratio of the stages of a step, below which the step passes a
+singular configuration and is not only close to one."""
 
 NOISE_MARGIN = 4.0
-"""Noise that is expected, in units of the one found."""
+"""Safety factor of the measured noise (round-off error) of a tangent."""
 
 STEPS_PER_PROJECTION = 4
-"""Steps after which tangents are put on the linearized constraints, which they leave by errors of steps."""
+"""Number of steps between two projections of the tangents onto the linearized constraints."""
 
 SMALLEST_SCALE = 1e-300
-"""Keeps ratios to nothing finite."""
+"""Added to scales so that a division by the scale of a zero tangent is finite."""
 
 
 @native
 def estimate_errors(tangents: Tangents, h: float) -> None:
-    """Estimate the errors of the tangents in a part of size h of a step, all its stages known.
+    """Estimate the errors of the tangents in a substep of size h, s, from the rates of its stages; write
+    `errors`.
 
-    Rows 13 and 14 of k, of stages that only outputs need, get the two of each element.
+    Rows 13 and 14 of k, which are free until dense output, receive the two embedded estimates of each
+    element.
     """
     lanes = tangents.lanes
     size = tangents.n * lanes
@@ -101,12 +106,12 @@ def estimate_errors(tangents: Tangents, h: float) -> None:
             speed = max(speed, max(abs(begun[e]), abs(end[e])))
             fifth_speed += fives[e] * fives[e]
             third_speed += threes[e] * threes[e]
-        # of the tangents that pass through zero, or begin there, in one of the two alone
+        # if only coordinates or only velocities of the tangent are near zero, the other gives the scale
         of_place = tangents.tolerance * max(place, h * speed) + SMALLEST_SCALE
         of_speed = tangents.tolerance * max(speed, place) + SMALLEST_SCALE
         fifth = fifth_place / of_place / of_place + fifth_speed / of_speed / of_speed
         third = third_place / of_place / of_place + third_speed / of_speed / of_speed
-        # combined estimate, and the error in its own unit for the comparison with other lengths
+        # combined estimate, and the unscaled error for the comparison with substeps of another size
         error = 0.0
         if fifth > 0.0 or third > 0.0:
             error = h * fifth / sqrt((fifth + 0.01 * third) * tangents.n)
@@ -116,33 +121,36 @@ def estimate_errors(tangents: Tangents, h: float) -> None:
 
 
 @native
-def keep_tried(tangents: Tangents, h: float) -> None:
-    """Keep the errors of a part of size h, to compare those of shorter ones with them."""
+def keep_longer_errors(tangents: Tangents, h: float) -> None:
+    """Store the errors of a substep of size h, s, for the comparison with shorter substeps."""
     for lane in range(tangents.lanes):
-        tangents.tried[lane] = tangents.errors[tangents.lanes + lane]
-    tangents.tried[tangents.lanes] = h
+        tangents.longer_errors[lane] = tangents.errors[tangents.lanes + lane]
+    tangents.longer_errors[tangents.lanes] = h
 
 
 @native
 def find_noise(tangents: Tangents, h: float) -> None:
-    """Find the lanes whose errors fall with h as round-off does, at most with its first power.
+    """Detect tangents whose error is round-off, by comparing a substep of size h, s, with a longer one.
 
-    Errors of the method fall with the fifth power at least, and with h^12 where steps are so long that
-    tangents explode; so the third tells them apart.
+    Round-off falls at most with the first power of the step size. Errors of the method fall with the fifth
+    power at least, and with h^12 if steps are so long that tangents explode. The limit is the third power.
     """
     lanes = tangents.lanes
-    ratio = h / tangents.tried[lanes]
+    ratio = h / tangents.longer_errors[lanes]
     if ratio <= MAX_COMPARED_RATIO:
         for lane in range(lanes):
             error = tangents.errors[lanes + lane]
-            if tangents.errors[lane] > 1.0 and error > ratio * ratio * ratio * tangents.tried[lane]:
+            if tangents.errors[lane] > 1.0 and error > ratio * ratio * ratio * tangents.longer_errors[lane]:
                 tangents.noise[lane] = max(tangents.noise[lane], NOISE_MARGIN * error / h)
-        keep_tried(tangents, h)
+        keep_longer_errors(tangents, h)
 
 
 @native
 def worst_error(tangents: Tangents, h: float) -> float:
-    """Return the largest error of a part of size h in units of the tolerance, except for noise."""
+    """Return the largest error of a tangent in a substep of size h, s, in units of the tolerance.
+
+    Errors that are round-off do not count.
+    """
     worst = 0.0
     for lane in range(tangents.lanes):
         if not tangents.errors[tangents.lanes + lane] <= tangents.noise[lane] * h:
@@ -152,9 +160,10 @@ def worst_error(tangents: Tangents, h: float) -> float:
 
 @native
 def passes_singular(tangents: Tangents) -> int:
-    """Tell if the stages pass by a singular configuration: 1 or 0.
+    """Return 1 if the step passes a singular configuration, else 0.
 
-    The run has placed such a step so that no stage is too near; those of its parts would be.
+    The run has placed such a step so that no stage is too close. Stages of substeps would be too close, so
+    the step is not divided.
     """
     size = tangents.n * tangents.lanes
     row = 2 * size + tangents.lanes
@@ -168,16 +177,24 @@ def passes_singular(tangents: Tangents) -> int:
 
 
 @native
-def take_part(tangents: Tangents, t: float, h: float) -> float:
-    """Take the stages from time t over a time h or, where tangents need it, a shorter one; returns it."""
+def take_substep(tangents: Tangents, t: float, h: float) -> float:
+    """Evaluate the stages of a substep, shortened until the error of the tangents is below the tolerance.
+
+    Args:
+        t: time at the start of the substep, s.
+        h: largest size of the substep, s.
+
+    Returns:
+        size of the substep, s.
+    """
     taken = 0
     shorter = 0
     while taken == 0:
-        for s in range(shorter, STAGES + 1):  # the first is the same for any length
+        for s in range(shorter, STAGES + 1):  # stage 0 is the same for any size
             tangent_stage(tangents, s, t, h)
         estimate_errors(tangents, h)
         if shorter == 0:
-            keep_tried(tangents, h)
+            keep_longer_errors(tangents, h)
         find_noise(tangents, h)
         error = worst_error(tangents, h)
         if error > 1.0 and passes_singular(tangents) == 0:
@@ -190,8 +207,16 @@ def take_part(tangents: Tangents, t: float, h: float) -> float:
 
 @native
 def write_tangents(tangents: Tangents, t: float, h: float, due: int, stop: float) -> int:
-    """Write rows of the table from `due` on, until time `stop`, by a part of size h from t; returns the row
-    that is due then. They are not on the linearized constraints yet."""
+    """Write the tangents at the output times that a substep has reached; return the index of the next one.
+
+    The tangents are interpolated and not yet projected onto the linearized constraints.
+
+    Args:
+        t: time at the start of the substep, s.
+        h: size of the substep, s.
+        due: index of the next output time.
+        stop: time at the end of the substep, s.
+    """
     size = tangents.n * tangents.lanes
     count = tangents.known - tangents.n - 1
     if due < tangents.rows and tangents.times[due] <= stop:
@@ -207,11 +232,16 @@ def write_tangents(tangents: Tangents, t: float, h: float, due: int, stop: float
 
 
 @native
-def carry_tangents(tangents: Tangents, last: Vector) -> Status:
-    """Carry the tangents through all steps, into the table, and to the state (n,) at the end of the last;
-    returns a status."""
+def integrate_tangents(tangents: Tangents, last: Vector) -> Status:
+    """Integrate the tangents through all steps of a run; return a status.
+
+    The tangents at the output times go to `tangents.table`, those at the end of the run to `tangents.x`.
+
+    Args:
+        last: (known,) state with time and flags at the end of the run.
+    """
     counts = tangents.counts
-    counts[TangentCount.PARTS] = 0.0
+    counts[TangentCount.SUBSTEPS] = 0.0
     n = tangents.n
     known = tangents.known
     lanes = tangents.lanes
@@ -239,20 +269,20 @@ def carry_tangents(tangents: Tangents, last: Vector) -> Status:
             for i in range(known - n - 1):
                 tangents.flags[i] = step[n + 1 + i]
             due = 1
-        # take the step in parts that keep the error of the tangents below the tolerance
+        # divide the step into substeps that keep the error of the tangents below the tolerance
         while t < stop:
-            counts[TangentCount.PARTS] += 1.0
+            counts[TangentCount.SUBSTEPS] += 1.0
             counts[TangentCount.TIME_REACHED] = t
-            if counts[TangentCount.PARTS] > tangents.max_parts:
+            if counts[TangentCount.SUBSTEPS] > tangents.max_substeps:
                 return Status.TOO_MANY_STEPS
-            if int(counts[TangentCount.PARTS]) % STEPS_PER_PAUSE == 0:
+            if int(counts[TangentCount.SUBSTEPS]) % STEPS_PER_PAUSE == 0:
                 tangents.pause(counts, counts[TangentCount.STOP_REQUEST :])
                 if counts[TangentCount.STOP_REQUEST] > 0.0:
                     return Status.INTERRUPTED
-            taken = take_part(tangents, t, h)
-            if tangents.least[0] < tangents.floor:
+            taken = take_substep(tangents, t, h)
+            if tangents.min_pivot_ratio[0] < tangents.floor:
                 return Status.SINGULAR
-            # the end of the part, and outputs within it
+            # the end of the substep, and outputs within it
             for i in range(size):
                 end[i] = at[along + i]
                 end[size + i] = at[i]
@@ -261,8 +291,8 @@ def carry_tangents(tangents: Tangents, last: Vector) -> Status:
             for i in range(size):
                 x[along + i] = end[i]
             t = reached
-            # another part follows: its state, and its length by the error of this one
-            if t < stop:  # of the state, which is as exact as its step
+            # if another substep follows: state at its start, and its size from the error of this substep
+            if t < stop:
                 for i in range(size):
                     x[i] = end[size + i]
                 for lane in range(lanes):
@@ -282,5 +312,6 @@ def carry_tangents(tangents: Tangents, last: Vector) -> Status:
 
 @lru_cache
 def tangent_methods() -> NativeFunctions:
-    """Compile the loops over steps and outputs, once."""
-    return NativeFunctions([carry_tangents, evaluate_along])
+    """Return the compiled functions that integrate tangents and evaluate outputs; the first call compiles
+    them."""
+    return NativeFunctions([integrate_tangents, evaluate_along])

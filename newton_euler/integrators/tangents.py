@@ -1,9 +1,12 @@
-"""Tangents of runs: derivatives along directions of the start and of the parameters, beside its states.
+"""Tangents of a run: derivatives of its states along directions in the start state and the parameters.
 
-Stages of steps, states and several directions side by side, and what is evaluated of both at output times;
-`newton_euler.integrators.tangent_steps` takes the steps.
+Several tangents of one run are integrated together, each in one *lane* (element) of the processor's vector
+registers. This module has their record, the stages of a step, dense output and the evaluation of results at
+output times. `newton_euler.integrators.tangent_steps` takes the steps, and
+`newton_euler.analysis.sensitivity.tangent_run` prepares the record.
 
-Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
+Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
+Python.
 """
 
 from __future__ import annotations
@@ -17,46 +20,60 @@ from newton_euler.integrators.dop853_tableau import NODES
 
 
 class TangentCount(IntEnum):
-    """Places in the vector `counts`: parts taken, the request to stop, and the time reached, s."""
+    """Indices into `Tangents.counts`.
 
-    PARTS = 0
+    Attributes:
+        SUBSTEPS: number of substeps taken; each step of the run is integrated in one or more of them.
+        STOP_REQUEST: not 0 if the user wants to stop.
+        TIME_REACHED: time at the start of the present substep, s.
+    """
+
+    SUBSTEPS = 0
     STOP_REQUEST = 1
     TIME_REACHED = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Tangents(Record):
-    """Steps of a run, and directions beside its states, one in each lane.
+    """The recorded steps of a run, and the tangents that are integrated along them, one in each lane.
+
+    A state with time and parameters has n numbers (q, v), the time, flags of constraint rows in use, and the
+    parameters. A tangent with parameters has the derivatives of all these numbers along one direction.
 
     Attributes:
-        n, inputs: lengths of a state, and of one with time, flags and parameters.
-        known: length of a state with time and flags, which steps have.
-        lanes: number of directions.
-        wide: lanes of `project` and of outputs, as many or more: these take several output times at once.
-        count, rows: numbers of steps and of output times.
-        max_parts: the largest number of parts that steps are taken in.
-        projecting: 1 if states are kept on the constraints, else 0.
-        places, speeds: (q, v) are the elements up to `places` and from `speeds` on; between is work done,
-            which nothing depends on, and whose error is not looked at.
-        tolerance: of errors of a part of a step, in units of the largest of q and of v in each lane.
-        floor: pivot ratio below which rates are not known well enough.
-        rates: of a state and of a direction, with the pivot ratio behind them.
-        project: directions on the linearized constraints.
-        pause: lets Python stop the run: asked for every `PATIENCE` parts.
-        steps: (count, known + 1) states, times, flags and sizes of steps.
-        times, states: (rows,) s, and (rows, n) of the run.
-        flags: (rows, known - n - 1) of the steps in which the output times are.
-        x: (2 inputs, lanes) state with time and parameters, then the direction in each lane.
-        wide_x: (2 inputs, wide) the same, for `project` and outputs.
-        at: the same, of a stage.
-        k: (17, 2 n + 1, lanes) rates of the stages, then scratch.
+        n: length of a state.
+        inputs: length of a state with time and parameters.
+        known: length of a state with time and flags, which the record of a step has.
+        lanes: number of tangents that are integrated together.
+        wide: number of lanes of `project` and of output functions, at least `lanes`; they take tangents of
+            several output times at once.
+        count: number of recorded steps of the run.
+        rows: number of output times.
+        max_substeps: largest number of substeps.
+        projecting: 1 if states are projected onto the constraints, else 0.
+        places, speeds: coordinates are the first `places` elements of a state, velocities are the elements
+            from index `speeds` on. The elements between are work of forces. Nothing depends on them, so their
+            error is not controlled.
+        tolerance: tolerance of the error of a substep, relative to the largest element of q and of v.
+        floor: smallest pivot ratio (distance to a singular configuration) at which tangents are accurate.
+        rates: writes (2 n + 1, lanes): rates of the state, rates of the tangents, and the pivot ratio.
+        project: writes the tangents (n, wide) projected onto the linearized constraints.
+        pause: asks every `STEPS_PER_PAUSE` substeps whether the user wants to stop.
+        steps: (count, known + 1) state, time and flags at the start of each step, and its size, s.
+        times: (rows,) output times, s.
+        states: (rows, n) states of the run at the output times.
+        flags: (rows, known - n - 1) flags of constraint rows at the output times.
+        x: (2 inputs, lanes) state with time and parameters, then the tangent with parameters.
+        wide_x: (2 inputs, wide) the same for `project` and output functions.
+        at: (2 inputs, lanes) the same at a stage of a step.
+        k: (17, 2 n + 1, lanes) rates of the 16 stages as `rates` writes them, then scratch.
         table: (rows, n, lanes) tangents at the output times.
-        least: (1,) the least pivot ratio.
-        errors: (2, lanes) of the last part in units of the tolerance, and in their own.
-        tried: (lanes + 1,) the errors of a longer part, and its size, s.
-        noise: (lanes,) error per second that no division makes less.
-        counts: (3,) parts taken, the wish to stop, and the time reached, s.
-        found: (outputs, wide) scratch for the outputs of any function.
+        min_pivot_ratio: (1,) smallest pivot ratio so far.
+        errors: (2, lanes) error of the last substep in units of the tolerance, and its unscaled norm.
+        longer_errors: (lanes + 1,) unscaled errors of a longer substep, and its size, s.
+        noise: (lanes,) unscaled error per second that is round-off and does not fall with the step size.
+        counts: (3,) counts of the integration, see `TangentCount`.
+        found: (outputs, wide) scratch for the results of any function.
     """
 
     n: int
@@ -66,7 +83,7 @@ class Tangents(Record):
     wide: int
     count: int
     rows: int
-    max_parts: int
+    max_substeps: int
     projecting: int
     places: int
     speeds: int
@@ -84,9 +101,9 @@ class Tangents(Record):
     at: Vector
     k: Vector
     table: Vector
-    least: Vector
+    min_pivot_ratio: Vector
     errors: Vector
-    tried: Vector
+    longer_errors: Vector
     noise: Vector
     counts: Vector
     found: Vector
@@ -94,7 +111,7 @@ class Tangents(Record):
 
 @native
 def copy_state(count: int, lanes: int, state: Vector, x: Vector) -> None:
-    """Copy `count` elements of a state into all lanes of x."""
+    """Copy the first `count` elements of a state into all lanes of x (inputs, lanes)."""
     for i in range(count):
         for lane in range(lanes):
             x[lanes * i + lane] = state[i]
@@ -102,7 +119,10 @@ def copy_state(count: int, lanes: int, state: Vector, x: Vector) -> None:
 
 @native
 def project_tangents(tangents: Tangents) -> None:
-    """Put the tangents beside the state x on the linearized constraints."""
+    """Project the tangents in `x` onto the linearized constraints, if the run projects its states.
+
+    If `project` has more lanes than there are tangents, the additional lanes repeat the last tangent.
+    """
     if tangents.projecting == 1:
         lanes = tangents.lanes
         wide = tangents.wide
@@ -120,11 +140,17 @@ def project_tangents(tangents: Tangents) -> None:
 
 @native
 def tangent_stage(tangents: Tangents, s: int, t: float, h: float) -> None:
-    """Evaluate stage s of a step of size h from time t: state and tangents in `at`, rates in row s of k."""
+    """Evaluate stage s of DOP853: write state and tangents to `at`, and their rates to row s of k.
+
+    Args:
+        s: number of the stage, 0 to 15.
+        t: time at the start of the step, s.
+        h: size of the step, s.
+    """
     lanes = tangents.lanes
     size = tangents.n * lanes
-    row = 2 * size + lanes
-    along = tangents.inputs * lanes
+    row = 2 * size + lanes  # length of a row of k
+    along = tangents.inputs * lanes  # index of the tangents in x and `at`
     at = tangents.at
     x = tangents.x
     k = tangents.k
@@ -138,13 +164,16 @@ def tangent_stage(tangents: Tangents, s: int, t: float, h: float) -> None:
     for lane in range(lanes):
         at[size + lane] = t + NODES[s] * h
     tangents.rates(at, k[row * s :])
-    tangents.least[0] = min(tangents.least[0], k[row * s + 2 * size])
+    tangents.min_pivot_ratio[0] = min(tangents.min_pivot_ratio[0], k[row * s + 2 * size])
 
 
 @native
 def prepare_terms(tangents: Tangents, h: float) -> None:
-    """Work out the terms of the dense output of a step of size h, as those of states are, in place of the
-    tangents' rates of the first seven stages; row 16 of k begins with the tangents at its end."""
+    """Compute the seven terms of the dense output of the tangents in a step of size h, s.
+
+    The terms overwrite the rates of the tangents in the first seven rows of k. Row 16 of k must begin with
+    the tangents at the end of the step.
+    """
     size = tangents.n * tangents.lanes
     row = 2 * size + tangents.lanes
     k = tangents.k[size:]
@@ -153,8 +182,13 @@ def prepare_terms(tangents: Tangents, h: float) -> None:
 
 
 @native
-def interpolate_tangents(tangents: Tangents, share: float, y: Vector) -> None:
-    """Interpolate tangents (n, lanes) at a share (0 to 1) of a step, its terms known."""
+def interpolate_tangents(tangents: Tangents, theta: float, y: Vector) -> None:
+    """Evaluate the dense output of the tangents within a step, after `prepare_terms`.
+
+    Args:
+        theta: time as a fraction of the step, 0 to 1.
+        y: (n, lanes) tangents, written.
+    """
     size = tangents.n * tangents.lanes
     row = 2 * size + tangents.lanes
     terms = tangents.k[size:]
@@ -163,14 +197,23 @@ def interpolate_tangents(tangents: Tangents, share: float, y: Vector) -> None:
         total = 0.0
         weight = 1.0
         for j in range(7):
-            weight = weight * (share if j % 2 == 0 else 1.0 - share)
+            weight = weight * (theta if j % 2 == 0 else 1.0 - theta)
             total += weight * terms[row * j + i]
         y[i] = begun[i] + total
 
 
 @native
 def gather_outputs(tangents: Tangents, row: int, lane: int, used: int) -> None:
-    """Set `wide_x` to tangents at output times from one on, `used` of each; after the last to that again."""
+    """Fill the lanes of `wide_x` with states and tangents of consecutive outputs, as output functions need
+    them.
+
+    The lanes take the first `used` tangents of an output time, then those of the next output time. Lanes
+    beyond the last output time repeat the last tangent.
+
+    Args:
+        row, lane: output time and tangent for the first lane.
+        used: number of tangents of each output time.
+    """
     n = tangents.n
     lanes = tangents.lanes
     wide = tangents.wide
@@ -209,10 +252,16 @@ def evaluate_along(
     columns: int,
     results: Vector,
 ) -> None:
-    """Evaluate a function of states and of the first `used` tangents at the output times from `row` on.
+    """Evaluate a function of the state and a tangent at all output times from `row` on.
 
-    Results (rows, outputs, columns) get those of the tangents in the columns from `column` on; they may be
-    the table of tangents itself.
+    Args:
+        row: index of the first output time.
+        used: number of tangents to evaluate, from the first on.
+        function: writes its results (outputs, wide) at states and tangents (2 inputs, wide).
+        outputs: number of results of the function.
+        column: first column of `results` to write; the tangents have one column each.
+        columns: number of columns of `results`.
+        results: (rows, outputs, columns) written; may be the table of tangents itself.
     """
     wide = tangents.wide
     lane = 0

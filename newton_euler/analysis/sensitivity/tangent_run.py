@@ -22,7 +22,7 @@ from newton_euler.integrators.options import Options, StepControl, max_adaptive_
 from newton_euler.integrators.singular import FAR_PIVOT_RATIO, NEAR_PIVOT_RATIO, UNSAFE_PIVOT_RATIO
 from newton_euler.integrators.status import Status
 from newton_euler.integrators.stepper import COUNTS, HUGE, Count, reported_counts
-from newton_euler.integrators.tangent_steps import carry_tangents, tangent_methods
+from newton_euler.integrators.tangent_steps import integrate_tangents, tangent_methods
 from newton_euler.integrators.tangents import TangentCount, Tangents, evaluate_along
 from newton_euler.runs.intervals import Interval, integrate_intervals
 from newton_euler.scalars import Array
@@ -275,7 +275,7 @@ class FollowedRun:
             wide=wide,
             count=int(integrator.counts[Count.STEPS]),
             rows=rows,
-            max_parts=most,
+            max_substeps=most,
             projecting=int(code.projects),
             places=code.system.work.start,
             speeds=code.system.nq,
@@ -293,9 +293,9 @@ class FollowedRun:
             at=np.zeros_like(x),
             k=np.empty((17, 2 * n + 1, lanes)),
             table=np.empty((rows, n, lanes)),
-            least=np.ones(1),
+            min_pivot_ratio=np.ones(1),
             errors=np.empty(2 * lanes),
-            tried=np.empty(lanes + 1),
+            longer_errors=np.empty(lanes + 1),
             noise=np.zeros(lanes),
             counts=np.zeros(len(TangentCount)),
             found=np.empty((max(n, *(function.outputs for function in functions.values())), wide)),
@@ -310,7 +310,7 @@ class FollowedRun:
             tangents.at[:] = x
             tangents.noise[:] = 0.0
             with python.interruptible():
-                status = tangent_methods()(carry_tangents, tangents, integrator.x)
+                status = tangent_methods()(integrate_tangents, tangents, integrator.x)
             if status == Status.SINGULAR:
                 return None
             if status == Status.TOO_MANY_STEPS:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from newton_euler.integrators.status import Status
-from newton_euler.integrators.tangent_steps import carry_tangents
+from newton_euler.integrators.tangent_steps import integrate_tangents
 from newton_euler.integrators.tangents import TangentCount, Tangents
 
 
@@ -33,7 +33,7 @@ def followed(rates_along, start, most=2000, floor=0.0, steps=1, project=None):
         wide=1,
         count=steps,
         rows=1,
-        max_parts=most,
+        max_substeps=most,
         projecting=int(project is not None),
         places=1,
         speeds=1,
@@ -51,14 +51,14 @@ def followed(rates_along, start, most=2000, floor=0.0, steps=1, project=None):
         at=x.copy(),
         k=np.empty(17 * 5),
         table=np.empty(2),
-        least=np.ones(1),
+        min_pivot_ratio=np.ones(1),
         errors=np.empty(2),
-        tried=np.empty(2),
+        longer_errors=np.empty(2),
         noise=np.zeros(1),
         counts=np.zeros(len(TangentCount)),
         found=np.empty(2),
     )
-    status = carry_tangents(tangents, np.zeros(3))
+    status = integrate_tangents(tangents, np.zeros(3))
     return x[3:5], len(calls), status
 
 
