@@ -18,9 +18,11 @@ INTEGRATORS: tuple[IntegratorName, ...] = get_args(IntegratorName)
 """All integrators that a run may name."""
 
 ADAPTIVE: tuple[IntegratorName, ...] = ("DOP853", "Radau")
-"""Integrators that choose their steps by an error estimate: the explicit Runge-Kutta method DOP853 of order 8
-(Hairer, Norsett, Wanner, Solving ODEs I, 1993, section II.5) and the implicit Radau IIA of order 5 for stiff
-equations (Hairer, Wanner, Solving ODEs II, 1996, section IV.8)."""
+"""Integrators that choose their steps by an error estimate.
+
+DOP853 is an explicit Runge-Kutta method of order 8 (Hairer, Norsett, Wanner, Solving ODEs I, 1993, section
+II.5). Radau is the implicit Radau IIA of order 5 for stiff equations (Hairer, Wanner, Solving ODEs II, 1996,
+section IV.8)."""
 
 FIXED: tuple[IntegratorName, ...] = ("RK4", "Euler")
 """Integrators with fixed steps: classical Runge-Kutta of order 4, and semi-implicit Euler of order 1.
