@@ -1,7 +1,8 @@
-"""Native code through LLVM, from traced programs and from a subset of Python, with a cache on disk.
+"""Compile equations of motion and integrators to machine code through LLVM, with a cache on disk.
 
-`expression` traces arithmetic into a graph. `emit` writes a graph as straight-line code, `rolled` writes
-large graphs as loops, and `compile` makes a native function y = f(x) of both. `native` marks functions in a
-subset of Python, which `translate` turns into LLVM text, for one run or for several in lanes. `fingerprint`
+There are two ways. `expression` traces the arithmetic of a scene's equations into a graph, `emit` writes the
+graph as straight-line code, `rolled` writes large graphs as loops, and `compile` makes a function y = f(x) of
+it. `native` marks Python functions of a simple subset, which `translate` turns into LLVM text. Both kinds of
+code can process several inputs at once, one in each *lane* (element) of the vector registers. `fingerprint`
 and `cache` decide when machine code on disk is used again. Start reading with `compile`.
 """

@@ -1,8 +1,9 @@
-"""Compilation of programs to native code, through LLVM, cached on disk.
+"""Compile programs (pruned expression graphs) to native functions y = f(x), through LLVM, cached on disk.
 
-llvmlite takes LLVM's own text form, which straight-line code is easily written in; a front end that
-has to understand Python takes some twenty times longer for it. Machine code is kept under the user's
-cache directory by a hash of that text, of the versions and of the processor.
+`NativeFunction` is the result. `NativeModule` compiles LLVM's text form by llvmlite, or loads the machine
+code from the cache. The text is written directly, because a compiler for general Python, such as Numba, takes
+about twenty times longer for long straight-line code. The cache key contains the text or what it depends on,
+the versions of all tools, and the processor.
 """
 
 from __future__ import annotations
@@ -24,34 +25,38 @@ from newton_euler.codegen.emit import emit_straight, with_callees
 from newton_euler.codegen.expression import Program
 from newton_euler.codegen.native import Signature
 from newton_euler.codegen.rolled import emit_rolled
-from newton_euler.codegen.trigonometry import REGISTER
+from newton_euler.codegen.trigonometry import REGISTER_DOUBLES
 from newton_euler.scalars import Array
 
-LARGE = 9_500
-"""Operations from which on a program is rolled up into loops: written out it would run twice as fast and
-take four times as long to compile."""
+MIN_ROLLED_SIZE = 9_500
+"""Number of operations from which on a program is compiled as loops over repeated pieces
+(`newton_euler.codegen.rolled`). Straight-line code of this size would run twice as fast and take four times
+as long to compile."""
 
-VERY_LARGE = 6 * LARGE
-"""Size from which a program in lanes is rolled; a program of that size compiles for 8 s if it is written
-out."""
+MIN_ROLLED_SIZE_IN_LANES = 6 * MIN_ROLLED_SIZE
+"""The same limit for some programs that take several inputs at once: straight-line code of this size compiles
+in 8 s."""
 
-LEVEL, QUICK_LEVEL = 1, 0
-"""LLVM's levels of code generation, of straight-line and of rolled code: 2, its default, makes the same code
-in a sixth more time; 0 is ten times as fast as 1, and its straight-line code takes twice as long to run."""
+CODE_LEVEL, ROLLED_CODE_LEVEL = 1, 0
+"""LLVM's code generation levels for straight-line code and for rolled code.
 
-DESCRIPTION = "f.description"
-"""Constant beside the function that a program becomes: the attributes of `NativeFunction`, as JSON."""
+Level 2, the default of LLVM, makes the same code in a sixth more time. Level 0 compiles ten times as fast as
+level 1, and its straight-line code takes twice as long to run."""
 
-PROGRAM = Signature({"x": "ptr", "y": "ptr", "on": "i64"}, "void")
-"""Signature of the function `f` that a program becomes; `on` are the lanes whose y is wanted, as bits."""
+DESCRIPTION_NAME = "f.description"
+"""Name of the constant in a compiled module that holds the attributes of its `NativeFunction` as JSON."""
 
-CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
-"""C's type of such a function."""
+PROGRAM_SIGNATURE = Signature({"x": "ptr", "y": "ptr", "on": "i64"}, "void")
+"""Signature of every compiled program, the function `f(x, y, on)`. Bit i of `on` is 1 if lane i shall write
+y."""
+
+C_FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
+"""The same signature as a type of `ctypes`."""
 
 
 @lru_cache
 def llvm_binding() -> Any:
-    """LLVM's binding, ready to compile for this machine."""
+    """Return llvmlite's interface to LLVM, initialized to compile for this machine."""
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
@@ -61,17 +66,16 @@ def llvm_binding() -> Any:
 
 @cache
 def lane_count() -> int:
-    """Return how many runs go side by side: as many as there are doubles in a vector register.
+    """Return the number of runs that are integrated at once: the number of doubles in a vector register.
 
-    Two registers for each number would be no quicker: their code, twice as much, leaves the cache of
-    instructions.
+    More lanes would not be faster: the code would no longer fit into the processor's instruction cache.
     """
-    return 2 * REGISTER if llvm_binding().get_host_cpu_features().get("avx512f") else REGISTER
+    return 2 * REGISTER_DOUBLES if llvm_binding().get_host_cpu_features().get("avx512f") else REGISTER_DOUBLES
 
 
 @contextmanager
-def uncollected() -> Iterator[None]:
-    """Keep Python from looking for cycles among hundreds of thousands of new objects, which hold none."""
+def garbage_collection_off() -> Iterator[None]:
+    """Turn garbage collection off for a block that makes hundreds of thousands of objects without cycles."""
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -82,11 +86,11 @@ def uncollected() -> Iterator[None]:
 
 
 class NativeModule:
-    """Functions compiled together, alive as long as this object is.
+    """Machine code of one or more functions in memory, valid as long as this object lives.
 
     Attributes:
-        from_cache: True if the machine code was on disk when this was made.
-        addresses: of the functions, by name.
+        from_cache: True if the machine code was loaded from the cache on disk.
+        addresses: address of each function, by name.
     """
 
     def __init__(
@@ -96,13 +100,14 @@ class NativeModule:
         functions: Mapping[str, Signature],
         optimize: bool = False,
     ) -> None:
-        """Compile LLVM text, or take its machine code from the cache.
+        """Compile LLVM text, or load its machine code from the cache.
 
         Args:
-            identity: all that the text depends on, or the text itself.
-            text: makes the text, and chooses LLVM's level of code generation for it.
-            functions: signatures of the functions that others call, by name.
-            optimize: for code with variables, which are to live in registers; a program has none.
+            identity: text that identifies the code in the cache: the LLVM text, or all that it depends on.
+            text: returns the LLVM text and LLVM's code generation level for it; not called if the code is in
+                the cache.
+            functions: signature of each function to call from outside, by name.
+            optimize: True to move variables from memory to registers. Traced programs have no variables.
         """
         llvm = llvm_binding()
         processor, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
@@ -114,11 +119,11 @@ class NativeModule:
         target = llvm.Target.from_default_triple()
         machine_of = partial(target.create_target_machine, cpu=processor, features=features)
         if code is None:
-            with uncollected():
+            with garbage_collection_off():
                 written, level = text()
             module, machine = llvm.parse_assembly(written), machine_of(opt=level)
             if optimize:
-                # LLVM's own selection of passes takes ten times as long and gains nothing
+                # LLVM's default optimization passes take ten times as long, and the code is not faster
                 passes = llvm.create_new_module_pass_manager()
                 passes.add_sroa_pass()
                 passes.add_simplify_cfg_pass()
@@ -132,71 +137,79 @@ class NativeModule:
         self.addresses = {name: int(self._engine.get_function_address(name)) for name in functions}
 
     def constant(self, name: str) -> bytes:
-        """Return a constant of the module, text that ends with a zero byte."""
+        """Return the content of a named constant of the module, a text that ends with a zero byte."""
         return ctypes.string_at(int(self._engine.get_global_value_address(name)))
 
 
 class Traced(NamedTuple):
-    """A program to compile.
+    """A traced program, and how to compile it.
 
     Attributes:
-        program: its operations.
-        many: True for code that takes several x at once, as many as there are `lanes`.
-        layout: where the program has its results, for callers: anything that JSON can hold.
-        straight: True for straight-line code, whatever its size; results are those of rolled code.
+        program: operations, from `Graph.prune`.
+        many: True for code that takes several x at once, one in each lane.
+        layout: description of the results for callers, anything that JSON can hold.
+        straight: True for straight-line code even if the program is `MIN_ROLLED_SIZE`. Results are the same
+            bit by bit.
+        lanes: number of lanes if `many` is True.
     """
 
     program: Program
     many: bool = False
     layout: Any = None
     straight: bool = False
-    lanes: int = REGISTER
+    lanes: int = REGISTER_DOUBLES
 
 
 class NativeFunction:
-    """`y = f(x)` in native code.
+    """A compiled function y = f(x).
 
     Attributes:
         inputs, outputs: lengths of x and y.
-        lanes: number of x that are taken at once, values of all of them side by side; as many y are made.
-        operations: floating-point operations of the program.
-        layout: as of `Traced`.
-        address: of `void f(double *x, double *y, int64_t on)`, for native callers.
-        module: the compiled module that it is in.
+        lanes: number of inputs x that one call takes. Element i of all lanes is contiguous in memory.
+        operation_count: number of floating-point operations of the program.
+        layout: description of the results, see `Traced`.
+        address: address of the function `void f(double *x, double *y, int64_t on)`, for native callers.
+        module: compiled module that contains the function.
     """
 
     def __init__(self, trace: Callable[[], Traced], identity: str | None = None) -> None:
-        """Compile a program: straight-line code, or loops over repeated pieces if it is `LARGE`.
+        """Compile a program: straight-line code, or loops over repeated pieces if it is `MIN_ROLLED_SIZE`.
 
         Args:
-            trace: makes the program, unless its code is in the cache.
-            identity: all that the program depends on, and this package; its text if None.
+            trace: returns the program; not called if its code is in the cache.
+            identity: text that identifies the program in the cache. None to use its LLVM text; then the
+                program is always traced.
         """
 
         @cache
         def text() -> tuple[str, int]:
+            """Return the LLVM text of the program and LLVM's code generation level."""
             traced = trace()
             program, many, layout = traced.program, traced.many, traced.layout
-            straight = traced.straight or program.operations < LARGE
+            straight = traced.straight or program.operation_count < MIN_ROLLED_SIZE
             lanes = traced.lanes if many else 1
             if straight:
-                body = emit_straight(program, "f", lanes, fuses=program.operations < LARGE)
+                body = emit_straight(program, "f", lanes, fuses=program.operation_count < MIN_ROLLED_SIZE)
             else:
                 body = emit_rolled(program, "f", lanes)
-            description = program.inputs, len(program.outputs), lanes, program.operations, layout
-            written = with_callees(body, lanes) + _constant(DESCRIPTION, json.dumps(description))
-            return written, LEVEL if straight else QUICK_LEVEL
+            description = program.inputs, len(program.outputs), lanes, program.operation_count, layout
+            written = with_callees(body, lanes) + _constant(DESCRIPTION_NAME, json.dumps(description))
+            return written, CODE_LEVEL if straight else ROLLED_CODE_LEVEL
 
-        limits = LARGE, VERY_LARGE, REGISTER, lane_count()
+        limits = MIN_ROLLED_SIZE, MIN_ROLLED_SIZE_IN_LANES, REGISTER_DOUBLES, lane_count()
         known = f"{identity} {limits}" if identity else text()[0]
-        self.module = NativeModule(known, text, {"f": PROGRAM})
-        description = json.loads(self.module.constant(DESCRIPTION))
-        self.inputs, self.outputs, self.lanes, self.operations, self.layout = description
+        self.module = NativeModule(known, text, {"f": PROGRAM_SIGNATURE})
+        description = json.loads(self.module.constant(DESCRIPTION_NAME))
+        self.inputs, self.outputs, self.lanes, self.operation_count, self.layout = description
         self.address = self.module.addresses["f"]
-        self._call = CALLBACK(self.address)
+        self._call = C_FUNCTION(self.address)
 
     def __call__(self, x: Array) -> Array:
-        """y (outputs,) for x (inputs,), which all lanes get, or y (outputs, lanes) for x (inputs, lanes)."""
+        """Evaluate y (outputs,) for x (inputs,), or y (outputs, lanes) for x (inputs, lanes).
+
+        Raises:
+            ValueError: if x has another shape.
+        """
         x = np.asarray(x, dtype=float)
         if x.shape not in ((self.inputs,), (self.inputs, self.lanes)):
             needed = f"{(self.inputs,)} or {(self.inputs, self.lanes)}"
@@ -208,6 +221,6 @@ class NativeFunction:
 
 
 def _constant(name: str, text: str) -> str:
-    """Give ASCII text as LLVM's text of a constant that ends with a zero byte."""
+    """Return the LLVM text of a named constant that holds an ASCII text and a zero byte at its end."""
     content = "".join(f"\\{byte:02X}" for byte in text.encode() + b"\0")
     return f'\n@{name} = constant [{len(text) + 1} x i8] c"{content}"\n'

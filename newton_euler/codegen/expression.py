@@ -1,11 +1,13 @@
-"""Traced scalars: arithmetic that records itself.
+"""Symbolic tracing: scalars that record the arithmetic done with them in an expression graph.
 
-The equations of this package, run over `Expression` instead of float, leave a `Graph` of what they
-computed. Constants fold while it grows, zeros and ones vanish, and an operation that was done before
-is found again instead of repeated. What no requested output reaches is dropped by `Graph.prune`.
+If the equations of motion are evaluated with `Expression` objects in place of floats, they leave a `Graph` of
+all operations. The graph is simplified as it grows: operations on constants are evaluated, zeros and ones
+vanish, and an operation that already exists is used again. `Graph.prune` keeps the operations that the
+requested outputs need; the result is a `Program`, which `newton_euler.codegen.compile` turns into native
+code. `differentiate` adds derivatives to a graph.
 
-Folding follows real arithmetic, not floating-point arithmetic to the last bit: x * 0 is 0, and
-constants that multiply one after the other are multiplied together first.
+Simplification follows the rules of real arithmetic, which may change the last bit: 0 x becomes 0, and c (d x)
+becomes (c d) x for constants c and d.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ import numpy as np
 from newton_euler.scalars import NUMBERS, Array, objects
 
 COMMUTATIVE = frozenset({"add", "mul", "minimum"})
+"""Operations whose two operands may be exchanged."""
 
 UNARY: dict[str, Callable[[float], float]] = {
     "neg": lambda a: -a,
@@ -36,88 +39,105 @@ BINARY: dict[str, Callable[[float, float], float]] = {
     "arctan2": math.atan2,
     "minimum": min,
 }
-"""Meaning of each operation; node operands are indices of earlier nodes."""
-
+"""Functions of one and of two numbers that evaluate each operation, by the name of the operation."""
 
 LEAVES = frozenset({"const", "input"})
-"""Nodes that are no operations."""
+"""Names of nodes that are no operations."""
 
 Node = tuple[str, Any, int]
-"""One operation: its name and two operands, the second -1 if there is none, or ("const", value, -1) or
-("input", number, -1). There are hundreds of thousands, and named tuples would take longer to make."""
+"""One operation: its name and the indices of the nodes of its two operands, the second -1 if there is none.
+Leaves are ("const", value, -1) and ("input", number of the input, -1). A graph has hundreds of thousands of
+nodes, and plain tuples are faster to make than named ones."""
 
 
 class Graph:
-    """Operations in the order in which they can be done.
+    """Expression graph: operations in an order in which they can be evaluated.
+
+    A method named like an operation adds the operation on nodes a and b (given by their indices), simplifies
+    it,
+    and returns the result as a scalar: an `Expression`, or a float if it is constant.
 
     Attributes:
-        nodes: every operation; operands come before what uses them.
+        nodes: every operation; operands come before the operations that use them.
         inputs: number of inputs.
     """
 
     def __init__(self) -> None:
         self.nodes: list[Node] = []
         self.inputs = 0
-        self._known: dict[Node, int] = {}
-        self._constants: dict[int, float] = {}
-        self._negated: dict[int, int] = {}
+        self._index_of_node: dict[Node, int] = {}
+        self._constants: dict[int, float] = {}  # index of a constant -> its value
+        self._negated: dict[int, int] = {}  # index of -x -> index of x
 
     def variables(self, count: int) -> Array:
-        """Add inputs (count,)."""
+        """Add inputs, and return them as scalars (count,)."""
         first = self.inputs
         self.inputs += count
         return objects([self.record("input", first + k) for k in range(count)])
 
     def constant(self, value: float) -> int:
-        """Return the node of a constant."""
+        """Return the index of the node of a constant."""
         index = self.record("const", float(value)).index
         self._constants[index] = float(value)
         return index
 
     def index(self, scalar: Expression | float) -> int:
-        """Return the node of a scalar, a float becoming a constant."""
+        """Return the index of the node of a scalar; a float becomes a constant of the graph."""
         return scalar.index if isinstance(scalar, Expression) else self.constant(scalar)
 
     def scalar(self, index: int) -> Any:
-        """Return the scalar at a node: a float if it is a constant."""
+        """Return the scalar of the node at an index: a float if the node is a constant, else an
+        `Expression`."""
         value = self._constants.get(index)
         return Expression(self, index) if value is None else value
 
     def record(self, op: str, a: Any, b: int = -1) -> Expression:
-        """Record an operation, found again if it was done before; operands of sums and products in one
-        order."""
+        """Add an operation without simplification. If an equal one exists, return the existing one.
+
+        Operands of commutative operations are sorted, so that a + b and b + a are equal.
+
+        Args:
+            op: name of the operation, or "const" or "input".
+            a: index of the first operand; value of a constant or number of an input.
+            b: index of the second operand, -1 if there is none.
+        """
         if b < a and op in COMMUTATIVE:
             a, b = b, a
         node = (op, a, b)
-        found = self._known.get(node)
-        if found is None:
-            found = self._known[node] = len(self.nodes)
+        index = self._index_of_node.get(node)
+        if index is None:
+            index = self._index_of_node[node] = len(self.nodes)
             self.nodes.append(node)
-        return Expression(self, found)
+        return Expression(self, index)
 
     def neg(self, a: int) -> Expression:
+        """Return -a."""
         inner = self._negated.get(a)
         if inner is not None:  # --x = x
             return Expression(self, inner)
-        found = self.record("neg", a)
-        self._negated[found.index] = a
-        return found
+        negative = self.record("neg", a)
+        self._negated[negative.index] = a
+        return negative
 
     def sin(self, a: int) -> Expression:
+        """Return sin a."""
         inner = self._negated.get(a)  # sin(-x) = -sin x
         return self.record("sin", a) if inner is None else self.neg(self.sin(inner).index)
 
     def cos(self, a: int) -> Expression:
+        """Return cos a."""
         inner = self._negated.get(a)  # cos(-x) = cos x
         return self.record("cos", a if inner is None else inner)
 
     def add(self, a: int, b: int) -> Any:
+        """Return a + b, with signs moved out of the operands: a + (-y) = a - y."""
         negated = self._negated
         if b in negated:
             return self.sub(a, negated[b])
         return self.sub(b, negated[a]) if a in negated else self.record("add", a, b)
 
     def sub(self, a: int, b: int) -> Any:
+        """Return a - b, with signs moved out of the operands: a - (-y) = a + y, (-x) - b = -(x + b)."""
         if a == b:
             return 0.0
         negated = self._negated
@@ -126,30 +146,36 @@ class Graph:
         return -self.add(negated[a], b) if a in negated else self.record("sub", a, b)
 
     def mul(self, a: int, b: int) -> Any:
+        """Return a b, with signs moved out of the operands: a (-y) = -(a y)."""
         negated = self._negated
         if b in negated:
             return -self.mul(a, negated[b])
         return -self.mul(negated[a], b) if a in negated else self.record("mul", a, b)
 
-    def scale(self, x: float, b: int) -> Any:
-        """Multiply a node by a constant, neither 0 nor 1."""
-        if x == -1.0:
+    def scale(self, factor: float, b: int) -> Any:
+        """Return the product of a constant factor and the node at index b."""
+        if factor == 0.0:
+            return 0.0
+        if factor == 1.0:
+            return Expression(self, b)
+        if factor == -1.0:
             return self.neg(b)
-        minus = self._negated.get(b)
-        if minus is not None:
-            return self.scale(-x, minus)
+        inner = self._negated.get(b)
+        if inner is not None:  # c (-x) = (-c) x
+            return self.scale(-factor, inner)
         op, first, second = self.nodes[b]
         if op == "mul":  # c (d z) = (c d) z
-            known = self._constants.get(first)
-            if known is not None:
-                return _scaled(self, x * known, second)
-            known = self._constants.get(second)
-            if known is not None:
-                return _scaled(self, x * known, first)
-        return self.record("mul", self.constant(x), b)
+            constant = self._constants.get(first)
+            if constant is not None:
+                return self.scale(factor * constant, second)
+            constant = self._constants.get(second)
+            if constant is not None:
+                return self.scale(factor * constant, first)
+        return self.record("mul", self.constant(factor), b)
 
     def ancestors(self, roots: Iterable[int]) -> list[int]:
-        """Find the nodes that these nodes need, themselves included, in order."""
+        """Return the indices of all nodes that are needed to evaluate the nodes `roots`, in ascending
+        order."""
         needed = bytearray(len(self.nodes))
         for root in roots:
             needed[root] = True
@@ -163,22 +189,22 @@ class Graph:
         return [index for index, is_needed in enumerate(needed) if is_needed]
 
     def prune(self, outputs: Iterable[Any]) -> Program:
-        """Keep the operations that these outputs (scalars) need, and nothing else."""
+        """Return a program of only those operations that these outputs (scalars) need."""
         roots = [self.index(scalar) for scalar in outputs]
-        kept = self.ancestors(roots)
-        place = {index: k for k, index in enumerate(kept)}
+        needed = self.ancestors(roots)
+        new_index = {index: k for k, index in enumerate(needed)}
         nodes: list[Node] = []
-        for index in kept:
+        for index in needed:
             op, a, b = self.nodes[index]
             if b >= 0:
-                nodes.append((op, place[a], place[b]))
+                nodes.append((op, new_index[a], new_index[b]))
             else:
-                nodes.append((op, a if op in LEAVES else place[a], b))
-        return Program(tuple(nodes), self.inputs, tuple(place[root] for root in roots))
+                nodes.append((op, a if op in LEAVES else new_index[a], b))
+        return Program(tuple(nodes), self.inputs, tuple(new_index[root] for root in roots))
 
 
 def operands(node: Node) -> tuple[int, ...]:
-    """Return the indices of the nodes that a node uses."""
+    """Return the indices of the operands of a node, none for a leaf."""
     op, a, b = node
     if b >= 0:
         return (a, b)
@@ -186,7 +212,13 @@ def operands(node: Node) -> tuple[int, ...]:
 
 
 class Program(NamedTuple):
-    """A pruned graph: operations in order, and the nodes that are outputs."""
+    """A pruned graph, which computes outputs from inputs.
+
+    Attributes:
+        nodes: operations, constants and inputs; operands come before the operations that use them.
+        inputs: number of inputs.
+        outputs: index of the node of each output.
+    """
 
     nodes: tuple[Node, ...]
     inputs: int
@@ -198,12 +230,12 @@ class Program(NamedTuple):
         return Counter({op: count for op, count in counts.items() if op not in LEAVES})
 
     @property
-    def operations(self) -> int:
-        """Floating-point operations; changes of sign do not count, as machines fold them away."""
+    def operation_count(self) -> int:
+        """Number of floating-point operations. Changes of sign do not count: processors do them for free."""
         return sum(count for op, count in self.counts().items() if op != "neg")
 
     def run(self, inputs: Sequence[float]) -> Array:
-        """Evaluate the outputs (outputs,) by plain Python, the meaning that native code is tested against."""
+        """Evaluate the outputs (outputs,) in plain Python, as the reference for tests of native code."""
         values: list[float] = []
         for op, a, b in self.nodes:
             if op in BINARY:
@@ -216,7 +248,14 @@ class Program(NamedTuple):
 
 
 class Expression:
-    """A scalar that is a node of a graph."""
+    """A scalar that stands for a node of a graph; arithmetic with it adds nodes.
+
+    It supports + - * /, and NumPy's sqrt, sin, cos, arctan2 and minimum on arrays of objects.
+
+    Attributes:
+        graph: graph that the node belongs to.
+        index: index of the node.
+    """
 
     __slots__ = ("graph", "index")
 
@@ -248,7 +287,7 @@ class Expression:
     def __mul__(self, other: Any) -> Any:
         if type(other) is Expression:
             return self.graph.mul(self.index, other.index)
-        return _scaled(self.graph, other, self.index) if isinstance(other, NUMBERS) else NotImplemented
+        return self.graph.scale(other, self.index) if isinstance(other, NUMBERS) else NotImplemented
 
     __rmul__ = __mul__
 
@@ -290,48 +329,62 @@ class Expression:
         return f"Expression({self.graph.nodes[self.index]})"
 
 
-def _scaled(graph: Graph, x: float, b: int) -> Expression | float:
-    """Multiply a node by any constant."""
-    if x == 0.0:
-        return 0.0
-    return Expression(graph, b) if x == 1.0 else graph.scale(x, b)
-
-
 def differentiate(graph: Graph, outputs: Sequence[Any], variables: Sequence[Expression]) -> Array:
-    """Differentiate, forward mode: partial derivatives (outputs, variables) as scalars of the same graph."""
+    """Compute partial derivatives (outputs, variables) by forward differentiation, as scalars of the same
+    graph."""
     roots = [graph.index(output) for output in outputs]
     needed = graph.ancestors(roots)
     table = np.zeros((len(outputs), len(variables)), dtype=object)
     for column, variable in enumerate(variables):
-        table[:, column] = _along(graph, roots, needed, {variable.index: 1.0})
+        table[:, column] = _directional(graph, roots, needed, {variable.index: 1.0})
     return table
 
 
 def differentiate_along(
     graph: Graph, outputs: Sequence[Any], variables: Sequence[Expression], directions: Sequence[Any]
 ) -> list[Any]:
-    """Differentiate outputs along a direction of the variables, itself scalars of the graph."""
+    """Compute directional derivatives (outputs,) along `directions`, as scalars of the same graph.
+
+    Args:
+        outputs: scalars to differentiate.
+        variables: inputs of the graph.
+        directions: derivative of each variable, a scalar of the same graph.
+    """
     roots = [graph.index(output) for output in outputs]
     rates = {variable.index: rate for variable, rate in zip(variables, directions, strict=True)}
-    return _along(graph, roots, graph.ancestors(roots), rates)
+    return _directional(graph, roots, graph.ancestors(roots), rates)
 
 
 def substitute(
     graph: Graph, scalars: Sequence[Any], variables: Sequence[Expression], values: Sequence[Any]
 ) -> list[Any]:
-    """Put values, themselves scalars of the graph, in place of variables that nothing but arithmetic uses."""
+    """Return the scalars with variables replaced by values.
+
+    The variables may be used by + - * / and negation only.
+
+    Args:
+        scalars: scalars of the graph.
+        variables: inputs of the graph.
+        values: value of each variable, a scalar of the same graph.
+    """
     roots = [graph.index(scalar) for scalar in scalars]
-    put = {variable.index: value for variable, value in zip(variables, values, strict=True)}
+    replaced = {variable.index: value for variable, value in zip(variables, values, strict=True)}
     for index in graph.ancestors(roots):
-        ends = operands(graph.nodes[index])
-        if any(end in put for end in ends):
-            op, scalars = graph.nodes[index][0], [put.get(end, graph.scalar(end)) for end in ends]
-            put[index] = BINARY[op](*scalars) if op in BINARY else UNARY[op](*scalars)
-    return [put.get(root, graph.scalar(root)) for root in roots]
+        indices = operands(graph.nodes[index])
+        if any(k in replaced for k in indices):
+            op, arguments = graph.nodes[index][0], [replaced.get(k, graph.scalar(k)) for k in indices]
+            replaced[index] = BINARY[op](*arguments) if op in BINARY else UNARY[op](*arguments)
+    return [replaced.get(root, graph.scalar(root)) for root in roots]
 
 
-def _along(graph: Graph, roots: list[int], needed: list[int], rates: dict[int, Any]) -> list[Any]:
-    """Differentiate roots by the rates of inputs, which those of all `needed` nodes are added to."""
+def _directional(graph: Graph, roots: list[int], needed: list[int], rates: dict[int, Any]) -> list[Any]:
+    """Return the derivatives of the nodes `roots` by forward differentiation.
+
+    Args:
+        roots: indices of nodes.
+        needed: indices of all nodes that the roots depend on, ascending.
+        rates: derivatives of the inputs by index; those of the needed nodes are added.
+    """
     for index in needed:
         rate = _rate(graph, index, rates)
         if not isinstance(rate, float) or rate != 0.0:
@@ -340,12 +393,12 @@ def _along(graph: Graph, roots: list[int], needed: list[int], rates: dict[int, A
 
 
 def _rate(graph: Graph, index: int, rates: dict[int, Any]) -> Any:
-    """Differentiate a node by the chain rule, from the derivatives of its operands."""
-    op, ends = graph.nodes[index][0], operands(graph.nodes[index])
-    if not any(end in rates for end in ends):
+    """Differentiate the node at an index by the chain rule, from the derivatives `rates` of its operands."""
+    op, indices = graph.nodes[index][0], operands(graph.nodes[index])
+    if not any(k in rates for k in indices):
         return 0.0
-    da = rates.get(ends[0], 0.0)
-    a, itself = graph.scalar(ends[0]), graph.scalar(index)
+    da = rates.get(indices[0], 0.0)
+    a, itself = graph.scalar(indices[0]), graph.scalar(index)
     if op == "neg":
         return -da
     if op == "sqrt":
@@ -354,7 +407,7 @@ def _rate(graph: Graph, index: int, rates: dict[int, Any]) -> Any:
         return a.cos() * da
     if op == "cos":
         return -a.sin() * da
-    b, db = graph.scalar(ends[1]), rates.get(ends[1], 0.0)
+    b, db = graph.scalar(indices[1]), rates.get(indices[1], 0.0)
     if op == "add":
         return da + db
     if op == "sub":

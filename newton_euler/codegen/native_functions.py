@@ -1,4 +1,8 @@
-"""Native functions compiled together, to be called from Python."""
+"""Compile functions marked `native` (see `newton_euler.codegen.native`) and call them from Python.
+
+`NativeFunctions` translates the functions and all that they call to LLVM text, compiles it or loads the
+machine code from the cache, and passes numbers, arrays and records to the functions.
+"""
 
 from __future__ import annotations
 
@@ -7,48 +11,64 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from newton_euler.codegen.compile import LEVEL, NativeModule, lane_count
+from newton_euler.codegen.compile import CODE_LEVEL, NativeModule, lane_count
 from newton_euler.codegen.fingerprint import SOURCE
 from newton_euler.codegen.native import Kind, Signature, address_of, signature_of
 from newton_euler.codegen.translate import text
 
 
 class NativeFunctions:
-    """Native functions compiled together, to be called with numbers and arrays from Python."""
+    """Compiled functions that Python calls with numbers, arrays, records and other native functions.
+
+    Attributes:
+        module: machine code of the functions.
+    """
 
     def __init__(self, functions: list[Callable[..., Any]], side_by_side: bool = False) -> None:
-        """Compile them, for one run or for several side by side, see `newton_euler.codegen.translate`."""
+        """Compile functions, or load their machine code from the cache.
+
+        Args:
+            functions: functions marked `native`.
+            side_by_side: True for code that makes several runs at once, one in each lane of the vector
+                registers (`newton_euler.codegen.translate`).
+        """
         lanes = lane_count() if side_by_side else 1
         signatures = {function.__name__: signature_of(function) for function in functions}
-        files = sorted({function.__code__.co_filename for function in functions})  # of users, perhaps
+        # the functions may be in files of a user, which `SOURCE` does not cover
+        files = sorted({function.__code__.co_filename for function in functions})
         texts = [Path(file).read_text(encoding="utf-8") for file in files]
         identity = "\n".join([SOURCE.hex(), str(lanes), *signatures, *texts])
         self.module = NativeModule(
-            identity, lambda: (text(functions, lanes), LEVEL), signatures, optimize=True
+            identity, lambda: (text(functions, lanes), CODE_LEVEL), signatures, optimize=True
         )
         self._calls = {
             name: _ctypes(signature)(self.module.addresses[name]) for name, signature in signatures.items()
         }
 
     def bind(self, function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
-        """Bind one of the functions to these arguments, arrays and native functions by address.
+        """Return a function that calls one of the functions with these first arguments.
 
-        Each call gives what is missing of them.
+        Args:
+            function: one of the compiled functions.
+            arguments: its first arguments; arrays, records and native functions are passed by address. The
+                returned function takes the remaining arguments.
         """
         call, given = self._calls[function.__name__], [address_of(argument) for argument in arguments]
 
-        # what has an address stays alive, and so does the code
+        # the default value keeps the code and everything that was passed by address alive
         def bound(*more: Any, keep: tuple[Any, ...] = (self, *arguments)) -> Any:
+            """Call the function with the bound arguments and these further ones."""
             return call(*given, *map(address_of, more))
 
         return bound
 
     def __call__(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Call one of the functions."""
+        """Call one of the functions with all its arguments, and return its result."""
         return self.bind(function, *arguments)()
 
 
 def _ctypes(signature: Signature) -> Any:
+    """Return the type of `ctypes` for functions of a signature."""
     kinds: dict[Kind, Any] = {"double": ctypes.c_double, "i64": ctypes.c_int64, "void": None}
     arguments = [kinds.get(kind, ctypes.c_void_p) for kind in signature.arguments.values()]
     return ctypes.CFUNCTYPE(kinds[signature.result], *arguments)

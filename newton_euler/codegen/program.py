@@ -1,11 +1,11 @@
-"""Programs of one function: trace, fingerprint, compile, or load from the cache."""
+"""Make a native function from Python code that computes with scalars, or load it from the cache on disk."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
+from newton_euler.codegen.compile import MIN_ROLLED_SIZE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.scalars import Array, Scalar
@@ -19,22 +19,24 @@ def native_program(
     neutral: frozenset[str],
     many: bool = False,
 ) -> NativeFunction:
-    """Return a function of x (inputs,) as native code, from the cache if the code is there.
+    """Return a native function of x (inputs,); trace and compile it if it is not in the cache.
 
     Args:
-        name: distinguishes programs that depend on the same values.
+        name: name of the function, which distinguishes functions of the same objects in the cache.
         inputs: length of x.
-        trace: computes the results over scalars x, and their layout for the attribute `layout`, or None.
-        depends_on: everything that the program depends on; see `fingerprint`.
-        neutral: names of fields that the program does not depend on.
-        many: True to take several x at once, unless the program is large.
+        trace: takes symbolic scalars x (inputs,) and returns the results, and any value for the attribute
+            `layout` of the function, such as the meaning of its results.
+        depends_on: all objects on which the results depend; their contents identify the cached code.
+        neutral: names of fields of these objects that do not change the results.
+        many: True for code that takes several x at once, one in each lane, unless the program is large.
     """
 
     def traced() -> Traced:
+        """Trace the function; called only if its code is not in the cache."""
         graph = Graph()
         scalars, layout = trace(graph.variables(inputs))
         program = graph.prune(scalars)
-        return Traced(program, many and program.operations < LARGE, layout)
+        return Traced(program, many and program.operation_count < MIN_ROLLED_SIZE, layout)
 
     known = fingerprint(*depends_on, neutral=neutral)
     return NativeFunction(traced, known and f"{known} {name}")

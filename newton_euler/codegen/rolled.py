@@ -147,7 +147,7 @@ def _common_constants(program: Program) -> set[float]:
     for k, (op, value, _) in enumerate(program.nodes):
         if op == "const":
             counts[value] += used[k]
-    least = COMMON * program.operations
+    least = COMMON * program.operation_count
     return {value for value, count in counts.items() if count >= least}
 
 

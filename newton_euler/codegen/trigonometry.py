@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-REGISTER = 4
+REGISTER_DOUBLES = 4
 """Doubles in a vector register of most processors: states that a run evaluates together."""
 
 FAR = 1e5

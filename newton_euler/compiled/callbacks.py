@@ -15,7 +15,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from newton_euler.codegen.compile import CALLBACK
+from newton_euler.codegen.compile import C_FUNCTION
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.stepper import STOP_ALL_RUNS, Count
 from newton_euler.scalars import Array
@@ -37,7 +37,7 @@ class PythonCallback:
 
     def __init__(self, function: Callable[[int, int, int], None]) -> None:
         self.function = function
-        self._callback = CALLBACK(function)
+        self._callback = C_FUNCTION(function)
         self.address = ctypes.c_void_p.from_buffer(self._callback).value
 
 

@@ -23,7 +23,13 @@ from typing import Any
 import numpy as np
 
 from newton_euler.codegen.cache import cache_key, read_cache, write_cache
-from newton_euler.codegen.compile import LARGE, VERY_LARGE, NativeFunction, Traced, lane_count
+from newton_euler.codegen.compile import (
+    MIN_ROLLED_SIZE,
+    MIN_ROLLED_SIZE_IN_LANES,
+    NativeFunction,
+    Traced,
+    lane_count,
+)
 from newton_euler.codegen.expression import Graph, Program, differentiate
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.compiled.constraint_groups import constraint_groups
@@ -170,7 +176,7 @@ class CompiledEquations:
     @property
     def operations(self) -> dict[str, int]:
         """Number of floating-point operations of each native function made so far, by name."""
-        return {name: function.operations for name, function in self.functions.items()}
+        return {name: function.operation_count for name, function in self.functions.items()}
 
     @property
     def from_cache(self) -> bool:
@@ -240,10 +246,14 @@ class CompiledEquations:
     def _traced(self, name: str, in_lanes: bool) -> Traced:
         """Return a program by name, with the layout of its results and the number of states per call."""
         group = next((group for group in MULTI_STATE_GROUPS if name in group), ())
-        many = len(group) > 0 and all(self.program(other).operations < LARGE for other in group)
+        many = len(group) > 0 and all(
+            self.program(other).operation_count < MIN_ROLLED_SIZE for other in group
+        )
         program, layout = self.program(name), self._layouts.get(name)
         if in_lanes:
-            return Traced(program, True, layout, program.operations < VERY_LARGE, lane_count())
+            return Traced(
+                program, True, layout, program.operation_count < MIN_ROLLED_SIZE_IN_LANES, lane_count()
+            )
         return Traced(program, many, layout)
 
     def _identity_of(self, name: str) -> str | None:

@@ -39,7 +39,7 @@ from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
 from crosscheck.studies.bisection import smallest
 from crosscheck.support.errors import CrosscheckError, reason_of
 from crosscheck.support.time_limits import time_limit
-from newton_euler.codegen.compile import uncollected
+from newton_euler.codegen.compile import garbage_collection_off
 from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.compiled.lanes import load_lanes
 from newton_euler.compiled.outputs import named
@@ -273,7 +273,7 @@ def _try(
     for _ in range(SAMPLE_TRIES):
         start = time.perf_counter()
         try:
-            with uncollected(), time_limit(SAMPLE_TIME_LIMIT):
+            with garbage_collection_off(), time_limit(SAMPLE_TIME_LIMIT):
                 done = engine.run(options, states, threads=1)
             worst = max(max(pose_errors(*pair)) for pair in zip(done.poses(), exact, strict=True))
         except (NewtonEulerError, CrosscheckError):

@@ -75,7 +75,7 @@ def time_sensitivities(scene: Scene, progress: Progress) -> list[SensitivityCost
         ):  # the run comes near a singular configuration, where derivatives do not exist
             continue
         calls.append(_timed(partial(_followed, run, *start)))
-        made.append((len(names), kind, code.function(code.rates[0]).operations))
+        made.append((len(names), kind, code.function(code.rates[0]).operation_count))
     calls[0]()
     times = in_turns(calls, [REPEATS] * len(calls), progress)
     return [SensitivityCost(*each, taken) for each, taken in zip(made, times, strict=True)]

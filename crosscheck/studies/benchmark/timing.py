@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.support.versions import versions
-from newton_euler.codegen.compile import uncollected
+from newton_euler.codegen.compile import garbage_collection_off
 
 Progress = Callable[[str], None]
 
@@ -68,7 +68,7 @@ def in_turns(
             progress(f"timing {len(calls)} settings alternately: {turn + 1} of {turns}")
         for call, count, row in zip(calls, repeats, times, strict=True):
             if turn * count % turns < count:
-                with uncollected():
+                with garbage_collection_off():
                     row.append(call())
     return [tuple(row) for row in times]
 

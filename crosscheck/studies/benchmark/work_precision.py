@@ -19,7 +19,7 @@ from crosscheck.studies.benchmark.reference import pose_errors
 from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
 from crosscheck.support.errors import CrosscheckError, reason_of
 from crosscheck.support.time_limits import time_limit
-from newton_euler.codegen.compile import uncollected
+from newton_euler.codegen.compile import garbage_collection_off
 
 LADDER_TIME_LIMIT = 1.5
 """s, CPU time of a run after which finer settings of its method are not tried."""
@@ -148,7 +148,7 @@ def _climb(
         name, options = ladder.setting(number)
         start = time.process_time()
         try:
-            with uncollected(), time_limit(RUN_TIME_LIMIT):
+            with garbage_collection_off(), time_limit(RUN_TIME_LIMIT):
                 done = run(options)
             errors = pose_errors(done.poses(), exact)
             if not np.all(np.isfinite(errors)):

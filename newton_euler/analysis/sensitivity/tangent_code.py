@@ -8,7 +8,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from newton_euler.codegen.compile import VERY_LARGE, Traced
+from newton_euler.codegen.compile import MIN_ROLLED_SIZE_IN_LANES, Traced
 from newton_euler.codegen.expression import Graph, Program, differentiate_along, substitute
 from newton_euler.compiled.equations import CACHED_SCENES, used_by
 from newton_euler.equations.formulation import Formulation
@@ -74,7 +74,7 @@ class TangentCode(CompiledScene):
         if not name.endswith(ALONG):
             return super()._traced(name, in_lanes)
         program = self.program(name)
-        straight = name in self.rates and program.operations < VERY_LARGE
+        straight = name in self.rates and program.operation_count < MIN_ROLLED_SIZE_IN_LANES
         # for a single direction, lanes hold output times
         many = name not in self.rates or not self.alone
         return Traced(program, many, self._layouts.get(name), straight=straight)

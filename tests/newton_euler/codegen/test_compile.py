@@ -21,12 +21,12 @@ from test_expression import everything, traced
 
 import newton_euler.codegen.cache
 from newton_euler.codegen.cache import CACHE_VARIABLE, cache_key, read_cache, write_cache
-from newton_euler.codegen.compile import LEVEL, NativeFunction, NativeModule, Traced
+from newton_euler.codegen.compile import CODE_LEVEL, NativeFunction, NativeModule, Traced
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.native import Callback, NativeError, Record, Signature, Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.codegen.translate import text
-from newton_euler.codegen.trigonometry import REGISTER
+from newton_euler.codegen.trigonometry import REGISTER_DOUBLES
 from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.run import load, native_method
 from newton_euler.errors import OptionError
@@ -53,7 +53,7 @@ def test_native_code_computes_what_the_program_says(cache):
 
 def compiled(text):
     return NativeModule(
-        text, lambda: (text, LEVEL), {"f": Signature({"x": "double"}, "double")}, optimize=True
+        text, lambda: (text, CODE_LEVEL), {"f": Signature({"x": "double"}, "double")}, optimize=True
     )
 
 
@@ -447,9 +447,9 @@ def test_native_functions_mean_what_python_means(cache):
 def test_several_at_once_are_what_each_is_alone(cache):
     program = traced(everything, 3)
     many = NativeFunction(lambda: Traced(program, many=True))
-    assert many.lanes == REGISTER > 1
+    assert many.lanes == REGISTER_DOUBLES > 1
     rng = np.random.default_rng(0)
-    near = rng.standard_normal((3, REGISTER))
+    near = rng.standard_normal((3, REGISTER_DOUBLES))
     far = near.copy()
     far[:, 1] *= 1e7  # beyond the polynomials of sine and cosine, in one lane alone
     for given in (near, far):

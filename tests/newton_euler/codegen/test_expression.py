@@ -35,7 +35,7 @@ def traced(function, count):
 )
 def test_operations_that_need_not_be_done(function, operations):
     program = traced(function, 2)
-    assert program.operations == operations
+    assert program.operation_count == operations
     values = [0.7, -1.3]
     assert program.run(values) == pytest.approx([float(v) for v in function(*map(np.float64, values))])
 
@@ -111,4 +111,4 @@ def test_constants_of_a_product_meet_whatever_came_first():
     early = 3.0 * x  # 3.0 is a node before x y is
     program = graph.prune([early, 2.0 * (3.0 * (x * y)), 2.0 * (y * 5.0)])
     assert program.run([0.5, 7.0]) == pytest.approx([1.5, 21.0, 70.0], rel=1e-15)
-    assert program.operations == 4
+    assert program.operation_count == 4

@@ -192,7 +192,7 @@ def test_programs_change_the_lanes_that_call_them(seed):
 @pytest.mark.parametrize("emit", [emit_straight, emit_rolled])
 def test_programs_are_the_same_in_lanes(emit, monkeypatch):
     """Written out and rolled, with angles that polynomials do not reach in one lane."""
-    monkeypatch.setattr("newton_euler.codegen.compile.LARGE", 1 if emit is emit_rolled else 10**9)
+    monkeypatch.setattr("newton_euler.codegen.compile.MIN_ROLLED_SIZE", 1 if emit is emit_rolled else 10**9)
     program = traced(everything, 3)
     single = NativeFunction(lambda: Traced(program))
     many = NativeFunction(lambda: Traced(program, many=True, lanes=LANES))

@@ -33,7 +33,7 @@ def test_rolled_code_computes_what_straight_line_code_does(distinct, monkeypatch
     program = windows(40, distinct)
     x = np.random.default_rng(0).uniform(-1.0, 1.0, program.inputs)
     straight = NativeFunction(lambda: Traced(program))(x)
-    monkeypatch.setattr(newton_euler.codegen.compile, "LARGE", 1)
+    monkeypatch.setattr(newton_euler.codegen.compile, "MIN_ROLLED_SIZE", 1)
     # the same operations in the same order; which products are fused with sums may differ
     assert NativeFunction(lambda: Traced(program))(x) == pytest.approx(straight, rel=1e-14, abs=1e-15)
     assert straight == pytest.approx(program.run(x), rel=1e-13, abs=1e-14)
@@ -58,7 +58,7 @@ def test_a_large_scene_is_the_same_rolled_or_not(monkeypatch):
 
     scene = load("four_bar", N="6")
     straight = compile_scene(scene)
-    monkeypatch.setattr(newton_euler.codegen.compile, "LARGE", 1)
+    monkeypatch.setattr(newton_euler.codegen.compile, "MIN_ROLLED_SIZE", 1)
     rolled = compile_scene(scene)
     x = straight.packed(*straight.system.coordinates(initial_state(scene)))
     for name, function in straight.functions.items():

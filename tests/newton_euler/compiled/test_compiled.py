@@ -134,21 +134,21 @@ def test_runs_are_the_float_forms(tracker, formulation):
 
 def test_operations_of_the_tracker(tracker):
     """No more than the limit study's 1,867; and 6,043, with a step of refinement on top."""
-    assert CompiledEquations(tracker).program("derivative").operations <= 1867
-    assert CompiledEquations(tracker, "cartesian").program("derivative").operations <= 7450
+    assert CompiledEquations(tracker).program("derivative").operation_count <= 1867
+    assert CompiledEquations(tracker, "cartesian").program("derivative").operation_count <= 7450
 
 
 def test_gravity_costs_nothing_when_there_is_none(tracker):
     heavy = replace(tracker, gravity=(0.0, 0.0, -9.81), initial_state=None)
     light, with_gravity = (
-        CompiledEquations(scene).program("derivative").operations for scene in (tracker, heavy)
+        CompiledEquations(scene).program("derivative").operation_count for scene in (tracker, heavy)
     )
     assert light < with_gravity
 
 
 def test_outputs_that_are_not_asked_for_are_not_computed(tracker):
-    everything = CompiledEquations(tracker).program("output").operations
-    poses = CompiledEquations(replace(tracker, outputs=frozenset())).program("output").operations
+    everything = CompiledEquations(tracker).program("output").operation_count
+    poses = CompiledEquations(replace(tracker, outputs=frozenset())).program("output").operation_count
     assert poses < 0.25 * everything
 
 

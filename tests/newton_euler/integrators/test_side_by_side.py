@@ -9,7 +9,7 @@ import pytest
 from crosscheck.library import load
 from newton_euler.codegen.compile import lane_count
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.codegen.trigonometry import REGISTER
+from newton_euler.codegen.trigonometry import REGISTER_DOUBLES
 from newton_euler.compiled.lanes import Runs, SideBySide, load_lanes
 from newton_euler.compiled.run import Fallback, Integrator, Projection, equations
 from newton_euler.errors import NewtonEulerError
@@ -25,7 +25,7 @@ from newton_euler.runs.simulate import CompiledScene
 
 def recorded(code, times, table):
     """The rows after the first, and what came of it."""
-    assert code.function("position").lanes == code.function("velocity").lanes == REGISTER > 1
+    assert code.function("position").lanes == code.function("velocity").lanes == REGISTER_DOUBLES > 1
     counts, table = np.zeros(COUNTS), table.copy()
     system = equations(code, Fallback(code, counts), code.function("derivative"), np.zeros(code.size))
     x = code.start.copy()
@@ -39,7 +39,7 @@ def recorded(code, times, table):
 def test_rows_are_what_each_is_alone(scene, far):
     """A group of as many as there are lanes and one of fewer, with and without rows that need more steps."""
     code, rng = CompiledScene(load(scene)), np.random.default_rng(0)
-    rows, start = 1 + REGISTER + 2, code.start
+    rows, start = 1 + REGISTER_DOUBLES + 2, code.start
     times, table = np.linspace(0.0, 1.0, rows), np.tile(start[: code.size], (rows, 1))
     table[1:] += 1e-6 * rng.standard_normal((rows - 1, code.size))
     for row in far:
@@ -60,12 +60,12 @@ def test_rows_are_what_each_is_alone(scene, far):
 
 def test_a_row_that_cannot_be_closed_ends_it_and_those_before_it_are_kept():
     code = CompiledScene(load("four_bar"))
-    rows = 1 + 2 * REGISTER
+    rows = 1 + 2 * REGISTER_DOUBLES
     times, table = np.linspace(0.0, 1.0, rows), np.tile(code.start[: code.size], (rows, 1))
-    table[1 + REGISTER + 1] = np.nan
+    table[1 + REGISTER_DOUBLES + 1] = np.nan
     status, found, written = recorded(code, times, table)
     assert status != Status.DONE
-    assert written == 1 + REGISTER + 1
+    assert written == 1 + REGISTER_DOUBLES + 1
     assert np.isfinite(found[:written]).all()
 
 
@@ -214,9 +214,9 @@ def test_a_run_that_fails_leaves_the_others_as_they_are(starts):
 @pytest.mark.parametrize("very_large", [1, 10**9], ids=["rolled", "written out"])
 def test_large_programs_run_in_lanes(starts, monkeypatch, very_large):
     """One by one they are rolled up into loops."""
-    monkeypatch.setattr("newton_euler.codegen.compile.LARGE", 1)
+    monkeypatch.setattr("newton_euler.codegen.compile.MIN_ROLLED_SIZE", 1)
     for module in ("codegen.compile", "compiled.equations"):
-        monkeypatch.setattr(f"newton_euler.{module}.VERY_LARGE", very_large)
+        monkeypatch.setattr(f"newton_euler.{module}.MIN_ROLLED_SIZE_IN_LANES", very_large)
     first, x = starts("chain", "relative")
     code = CompiledScene(first.scene)
     load_lanes(code, "DOP853")

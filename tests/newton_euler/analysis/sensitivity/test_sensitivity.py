@@ -263,8 +263,8 @@ def test_rolled_code_and_single_directions_give_the_same(monkeypatch):
     scene, names = short(load("slider_crank")), ["crank.mass", "ball.point.z"]
     found = sensitivities(scene, names).linear_velocity
     one_by_one = np.concatenate([sensitivities(scene, [name]).linear_velocity for name in names], axis=-1)
-    monkeypatch.setattr("newton_euler.codegen.compile.LARGE", 200)
-    monkeypatch.setattr("newton_euler.analysis.sensitivity.tangent_code.VERY_LARGE", 0)
+    monkeypatch.setattr("newton_euler.codegen.compile.MIN_ROLLED_SIZE", 200)
+    monkeypatch.setattr("newton_euler.analysis.sensitivity.tangent_code.MIN_ROLLED_SIZE_IN_LANES", 0)
     rolled = sensitivities(replace(scene), names).linear_velocity  # another object, compiled anew
     largest = np.abs(found).max()
     # round-off of steps that the same accelerations with other round-off make
