@@ -1,16 +1,21 @@
-"""Single constraint equations between two bodies: Phi, its Jacobian and gamma.
+"""Elementary constraint equations between two bodies, from which all joints are built.
 
-These are the building blocks of the joints (Appendix A of the paper; Nikravesh, Computer-Aided
-Analysis of Mechanical Systems, 1988, section 7.2). Each works on the `Frame` of its first body i
-and second body j. Virtual rotations delta theta are world-frame, so that for a constraint
-Phi(r_i, A_i, r_j, A_j)
+Each class is one or more scalar equations Phi = 0 (two points coincide, two vectors stay perpendicular, ...)
+and computes the residual Phi, the Jacobian, and the right side gamma of the acceleration equations. Some of
+the classes also serve as joint coordinates, which measure Phi instead of holding it at zero. The arguments of
+all methods are the `Frame` records (pose and velocity) of the first body i and the second body j.
 
-    delta Phi = Phi_ri delta r_i + Phi_ti delta theta_i + Phi_rj delta r_j + Phi_tj delta theta_j
+Let r and A be the position of the center of mass and the rotation matrix of a body. Virtual rotations delta
+theta have world-frame components. The Jacobian blocks of a constraint Phi(r_i, A_i, r_j, A_j) are defined by
 
-and Phi_p = 2 Phi_t G gives the paper's Jacobian in Euler parameters, because
-delta theta = 2 G delta p. gamma is everything in -d2 Phi / dt2 that holds no acceleration:
-Phi_q qddot = gamma, eq. (5).
-"""
+    delta Phi = Phi_ri delta r_i + Phi_ti delta theta_i + Phi_rj delta r_j + Phi_tj delta theta_j.
+
+With respect to Euler parameters p, the Jacobian is Phi_p = 2 Phi_t G, because delta theta = 2 G delta p
+(`matrix_g`). gamma is the part of -d2 Phi / dt2 without accelerations: Phi_q qddot = gamma, eq. (5).
+
+Equation numbers are those of S. Srang, S. Ath and M. Yamakita, Advances in Science, Technology and
+Engineering Systems Journal 5(5), 2020, doi:10.25046/aj050587, Appendix A. The constraints are also in
+Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, section 7.2."""
 
 from __future__ import annotations
 
@@ -22,32 +27,37 @@ import numpy as np
 from newton_euler.scalars import Array, arctan2, cross, tilde
 
 _I3 = np.eye(3)
-_ZERO = np.zeros((1, 3))
+_ZERO = np.zeros((1, 3))  # Jacobian block of an equation that does not depend on a position
 
 
 class Frame(NamedTuple):
-    """Pose and velocity of a body; world frame, in m, rad and s."""
+    """Pose and velocity of a body, world frame."""
 
     position: Array
-    """(3,) center of mass r."""
+    """(3,) center of mass r, m."""
     rotation: Array
-    """(3, 3) rotation matrix A, body to world."""
+    """(3, 3) rotation matrix A: takes body-frame components to world-frame components."""
     velocity: Array
-    """(3,) velocity of the center of mass."""
+    """(3,) velocity of the center of mass, m/s."""
     angular_velocity: Array
-    """(3,) angular velocity omega."""
+    """(3,) angular velocity omega, rad/s."""
 
 
 class Jacobian(NamedTuple):
-    """The four blocks (k, 3) of a constraint Jacobian."""
+    """The four blocks (k, 3) of the Jacobian of k constraint equations between two bodies."""
 
     r_first: Array
+    """(k, 3) with respect to the position of the first body."""
     theta_first: Array
+    """(k, 3) with respect to the virtual rotation of the first body, world frame."""
     r_second: Array
+    """(k, 3) with respect to the position of the second body."""
     theta_second: Array
+    """(k, 3) with respect to the virtual rotation of the second body, world frame."""
 
     def rate(self, first: Frame, second: Frame) -> Array:
-        """Compute Phi_q qdot (k,), eq. (5), the rate of the residuals at the velocities of two frames."""
+        """Compute the rate of the residuals, dPhi/dt = Phi_q qdot (k,), from the velocities of both
+        bodies."""
         return (
             self.r_first @ first.velocity
             + self.theta_first @ first.angular_velocity
@@ -57,61 +67,72 @@ class Jacobian(NamedTuple):
 
 
 class Constraint(Protocol):
-    """k scalar constraint equations between two bodies."""
+    """Interface of k scalar constraint equations between two bodies."""
 
     @property
     def is_length(self) -> bool:
-        """True for equations in meters, False for equations in radians (sines of small angles)."""
+        """True for residuals in meters, False for residuals in radians (sines of small angles)."""
 
     @property
     def count(self) -> int:
-        """k."""
+        """Number k of scalar equations."""
 
     def phi(self, first: Frame, second: Frame) -> Array:
         """Compute the residual Phi (k,), eq. (4)."""
 
     def jacobian(self, first: Frame, second: Frame) -> Jacobian:
-        """Compute Phi_q, four blocks (k, 3)."""
+        """Compute the Jacobian Phi_q as four blocks (k, 3)."""
 
     def gamma(self, first: Frame, second: Frame) -> Array:
         """Compute the right side (k,) of Phi_q qddot = gamma, eq. (5)."""
 
 
 def _centripetal(omega: Array, s: Array) -> Array:
-    """Compute omega x (omega x s), the acceleration of a body-fixed vector at constant omega."""
+    """Compute omega x (omega x s), (3,): the second derivative of a body-fixed vector s at constant omega."""
     return cross(omega, cross(omega, s))
 
 
 class Span(NamedTuple):
-    """Points fixed in two bodies, world frame: s_i and s_j from the centers of mass, d from one to the other.
-
-    All are (3,) m.
-    """
+    """The vector d from a point fixed in the first body i to a point fixed in the second body j, world
+    frame."""
 
     s_i: Array
+    """(3,) from the center of mass of body i to its point, m."""
     s_j: Array
+    """(3,) from the center of mass of body j to its point, m."""
     d: Array
+    """(3,) from the point of body i to the point of body j, m."""
 
     @classmethod
     def of(cls, first: Frame, second: Frame, s_first: Array, s_second: Array) -> Span:
-        """Compute it from the points in the frames of the bodies, (3,) m."""
+        """Compute the span at given frames of the two bodies.
+
+        Args:
+            first, second: present frames of the two bodies.
+            s_first, s_second: (3,) m, the points from the centers of mass, in the frames of their bodies.
+        """
         s_i, s_j = first.rotation @ s_first, second.rotation @ s_second
         return cls(s_i, s_j, second.position + s_j - first.position - s_i)
 
     def rate(self, first: Frame, second: Frame) -> Array:
-        """Compute dd/dt (3,), m/s."""
+        """Compute the rate of d, (3,), m/s."""
         at_second = second.velocity + cross(second.angular_velocity, self.s_j)
         return np.asarray(at_second - first.velocity - cross(first.angular_velocity, self.s_i))
 
     def drift(self, first: Frame, second: Frame) -> Array:
-        """Compute d2d/dt2 (3,) where neither body accelerates, m/s^2."""
+        """Compute the second derivative of d, (3,), m/s^2, if both bodies have zero acceleration."""
         at_second = _centripetal(second.angular_velocity, self.s_j)
         return np.asarray(at_second - _centripetal(first.angular_velocity, self.s_i))
 
 
 @dataclass(frozen=True, eq=False)
 class Coincidence:
-    """Phi^(s,3), eq. (25): point s_first of body i and point s_second of body j coincide."""
+    """Three equations, eq. (25): a point fixed in body i and a point fixed in body j coincide.
+
+    Attributes:
+        s_first: (3,) m, point of body i from its center of mass, body frame.
+        s_second: (3,) m, point of body j from its center of mass, body frame.
+    """
 
     s_first: Array
     s_second: Array
@@ -136,9 +157,12 @@ class Coincidence:
 
 @dataclass(frozen=True, eq=False)
 class Perpendicular:
-    """Phi^(n1,1), eq. (26): a_first on body i stays perpendicular to a_second on body j.
+    """One equation, eq. (26): a vector fixed in body i stays perpendicular to a vector fixed in body j.
 
-    For unit vectors and another `cosine` than 0 they stay at that angle.
+    Attributes:
+        a_first: (3,) vector in the frame of body i.
+        a_second: (3,) vector in the frame of body j.
+        cosine: cosine of the angle at which two unit vectors stay; 0 for perpendicular vectors.
     """
 
     a_first: Array
@@ -157,6 +181,7 @@ class Perpendicular:
     def gamma(self, first: Frame, second: Frame) -> Array:
         a, b = first.rotation @ self.a_first, second.rotation @ self.a_second
         wi, wj = first.angular_velocity, second.angular_velocity
+        # minus the second derivative of a . b if both angular velocities are constant
         return -np.array(
             [_centripetal(wi, a) @ b + 2.0 * (cross(wi, a) @ cross(wj, b)) + a @ _centripetal(wj, b)]
         )
@@ -164,10 +189,17 @@ class Perpendicular:
 
 @dataclass(frozen=True, eq=False)
 class Displacement:
-    """a . d - offset, a on body i and d from point s_first of i to point s_second of j.
+    """One equation a . d - offset = 0: displacement of a point of body j along a vector a fixed in body i.
 
-    As a constraint it is one row of Phi^(p2,2), eq. (28), with a perpendicular to the joint's
-    axis; with a along the axis it is the coordinate of a slide.
+    d is the vector from the point of body i to the point of body j. With a perpendicular to the axis of a
+    slide, this is a constraint, one row of eq. (28). With a along the axis, a . d - offset is the coordinate
+    of the slide, m.
+
+    Attributes:
+        a_first: (3,) vector a in the frame of body i.
+        s_first: (3,) m, point of body i from its center of mass, body frame.
+        s_second: (3,) m, point of body j from its center of mass, body frame.
+        offset: m, value of a . d at which the residual is zero.
     """
 
     a_first: Array
@@ -178,6 +210,7 @@ class Displacement:
     count = 1
 
     def _vectors(self, first: Frame, second: Frame) -> tuple[Array, Span]:
+        """Compute the vector a (3,), world frame, and the span with d."""
         return first.rotation @ self.a_first, Span.of(first, second, self.s_first, self.s_second)
 
     def phi(self, first: Frame, second: Frame) -> Array:
@@ -191,16 +224,23 @@ class Displacement:
     def gamma(self, first: Frame, second: Frame) -> Array:
         a, span = self._vectors(first, second)
         wi, rate = first.angular_velocity, span.rate(first, second)
-        turning = _centripetal(wi, a) @ span.d + 2.0 * (cross(wi, a) @ rate)
-        return -np.array([turning + a @ span.drift(first, second)])
+        of_turning_a = _centripetal(wi, a) @ span.d + 2.0 * (cross(wi, a) @ rate)
+        return -np.array([of_turning_a + a @ span.drift(first, second)])
 
 
 @dataclass(frozen=True, eq=False)
 class Distance:
-    """(d . d - L^2) / (2 L), d from point s_first of body i to point s_second of body j: |d| stays L.
+    """One equation (d . d - L^2) / (2 L) = 0: the distance between a point of body i and a point of body j
+    stays L.
 
-    To first order it is the rod's elongation in meters, and its multiplier the force along the rod
-    (Nikravesh, section 7.2, there without the 2 L).
+    d is the vector from the point of body i to the point of body j. To first order the residual is the
+    elongation of a rod between the points, m, so that the Lagrange multiplier is the force along the rod
+    (Nikravesh, section 7.2, there without the factor 1 / (2 L)).
+
+    Attributes:
+        s_first: (3,) m, point of body i from its center of mass, body frame.
+        s_second: (3,) m, point of body j from its center of mass, body frame.
+        length: L, m.
     """
 
     s_first: Array
@@ -210,6 +250,7 @@ class Distance:
     count = 1
 
     def _span(self, first: Frame, second: Frame) -> Span:
+        """Compute the span with the vector d between the two points, world frame."""
         return Span.of(first, second, self.s_first, self.s_second)
 
     def phi(self, first: Frame, second: Frame) -> Array:
@@ -223,18 +264,23 @@ class Distance:
 
     def gamma(self, first: Frame, second: Frame) -> Array:
         span = self._span(first, second)
-        rate, bend = span.rate(first, second), span.d @ span.drift(first, second)
-        return np.array([-(rate @ rate + bend) / self.length])
+        rate, along_drift = span.rate(first, second), span.d @ span.drift(first, second)
+        return np.array([-(rate @ rate + along_drift) / self.length])
 
 
 @dataclass(frozen=True, eq=False)
 class Angle:
-    """The angle, in (-pi, pi], by which body j is rotated against body i about an axis of body i.
+    """Joint coordinate: the angle, rad, in (-pi, pi], of body j relative to body i about an axis fixed in
+    body i.
 
-    The pointer is a vector of body j; u and w of body i complete the axis to a right-handed
-    orthonormal triad (u, w, axis) and the angle is that of the pointer in the plane of u and w.
-    Its gradient is the axis itself wherever j can rotate against i about that axis and, at most,
-    about the pointer: revolute, cylindrical, planar and universal joints.
+    The vectors u and w are fixed in body i and form a right-handed orthonormal triad (u, w, axis) with the
+    axis. The pointer is a vector fixed in body j. The angle is that of the pointer in the plane of u and w,
+    counted from u. Its gradient is the axis if body j can rotate relative to body i only about the axis and
+    about the pointer. This holds for revolute, cylindrical, planar and universal joints.
+
+    Attributes:
+        u_first, w_first: (3,) vectors u and w in the frame of body i.
+        pointer_second: (3,) pointer in the frame of body j.
     """
 
     u_first: Array
@@ -260,7 +306,11 @@ class Angle:
 
 @dataclass(frozen=True, eq=False)
 class Reversed:
-    """A constraint or coordinate stated from body j to body i, used from i to j, sign changed."""
+    """A constraint or coordinate with its two bodies exchanged and its sign changed.
+
+    Attributes:
+        of: the constraint that takes the second body of this one as its first body.
+    """
 
     of: Constraint
 

@@ -1,4 +1,9 @@
-"""Control laws in discrete time, whose force is held from one sampling instant to the next."""
+"""Control laws in discrete time: the force is computed at sampling instants and held constant in between.
+
+`Sampled` calls a Python function of the user. `Digital` executes a declared law, such as `PD`, as an embedded
+computer does: with a sampling period, delay, encoder resolution, and limits of force, slew rate and
+set-point. A run creates the controllers of all laws with `HeldLaw.controller_of` and calls them once a
+period."""
 
 from __future__ import annotations
 
@@ -34,26 +39,35 @@ from newton_euler.model.variable import Change
 from newton_euler.scalars import Array, Floats, Scalar
 
 Controller = Callable[[float, Floats, Floats], float]
-"""Function of time (s), coordinates (a,) and rates (a,) that returns a force, N or N m.
+"""Function of time (s), coordinates (a,) in m or rad, and their rates (a,), that returns a force, N or N m.
 
-The coordinates of all laws of the scene come first, in order, then other coordinates that laws read."""
+The coordinates on which the control laws of the scene act come first, in the order of the laws. Other
+coordinates that laws read follow."""
 
 
 Model = Callable[[Readings, Sequence[float], float], Mapping[Key, float]]
-"""Function of readings, commanded accelerations of the laws of computed torque, in order, and time (s) that
-returns the forces of laws with a model of the mechanism, N or N m."""
+"""Function that computes forces, N or N m, from a model of the mechanism: gravity compensation and computed
+torque.
+
+Its arguments are the readings of joint coordinates, the commanded accelerations of all `ComputedTorque` laws
+in the order of the laws, and the time in s. It returns the forces by joint coordinate."""
 
 
-SHORTEST_PERIOD = 1e-6  # s; no digital controller is quicker, and Python is called a million times a second
-LONGEST_DELAY = 1_000_000  # samples: a second of the shortest period, and some megabytes of forces under way
+MIN_PERIOD = 1e-6
+"""Shortest sampling period, s. Each simulated second then takes a million calls of Python; real controllers
+are slower."""
+
+MAX_DELAY_SAMPLES = 1_000_000
+"""Longest delay from reading to acting, in samples; the forces on their way then take some megabytes of
+memory."""
 
 
 class HeldLaw(ControlLaw):
-    """A control law that is evaluated once a period; the force is held in between.
+    """Base class of control laws that are evaluated once a period; the force is held constant in between.
 
     Attributes:
-        period: s between its calls, at least `SHORTEST_PERIOD`; the first is at time 0.
-        held: N or N m, the force at present.
+        period: sampling period, s, at least `MIN_PERIOD`; the first sample is at time 0.
+        held: force that is held at present, N or N m.
     """
 
     period: float
@@ -63,15 +77,16 @@ class HeldLaw(ControlLaw):
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        return ()  # comparisons of models change no number of a controller
+        return ()  # two-model comparisons do not vary the numbers of a controller
 
     @property
     def variables(self) -> tuple[str, ...]:
         return tuple(self.number_fields)
 
     def _check_period(self) -> None:
-        if not is_finite_number(self.period) or self.period < SHORTEST_PERIOD:
-            needed = f"a number of seconds, at least {SHORTEST_PERIOD:g}"
+        """Convert the period to a float; raises `MechanismError` if it is too short or not finite."""
+        if not is_finite_number(self.period) or self.period < MIN_PERIOD:
+            needed = f"a number of seconds, at least {MIN_PERIOD:g}"
             raise MechanismError(self.element, f"period is {quoted(self.period)}", needed)
         object.__setattr__(self, "period", float(self.period))
 
@@ -81,31 +96,33 @@ class HeldLaw(ControlLaw):
         return super().rebuilt(values)
 
     def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
-        """Return the held force, N or N m."""
+        """Return the held force, N or N m, whatever the coordinate, its rate and the time are."""
         return self.held
 
     def controller_of(self, laws: Sequence[ControlLaw], model: Model | None = None) -> Controller:
-        """Return the controller for one run of a scene with these laws, in its state at time 0.
+        """Create the controller of this law for one run, in its state at time 0.
 
-        `model` is for laws that know the mechanism.
+        Args:
+            laws: all control laws of the scene.
+            model: computes the forces of laws that use a model of the mechanism; None if no law uses one.
         """
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class Sampled(HeldLaw):
-    """A controller in Python, called once a period; the force is held in between.
+    """A controller that is a Python function, called once a period; the force is held constant in between.
 
     Attributes:
-        joint: name of the joint it drives.
-        controller: a `Controller`; one with a state of its own has to begin anew at time 0, because a
-            scene may be run several times.
-        period: s between its calls, at least `SHORTEST_PERIOD`; the first is at time 0.
-        coordinate: which of the joint's coordinates, from 0.
-        held: N or N m, the force at present.
+        joint: name of the driven joint.
+        controller: function of time, coordinates and rates, see `Controller`. If it has a state, it must
+            reset the state when it is called with time 0, because a scene may be run several times.
+        period: sampling period, s, at least `MIN_PERIOD`; the first call is at time 0.
+        coordinate: index of the driven joint coordinate, from 0.
+        held: force that is held at present, N or N m.
 
     Raises:
-        MechanismError: naming the joint and the value at fault.
+        MechanismError: naming the joint and the invalid value.
 
     Examples:
         >>> law = Sampled("hinge", lambda time, x, x_rate: -2.0 * x[0], period=0.01)
@@ -132,28 +149,32 @@ class Sampled(HeldLaw):
 
 @dataclass(frozen=True)
 class Digital(HeldLaw):
-    """A declared law as a computer executes it, with the limits of its encoder and its actuator.
+    """A declared law as an embedded computer executes it, with the limits of its encoder and its actuator.
 
-    At each of its instants t_k it reads the coordinates, computes the law's force for set-points within the
-    stroke, limits it, and then its change since the instant before; `delay` samples later the actuator has
-    it. Before its first force arrives the actuator's is 0, and so is the one that the first change counts
-    from. An encoder reads the nearest multiple of its resolution, and rates are differences of its readings
-    over the period, 0 at the first instant; without an encoder's resolution both are read as they are. Where
-    a law reads coordinates of others, their encoders and strokes are those of the laws there.
+    At each sampling instant the computer reads the coordinates, limits the set-points to the stroke, computes
+    the force of the law, limits the force, and limits its change since the previous instant. The actuator
+    applies the force `delay` samples later. Before the first force arrives, the actuator applies 0. The first
+    change is limited relative to a force of 0.
+
+    An encoder with a resolution reads the nearest multiple of it. Rates are then differences of the last two
+    readings, divided by the period, and 0 at the first instant. With resolution 0, coordinates and rates are
+    exact. If the law reads coordinates that other `Digital` laws drive, the encoders and strokes of those
+    laws apply to them.
 
     Attributes:
         law: the declared law.
-        period: s between its calls, at least `SHORTEST_PERIOD`; the first is at time 0.
-        delay: whole samples from reading to acting, at most `LONGEST_DELAY`.
-        resolution: of the encoder, m or rad; 0 for exact readings.
-        force_limit: N or N m, the largest magnitude.
-        slew_limit: N/s or N m/s, the largest rate of the force.
-        stroke: least and largest set-point, m or rad from the initial pose; at either end its rate is 0.
-        held: N or N m, the force at present.
-        joint, coordinate: those of the law.
+        period: sampling period, s, at least `MIN_PERIOD`; the first sample is at time 0.
+        delay: number of samples from reading to acting, at most `MAX_DELAY_SAMPLES`.
+        resolution: encoder resolution, m or rad; 0 for exact readings.
+        force_limit: largest magnitude of the force, N or N m.
+        slew_limit: largest rate of the force, N/s or N m/s.
+        stroke: smallest and largest set-point, m or rad from the initial pose. A set-point beyond is moved to
+            the nearest end, with rate and acceleration 0.
+        held: force that the actuator holds at present, N or N m.
+        joint, coordinate: joint coordinate of the law.
 
     Raises:
-        MechanismError: naming the joint and the value at fault.
+        MechanismError: naming the joint and the invalid value.
 
     Examples:
         >>> law = Digital(PD("hinge", 10.0, 1.0, target=1.0), period=0.01, force_limit=2.0)
@@ -189,8 +210,8 @@ class Digital(HeldLaw):
         object.__setattr__(self, "coordinate", self.law.coordinate)
         where = self.element
         self._check_period()
-        if not is_whole(self.delay) or not 0 <= int(self.delay) <= LONGEST_DELAY:
-            needed = f"a number of samples, 0 to {LONGEST_DELAY}"
+        if not is_whole(self.delay) or not 0 <= int(self.delay) <= MAX_DELAY_SAMPLES:
+            needed = f"a number of samples, 0 to {MAX_DELAY_SAMPLES}"
             raise MechanismError(where, f"delay is {quoted(self.delay)}", needed)
         self.set_numbers(where)
         for name in ("force_limit", "slew_limit"):
@@ -227,61 +248,78 @@ class Digital(HeldLaw):
         return self.law.reads
 
     def controller_of(self, laws: Sequence[ControlLaw], model: Model | None = None) -> Controller:
-        return Computer(self, laws, model)
+        return DigitalController(self, laws, model)
 
-    def within_stroke(self, wanted: Reference) -> Reference:
-        """Move a set-point into the stroke."""
+    def within_stroke(self, reference: Reference) -> Reference:
+        """Move a set-point to the nearest value within the stroke; its rate and acceleration are 0 if it is
+        moved."""
         low, high = self.stroke
-        if low <= wanted.value <= high:
-            return wanted
-        return Reference(low if wanted.value < low else high, 0.0, 0.0)
+        if low <= reference.value <= high:
+            return reference
+        return Reference(low if reference.value < low else high, 0.0, 0.0)
 
 
-class Computer:
-    """State of the computer of a `Digital` law during one run: readings and commands."""
+class DigitalController:
+    """Controller of a `Digital` law during one run, with its state: last reading, last force, and delayed
+    forces.
+
+    The instance is called once a period, see `Controller`.
+    """
 
     def __init__(self, law: Digital, laws: Sequence[ControlLaw], model: Model | None) -> None:
+        """Start in the state at time 0; arguments are those of `HeldLaw.controller_of`."""
         self._law, self._keys, self._model = law, sensed(laws), model
-        self._others = {each.key: each for each in laws if isinstance(each, Digital)}
+        self._digital_laws = {each.key: each for each in laws if isinstance(each, Digital)}
         self._resolution = np.array(
-            [self._others[key].resolution if key in self._others else 0.0 for key in self._keys]
+            [self._digital_laws[key].resolution if key in self._digital_laws else 0.0 for key in self._keys]
         )
-        self._before: Array | None = None
-        self._force = 0.0
-        self._under_way = deque([0.0] * law.delay)
+        self._last_reading: Array | None = None
+        self._last_force = 0.0
+        self._delayed_forces = deque([0.0] * law.delay)
 
     def __call__(self, time: float, x: Array, x_rate: Array) -> float:
-        law = self._law
+        """Return the force, N or N m, that the actuator applies from a sampling instant on, see
+        `Controller`."""
+        digital, law = self._law, self._law.law
+        # Read the encoders
         readings = dict(zip(self._keys, zip(*self._read(x, x_rate), strict=True), strict=True))
-        known = NO_FORCES
-        if law.law.uses_model:
+
+        # Evaluate the model of the mechanism, for the commands of all laws of computed torque
+        model_forces = NO_FORCES
+        if law.uses_model:
             assert self._model is not None
-            others = [each.law for each in self._others.values()]
-            torque = [each for each in others if isinstance(each, ComputedTorque)]
-            commands = [float(each.command(self._references(each, time), readings)) for each in torque]
-            known = self._model(readings, commands, time)
-        force = float(law.law.towards(self._references(law.law, time), readings, time, known))
-        force = float(np.clip(force, -law.force_limit, law.force_limit))
-        change = law.slew_limit * law.period
-        self._force = float(np.clip(force, self._force - change, self._force + change))
-        self._under_way.append(self._force)
-        return self._under_way.popleft()
+            laws = [each.law for each in self._digital_laws.values()]
+            torque_laws = [each for each in laws if isinstance(each, ComputedTorque)]
+            commands = [float(each.command(self._references(each, time), readings)) for each in torque_laws]
+            model_forces = self._model(readings, commands, time)
+
+        # Compute the force, limit it and its change, and delay it
+        force = float(law.towards(self._references(law, time), readings, time, model_forces))
+        force = float(np.clip(force, -digital.force_limit, digital.force_limit))
+        max_change = digital.slew_limit * digital.period
+        self._last_force = float(np.clip(force, self._last_force - max_change, self._last_force + max_change))
+        self._delayed_forces.append(self._last_force)
+        return self._delayed_forces.popleft()
 
     def _references(self, law: DeclaredLaw, time: float) -> dict[Key, Reference]:
-        """Return the set-points of the coordinates that a law reads, within their strokes."""
+        """Return the set-points, at a time in s, of the coordinates that a law reads, limited to their
+        strokes."""
         return {
-            key: self._others[key].within_stroke(wanted) if key in self._others else wanted
-            for key, wanted in law.references(time).items()
+            key: self._digital_laws[key].within_stroke(reference) if key in self._digital_laws else reference
+            for key, reference in law.references(time).items()
         }
 
     def _read(self, x: Array, x_rate: Array) -> tuple[Array, Array]:
-        """Quantize coordinates (a,) and rates (a,) as encoders do."""
-        coarse = self._resolution > 0.0
-        steps = np.where(coarse, self._resolution, 1.0)
-        x = np.where(coarse, steps * np.round(x / steps), x)
-        before = x if self._before is None else self._before
-        self._before = x
-        return x, np.where(coarse, (x - before) / self._law.period, x_rate)
+        """Return coordinates (a,) and rates (a,) as the encoders read them, and store the reading.
+
+        A coordinate whose encoder has no resolution is read exactly.
+        """
+        quantized = self._resolution > 0.0
+        steps = np.where(quantized, self._resolution, 1.0)
+        x = np.where(quantized, steps * np.round(x / steps), x)
+        previous = x if self._last_reading is None else self._last_reading
+        self._last_reading = x
+        return x, np.where(quantized, (x - previous) / self._law.period, x_rate)
 
 
 def _is_limit(value: object) -> bool:
@@ -290,3 +328,4 @@ def _is_limit(value: object) -> bool:
 
 
 Law = PD | StateFeedback | ComputedTorque | Sampled | Digital
+"""Every kind of control law that a scene can have."""

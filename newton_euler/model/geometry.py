@@ -1,9 +1,9 @@
-"""Shapes of bodies, and the inertia that they have if they are homogeneous solids.
+"""Shapes of bodies (box, sphere, cylinder, capsule, mesh) and their mass properties as homogeneous solids.
 
-Viewers and model files draw shapes; a body has their inertia only if it is made of them, see `Body.solid`.
-All coordinates are in the world at the mechanism's initial pose, meters, like those of joints. Moments of
-inertia of homogeneous solids are those of Meriam and Kraige, Engineering Mechanics: Dynamics, table D/4.
-"""
+Viewers draw the shapes, and exported model files contain them. A shape determines the mass and inertia of a
+body only if the body is constructed by `Body.solid`. All coordinates are in m, world frame, at the
+mechanism's initial pose. Moments of inertia of homogeneous solids are those of Meriam and Kraige, Engineering
+Mechanics: Dynamics, table D/4."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ from newton_euler.model.description import ArrayField, IndexField, description
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.scalars import Floats
 
-UNIT_TOLERANCE = 1e-9  # how far from 1 the norm of a quaternion may be
+UNIT_TOLERANCE = 1e-9
+"""Largest allowed difference of the norm of a quaternion from 1."""
 
 
 class Inertia(NamedTuple):
-    """Mass properties of a rigid body, world axes.
+    """Mass properties of a rigid body, world frame at the initial pose.
 
     Attributes:
         mass: kg.
         center_of_mass: (3,) m.
-        inertia: (3, 3) about the center of mass, kg m^2.
+        inertia: (3, 3) inertia tensor about the center of mass, kg m^2.
     """
 
     mass: float
@@ -36,7 +37,14 @@ class Inertia(NamedTuple):
     inertia: Floats
 
     def checked(self, shape: str) -> Inertia:
-        """Return itself; raises `MechanismError` unless mass and moments are positive, and all is finite."""
+        """Return these mass properties if they are valid.
+
+        Args:
+            shape: name of the shape, for the error message.
+
+        Raises:
+            MechanismError: unless mass and moments of inertia are positive and all numbers are finite.
+        """
         needed = "lengths and a density of a positive, finite"
         if not 0.0 < self.mass < math.inf:
             raise MechanismError(shape, f"mass is {self.mass:.6g} kg", f"{needed} mass")
@@ -50,15 +58,16 @@ class Inertia(NamedTuple):
         return self
 
     def scaled(self, factor: float) -> Inertia:
-        """Return the same of a body that is so many times as dense."""
-        with np.errstate(all="ignore"):  # numbers are checked
+        """Return the mass properties of the same body with its density multiplied by a factor."""
+        with np.errstate(all="ignore"):  # `checked` refuses what overflows
             return Inertia(factor * self.mass, self.center_of_mass, factor * self.inertia).checked("solids")
 
 
 def total(parts: Sequence[Inertia]) -> Inertia:
-    """Add up the mass properties of parts that move together."""
+    """Combine the mass properties of parts of one rigid body, with the parallel axis theorem for the
+    inertia."""
     masses, centers = np.array([part.mass for part in parts]), [part.center_of_mass for part in parts]
-    with np.errstate(all="ignore"):  # numbers are checked
+    with np.errstate(all="ignore"):  # `checked` refuses what overflows
         mass = float(masses.sum())
         center, inertia = masses @ centers / mass, np.zeros((3, 3))
         for part in parts:
@@ -69,40 +78,46 @@ def total(parts: Sequence[Inertia]) -> Inertia:
 
 
 def _check_radius(shape: str, radius: float) -> None:
+    """Raise `MechanismError` unless a radius, m, is positive; `shape` names the shape in the message."""
     if radius <= 0.0:
         raise MechanismError(shape, f"radius is {radius}", "a positive length")
 
 
 class Homogeneous:
-    """A homogeneous solid."""
+    """Base class of shapes that have mass properties as a homogeneous solid."""
 
     @property
     def noun(self) -> str:
-        """Its kind, in messages."""
+        """Name of the kind of shape in error messages."""
         return type(self).__name__.lower()
 
     def inertia(self, density: float) -> Inertia:
-        """Compute the mass properties of the solid of a density, kg/m^3.
+        """Compute the mass properties of the solid for a density in kg/m^3.
 
         Raises:
-            MechanismError: for a density that is not positive, and what doubles do not hold.
+            MechanismError: for a density that is not positive, and for results that overflow.
         """
         if not is_finite_number(density) or density <= 0.0:
             raise MechanismError(self.noun, f"density is {quoted(density)}", "a positive number of kg/m^3")
-        with np.errstate(all="ignore"):  # numbers are checked
-            return self._of_density(density).checked(self.noun)
+        with np.errstate(all="ignore"):  # `checked` refuses what overflows
+            return self._mass_properties(density).checked(self.noun)
 
-    def _of_density(self, density: float) -> Inertia:
-        """Compute the same of a density that is one."""
+    def _mass_properties(self, density: float) -> Inertia:
+        """Compute the mass properties for a valid density, kg/m^3, without checks of the result."""
         raise NotImplementedError
 
 
 @description
 class Box(Homogeneous):
-    """A box of half sizes (3,) along the axes of a frame with the given center and quaternion w-x-y-z.
+    """A box with any orientation.
+
+    Attributes:
+        half_sizes: (3,) half of the edge lengths, m.
+        center: (3,) m.
+        quaternion: (4,) orientation of the edges, (w, x, y, z).
 
     Raises:
-        MechanismError: naming the attribute at fault.
+        MechanismError: naming the invalid attribute.
 
     Examples:
         >>> round(Box([0.5, 0.1, 0.1], center=[0.0, 0.0, 1.0]).inertia(density=1000.0).mass, 6)
@@ -121,7 +136,7 @@ class Box(Homogeneous):
         if abs(norm - 1.0) > UNIT_TOLERANCE:
             raise MechanismError("box", f"quaternion has norm {norm:.9g}", "a unit quaternion, w-x-y-z")
 
-    def _of_density(self, density: float) -> Inertia:
+    def _mass_properties(self, density: float) -> Inertia:
         mass = 8.0 * density * math.prod(self.half_sizes.tolist())
         squares, axes = self.half_sizes**2, rotation(self.quaternion)
         moments = mass / 3.0 * (squares.sum() - squares)
@@ -130,10 +145,14 @@ class Box(Homogeneous):
 
 @description
 class Sphere(Homogeneous):
-    """A ball of the given center (3,) and radius.
+    """A solid sphere.
+
+    Attributes:
+        center: (3,) m.
+        radius: m.
 
     Raises:
-        MechanismError: naming the attribute at fault.
+        MechanismError: naming the invalid attribute.
 
     Examples:
         >>> round(Sphere([0.0, 0.0, 0.0], radius=0.1).inertia(density=1000.0).mass, 6)
@@ -147,7 +166,7 @@ class Sphere(Homogeneous):
         set_arrays(self, "sphere", center=(3,), radius=())
         _check_radius("sphere", self.radius)
 
-    def _of_density(self, density: float) -> Inertia:
+    def _mass_properties(self, density: float) -> Inertia:
         square = self.radius * self.radius
         mass = 4.0 / 3.0 * math.pi * density * square * self.radius
         return Inertia(mass, self.center, 0.4 * mass * square * np.eye(3))
@@ -155,7 +174,7 @@ class Sphere(Homogeneous):
 
 @description
 class _Bar(Homogeneous):
-    """A round bar of the given radius from `start` to `end`, (3,) each."""
+    """Base class of round bars: a radius, m, and two ends `start` and `end`, (3,) m each."""
 
     start: ArrayField
     end: ArrayField
@@ -170,8 +189,14 @@ class _Bar(Homogeneous):
         """Distance from `start` to `end`, m."""
         return math.dist(self.start, self.end)
 
-    def _about(self, mass: float, axial: float, transverse: float) -> Inertia:
-        """Mass properties with these moments of inertia, kg m^2, along and across the bar."""
+    def _axisymmetric(self, mass: float, axial: float, transverse: float) -> Inertia:
+        """Return the mass properties of the bar.
+
+        Args:
+            mass: kg.
+            axial: moment of inertia about the axis of the bar, kg m^2.
+            transverse: moment of inertia about axes perpendicular to it through the center of mass, kg m^2.
+        """
         along = (self.end - self.start) / (self.length or 1.0)
         inertia = transverse * np.eye(3) + (axial - transverse) * np.outer(along, along)
         return Inertia(mass, 0.5 * (self.start + self.end), inertia)
@@ -179,10 +204,14 @@ class _Bar(Homogeneous):
 
 @description
 class Cylinder(_Bar):
-    """A round bar of the given radius with flat ends at `start` and `end`, (3,) each.
+    """A round bar with flat ends.
+
+    Attributes:
+        start, end: (3,) centers of the two end faces, m.
+        radius: m.
 
     Raises:
-        MechanismError: naming the attribute at fault.
+        MechanismError: naming the invalid attribute.
 
     Examples:
         >>> rod = Cylinder([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], radius=0.01)
@@ -195,20 +224,23 @@ class Cylinder(_Bar):
         if self.length == 0.0:
             raise MechanismError("cylinder", "start and end are one point", "two ends")
 
-    def _of_density(self, density: float) -> Inertia:
+    def _mass_properties(self, density: float) -> Inertia:
         square = self.radius * self.radius
         mass = math.pi * density * square * self.length
-        return self._about(
-            mass, 0.5 * mass * square, mass * (3.0 * square + self.length * self.length) / 12.0
-        )
+        transverse = mass * (3.0 * square + self.length * self.length) / 12.0
+        return self._axisymmetric(mass, 0.5 * mass * square, transverse)
 
 
 @description
 class Capsule(_Bar):
-    """A round bar of the given radius from `start` to `end`, (3,) each, with half a ball beyond each of them.
+    """A round bar with a hemisphere at each end.
+
+    Attributes:
+        start, end: (3,) centers of the two hemispheres, m.
+        radius: m.
 
     Raises:
-        MechanismError: naming the attribute at fault.
+        MechanismError: naming the invalid attribute.
 
     Examples:
         >>> bar = Capsule([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], radius=0.01)
@@ -216,29 +248,32 @@ class Capsule(_Bar):
         2.483115
     """
 
-    def _of_density(self, density: float) -> Inertia:
+    def _mass_properties(self, density: float) -> Inertia:
         square, length = self.radius * self.radius, self.length
+        # masses of the bar between the centers, and of the two hemispheres together
         bar, ball = math.pi * density * square * length, 4.0 / 3.0 * math.pi * density * square * self.radius
         axial = (0.5 * bar + 0.4 * ball) * square
         transverse = bar * (3.0 * square + length * length) / 12.0
         transverse += ball * (0.4 * square + 0.25 * length * length + 0.375 * length * self.radius)
-        return self._about(bar + ball, axial, transverse)
+        return self._axisymmetric(bar + ball, axial, transverse)
 
 
 Shape = Box | Capsule | Cylinder | Sphere
+"""Shapes that a few numbers describe, as opposed to meshes; MJCF and URDF have the same."""
 
 
 @description
 class Mesh(Homogeneous):
-    """Triangles between points.
+    """A surface of triangles.
 
     Attributes:
-        vertices: (n, 3).
-        triangles: (m, 3) rows of `vertices`, counterclockwise seen from outside.
-        color: red, green, blue and opacity, from 0 to 1; None for the viewer's choice.
+        vertices: (n, 3) corner points, m.
+        triangles: (m, 3) indices of three `vertices` for each triangle, counterclockwise as seen from the
+            outer side.
+        color: red, green, blue and opacity, from 0 to 1; None if the viewer chooses.
 
     Raises:
-        MechanismError: naming the attribute at fault.
+        MechanismError: naming the invalid attribute.
 
     Examples:
         >>> faces = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
@@ -252,6 +287,7 @@ class Mesh(Homogeneous):
     color: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
+        # Check the shapes and ranges of the arrays
         vertices, triangles = self._array("vertices"), self._array("triangles")
         if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.all(np.isfinite(vertices)):
             raise MechanismError("mesh", f"vertices of shape {vertices.shape}", "(n, 3) finite numbers")
@@ -267,37 +303,41 @@ class Mesh(Homogeneous):
             if np.any((color < 0.0) | (color > 1.0)):
                 raise MechanismError("mesh", f"color is {self.color}", "four numbers from 0 to 1")
             object.__setattr__(self, "color", tuple(color.tolist()))
+
+        # Store read-only arrays
         for name, value in (("vertices", vertices), ("triangles", triangles.astype(np.int32))):
             value.flags.writeable = False
             object.__setattr__(self, name, value)
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Lowest and highest coordinates (3,) of the vertices, m."""
+        """Smallest and largest coordinates (3,) of the vertices, m: the corners of the bounding box."""
         return self.vertices.min(axis=0), self.vertices.max(axis=0)
 
     def _array(self, name: str) -> Floats:
-        """Return an attribute as an array of numbers; raises `MechanismError`."""
+        """Convert an attribute to an array of floats; raises `MechanismError` for anything but numbers."""
         value = getattr(self, name)
         try:
             return real_array(value)
         except (TypeError, ValueError, OverflowError) as error:
             raise MechanismError("mesh", f"{name} is {quoted(value)}", "rows of three numbers") from error
 
-    def _of_density(self, density: float) -> Inertia:
+    def _mass_properties(self, density: float) -> Inertia:
         """Compute the mass properties of the solid that the triangles enclose.
 
-        By the divergence theorem integrals over the solid are sums of those over tetrahedra between an origin
-        and the triangles, negative ones where a triangle is seen from inside. With a, b, c its corners and
-        s = a + b + c, a tetrahedron has volume V = a . (b x c) / 6, first moment V s / 4 and second moments
-        V (a a^T + b b^T + c c^T + s s^T) / 20 (Tonon, Explicit Exact Formulas for the 3-D Tetrahedron Inertia
-        Tensor, J. Math. Stat. 1, 2004).
+        By the divergence theorem, an integral over the solid is the sum of integrals over tetrahedra between
+        an origin and the triangles. A tetrahedron counts as negative if the origin is on the outer side of
+        its triangle. With corners a, b, c of the triangle and s = a + b + c, a tetrahedron has the volume V =
+        a . (b x c) / 6, the first moment V s / 4, and the second moments V (a a^T + b b^T + c c^T + s s^T) /
+        20. Source: Tonon, Explicit Exact Formulas for the 3-D Tetrahedron Inertia Tensor, J. Math. Stat. 1,
+        2004.
 
         Raises:
-            MechanismError: for triangles that leave holes, or that are clockwise seen from outside.
+            MechanismError: for triangles that do not enclose a solid, or that are clockwise as seen from the
+                outer side.
         """
         self._check_closed()
-        origin = self.vertices.mean(axis=0)  # near to the solid, so that little cancels
+        origin = self.vertices.mean(axis=0)  # close to the solid, to limit cancellation of digits
         corners = (self.vertices - origin)[self.triangles]
         volumes, sums = np.linalg.det(corners) / 6.0, corners.sum(axis=1)
         volume = float(volumes.sum())
@@ -311,16 +351,23 @@ class Mesh(Homogeneous):
         return Inertia(density * volume, origin + center, 0.5 * (inertia + inertia.T))
 
     def _check_closed(self) -> None:
-        """Raise `MechanismError` unless triangles pass each edge as often one way as the other."""
-        _, same = np.unique(self.vertices, axis=0, return_inverse=True)  # files repeat vertices
-        rows = same.reshape(-1)[self.triangles]
-        edges = np.concatenate([rows[:, [0, 1]], rows[:, [1, 2]], rows[:, [2, 0]]])
-        ways = np.where(edges[:, 0] < edges[:, 1], 1, -1)
-        _, number = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
-        balance = np.bincount(number.reshape(-1), np.where(edges[:, 0] == edges[:, 1], 0, ways))
+        """Raise `MechanismError` unless the surface is closed and consistently oriented.
+
+        On such a surface the triangles pass each edge equally often in both directions.
+        """
+        # Give vertices at the same place the same number, because mesh files repeat vertices
+        _, unique_vertex = np.unique(self.vertices, axis=0, return_inverse=True)
+        corners = unique_vertex.reshape(-1)[self.triangles]
+
+        # Sum the directions (1 or -1) in which triangles pass each edge; edges of length 0 do not count
+        edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+        direction = np.where(edges[:, 0] < edges[:, 1], 1, -1)
+        _, edge = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
+        balance = np.bincount(edge.reshape(-1), np.where(edges[:, 0] == edges[:, 1], 0, direction))
         if not len(edges) or np.any(balance):
             found = f"{np.count_nonzero(balance)} edges are not between two triangles of one orientation"
             raise MechanismError("mesh", found if len(edges) else "no triangles", "a closed surface")
 
 
-Solid = Shape | Mesh  # shapes that have an inertia
+Solid = Shape | Mesh
+"""Shapes that have mass properties; a mesh only if it is closed."""

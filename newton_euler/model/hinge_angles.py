@@ -1,23 +1,28 @@
-"""Two or three hinges in a row between two bodies: their angles and their constraints.
+"""Angles and constraints of two or three hinges in a row between two bodies i and j, with massless links
+between.
 
-The first axis is fixed in body i, the last one in body j. Of three, the middle one keeps its angles to
-both, and the side of their plane it is on: it is known as long as the three do not come to lie in one
-plane, which is the singularity of the angles. With unit axes a_k and rates x_k',
+`newton_euler.model.compound_joint.Compound` builds its coordinates and constraints from these classes.
+
+Angles. The first axis is fixed in body i and the last axis in body j. If there are three axes, the middle
+axis keeps its angles to the other two axes, and stays on the same side of their plane. The middle axis is
+therefore known from the orientations of the bodies, unless all three axes are in one plane (gimbal lock). Let
+a_k be the unit axes, x_k the angles, x_k' their rates, omega and alpha the angular velocity and acceleration
+of a body. Then
 
     omega_j - omega_i = sum_k x_k' a_k
     x_k' = d_k . (omega_j - omega_i),    d_k . a_m = 1 for m = k, else 0
-    x_k'' = d_k . (alpha_j - alpha_i) - gamma_k,    gamma_k = d_k . sum_m x_m' da_m/dt
+    x_k'' = d_k . (alpha_j - alpha_i) - gamma_k,    gamma_k = d_k . sum_m x_m' da_m/dt.
 
-(Featherstone, Rigid Body Dynamics Algorithms, 2008, section 4.4, for such joints.)
+The vectors d_k are called dual axes (Featherstone, Rigid Body Dynamics Algorithms, 2008, section 4.4).
 
-Axes need not meet. The links between the hinges have no mass and are no bodies: the one between hinges k and
-k + 1 carries both axes, and with them the constant offset o_k = u a_k + v a_k+1 + w a_k x a_k+1 from the one
-axis to the other. The middle one of three axes turns with omega_i + x_1' a_1. With points s_i and s_j on the
-first and the last axis,
+Points. The axes need not meet. The link between hinges k and k + 1 carries both axes and the constant offset
+o_k = u a_k + v a_k+1 + w a_k x a_k+1 from the one axis to the other. The middle axis of three rotates with
+the angular velocity omega_i + x_1' a_1. Let r be the center of mass of a body, and s_i and s_j vectors from
+there to points on the first and the last axis. The separation
 
     D = r_j + s_j - r_i - s_i - sum_k o_k
 
-is 0 where hinges alone join the bodies, and the way of the slides where there are some before them.
+is 0 if only hinges join the bodies. If slides come before the hinges, D is the displacement of the slides.
 """
 
 from __future__ import annotations
@@ -31,22 +36,27 @@ import numpy as np
 from newton_euler.model.constraints import Frame, Jacobian, Span
 from newton_euler.scalars import Array, Scalar, arctan2, cross, sqrt, tilde
 
-_ZERO = np.zeros((1, 3))
+_ZERO = np.zeros((1, 3))  # Jacobian block of an angle, which does not depend on positions
 
-RIGHT_ANGLE = 1e-14  # cosine below which axes count as perpendicular: their products are structural zeros
+RIGHT_ANGLE_COSINE = 1e-14
+"""Cosine of the angle between two axes below which it is set to exactly 0, so that generated code omits its
+products."""
 
 
 def dual_axes(axes: Array) -> Array:
-    """Compute d_k in the span of n independent axes (..., n, 3) with d_k . a_m = 1 for m = k, else 0."""
-    if axes.shape[-2] == 1:  # which is most often, and much quicker
+    """Compute the dual axes (..., n, 3) of n independent axes (..., n, 3), n at most 3.
+
+    The dual axis d_k is in the span of the axes, with d_k . a_m = 1 for m = k and 0 for other m.
+    """
+    if axes.shape[-2] == 1:  # the most frequent case, much faster than a pseudoinverse
         return axes / np.sum(axes * axes, axis=-1, keepdims=True)
-    if axes.dtype == object:  # one set of generic scalars
+    if axes.dtype == object:  # generic scalars, for which NumPy has no pseudoinverse; no leading dimensions
         return np.array(_duals([*axes]))
     return np.swapaxes(np.linalg.pinv(axes), -1, -2)
 
 
 def _duals(axes: Sequence[Array]) -> list[Array]:
-    """Compute d_k (3,) of two or three axes; those of two axes lie in their plane."""
+    """Compute the dual axes, (3,) each, of two or three axes; see `dual_axes`."""
     a, b, c = axes if len(axes) == 3 else (*axes, cross(*axes))
     normals = cross(b, c), cross(c, a), cross(a, b)
     volume = a @ normals[0]
@@ -54,38 +64,47 @@ def _duals(axes: Sequence[Array]) -> list[Array]:
 
 
 class Axis(NamedTuple):
-    """An axis a of a row at a state, world frame."""
+    """A hinge axis a in the world frame at a state of the two bodies i and j, with its derivatives."""
 
     value: Array
-    """(3,) unit vector."""
+    """(3,) unit vector a."""
     on_first: Array
-    """(3, 3) with delta a = on_first delta theta_i + on_second delta theta_j."""
+    """(3, 3) derivative of a by the virtual rotation theta_i of body i."""
     on_second: Array
-    """(3, 3)"""
+    """(3, 3) derivative of a by the virtual rotation theta_j of body j."""
     rate: Array
-    """(3,) da/dt."""
+    """(3,) first derivative da/dt, 1/s."""
     drift: Array
-    """(3,) d2a/dt2 where neither body accelerates."""
+    """(3,) second derivative d2a/dt2, 1/s^2, if both bodies have zero acceleration."""
 
 
-def _carried(axis: Array, omega: Array, on_first: bool) -> Axis:
-    """Describe an axis fixed in the first body, or else in the second, of angular velocity omega."""
-    rate, turn, none = cross(omega, axis), -tilde(axis), np.zeros((3, 3))
-    turns = (turn, none) if on_first else (none, turn)
-    return Axis(axis, turns[0], turns[1], rate, cross(omega, rate))
+def _body_fixed(axis: Array, omega: Array, in_first: bool) -> Axis:
+    """Describe an axis that is fixed in one of the two bodies.
+
+    Args:
+        axis: (3,) unit axis, world frame.
+        omega: (3,) angular velocity of the body, rad/s, world frame.
+        in_first: True if the axis is fixed in the first body, False for the second body.
+    """
+    rate, by_rotation, none = cross(omega, axis), -tilde(axis), np.zeros((3, 3))
+    on_first, on_second = (by_rotation, none) if in_first else (none, by_rotation)
+    return Axis(axis, on_first, on_second, rate, cross(omega, rate))
 
 
 @dataclass(frozen=True, eq=False)
 class HingeRow:
-    """Two or three hinges in a row, tied to bodies i and j.
+    """Two or three hinges in a row between bodies i and j, with the constant angles between their axes.
 
     Attributes:
-        first_axis, second_axis: of the first hinge in body i, and of the one after it, there, initially.
-        last_axis, before_last: of the last hinge in body j, and of the one before it, there, initially.
-        cosines: of the middle axis with the first and with the last one; None if there are two hinges.
-        sine: a_2 . (a_1 x a_3) of three hinges initially.
-        cosine: a_1 . a_3 less the product of `cosines`, initially.
-        side: sign of the sine.
+        first_axis: (3,) unit axis of the first hinge in the frame of body i.
+        second_axis: (3,) unit axis of the second hinge at the initial pose, in the frame of body i.
+        last_axis: (3,) unit axis of the last hinge in the frame of body j.
+        before_last: (3,) unit axis of the hinge before the last one at the initial pose, in the frame of body
+            j.
+        cosines: a_1 . a_2 and a_2 . a_3 of three axes, which are constant; None for two hinges.
+        sine: a_2 . (a_1 x a_3) of three axes at the initial pose.
+        cosine: a_1 . a_3 - (a_1 . a_2)(a_2 . a_3) of three axes at the initial pose.
+        side: sign of `sine`: the side of the plane of a_1 and a_3 on which a_2 is.
     """
 
     first_axis: Array
@@ -98,40 +117,63 @@ class HingeRow:
     side: float = 1.0
 
     def axes(self, first: Frame, second: Frame) -> list[Array]:
-        """Compute the axes, (3,) each, world frame."""
+        """Compute the unit axes of all hinges, (3,) each, world frame."""
         a, c = first.rotation @ self.first_axis, second.rotation @ self.last_axis
         if self.cosines is None:
             return [a, c]
-        p, r = (0.0 if _is_right(cosine) else cosine for cosine in self.cosines)
+        # The middle axis is b = alpha a + beta c + gamma a x c.
+        # The coefficients follow from a . b = p, b . c = r, a . c = s and |b| = 1
+        p, r = (0.0 if _is_right_angle(cosine) else cosine for cosine in self.cosines)
         s = a @ c
         sine2 = 1.0 - s * s
-        on_a, on_c = (p - r * s) / sine2, (r - p * s) / sine2
-        rest = (1.0 - on_a * on_a - on_c * on_c - 2.0 * on_a * on_c * s) / sine2
-        across = self.side * sqrt(rest)
-        return [a, on_a * a + on_c * c + across * cross(a, c), c]
+        alpha, beta = (p - r * s) / sine2, (r - p * s) / sine2
+        gamma2 = (1.0 - alpha * alpha - beta * beta - 2.0 * alpha * beta * s) / sine2
+        gamma = self.side * sqrt(gamma2)
+        return [a, alpha * a + beta * c + gamma * cross(a, c), c]
 
-    def moving(self, first: Frame, second: Frame) -> tuple[list[Axis], list[Array], Array]:
-        """Compute the axes, their duals, and sum_k x_k' da_k/dt (3,) at the motion of two frames."""
+    def motion(self, first: Frame, second: Frame) -> RowMotion:
+        """Compute the axes with their derivatives, their duals, and the velocity term of the
+        accelerations."""
         values = self.axes(first, second)
         duals = _duals(values)
         wi, wj = first.angular_velocity, second.angular_velocity
-        rates = [dual @ (wj - wi) for dual in duals]
-        axes = [_carried(values[0], wi, True), _carried(values[-1], wj, False)]
+        rates = [dual @ (wj - wi) for dual in duals]  # x_k'
+        axes = [_body_fixed(values[0], wi, True), _body_fixed(values[-1], wj, False)]
         if len(values) == 2:
-            return axes, duals, rates[0] * axes[0].rate + rates[1] * axes[1].rate
+            return RowMotion(axes, duals, rates[0] * axes[0].rate + rates[1] * axes[1].rate)
+
+        # The middle axis b is fixed in the first link, of angular velocity omega = omega_i + x_1' a
         a, b, _ = values
-        omega, share = wi + rates[0] * a, np.outer(a, duals[0])
+        omega, first_share = wi + rates[0] * a, np.outer(a, duals[0])
         rate = cross(omega, b)
-        change = rates[0] * axes[0].rate + rates[1] * rate + rates[2] * axes[1].rate
-        alpha = rates[0] * axes[0].rate - (duals[0] @ change) * a
-        of_first, of_second = -tilde(b) @ (np.eye(3) - share), -tilde(b) @ share
-        middle = Axis(b, of_first, of_second, rate, cross(alpha, b) + cross(omega, rate))
-        return [axes[0], middle, axes[1]], duals, change
+        axis_drift = rates[0] * axes[0].rate + rates[1] * rate + rates[2] * axes[1].rate
+        # angular acceleration of the first link if both bodies have zero acceleration
+        alpha = rates[0] * axes[0].rate - (duals[0] @ axis_drift) * a
+        on_first, on_second = -tilde(b) @ (np.eye(3) - first_share), -tilde(b) @ first_share
+        middle = Axis(b, on_first, on_second, rate, cross(alpha, b) + cross(omega, rate))
+        return RowMotion([axes[0], middle, axes[1]], duals, axis_drift)
+
+
+class RowMotion(NamedTuple):
+    """The axes of a row of hinges at the poses and velocities of its two bodies, world frame."""
+
+    axes: list[Axis]
+    """Axis of each hinge with its derivatives."""
+    duals: list[Array]
+    """Dual axis d_k (3,) of each hinge."""
+    axis_drift: Array
+    """(3,) sum_k x_k' da_k/dt, rad/s^2: the part of alpha_j - alpha_i that is due to the rotation of the
+    axes."""
 
 
 @dataclass(frozen=True, eq=False)
 class HingeAngle:
-    """The angle, in (-pi, pi], of hinge number `index` of a row, from 0; zero at the initial pose."""
+    """Joint coordinate: the angle, rad, in (-pi, pi], of one hinge of a row; zero at the initial pose.
+
+    Attributes:
+        index: number of the hinge in the row, from 0.
+        row: the hinges.
+    """
 
     index: int
     row: HingeRow
@@ -141,44 +183,49 @@ class HingeAngle:
     def phi(self, first: Frame, second: Frame) -> Array:
         row = self.row
         axes = row.axes(first, second)
+        # First hinge: the second axis has turned by the angle, seen in body i. Last hinge: likewise in body j
         if self.index == 0:
             return np.array([_angle(axes[0], first.rotation @ row.second_axis, axes[1])])
         if self.index == len(axes) - 1:
             return np.array([_angle(axes[-1], axes[-2], second.rotation @ row.before_last)])
+        # Middle hinge: the angle about b from a to c, less that angle at the initial pose
         a, b, c = axes
         assert row.cosines is not None
         sine, cosine = b @ cross(a, c), a @ c - row.cosines[0] * row.cosines[1]
-        turned = sine * row.cosine - cosine * row.sine, cosine * row.cosine + sine * row.sine
-        return np.array([arctan2(*turned)])
+        sine_of_difference = sine * row.cosine - cosine * row.sine
+        cosine_of_difference = cosine * row.cosine + sine * row.sine
+        return np.array([arctan2(sine_of_difference, cosine_of_difference)])
 
     def jacobian(self, first: Frame, second: Frame) -> Jacobian:
         dual = _duals(self.row.axes(first, second))[self.index][None]
         return Jacobian(_ZERO, -dual, _ZERO, dual)
 
     def gamma(self, first: Frame, second: Frame) -> Array:
-        _, duals, change = self.row.moving(first, second)
-        return np.array([duals[self.index] @ change])
+        motion = self.row.motion(first, second)
+        return np.array([motion.duals[self.index] @ motion.axis_drift])
 
 
 class SeparationVector(NamedTuple):
-    """D at a state, world frame."""
+    """The separation D of two bodies joined by a row of hinges, at a state, world frame; see the module."""
 
     value: Array
-    """(3,) m."""
+    """(3,) D, m."""
     jacobian: Jacobian
-    """Four blocks (3, 3)."""
+    """Jacobian of D, four blocks (3, 3)."""
     drift: Array
-    """(3,) its second rate where neither body accelerates, m/s^2."""
+    """(3,) second derivative of D if both bodies have zero acceleration, m/s^2."""
 
 
 @dataclass(frozen=True, eq=False)
 class Separation:
-    """D of a row of hinges whose axes do not meet.
+    """The separation D of two bodies joined by a row of hinges whose axes do not meet, as a function of their
+    frames.
 
     Attributes:
         row: the hinges.
-        s_first, s_second: (3,) in body i a point on the first axis, in body j one on the last.
-        offsets: (m - 1, 3) of m hinges: u, v and w of each o_k, m.
+        s_first: (3,) m, point on the first axis from the center of mass of body i, in its frame.
+        s_second: (3,) m, point on the last axis from the center of mass of body j, in its frame.
+        offsets: (m - 1, 3) for m hinges: coefficients u, v and w, m, of each offset o_k.
     """
 
     row: HingeRow
@@ -187,12 +234,13 @@ class Separation:
     offsets: Array
 
     def vector(self, first: Frame, second: Frame) -> SeparationVector:
-        """Compute D where the bodies have these frames."""
-        axes, _, _ = self.row.moving(first, second)
+        """Compute D with its Jacobian and drift at given frames of the two bodies."""
+        axes = self.row.motion(first, second).axes
         span = Span.of(first, second, self.s_first, self.s_second)
         theta_i, theta_j = tilde(span.s_i), -tilde(span.s_j)
         value, drift = span.d, span.drift(first, second)
         for (u, v, w), a, b in zip(self.offsets, axes[:-1], axes[1:], strict=True):
+            # derivatives of -o_k = -(u a + v b + w a x b): on_a by a, and -on_b by b
             on_a, on_b = w * tilde(b.value) - u * np.eye(3), w * tilde(a.value) + v * np.eye(3)
             value = value + on_a @ a.value - v * b.value
             theta_i = theta_i + on_a @ a.on_first - on_b @ b.on_first
@@ -203,7 +251,10 @@ class Separation:
 
 @dataclass(frozen=True, eq=False)
 class ClosedRow:
-    """-D = 0: the constraint of hinges in a row whose axes do not meet, `Coincidence` of those that do."""
+    """Three equations -D = 0 of a row of hinges whose axes do not meet, without slides.
+
+    If the axes meet in one point, `Coincidence` of this point in both bodies is the same constraint.
+    """
 
     separation: Separation
     is_length = True
@@ -221,7 +272,15 @@ class ClosedRow:
 
 @dataclass(frozen=True, eq=False)
 class RowDisplacement:
-    """a . D - offset, a (3,) on body i: `Displacement` before hinges in a row whose axes do not meet."""
+    """One equation a . D - offset = 0 for a vector a fixed in body i, for slides before a row of hinges.
+
+    It replaces `Displacement` if the hinge axes do not meet.
+
+    Attributes:
+        a_first: (3,) vector a in the frame of body i.
+        separation: the separation D.
+        offset: m, value of a . D at which the residual is zero.
+    """
 
     a_first: Array
     separation: Separation
@@ -239,26 +298,25 @@ class RowDisplacement:
         return Jacobian(r_i, theta_i + cross(a, d.value)[None], r_j, theta_j)
 
     def gamma(self, first: Frame, second: Frame) -> Array:
-        a, d, wi = (
-            first.rotation @ self.a_first,
-            self.separation.vector(first, second),
-            first.angular_velocity,
-        )
-        turning = cross(wi, a)
+        a, d = first.rotation @ self.a_first, self.separation.vector(first, second)
+        wi = first.angular_velocity
+        a_rate = cross(wi, a)
         rate = d.jacobian.rate(first, second)
-        return -np.array([cross(wi, turning) @ d.value + 2.0 * (turning @ rate) + a @ d.drift])
+        return -np.array([cross(wi, a_rate) @ d.value + 2.0 * (a_rate @ rate) + a @ d.drift])
 
 
 @dataclass(frozen=True, eq=False)
 class RowSlide(RowDisplacement):
-    """`RowDisplacement` as a coordinate: before two hinges, a force on it has no torque along a_1 x a_2.
+    """Joint coordinate of a slide before a row of hinges whose axes do not meet: a . D - offset, m.
 
-    The bodies do not rotate about that axis against each other, so that its rate is that of
-    `RowDisplacement`.
-    """
+    With two hinges, the bodies cannot rotate relative to each other about a_1 x a_2. The Jacobian of
+    `RowDisplacement` may have a component along this axis, which does not change the rate of the coordinate.
+    This class removes the component, so that a force on the coordinate causes no torque that the hinges would
+    have to carry."""
 
-    def _spare(self, first: Frame, second: Frame) -> Array:
-        """Compute the part (3,) of the Jacobian along which no motion is possible."""
+    def _blocked_part(self, first: Frame, second: Frame) -> Array:
+        """Compute the component (3,) of the rotational Jacobian along a_1 x a_2, due to the offset of two
+        hinges."""
         a, b = self.separation.row.axes(first, second)
         normal = cross(a, b)
         along, s_j = first.rotation @ self.a_first, second.rotation @ self.separation.s_second
@@ -267,23 +325,25 @@ class RowSlide(RowDisplacement):
 
     def jacobian(self, first: Frame, second: Frame) -> Jacobian:
         r_i, theta_i, r_j, theta_j = super().jacobian(first, second)
-        if self.separation.row.cosines is None:
-            spare = self._spare(first, second)[None]
-            theta_i, theta_j = theta_i + spare, theta_j - spare
+        if self.separation.row.cosines is None:  # two hinges
+            blocked = self._blocked_part(first, second)[None]
+            theta_i, theta_j = theta_i + blocked, theta_j - blocked
         return Jacobian(r_i, theta_i, r_j, theta_j)
 
     def gamma(self, first: Frame, second: Frame) -> Array:
         gamma = super().gamma(first, second)
-        if self.separation.row.cosines is None:
-            gamma = gamma - self._spare(first, second) @ self.separation.row.moving(first, second)[2]
+        if self.separation.row.cosines is None:  # two hinges
+            axis_drift = self.separation.row.motion(first, second).axis_drift
+            gamma = gamma - self._blocked_part(first, second) @ axis_drift
         return gamma
 
 
-def _is_right(cosine: Scalar) -> bool:
-    """Tell if axes of a cosine count as perpendicular; generic scalars are no structural zeros."""
-    return isinstance(cosine, float) and abs(cosine) < RIGHT_ANGLE
+def _is_right_angle(cosine: Scalar) -> bool:
+    """Return True for a float cosine of perpendicular axes; False for symbols, whose value is not known."""
+    return isinstance(cosine, float) and abs(cosine) < RIGHT_ANGLE_COSINE
 
 
 def _angle(axis: Array, start: Array, end: Array) -> Scalar:
-    """Compute the angle about a unit axis between the parts of two vectors perpendicular to it."""
+    """Compute the angle, rad, about a unit axis (3,) from `start` to `end`, (3,), projected perpendicular to
+    the axis."""
     return arctan2(axis @ cross(start, end), start @ end - (axis @ start) * (axis @ end))

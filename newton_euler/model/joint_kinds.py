@@ -1,4 +1,10 @@
-"""Joint kinds: Appendix A of the paper and more, one class a kind."""
+"""Joint classes, one for each kind of joint: constraint equations, elementary motions and coordinates.
+
+The base classes are in `newton_euler.model.joint`, compound joints in `compound_joint` and `parallel_hinges`.
+Equation numbers in docstrings are those of Appendix A of S. Srang, S. Ath and M. Yamakita, Advances in
+Science, Technology and Engineering Systems Journal 5(5), 2020, doi:10.25046/aj050587. "Five equations" means
+that the joint removes five of the six relative degrees of freedom. The mapping `JOINT_KINDS` has all classes
+by the names that scene files use."""
 
 from __future__ import annotations
 
@@ -26,12 +32,14 @@ from newton_euler.model.joint import (
 )
 from newton_euler.model.parallel_hinges import ParallelHinges
 
-AXIS_TOLERANCE = 1e-9  # rad, from perpendicular, of a universal joint's axes at the initial pose
+AXIS_TOLERANCE = 1e-9
+"""Largest deviation from a right angle, rad, between the two axes of a universal joint at the initial
+pose."""
 
 
 @description
 class Spherical(Joint):
-    """Ball joint, eq. (25): three equations.
+    """Ball joint, eq. (25): three equations, the joint points of both bodies coincide. It has no coordinates.
 
     Examples:
         >>> Spherical("joint", "ground", "body", [0.0, 0.0, 0.0]).coordinate_kinds
@@ -50,9 +58,15 @@ class Spherical(Joint):
 
 @description
 class Universal(Joint):
-    """Cardan joint, eq. (26): four equations; `axis_on_first` stays perpendicular to `axis_on_second`.
+    """Universal (Cardan) joint, eq. (26): four equations; `axis_on_first` stays perpendicular to
+    `axis_on_second`.
 
-    Its coordinates are the angle about the first body's axis, then that about the second's.
+    The coordinates are the angle about the axis of the first body, then the angle about the axis of the
+    second body.
+
+    Attributes:
+        axis_on_first: (3,) axis fixed in the first body, world at the initial pose, of any length.
+        axis_on_second: (3,) axis fixed in the second body, world at the initial pose, of any length.
 
     Examples:
         >>> x, y, _ = np.eye(3)
@@ -84,19 +98,20 @@ class Universal(Joint):
         return (Motion("hinge", self.axis_on_first), Motion("hinge", self.axis_on_second))
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        cross_axes = Perpendicular(
+        perpendicular_axes = Perpendicular(
             first.vector_to_body(self.axis_on_first), second.vector_to_body(self.axis_on_second)
         )
-        return (*self._coincident(first, second), cross_axes)
+        return (*self._coincident(first, second), perpendicular_axes)
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        # About the first axis, the second axis is the pointer; about the second axis, the first axis
         a, b = self.axis_on_first, self.axis_on_second
         return self._turn(a, b, first, second), Reversed(self._turn(b, a, second, first))
 
 
 @description
 class Revolute(AxisJoint):
-    """Hinge, eq. (27): five equations.
+    """Revolute joint (hinge), eq. (27): five equations. Its coordinate is the angle about `axis`.
 
     Examples:
         >>> Revolute("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
@@ -112,9 +127,10 @@ class Revolute(AxisJoint):
 
 @description
 class Cylindrical(AxisJoint):
-    """Slide along and hinge about one axis: four equations, Phi^(p1,2) and Phi^(p2,2).
+    """Cylindrical joint: slide along and hinge about one axis; four equations.
 
-    Its coordinates are the displacement, then the angle.
+    Two equations keep the axes of both bodies parallel (eq. (27)), two keep the joint point on the axis (eq.
+    (28)). The coordinates are the displacement along the axis, then the angle about it.
 
     Examples:
         >>> Cylindrical("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
@@ -131,7 +147,10 @@ class Cylindrical(AxisJoint):
 
 @description
 class Translational(AxisJoint):
-    """Slide without rotation, eq. (28): five equations, h_i and h_j across the axis.
+    """Slide along `axis` without rotation, eq. (28): five equations. Its coordinate is the displacement.
+
+    The fifth equation keeps h_i of the first body perpendicular to h_j of the second body; both vectors are
+    perpendicular to the axis and to each other at the initial pose.
 
     Examples:
         >>> Translational("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
@@ -152,7 +171,8 @@ class Translational(AxisJoint):
 
 @description
 class Prismatic(Translational):
-    """The paper's translational joint under the name that robot models give it.
+    """Slide along `axis` without rotation: the same joint as `Translational`, under the name that robot
+    models use.
 
     Examples:
         >>> Prismatic("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
@@ -164,10 +184,12 @@ class Prismatic(Translational):
 
 @description
 class Screw(Cylindrical):
-    """A nut on a spindle: five equations, those of `Cylindrical` and slide - pitch * angle = 0.
+    """Screw joint (nut on a spindle): five equations, the four of `Cylindrical` and slide - pitch * angle =
+    0.
 
-    Its coordinates are the displacement, then the angle. The fifth equation couples them, see
-    `newton_euler.equations.couplings`, and is not among `constraints`.
+    The coordinates are the displacement along the axis, then the angle about it. The fifth equation couples
+    the coordinates. It is not among `constraints`, but evaluated with the couplings in
+    `newton_euler.equations.couplings`.
 
     Attributes:
         pitch: meters per radian; positive for a right-handed thread.
@@ -194,10 +216,10 @@ class Screw(Cylindrical):
 
 @description
 class Planar(AxisJoint):
-    """A plane face on another: three equations; `axis` is the normal of both.
+    """Planar joint: a plane face of one body slides on a plane face of the other; three equations.
 
-    Its coordinates are the displacements along `perpendicular_pair(axis)`, vectors of the first
-    body, then the angle about the axis.
+    `axis` is the normal of both faces. The coordinates are the displacements along the two vectors
+    `perpendicular_pair(axis)`, which are fixed in the first body, then the angle about the axis.
 
     Examples:
         >>> Planar("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
@@ -207,10 +229,15 @@ class Planar(AxisJoint):
     kind: ClassVar[str] = "planar"
 
     def rebuilt(self, values: Mapping[str, Any]) -> Self:
-        """See `Joint.rebuilt`; the axes of the slides do not jump."""
+        """Construct the joint again with other numbers, see `Joint.rebuilt`.
+
+        Raises:
+            MechanismError: also for an axis so far from the described one that the slide directions would
+                jump.
+        """
         changed = super().rebuilt(values)
-        own = perpendicular_pair(changed.axis, self.axis)
-        if not np.array_equal(own, changed.pair):
+        continuous_pair = perpendicular_pair(changed.axis, self.axis)
+        if not np.array_equal(continuous_pair, changed.pair):
             problem = f"axis is {changed.axis.tolist()}, where the slides of the plane jump"
             raise MechanismError(f"joint {quoted(self.name)}", problem, "an axis nearer to the described one")
         return changed
@@ -227,9 +254,9 @@ class Planar(AxisJoint):
 
 @description
 class PointOnLine(AxisJoint):
-    """The second body's point stays on a line of the first, along `axis`: two equations.
+    """Point of the second body on a line of the first body, along `axis`: two equations.
 
-    Its coordinate is the displacement along the line.
+    The second body may rotate freely. The coordinate is the displacement along the line.
 
     Examples:
         >>> PointOnLine("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
@@ -249,9 +276,11 @@ class PointOnLine(AxisJoint):
 
 @description
 class Rod(Joint):
-    """A massless rod on balls: one equation, the distance from `point` to `point_on_second` stays.
+    """Massless rod with ball joints at both ends: one equation, a constant distance of `point` and
+    `point_on_second`.
 
-    Its reaction is the force along it; tension pulls the second body towards the first.
+    Its reaction is a force along the rod; tension pulls the second body towards the first. A rod has no
+    coordinates, so that it can only close a loop of a spanning tree.
 
     Examples:
         >>> Rod("joint", "ground", "body", [0.0, 0.0, 0.0], point_on_second=[0.0, 0.0, 0.5]).only_closes
@@ -269,7 +298,7 @@ class Rod(Joint):
         self._check(self.length)
 
     def _check(self, length: float) -> None:
-        """Raise `MechanismError` for a length that no rod has."""
+        """Raise `MechanismError` for a length, m, that is too small or not finite."""
         if not LEAST_LENGTH <= length < math.inf:
             problem = f"its two points are {length:.3g} m apart"
             needed = f"point_on_second at least {LEAST_LENGTH:g} m from point, a ball joint otherwise"
@@ -277,7 +306,8 @@ class Rod(Joint):
 
     @cached_property
     def length(self) -> float:
-        """m, which stays where points vary."""
+        """Length of the rod, m: the distance of its points as described; a variation of the points does not
+        change it."""
         return math.dist(self.reaction_point, self.point)
 
     def varied(self, values: Mapping[str, Any]) -> Self:
@@ -285,12 +315,12 @@ class Rod(Joint):
 
     def rebuilt(self, values: Mapping[str, Any]) -> Self:
         others = {name: value for name, value in values.items() if name != "length"}
-        changed, along = super().rebuilt(others), self.reaction_point - self.point
+        changed, rod = super().rebuilt(others), self.reaction_point - self.point
         if "length" not in values:
             return changed
         self._check(float(values["length"]))
-        along = along * (float(values["length"]) / self.length)
-        return replace(changed, point_on_second=changed.point + along)
+        rod = rod * (float(values["length"]) / self.length)
+        return replace(changed, point_on_second=changed.point + rod)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         s_i, s_j = first.point_to_body(self.point), second.point_to_body(self.reaction_point)
@@ -299,7 +329,7 @@ class Rod(Joint):
 
 @description
 class Fixed(Joint):
-    """No motion at all: six equations.
+    """Weld: no relative motion; six equations.
 
     Examples:
         >>> Fixed("joint", "ground", "body", [0.0, 0.0, 0.0]).coordinate_kinds
@@ -314,7 +344,10 @@ class Fixed(Joint):
 
 @description
 class Free(Joint):
-    """All motion: no equation. It marks a body that floats on purpose.
+    """Free joint: all relative motions and no equation. It marks a body that floats on purpose.
+
+    The coordinates are the displacements along x, y and z of the world at the initial pose, fixed in the
+    first body.
 
     Examples:
         >>> Free("joint", "ground", "body", [0.0, 0.0, 0.0]).coordinate_kinds
@@ -352,4 +385,4 @@ JOINT_KINDS: dict[str, type[Joint]] = {
         Free,
     )
 }
-"""Joint classes by the name that files use."""
+"""Joint classes by the name of the kind in scene files."""

@@ -1,4 +1,8 @@
-"""Scene: a mechanism and everything that one run of it needs."""
+"""Scene: a mechanism with everything that one simulation of it needs.
+
+A `Scene` holds the mechanism, gravity, control laws, forces, prescribed motions, rotor inertias, the initial
+state, and the duration and outputs of the run. Its constructor checks all of them. Every engine simulates a
+scene."""
 
 from __future__ import annotations
 
@@ -39,6 +43,7 @@ OutputName = Literal["velocities", "reactions", "actuation", "violation", "energ
 """Optional outputs of a run, in addition to the poses."""
 
 OUTPUTS: tuple[OutputName, ...] = get_args(OutputName)
+"""Names of all optional outputs."""
 
 ELEMENT_KINDS: dict[str, tuple[type, ...]] = {
     "control": get_args(Law),
@@ -46,49 +51,64 @@ ELEMENT_KINDS: dict[str, tuple[type, ...]] = {
     "forces": get_args(Force),
     "armatures": (Armature, BallArmature),
 }
-"""Classes of the elements in each field of a scene."""
+"""Allowed classes of the elements in each field of a scene, by field name."""
 
 MAXIMUM_OUTPUTS = 1_000_000
-MAXIMUM_DURATION = 1e7  # s, four months: fixed steps of a millisecond would take a day
-MAXIMUM_ANGLE = 1e9  # rad, in a state: more have fewer digits than a pose
-REDUNDANCY_TOLERANCE = 1e-4  # noise of files: points rounded to 1e-6 m on a mechanism of a centimeter
+"""Largest number of output times of a scene."""
 
-_NAME = re.compile(r"[A-Za-z0-9_.\-]{1,100}")
+MAXIMUM_DURATION = 1e7
+"""Longest duration of a scene, s: four months; steps of a millisecond would already take a day to
+simulate."""
+
+MAXIMUM_ANGLE = 1e9
+"""Largest hinge angle in a state, rad; larger floats resolve less than the digits of a pose."""
+
+REDUNDANCY_TOLERANCE = 1e-4
+"""Default of `Scene.redundancy_tolerance`, dimensionless: the noise of model files whose points are rounded
+to 1e-6 m, for a mechanism of a centimeter."""
+
+_SCENE_NAME = re.compile(r"[A-Za-z0-9_.\-]{1,100}")
 
 
 def _knots(functions: Iterable[TimeFunction]) -> tuple[float, ...]:
-    """Return the knots of several functions; knots that differ by round-off count once."""
-    found: list[float] = []
+    """Return the knots, s, of several functions of time, ascending: times at which a derivative jumps.
+
+    Knots that differ only by round-off count once.
+    """
+    knots: list[float] = []
     for knot in sorted({knot for function in functions for knot in function.knots}):
-        if not found or knot - found[-1] > TIME_ROUND_OFF * abs(knot):
-            found.append(knot)
-    return tuple(found)
+        if not knots or knot - knots[-1] > TIME_ROUND_OFF * abs(knot):
+            knots.append(knot)
+    return tuple(knots)
 
 
 @description
 class Scene(Variable):
-    """A mechanism, its surroundings, its start and what is wanted of the run.
+    """A mechanism, the forces and control laws that act on it, its initial state, and the outputs of a run.
 
     Attributes:
-        name: names files: letters, digits, `_`, `.` and `-`, at most 100, not `.` or `..`.
-        mechanism: bodies and joints.
-        duration: s, at most `MAXIMUM_DURATION`.
-        output_period: s between outputs; the last output is at `duration`.
-        gravity: (3,) m/s^2, world frame.
+        name: name of the scene and of its result files: letters, digits, `_`, `.` and `-`, at most 100, not
+            `.` or `..`.
+        mechanism: bodies, joints and couplings.
+        duration: duration of the run, s, at most `MAXIMUM_DURATION`.
+        output_period: time between outputs, s; the last output is at `duration`.
+        gravity: (3,) acceleration of gravity, m/s^2, world frame.
         control: control laws of actuated joints, in the order of `Trajectory.actuator_force`.
-        initial_state: start of runs, joints closed in position and velocity, as `newton_euler.assemble` makes
-            them; None for the mechanism's initial pose, at rest, or what is next to it where joints follow
-            `motions`. `newton_euler.initial_state` gives the one or the other, checked.
-        outputs: names out of `OUTPUTS`.
-        forces: springs, dampers, wrenches and wind beside gravity and control.
-        motions: prescribed motions of joints.
-        armatures: rotor inertias on joint coordinates and balls.
-        description: one printable line for people.
-        redundancy_tolerance: dimensionless size of the independent part of a constraint below which it counts
-            as redundant, see `newton_euler.equations.redundancy`; 0 takes all constraints literally.
+        initial_state: state from which runs start. It must satisfy all joint constraints in position and
+            velocity, as states from `newton_euler.assemble` do. None starts from the mechanism's initial pose
+            at rest; prescribed motions that differ from this pose move the start.
+            `newton_euler.initial_state` returns the state used.
+        outputs: names of optional outputs, out of `OUTPUTS`.
+        forces: springs, dampers, wrenches and wind loads, in addition to gravity and control laws.
+        motions: prescribed motions of joint coordinates.
+        armatures: rotor inertias on joint coordinates and ball joints.
+        description: one line of printable text for people.
+        redundancy_tolerance: size, without unit, of the independent part of a constraint equation below which
+            the equation counts as redundant, see `newton_euler.equations.redundancy`. With 0 only equations
+            that are dependent to round-off are redundant.
 
     Raises:
-        MechanismError: naming the field, body or joint at fault.
+        MechanismError: naming the invalid field, body or joint.
         UnknownNameError: for an unknown output.
 
     Examples:
@@ -120,8 +140,9 @@ class Scene(Variable):
         "initial_state": "the state of all bodies, which coordinates (start.JOINT) or `states` determine",
     }
 
-    @np.errstate(all="ignore")  # what overflows is refused, here or by a run
+    @np.errstate(all="ignore")  # numbers that overflow are refused here or by a run
     def __post_init__(self) -> None:
+        # Check the name, the mechanism and the times of the run
         self._check_texts()
         where = f"scene {quoted(self.name)}"
         if not isinstance(self.mechanism, Mechanism):
@@ -144,6 +165,8 @@ class Scene(Variable):
                 f"than {MAXIMUM_OUTPUTS} outputs",
                 "a longer output_period",
             )
+
+        # Check gravity, the outputs, the elements and the initial state
         set_arrays(self, where, gravity=(3,))
         outputs = items_of(self.outputs)
         if outputs is None:
@@ -163,8 +186,9 @@ class Scene(Variable):
         return f"<Scene {self.name!r}: {len(self.times)} outputs to {self.duration:g} s, {size}>"
 
     def _check_texts(self) -> None:
+        """Raise `MechanismError` for a name that cannot name files, or a description that is not one line."""
         name, description = self.name, self.description
-        if not isinstance(name, str) or not _NAME.fullmatch(name) or name in (".", ".."):
+        if not isinstance(name, str) or not _SCENE_NAME.fullmatch(name) or name in (".", ".."):
             needed = "letters, digits, _, . and - only, at most 100, not . or .."
             raise MechanismError("scene", f"name is {quoted(name, 150)}", needed)
         if not isinstance(description, str) or not description.isprintable():
@@ -175,9 +199,11 @@ class Scene(Variable):
             )
 
     def check_functions(self, begin: float, end: float, noun: str) -> None:
-        """Raise `MechanismError` for a function of time that is not known from one time to another, s.
+        """Raise `MechanismError` if a spline of the scene does not cover an interval of time.
 
-        `noun` says what the times are.
+        Args:
+            begin, end: the interval, s.
+            noun: description of the interval for the error message, such as "the end of the run".
         """
         for element in (*self.motions, *self.control, *self.forces):
             given = element.law if isinstance(element, Digital) else element
@@ -190,7 +216,14 @@ class Scene(Variable):
 
     @np.errstate(all="ignore")  # a norm may overflow
     def check_numbers(self, state: object, where: str) -> None:
-        """Raise `MechanismError` for what is no state of the scene's bodies, closed or not."""
+        """Raise `MechanismError` unless a value is a `State` of the scene's bodies with finite numbers.
+
+        The state may violate joint constraints.
+
+        Args:
+            state: the value.
+            where: name of the value, for the error message.
+        """
         if not isinstance(state, State):
             raise MechanismError(where, f"is {quoted(state, 200)}", "a State")
         count = len(self.mechanism.bodies)
@@ -220,7 +253,12 @@ class Scene(Variable):
             raise MechanismError(where, f"quaternion of body {quoted(body)} is zero", "one of norm 1")
 
     def check_angles(self, angles: object, where: str) -> None:
-        """Raise `MechanismError` for what are no finite angles of joint coordinates."""
+        """Raise `MechanismError` unless a value is a mapping from hinge coordinates to finite angles, rad.
+
+        Args:
+            angles: the value, see `State.angles`.
+            where: name of the value, for the error message.
+        """
         if not isinstance(angles, Mapping):
             raise MechanismError(where, f"angles is {quoted(angles)}", "angles in rad by (joint, coordinate)")
         for key, angle in angles.items():
@@ -235,6 +273,7 @@ class Scene(Variable):
                 raise MechanismError(where, f"angle of {key!r} is {quoted(angle)}", needed)
 
     def _check_state(self, state: State) -> None:
+        """Raise `MechanismError` for a state with invalid numbers or quaternions, or a moved ground."""
         self.check_numbers(state, f"initial state of scene {quoted(self.name)}")
         norms = np.linalg.norm(state.quaternion, axis=1)
         worst = int(np.argmax(np.abs(norms - 1.0)))
@@ -247,6 +286,7 @@ class Scene(Variable):
         self._check_ground(state)
 
     def _check_ground(self, state: State) -> None:
+        """Raise `MechanismError` unless the ground has its described pose and is at rest in a state."""
         ground = self.mechanism.bodies[0]
         shift = float(np.linalg.norm(state.position[0] - ground.center_of_mass))
         turn = float(
@@ -264,22 +304,23 @@ class Scene(Variable):
         raise MechanismError(f"ground {quoted(ground.name)}", problem, "the ground's own pose, at rest")
 
     def without_forces(self) -> Scene:
-        """Return the mechanism with its motions alone, for kinematics."""
+        """Return the scene with its mechanism and prescribed motions only, for kinematic analyses."""
         return replace(self, control=(), forces=(), armatures=(), outputs=frozenset())
 
     @property
     def sampled(self) -> tuple[Sampled | Digital, ...]:
-        """The control laws in discrete time."""
+        """The control laws in discrete time, whose force is held between sampling instants."""
         return tuple(law for law in self.control if isinstance(law, HeldLaw))
 
     @property
     def sensed(self) -> tuple[Key, ...]:
-        """The joint coordinates that control laws act on, in their order, then others that they read."""
+        """Joint coordinates on which control laws act, in the order of the laws, then other coordinates that
+        laws read."""
         return sensed(self.control)
 
     @property
     def functions(self) -> dict[tuple[str, int, str], tuple[TimeFunction, ...]]:
-        """The functions of time by their places: field of the scene, number of the element, attribute."""
+        """Functions of time of all elements, by (field of the scene, index of the element, attribute)."""
         found = {}
         for field in ("motions", "control", "forces"):
             for k, element in enumerate(getattr(self, field)):
@@ -290,43 +331,46 @@ class Scene(Variable):
 
     @property
     def knots(self) -> tuple[float, ...]:
-        """Times, s, before and after which a function of time has other derivatives, ascending."""
+        """Times, s, at which a derivative of a function of time jumps, ascending; integrators restart
+        there."""
         return _knots(function for functions in self.functions.values() for function in functions)
 
     @property
     def jumps(self) -> tuple[float, ...]:
-        """Times, s, of the knots of attributes with functions that jump, ascending."""
+        """Knots, s, ascending, of all attributes that have at least one function whose value jumps."""
         jumping = (functions for functions in self.functions.values() if any(f.jumps for f in functions))
         return _knots(function for functions in jumping for function in functions)
 
     @cached_property
     def joint_forces(self) -> tuple[Law | JointSpring, ...]:
-        """The forces on joint coordinates: the control laws, then the springs of joints."""
+        """Forces that act on joint coordinates: the control laws, then the joint springs."""
         return (*self.control, *(force for force in self.forces if isinstance(force, CoordinateForce)))
 
     @property
     def body_forces(self) -> tuple[Force, ...]:
-        """The forces on bodies: springs of balls and between points, and wrenches."""
+        """Forces that act on bodies: ball springs, point springs, wrenches and wind loads."""
         return tuple(force for force in self.forces if not isinstance(force, CoordinateForce))
 
     @property
     def loaded_balls(self) -> frozenset[str]:
-        """Names of the joints on whose balls there is a spring, a damper or an armature."""
+        """Names of the joints with a spring, damper or armature on their ball."""
         return frozenset(each.joint for each in (*self.forces, *self.armatures) if isinstance(each, OnBall))
 
     @property
     def needs_accelerations(self) -> bool:
-        """True if outputs need the equations of motion solved."""
+        """True if an output depends on accelerations, so that the equations of motion are solved at output
+        times."""
         return not self.outputs.isdisjoint(("reactions", "actuation"))
 
     @property
     def tracks_work(self) -> bool:
-        """True if runs carry the work of what is not in the potential energy as one more state."""
+        """True if runs integrate, as an additional state, the work of forces without potential energy."""
         return "energy" in self.outputs and len(self.control) + len(self.forces) + len(self.motions) > 0
 
     @cached_property
     def times(self) -> Array:
-        """(n,) output times, s: every period from 0, and the end."""
+        """(n,) output times, s: the multiples of the output period from 0, and the end of the run."""
+        # The factors allow for round-off in a duration that is meant to be a multiple of the period
         count = int(np.floor(self.duration / self.output_period * (1.0 + 1e-12)))
         times = self.output_period * np.arange(count + 1)
         if self.duration - times[-1] > 1e-9 * self.output_period:
