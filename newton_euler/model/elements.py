@@ -1,9 +1,9 @@
-"""Base classes of the elements of a scene, by the place where an element acts.
+"""Base classes of the elements of a scene: control laws, forces, armatures (rotor inertias) and prescribed
+motions.
 
-Control laws, forces (`newton_euler.model.forces`), armatures and prescribed motions are elements. An element
-acts on a joint coordinate (`OnCoordinate`), on the ball of a joint (`OnBall`) or on points of bodies
-(`OnBodies`). Its methods take the state as `Surroundings`.
-"""
+There is one base class for each place where an element can act: a joint coordinate (`OnCoordinate`), the ball
+of a joint (`OnBall`) or points of bodies (`OnBodies`). `AppliedForce` is the base class of forces and control
+laws; its methods compute wrenches, energy and power from the state, which they take as `Surroundings`."""
 
 from __future__ import annotations
 
@@ -22,20 +22,22 @@ from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_coo
 from newton_euler.model.variable import COORDINATE_INDEX, Variable
 from newton_euler.scalars import Array, Scalar, cross
 
-BALL = -1  # number of a "coordinate" that stands for all three rotations of a joint's ball
+BALL = -1
+"""Index in place of a joint coordinate that stands for the three rotations of a joint's ball."""
 
 
 class Surroundings(NamedTuple):
-    """The state on which forces and armatures depend, over generic scalars; world frame, SI.
+    """The state on which forces and armatures depend, in floats or generic scalars (`newton_euler.scalars`).
 
     Attributes:
         mechanism: the bodies and joints.
-        poses: reference poses of all body frames, at the initial pose.
-        frames: frames of all bodies, ground first.
-        measured: joint coordinates (m or rad) and their rates, the first two values of each sequence.
+        poses: poses of all body frames at the initial pose, ground first.
+        frames: present frames (pose and velocity) of all bodies, ground first.
+        measured: by joint coordinate, a sequence whose first two values are the coordinate, m or rad, and its
+            rate.
         time: s.
-        model: function that computes the forces (N or N m) of control laws with a model of the mechanism;
-            by default it returns no forces.
+        model: function without arguments that computes, by joint coordinate, the forces (N or N m) of control
+            laws that use a model of the mechanism; by default it returns no forces.
     """
 
     mechanism: Mechanism
@@ -47,11 +49,11 @@ class Surroundings(NamedTuple):
 
 
 class Move(NamedTuple):
-    """The motion of a body from the initial pose to another pose.
+    """Rigid displacement of a body from the initial pose to another pose.
 
     Attributes:
-        turn: (3, 3) rotation, world frame.
-        start, end: (3,) center of mass before and after, m.
+        turn: (3, 3) rotation matrix, world frame.
+        start, end: (3,) center of mass before and after, m, world frame.
     """
 
     turn: Array
@@ -59,21 +61,21 @@ class Move(NamedTuple):
     end: Array
 
     def point(self, point: Array) -> Array:
-        """Return the new places (..., 3) of points of the body."""
+        """Displace points (..., 3), m, that are fixed in the body, world frame."""
         return np.asarray(self.end + (point - self.start) @ self.turn.T)
 
     def vector(self, vector: Array) -> Array:
-        """Return the new directions (..., 3) of vectors of the body."""
+        """Rotate vectors (..., 3) that are fixed in the body, world frame."""
         return np.asarray(vector @ self.turn.T)
 
 
 class PoseChange(NamedTuple):
-    """The change of a scene's initial pose, where the scene is described.
+    """Change of the initial pose at which a scene is described, see `newton_euler.model.initial_pose`.
 
     Attributes:
-        mechanism: the bodies and joints at the initial pose before.
-        moves: motions of all bodies, ground first.
-        zeros: joint coordinates of the new initial pose, m or rad, counted from the pose before.
+        mechanism: the bodies and joints, described at the old initial pose.
+        moves: displacements of all bodies from the old to the new initial pose, ground first.
+        zeros: joint coordinates at the new initial pose, m or rad, counted from the old initial pose.
     """
 
     mechanism: Mechanism
@@ -81,16 +83,16 @@ class PoseChange(NamedTuple):
     zeros: Mapping[Key, float]
 
     def move(self, body: str) -> Move:
-        """Return the motion of a body by its name."""
+        """Return the displacement of a body by its name."""
         return self.moves[self.mechanism.body_index(body)]
 
 
 class Element(Variable):
-    """An element that acts in a scene.
+    """Base class of everything that acts in a scene: forces, control laws, armatures and prescribed motions.
 
     Attributes:
-        noun: first word of messages about the element.
-        body_fields: attributes that are names of bodies.
+        noun: name of the kind of element, with which error messages begin.
+        body_fields: names of the attributes that are names of bodies.
     """
 
     noun: ClassVar[str]
@@ -98,7 +100,11 @@ class Element(Variable):
 
     @property
     def strengths(self) -> dict[str, tuple[str, ...]]:
-        """Attributes that the element is proportional to, by what they are the strength of."""
+        """Names of the attributes to which an effect of the element is proportional, by the name of the
+        effect.
+
+        A spring with a damper returns {"spring": ("stiffness",), "damper": ("damping",)}; see
+        `NumberField.strength`."""
         kinds = dict.fromkeys(field.strength for field in self.number_fields.values() if field.strength)
         return {
             kind: tuple(name for name, field in self.number_fields.items() if field.strength == kind)
@@ -107,7 +113,7 @@ class Element(Variable):
 
     @property
     def functions(self) -> tuple[str, ...]:
-        """Attributes that may be functions of time, or mappings to functions of time."""
+        """Names of the attributes that may be functions of time, or mappings to functions of time."""
         return tuple(name for name, field in self.number_fields.items() if field.may_be_function)
 
     @property
@@ -122,17 +128,21 @@ class Element(Variable):
 
     @property
     def where(self) -> str:
-        """The place or the name of the element, for messages."""
+        """The place or the name of the element in error messages."""
         raise NotImplementedError
 
     @property
     def identity(self) -> str:
-        """A text that is unique among the elements of one kind in a scene."""
+        """Text that must be unique among the elements of a field of the scene."""
         return self.element
 
     @property
     def prefix(self) -> str:
-        """The prefix of names of the element's parameters, see `newton_euler.equations.parameters`."""
+        """Prefix of the names of the element's parameters, such as `hinge.spring` in
+        `hinge.spring.stiffness`.
+
+        See `newton_euler.equations.parameters`.
+        """
         raise NotImplementedError
 
     def check(self, mechanism: Mechanism) -> None:
@@ -141,25 +151,33 @@ class Element(Variable):
 
 
 class OnJoint(Element):
-    """An element on a joint."""
+    """Base class of elements that act on a joint.
+
+    Attributes:
+        joint: name of the joint.
+        kind_of_parameters: end of `prefix`, such as ".spring".
+    """
 
     joint: str
     kind_of_parameters: ClassVar[str] = ""
-    """Suffix of `prefix`."""
 
     def check(self, mechanism: Mechanism) -> None:
         check_known(self.element, "is on an unknown joint", self.joint, mechanism.joint_names)
 
 
 class OnCoordinate(OnJoint):
-    """An element on a hinge or slide of a joint."""
+    """Base class of elements that act on one coordinate (hinge or slide) of a joint.
+
+    Attributes:
+        coordinate: index of the coordinate in the joint, from 0.
+    """
 
     coordinate: int
     constant: ClassVar = {"coordinate": COORDINATE_INDEX}
 
     @property
     def key(self) -> Key:
-        """The joint coordinate."""
+        """The joint coordinate: (name of the joint, index)."""
         return self.joint, self.coordinate
 
     @property
@@ -192,7 +210,7 @@ class OnCoordinate(OnJoint):
 
 
 class OnBall(OnJoint):
-    """An element on the ball of a joint, the same about all axes."""
+    """Base class of elements that act on the ball of a joint, isotropically (the same about all axes)."""
 
     @property
     def key(self) -> Key:
@@ -225,7 +243,11 @@ class OnBall(OnJoint):
 
 
 class OnBodies(Element):
-    """An element with a name, on points of bodies."""
+    """Base class of elements that act on points of bodies, and have a name.
+
+    Attributes:
+        name: unique among the forces of a scene.
+    """
 
     name: str
 
@@ -248,22 +270,24 @@ class OnBodies(Element):
 
 
 class AppliedForce(Element):
-    """A force or a control law. Each kind redefines the methods for what it does.
+    """Base class of forces and control laws.
+
+    Each kind of force overrides the methods that concern it. Methods take the state as `Surroundings`.
 
     Attributes:
         kind: name of the kind of force in scene files.
-        may_jump: True if the force can jump during a motion.
+        may_jump: True if the force can be discontinuous in the state, such as a spring whose two ends meet.
     """
 
     kind: ClassVar[str]
     may_jump: ClassVar[bool] = False
 
     def described_after(self, change: PoseChange) -> Self:
-        """Return the force described at another initial pose."""
+        """Return the same force for a scene that is described at another initial pose."""
         raise NotImplementedError
 
     def spans(self, at: Surroundings) -> tuple[Array, ...]:
-        """Compute the vectors (3,), m, whose directions the force depends on; they must not be zero."""
+        """Compute the vectors (3,), m, on whose directions the force depends; they must not be zero."""
         return ()
 
     def check_start(self, at: Surroundings) -> None:
@@ -276,11 +300,16 @@ class AppliedForce(Element):
             )
 
     def reversing(self, at: Surroundings) -> Array:
-        """Compute a vector (k,) that changes its sign where the force jumps; zero for a force that cannot."""
+        """Compute a vector (k,) whose direction reverses where the force jumps; zeros if the force cannot
+        jump."""
         raise NotImplementedError
 
     def wrenches(self, at: Surroundings) -> Iterable[tuple[int, Array]]:
-        """Compute the wrenches on bodies, by body number: force and torque (6,) about the center of mass."""
+        """Compute the wrenches of the force on bodies, world frame.
+
+        Returns:
+            Pairs of a body index and a wrench (6,): force, N, and torque about the center of mass, N m.
+        """
         return ()
 
     def energy(self, at: Surroundings) -> Scalar:
@@ -288,16 +317,20 @@ class AppliedForce(Element):
         return 0.0
 
     def powers(self, at: Surroundings) -> Iterable[Scalar]:
-        """Compute the terms of the power, W, without potential energy, in the order of summation."""
+        """Compute the power, W, of the parts of the force that have no potential energy.
+
+        Returns:
+            The terms of the power, in the order in which they are summed.
+        """
         raise NotImplementedError
 
     def magnitude(self, at: Surroundings) -> float:
-        """Compute the magnitude of the force, N; a torque is divided by the mechanism's size."""
+        """Compute the magnitude of the force, N; a torque is divided by the mechanism's size, m."""
         raise NotImplementedError
 
 
 class OnPoint(OnBodies, AppliedForce):
-    """A force and a torque at a point of one body.
+    """Base class of a force and a torque at a point of one body.
 
     Attributes:
         body: name of the body, not the ground.
@@ -316,7 +349,12 @@ class OnPoint(OnBodies, AppliedForce):
             raise MechanismError(self.element, f"acts on the ground {quoted(self.body)}", "a body that moves")
 
     def parts(self, at: Surroundings) -> tuple[int, Array, Array, Array]:
-        """Return the body's number, and the force, the torque and the arm of the point (3,), world frame."""
+        """Compute the force and torque on the body, world frame.
+
+        Returns:
+            The index of the body, the force (3,), N, at the point, the torque (3,), N m, and the vector (3,),
+            m, from the center of mass to the point.
+        """
         raise NotImplementedError
 
     def wrenches(self, at: Surroundings) -> Iterator[tuple[int, Array]]:
@@ -335,14 +373,23 @@ class OnPoint(OnBodies, AppliedForce):
 
 
 class CoordinateForce(OnCoordinate, AppliedForce):
-    """A force on a joint coordinate. The force acts through the coordinate, without wrenches on bodies."""
+    """Base class of generalized forces on a joint coordinate, such as control laws and joint springs.
+
+    The equations of motion take the force of the coordinate, so that `wrenches` is empty.
+    """
 
     def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
-        """Compute the force (N or N m) at coordinate x (m or rad), its rate, and a time in s."""
+        """Compute the force, N or N m.
+
+        Args:
+            x: joint coordinate, m or rad from the initial pose.
+            x_rate: rate of the coordinate, m/s or rad/s.
+            time: s.
+        """
         raise NotImplementedError
 
     def at_joint(self, at: Surroundings) -> Scalar:
-        """Compute the force, N or N m."""
+        """Compute the force, N or N m, at the present state."""
         return self.force(*self.measure(at), at.time)
 
     def powers(self, at: Surroundings) -> Iterator[Scalar]:
@@ -354,13 +401,21 @@ class CoordinateForce(OnCoordinate, AppliedForce):
 
 
 def check_known(element: str, problem: str, name: str, known: Sequence[str]) -> None:
-    """Raise `MechanismError` unless a name is among the known names."""
+    """Raise `MechanismError` unless a name is among the known names.
+
+    Args:
+        element: name of the element, for the message.
+        problem: text before the unknown name, such as "acts on an unknown body".
+        name: the name.
+        known: all known names.
+    """
     if name not in known:
         raise MechanismError(element, f"{problem} {quoted(name)}", f"one of {listed(known)}")
 
 
 def check_elements(elements: Sequence[Element], mechanism: Mechanism) -> None:
-    """Raise `MechanismError` for an element without a place in the mechanism, or a repeated element."""
+    """Raise `MechanismError` for an element whose joint or body does not exist, and for a repeated
+    element."""
     for element in elements:
         element.check(mechanism)
     for identity, count in Counter(element.identity for element in elements).items():

@@ -1,13 +1,13 @@
-"""Joint: the base of all joint kinds.
+"""Base classes of all joints.
 
-A `Joint` is a description in the world frame at the mechanism's initial pose. `attach` ties it to
-the two bodies' reference poses and gives `JointEquations`: Phi, Phi_q and gamma of its constraint
-equations, and its coordinates. `motions` lists the elementary motions it allows, which is what a
-spanning tree, an MJCF and a URDF are built from.
+A `Joint` is described in the world frame at the mechanism's initial pose. `Joint.attach` converts the
+description to `JointEquations` between two bodies: residual Phi, Jacobian Phi_q and right side gamma of the
+constraint equations, and the joint coordinates. `Joint.motions` lists the elementary motions (hinges, slides,
+balls) that the joint allows. Spanning trees, MJCF files and URDF files are built from this list.
 
-Joint coordinates are zero at the initial pose and measure the motion of the second body against
-the first.
-"""
+Joint coordinates measure the motion of the second body relative to the first body and are zero at the initial
+pose. Equation numbers are those of S. Srang, S. Ath and M. Yamakita, Advances in Science, Technology and
+Engineering Systems Journal 5(5), 2020, doi:10.25046/aj050587, Appendix A."""
 
 from __future__ import annotations
 
@@ -34,20 +34,24 @@ from newton_euler.model.variable import Variable
 from newton_euler.scalars import Array, Scalar, cross, sqrt
 
 POINTS = ("point", "point_on_first", "point_on_second")
-"""Displacements of joint points: of both bodies' own, of the first's, and of the second's."""
+"""Names of the parameters that displace joint points: `point` displaces the points of both bodies by the same
+vector, the other two displace the point of one body."""
 
 LEAST_LENGTH = 1e-6
-"""m: points of a joint that are closer coincide, and the line through them has no direction."""
+"""Smallest distance, m, between two points of a joint whose direction matters; closer points count as one
+point."""
 
 Key = tuple[str, int]
-"""A joint coordinate: the name of its joint, and which of the joint's coordinates it is, from 0."""
+"""A joint coordinate: the name of its joint, and the index of the coordinate in the joint, from 0."""
 
 
 MotionKind = Literal["hinge", "slide", "ball"]
+"""Kind of an elementary motion: rotation about an axis, translation along an axis, or free rotation about a
+point."""
 
 
 class Motion(NamedTuple):
-    """One elementary motion of the second body against the first."""
+    """One elementary motion of the second body of a joint relative to the first body."""
 
     kind: MotionKind
     axis: Array
@@ -55,27 +59,39 @@ class Motion(NamedTuple):
 
 
 BALL_MOTION = Motion("ball", np.zeros(3))
+"""The elementary motion of a ball, which has no axis."""
 
 
 class Pose(NamedTuple):
-    """A reference pose: takes world points and vectors at the initial pose into a body's frame."""
+    """Pose of a body frame at the initial pose, to convert points and vectors from the world to the body
+    frame."""
 
     position: Array
+    """(3,) origin of the body frame (center of mass), m, world."""
     rotation: Array
+    """(3, 3) rotation matrix: takes body-frame components to world components."""
 
     def point_to_body(self, point: Array) -> Array:
+        """Convert a point (3,), m, from the world at the initial pose to the body frame."""
         return np.asarray(self.rotation.T @ (point - self.position))
 
     def vector_to_body(self, vector: Array) -> Array:
+        """Convert a vector (3,) from world components at the initial pose to body-frame components."""
         return np.asarray(self.rotation.T @ vector)
 
 
 @dataclass(frozen=True, eq=False)
 class JointEquations:
-    """Constraint equations and coordinates of one joint, tied to its two bodies.
+    """The k constraint equations and the coordinates of one joint between two bodies of a mechanism.
 
-    `phi` (k,), `jacobian` (four blocks (k, 3)) and `gamma` (k,) stack the joint's constraints;
-    `is_length` (k,) tells rows in meters from rows in radians.
+    The methods stack the results of the elementary constraints, see `newton_euler.model.constraints`.
+
+    Attributes:
+        joint: description of the joint.
+        first, second: indices of the two bodies in `Mechanism.bodies`.
+        constraints: elementary constraints, with k scalar equations in total.
+        coordinates: joint coordinates, one for each hinge and slide of the joint; their `phi` is the
+            coordinate.
     """
 
     joint: Joint
@@ -86,58 +102,81 @@ class JointEquations:
 
     @property
     def count(self) -> int:
+        """Number k of scalar constraint equations."""
         return sum(c.count for c in self.constraints)
 
     @property
     def is_length(self) -> Array:
+        """(k,) True for residuals in meters, False for residuals in radians."""
         return np.concatenate([np.zeros(0, bool), *(np.full(c.count, c.is_length) for c in self.constraints)])
 
     def units(self, size: float) -> Array:
-        """Compute units (k,) of the equations: `size` (m) for lengths, 1 for angles."""
+        """Return the scale (k,) of each residual: `size`, m, for lengths and 1 for angles."""
         return np.where(self.is_length, size, 1.0)
 
     def phi(self, first: Frame, second: Frame) -> Array:
+        """Compute the residuals Phi (k,), m or rad, at the frames of the two bodies."""
         return np.concatenate([np.zeros(0), *(c.phi(first, second) for c in self.constraints)])
 
     def gamma(self, first: Frame, second: Frame) -> Array:
+        """Compute the right side gamma (k,) of Phi_q qddot = gamma at the frames of the two bodies."""
         return np.concatenate([np.zeros(0), *(c.gamma(first, second) for c in self.constraints)])
 
     def jacobian(self, first: Frame, second: Frame) -> Jacobian:
+        """Compute the Jacobian Phi_q, four blocks (k, 3), at the frames of the two bodies."""
         blocks = [c.jacobian(first, second) for c in self.constraints]
         empty = np.zeros((0, 3))
-        return (
-            Jacobian(*(np.concatenate([empty, *column]) for column in zip(*blocks, strict=True)))
-            if blocks
-            else Jacobian(empty, empty, empty, empty)
-        )
+        if not blocks:
+            return Jacobian(empty, empty, empty, empty)
+        return Jacobian(*(np.concatenate([empty, *column]) for column in zip(*blocks, strict=True)))
 
     def measure(self, coordinate: int, frames: Sequence[Frame]) -> tuple[Scalar, Scalar]:
-        """Measure a coordinate, m or rad from the initial pose, and its rate, at frames of all bodies."""
+        """Measure a joint coordinate, m or rad from the initial pose, and its rate.
+
+        Args:
+            coordinate: index of the coordinate in the joint, from 0.
+            frames: frames of all bodies of the mechanism.
+        """
         measure, ends = self.coordinates[coordinate], (frames[self.first], frames[self.second])
         return measure.phi(*ends)[0], measure.jacobian(*ends).rate(*ends)[0]
 
 
 def perpendicular_pair(axis: Array, described: Array | None = None) -> tuple[Array, Array]:
-    """Compute unit vectors u and w that make (u, w, axis) right-handed and orthonormal; axis (3,) unit.
+    """Compute unit vectors u and w, (3,) each, such that (u, w, axis) is right-handed and orthonormal.
 
-    They are chosen by the description's own axis where that is given, and another one varies from it.
+    Args:
+        axis: (3,) unit axis.
+        described: (3,) unit axis as described, if `axis` is a variation of it. The choice among all possible
+            pairs then depends on the described axis only, so that the pair varies continuously with `axis`.
     """
-    own = axis if described is None else described
+    chosen_by = axis if described is None else described
     helper = np.zeros(3)
-    # the first of the smallest components: their last digits, which processors differ in, choose nothing
-    helper[int(np.argmin(np.abs(own).round(6)))] = 1.0
+    # Choose the axis of the smallest component. Rounding makes the choice independent of the last digits, which
+    # differ from processor to processor
+    helper[int(np.argmin(np.abs(chosen_by).round(6)))] = 1.0
     w = cross(axis, helper)
     w /= np.linalg.norm(w)
     return cross(w, axis), w
 
 
 def unit_vector(joint: str, name: str, value: object) -> Array:
-    """Return a read-only array (3,) of norm 1 along an axis of a joint; raises `MechanismError`."""
+    """Convert an axis of a joint to a read-only unit vector (3,).
+
+    Args:
+        joint: name of the joint, for error messages.
+        name: name of the axis, for error messages.
+        value: the axis, three numbers of any nonzero length.
+
+    Raises:
+        MechanismError: for an axis of length 0, and anything but three finite numbers.
+    """
     vector = finite_array(f"joint {quoted(joint)}", name, value, (3,))
     largest = float(np.max(np.abs(vector)))
     if largest < 1e-12:
         raise MechanismError(f"joint {quoted(joint)}", f"{name} is {vector.tolist()}", "a non-zero axis")
-    vector = np.ldexp(vector, -np.frexp(largest)[1])  # exact, and no square can overflow
+    vector = np.ldexp(
+        vector, -np.frexp(largest)[1]
+    )  # exact scaling, so that no square overflows
     vector /= np.linalg.norm(vector)
     vector.flags.writeable = False
     return vector
@@ -145,15 +184,22 @@ def unit_vector(joint: str, name: str, value: object) -> Array:
 
 @description
 class Joint(Variable):
-    """A joint: what all kinds have in common.
+    """Base class of all joints.
 
     Attributes:
         name: unique in its mechanism.
-        first, second: names of the two bodies; reactions are those acting on the second.
-        point: (3,) joint point in the world at the initial pose, meters.
-        point_on_second: (3,) the second body's own joint point where it is another one; it must
-            lie where the joint's constraints allow it. Reactions are reduced to this point.
-        actuated: whether a control law may drive the joint.
+        first, second: names of the two bodies. Reactions are the force and torque on the second body.
+        point: (3,) joint point, m, world at the initial pose.
+        point_on_second: (3,) joint point of the second body, m, world at the initial pose; `point` if it is
+            not given. It must satisfy the constraints of the joint. Reaction torques are about this point.
+        actuated: True if a control law may drive the joint.
+        kind: name of the kind of joint in scene files.
+        axis_names: names of the attributes that are unit axes (3,).
+        vector_names: names of other attributes that are vectors (3,), or arrays of vectors (n, 3).
+        only_closes: True for a joint without elementary motions, which can only close a loop of a spanning
+            tree.
+        apart: (3,) m, displacement of the second body's point minus that of the first body's point; nonzero
+            only in variations of the joint, see `varied`.
     """
 
     name: str
@@ -171,11 +217,8 @@ class Joint(Variable):
     }
     axis_names: ClassVar[tuple[str, ...]] = ()
     vector_names: ClassVar[tuple[str, ...]] = ()
-    """Attributes that are vectors (3,), or rows of them, beside those of `axis_names`."""
     only_closes: ClassVar[bool] = False
-    """True for a joint that no `motions` describe, so that it can only close loops of a tree."""
     apart = np.zeros(3)
-    """(3,) by which the second body's point is displaced more than the first's, where points vary."""
 
     def __post_init__(self) -> None:
         check_texts(f"joint {quoted(self.name)}", self, "name", "first", "second")
@@ -192,27 +235,28 @@ class Joint(Variable):
 
     @property
     def described(self) -> Self:
-        """The joint as it is described, of one whose points and axes vary, see `varied`."""
-        own: Self = vars(self).get("_described", self)
-        return own
+        """The joint as the user described it, if this one is a variation made by `varied`; else this joint
+        itself."""
+        described: Self = vars(self).get("_described", self)
+        return described
 
     @property
     def span(self) -> Array:
-        """(3,) from the first body's point to the second's where the coordinates are zero."""
+        """(3,) m, from the first body's point to the second body's point where the coordinates are zero."""
         return vars(self).get("_span", self.reaction_point - self.point)
 
     def varied(self, values: Mapping[str, Any]) -> Self:
-        """Return the joint with other numbers, scalars of any kind, which are not checked.
+        """Copy the joint with other, unchecked numbers, which may be generic scalars such as symbols.
 
-        Its coordinates stay zero where those of the described joint are: they measure how the bodies are
-        rotated against each other, and how far its points are from where they are described.
+        The coordinates of the copy are zero at the same relative pose of the bodies as those of the described
+        joint.
 
         Args:
-            values: `point`, `point_on_first` and `point_on_second`, displacements (3,) of both points or of
-                one alone, and other attributes by their names; axes of any length.
+            values: new values by name: displacements (3,) of joint points, see `POINTS`, axes (3,) of any
+                length, and other attributes.
         """
-        changed, none = copy.copy(self), np.zeros(3)
-        both, first, second = (values.get(name, none) for name in POINTS)
+        changed, zero = copy.copy(self), np.zeros(3)
+        both, first, second = (values.get(name, zero) for name in POINTS)
         fields = {name: value for name, value in values.items() if name not in POINTS}
         for name in self.axis_names:
             if name in fields:
@@ -228,85 +272,126 @@ class Joint(Variable):
         return changed
 
     def rebuilt(self, values: Mapping[str, Any]) -> Self:
-        """Return the joint made anew with these numbers, as of `varied`, checked."""
+        """Construct the joint again with other numbers, with the checks of the constructor.
+
+        Args:
+            values: new values by name, as for `varied`.
+
+        Raises:
+            MechanismError: for a value that the constructor refuses.
+        """
         fields: dict[str, Any] = {name: value for name, value in values.items() if name not in POINTS}
-        replace(self, **fields)
+        replace(self, **fields)  # checks the values before any arithmetic with them
         moved = self.varied(values)
         return replace(self, point=moved.point, point_on_second=moved.point_on_second, **fields)
 
     @property
     def reaction_point(self) -> Array:
-        """(3,) the joint point fixed in the second body, in the world at the initial pose."""
+        """(3,) m, joint point fixed in the second body, world at the initial pose; reaction torques are about
+        it."""
         return self.point_on_second
 
     @property
     def motions(self) -> tuple[Motion, ...]:
-        """The elementary motions of the second body against the first, in their order."""
+        """Elementary motions of the second body relative to the first, in order from the first body to the
+        second."""
         return ()
 
     @property
     def motion_points(self) -> tuple[Array, ...]:
-        """Point (3,) of each of `motions` in the world at the initial pose: on a hinge's axis, a ball's
-        center, or the point at which a slide acts."""
+        """Point (3,), m, of each of `motions`, world at the initial pose.
+
+        It is a point on the axis of a hinge, the center of a ball, or the point at which a slide's force
+        acts."""
         return (self.reaction_point,) * len(self.motions)
 
     @property
     def coordinate_kinds(self) -> tuple[str, ...]:
-        """ "hinge" or "slide" for each of the joint's coordinates."""
+        """Kind of each joint coordinate, "hinge" or "slide"."""
         return tuple(motion.kind for motion in self.motions if motion.kind != "ball")
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        """Write the joint's constraint equations between bodies with these reference poses."""
+        """Return the constraint equations of the joint.
+
+        Args:
+            first, second: poses of the two body frames at the initial pose.
+        """
         raise NotImplementedError
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        """Define a coordinate for each hinge and slide among `motions`; here of slides alone."""
+        """Return the joint coordinates, one for each hinge and slide among `motions`, as measured quantities.
+
+        The base class covers joints whose only coordinates are slides.
+
+        Args:
+            first, second: poses of the two body frames at the initial pose.
+        """
         slides = (motion.axis for motion in self.motions if motion.kind == "slide")
         return tuple(self._slide(axis, first, second) for axis in slides)
 
     def attach(self, first: int, first_pose: Pose, second: int, second_pose: Pose) -> JointEquations:
-        """Tie the joint to bodies number `first` and `second` at their reference poses."""
+        """Return the equations of the joint between two bodies of a mechanism.
+
+        Args:
+            first, second: indices of the bodies.
+            first_pose, second_pose: poses of their body frames at the initial pose.
+        """
         poses = first_pose, second_pose
         return JointEquations(self, first, second, self.constraints(*poses), self.coordinates(*poses))
 
-    # Constraint sets of Appendix A, from which the joint kinds are built
+    # Sets of constraints from which the joint kinds are built. The arguments `first` and `second` are the poses of
+    # the two body frames at the initial pose; axes and other vectors (3,) are in the world at the initial pose
 
     def _coincident(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        """Phi^(s,3), eq. (25)."""
+        """Return three equations, eq. (25): the joint points of both bodies coincide."""
         return (Coincidence(first.point_to_body(self.point), second.point_to_body(self.reaction_point)),)
 
     def _parallel(
         self, axis: Array, pair: tuple[Array, Array], first: Pose, second: Pose
     ) -> tuple[Constraint, ...]:
-        """Phi^(p1,2), eq. (27): tilde(s_i) s_j = 0.
+        """Return two equations, eq. (27): an axis s_i of the first body and s_j of the second body stay
+        parallel.
 
-        Of its three components the two along u and w of body i, the pair, are kept (-w.s_j and u.s_j); the
-        third, along the axis itself, is zero whatever the bodies do.
-        """
+        The cross product s_i x s_j must vanish. Its component along s_i is always zero; the other two
+        components are -w . s_j and u . s_j, where (u, w) is the pair of vectors of the first body
+        perpendicular to the axis."""
         s_j = second.vector_to_body(axis)
         return tuple(Perpendicular(first.vector_to_body(a), s_j) for a in pair)
 
     def _on_line(self, pair: tuple[Array, Array], first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        """Phi^(p2,2), eq. (28): tilde(s_i) d = 0, again its two components across the axis."""
+        """Return two equations, eq. (28): the second body's point stays on the joint's axis in the first
+        body.
+
+        The vector between the joint points has no component along the pair of vectors perpendicular to the
+        axis."""
         return tuple(self._displacement(a, 0.0, first, second) for a in pair)
 
     def _aligned(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        """Keep the second body's orientation that of the first."""
+        """Return three equations: the orientation of the second body relative to the first stays constant."""
         x, y, z = np.eye(3)
         pairs = (x, y), (y, z), (z, x)
         return tuple(Perpendicular(first.vector_to_body(a), second.vector_to_body(b)) for a, b in pairs)
 
     def _slide(self, axis: Array, first: Pose, second: Pose) -> Constraint:
-        """Define the displacement of the second body's point along an axis of the first."""
+        """Return the coordinate of a slide: the displacement of the second body's point along an axis of the
+        first."""
         return self._displacement(axis, axis @ self.span, first, second)
 
     def _displacement(self, axis: Array, offset: Any, first: Pose, second: Pose) -> Constraint:
-        """Compute the second body's displacement along an axis of the first, less an offset, m."""
+        """Return the displacement of the second body's point along an axis of the first body, minus an
+        offset, m."""
         ends = first.point_to_body(self.point), second.point_to_body(self.reaction_point)
         return Displacement(first.vector_to_body(axis), *ends, offset=offset)
 
     def _turn(self, axis: Array, pointer: Array, first: Pose, second: Pose) -> Constraint:
-        """Define the angle about `axis` of `pointer`, a vector of the second body perpendicular to it."""
+        """Return the coordinate of a hinge: the angle about an axis of the first body.
+
+        Args:
+            axis: unit axis.
+            pointer: unit vector of the second body, perpendicular to the axis; the angle counts its rotation
+                from the initial pose.
+            first, second: poses of the two body frames at the initial pose.
+        """
         return Angle(
             first.vector_to_body(pointer),
             first.vector_to_body(cross(axis, pointer)),
@@ -316,7 +401,12 @@ class Joint(Variable):
 
 @description
 class AxisJoint(Joint):
-    """A joint with one axis that is common to both bodies."""
+    """Base class of joints with one axis that is common to both bodies.
+
+    Attributes:
+        axis: (3,) axis, world at the initial pose, of any nonzero length; stored as a unit vector.
+        along: kinds of the motions along and about the axis, in order.
+    """
 
     axis: ArrayField = field(kw_only=True)
     axis_names: ClassVar[tuple[str, ...]] = ("axis",)
@@ -324,11 +414,11 @@ class AxisJoint(Joint):
         "axis": NumberField(shape=None, allowed="axis", moves_loops=True)
     }
     along: ClassVar[tuple[MotionKind, ...]] = ()
-    """Motions along and about the axis, in their order."""
 
     @property
     def pair(self) -> tuple[Array, Array]:
-        """Unit vectors (3,) across the axis, see `perpendicular_pair`."""
+        """Two unit vectors u and w, (3,), perpendicular to the axis and to each other, see
+        `perpendicular_pair`."""
         return perpendicular_pair(self.axis, self.described.axis)
 
     @property
@@ -342,7 +432,10 @@ class AxisJoint(Joint):
         return (*slides, self._turn(self.axis, self.pair[0], first, second))
 
     def varied(self, values: Mapping[str, Any]) -> Self:
-        """See `Joint.varied`; the second body's point stays on the axis, or plane, of the first."""
+        """Copy the joint with other, unchecked numbers, see `Joint.varied`.
+
+        If the axis varies, the vector between the joint points turns with it, so that the second body's point
+        stays on the axis, or in the plane, of the first body."""
         changed, span = super().varied(values), self.span
         if "axis" in values and np.any(span):
             turned = self._turned(changed, span)
@@ -351,6 +444,7 @@ class AxisJoint(Joint):
         return changed
 
     def _turned(self, changed: AxisJoint, vector: Array) -> Array:
-        """Return a vector (3,) that turns as the axis and pair turn into those of the changed joint."""
-        own = np.column_stack([*self.pair, self.axis])
-        return np.asarray(np.column_stack([*changed.pair, changed.axis]) @ (own.T @ vector))
+        """Rotate a vector (3,) by the rotation from this joint's axis and pair to those of another joint."""
+        triad = np.column_stack([*self.pair, self.axis])
+        changed_triad = np.column_stack([*changed.pair, changed.axis])
+        return np.asarray(changed_triad @ (triad.T @ vector))
