@@ -1,4 +1,8 @@
-"""Several slides, then several hinges or a ball: what robot models put between two bodies at once."""
+"""Compound joint: up to three slides, then up to three hinges or a ball, between two bodies.
+
+MJCF and URDF files often have several elementary motions between two bodies. `newton_euler.model.joint_parts`
+combines them to this class if no special joint class fits. The angles of the hinges are those of
+`newton_euler.model.hinge_angles`."""
 
 from __future__ import annotations
 
@@ -24,27 +28,32 @@ from newton_euler.model.hinge_angles import (
 from newton_euler.model.joint import BALL_MOTION, POINTS, Joint, Motion, Pose, perpendicular_pair, unit_vector
 from newton_euler.scalars import Array, cross, sqrt
 
-INDEPENDENT = 1e-3  # least volume (area, length) that the unit axes of independent slides or hinges span
+MIN_SPANNED_VOLUME = 1e-3
+"""Smallest volume (area for two axes) that the unit axes of the slides, or of the hinges, must span. Axes
+that span less are nearly linearly dependent."""
 
 
 @description
 class Compound(Joint):
-    """Slides along axes of the first body, then hinges in a row.
+    """Slides along axes of the first body, then hinges in a row or a ball.
 
-    The axes need not be perpendicular, nor meet: the first hinge's passes through `point`, the last one's
-    through `point_on_second`, and what is between them has no mass. Its coordinates are the displacements
-    along the slides, which add up as vectors, then the angles of the hinges; see
-    `newton_euler.model.hinge_angles` for their limits.
+    The axes need not be perpendicular and need not meet. The axis of the first hinge passes through `point`,
+    the axis of the last hinge through `point_on_second`; the links between the hinges have no mass. The
+    coordinates are the displacements along the slides, which add up as vectors, then the angles of the
+    hinges. With three hinges the angles are singular where all axes lie in one plane (gimbal lock), see
+    `newton_euler.model.hinge_angles`.
 
     Attributes:
-        slides: (n, 3) axes, n <= 3, world at the initial pose.
-        hinges: (m, 3) axes, m <= 3, in their order from the first body to the second.
-        offsets: (m - 1, 3) from the axis of each hinge to that of the next, m, world at the initial pose; 0
-            where all pass through the point. By their sum `point_on_second` is beyond `point`.
-        ball: a ball joint instead of hinges.
+        slides: (n, 3) axes of the n slides, n at most 3, fixed in the first body, world at the initial pose.
+        hinges: (m, 3) axes of the m hinges, m at most 3, in order from the first body to the second, world at
+            the initial pose.
+        offsets: (m - 1, 3) m, from a point on the axis of each hinge to a point on the axis of the next
+            hinge, world at the initial pose; zeros if all axes pass through `point`. Their sum is
+            `point_on_second` - `point`, unless `point_on_second` is given.
+        ball: True for a ball instead of hinges.
 
     Raises:
-        MechanismError: also for axes that are not independent.
+        MechanismError: naming the joint and the invalid value, such as axes that are linearly dependent.
 
     Examples:
         >>> axes = np.eye(3)
@@ -65,17 +74,20 @@ class Compound(Joint):
     vector_names: ClassVar[tuple[str, ...]] = ("slides", "hinges", "offsets")
 
     def __post_init__(self) -> None:
-        beyond = self.point_on_second
+        given_point = self.point_on_second
         super().__post_init__()
         where = f"joint {quoted(self.name)}"
+
+        # Convert the axes to unit vectors, and check that they are independent
         for name in ("slides", "hinges"):
             try:
                 given = [unit_vector(self.name, name, axis) for axis in getattr(self, name)]
             except TypeError as error:
                 raise MechanismError(where, f"{name} is {quoted(getattr(self, name))}", "axes") from error
             axes = np.array(given).reshape(-1, 3)
-            gram = np.sqrt(max(0.0, np.linalg.det(axes @ axes.T))) if len(axes) <= 3 else 0.0
-            if gram < INDEPENDENT:
+            # the volume is the root of the Gram determinant
+            volume = np.sqrt(max(0.0, np.linalg.det(axes @ axes.T))) if len(axes) <= 3 else 0.0
+            if volume < MIN_SPANNED_VOLUME:
                 problem = f"its {name} {axes.tolist()} depend on each other"
                 raise MechanismError(where, problem, "at most three axes, not in one plane or line")
             axes.flags.writeable = False
@@ -83,10 +95,12 @@ class Compound(Joint):
         check_flag(where, self, "ball")
         if self.ball and len(self.hinges):
             raise MechanismError(where, "has a ball and hinges", "one or the other")
+
+        # Check the offsets, one between each two neighboring hinges
         needed = max(len(self.hinges) - 1, 0)
-        stated = np.zeros((needed, 3)) if self.offsets is None else self.offsets
+        given_offsets = np.zeros((needed, 3)) if self.offsets is None else self.offsets
         try:
-            vectors = [finite_array(where, "offsets", each, (3,)) for each in stated]
+            vectors = [finite_array(where, "offsets", each, (3,)) for each in given_offsets]
         except TypeError as error:
             raise MechanismError(where, f"offsets is {quoted(self.offsets)}", "vectors") from error
         if len(vectors) != needed:
@@ -95,7 +109,7 @@ class Compound(Joint):
         offsets = np.reshape(vectors, (-1, 3))
         offsets.flags.writeable = False
         object.__setattr__(self, "offsets", offsets)
-        if beyond is None:
+        if given_point is None:
             object.__setattr__(self, "point_on_second", self.point + offsets.sum(axis=0))
 
     @property
@@ -109,32 +123,39 @@ class Compound(Joint):
 
     def number(self, name: str) -> Array:
         if name.endswith("axis"):
-            return np.array([*self.slides, *self.hinges][_number(name)])
+            return np.array([*self.slides, *self.hinges][_axis_index(name)])
         return super().number(name)
 
     def varied(self, values: Mapping[str, Any]) -> Self:
-        """See `Joint.varied`; axes and offsets are those at the initial pose, which stays closed."""
-        rows = [*self.slides, *self.hinges]
+        """Copy the joint with other, unchecked numbers, see `Joint.varied`.
+
+        Axes and offsets are those at the initial pose. The second body's point moves with them, so that the
+        joint stays closed there."""
+        # The new axes, of unit length
+        axes = [*self.slides, *self.hinges]
         for name, axis in values.items():
             if name.endswith("axis"):
-                rows[_number(name)] = axis / sqrt(axis @ axis)
-        slides, hinges = rows[: len(self.slides)], rows[len(self.slides) :]
+                axes[_axis_index(name)] = axis / sqrt(axis @ axis)
+        slides, hinges = axes[: len(self.slides)], axes[len(self.slides) :]
         offsets = np.asarray(values.get("offsets", self.offsets))
         changed = super().varied({name: value for name, value in values.items() if name in POINTS})
-        moved = np.zeros(3)
+
+        # Displacement of the second body's point: by the slides at their described displacements, and the
+        # offsets
+        shift = np.zeros(3)
         if slides:
-            own, other = self.slides, np.array(slides)
-            along = dual_axes(own) @ (self.span - self.offsets.sum(axis=0))
-            moved = along @ (other - own) if np.any(along) else moved
-            object.__setattr__(changed, "slides", other)
+            new_slides = np.array(slides)
+            displacements = dual_axes(self.slides) @ (self.span - self.offsets.sum(axis=0))
+            shift = displacements @ (new_slides - self.slides) if np.any(displacements) else shift
+            object.__setattr__(changed, "slides", new_slides)
         if hinges:
             object.__setattr__(changed, "hinges", np.array(hinges))
         if "offsets" in values:
-            moved = moved + (offsets - self.offsets).sum(axis=0)
+            shift = shift + (offsets - self.offsets).sum(axis=0)
             object.__setattr__(changed, "offsets", offsets)
-        if np.any(moved):
-            object.__setattr__(changed, "point_on_second", changed.point_on_second + moved)
-            object.__setattr__(changed, "_span", self.span + moved)
+        if np.any(shift):
+            object.__setattr__(changed, "point_on_second", changed.point_on_second + shift)
+            object.__setattr__(changed, "_span", self.span + shift)
         return changed
 
     def rebuilt(self, values: Mapping[str, Any]) -> Self:
@@ -142,6 +163,7 @@ class Compound(Joint):
             if name.endswith("axis"):
                 unit_vector(self.name, name, axis)
         changed = self.varied(values)
+        # The angle of the second of three hinges jumps where the three axes change their handedness
         if _is_right_handed(changed.hinges) != _is_right_handed(self.described.hinges):
             problem = f"hinges are {changed.hinges.tolist()}, where the angle of the second one jumps"
             raise MechanismError(f"joint {quoted(self.name)}", problem, "axes nearer to the described ones")
@@ -150,7 +172,7 @@ class Compound(Joint):
 
     @property
     def has_offsets(self) -> bool:
-        """True if axes of hinges need not meet."""
+        """True if the hinge axes do not all meet in one point, or if the offsets are symbols."""
         return self.offsets.dtype == object or bool(np.any(self.offsets))
 
     @property
@@ -162,14 +184,17 @@ class Compound(Joint):
     @property
     def motion_points(self) -> tuple[Array, ...]:
         last = self.reaction_point
-        hinges = [last - self.offsets[k:].sum(axis=0) for k in range(len(self.hinges))]
-        return (*[hinges[0] if hinges else last] * len(self.slides), *hinges, *[last] * self.ball)
+        on_hinges = [last - self.offsets[k:].sum(axis=0) for k in range(len(self.hinges))]
+        on_slides = [on_hinges[0] if on_hinges else last] * len(self.slides)
+        on_ball = [last] if self.ball else []
+        return (*on_slides, *on_hinges, *on_ball)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return (*self._placed(first, second), *self._oriented(first, second))
+        return (*self._position_constraints(first, second), *self._orientation_constraints(first, second))
 
-    def _placed(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        """Return the equations of a common point that the slides leave."""
+    def _position_constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        """Return 3 - n equations for n slides: no displacement of the second body's point normal to the
+        slides."""
         normals: tuple[Array, ...] = ()
         match len(self.slides):
             case 0 if self.has_offsets:
@@ -183,8 +208,8 @@ class Compound(Joint):
                 normals = (normal / np.linalg.norm(normal),)
         return tuple(self._displacement(normal, 0.0, first, second) for normal in normals)
 
-    def _oriented(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        """Return the equations of a common orientation that the hinges leave."""
+    def _orientation_constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        """Return 3 - m equations for m hinges, none for a ball: no relative rotation about other axes."""
         if self.ball or len(self.hinges) == 3:
             return ()
         if len(self.hinges) == 2:
@@ -198,10 +223,11 @@ class Compound(Joint):
         return self._aligned(first, second)
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        beyond = self.span - self.offsets.sum(axis=0)
+        # displacement of the slides where their coordinates are zero
+        initial = self.span - self.offsets.sum(axis=0)
         slides = []
         for dual in dual_axes(self.slides):
-            slide = self._displacement(dual, _scalar(dual @ beyond), first, second)
+            slide = self._displacement(dual, _scalar(dual @ initial), first, second)
             if isinstance(slide, RowDisplacement):
                 slide = RowSlide(slide.a_first, slide.separation, slide.offset)
             slides.append(slide)
@@ -210,7 +236,11 @@ class Compound(Joint):
     def _displacement(
         self, axis: Array, offset: float, first: Pose, second: Pose
     ) -> Displacement | RowDisplacement:
-        """Compute the second body's displacement along an axis of the first, less an offset, m."""
+        """Return the displacement of the second body's point along an axis of the first body, minus an
+        offset, m.
+
+        For hinges whose axes do not meet, the displacement is that of the first hinge axis, see `Separation`.
+        """
         a = first.vector_to_body(axis)
         if self.has_offsets:
             return RowDisplacement(a, self._separation(first, second), offset)
@@ -218,6 +248,8 @@ class Compound(Joint):
         return Displacement(a, *ends, offset=offset)
 
     def _separation(self, first: Pose, second: Pose) -> Separation:
+        """Return the separation D of the row of hinges, see `newton_euler.model.hinge_angles`."""
+        # Components u, v, w of each offset along the axes a and b of its hinges and along a x b
         offsets = []
         for offset, a, b in zip(self.offsets, self.hinges[:-1], self.hinges[1:], strict=True):
             link = np.stack([a, b, cross(a, b)])
@@ -227,6 +259,7 @@ class Compound(Joint):
         return Separation(self._row(first, second), *ends, np.array(offsets))
 
     def _angles(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        """Return the coordinates of the hinges."""
         axes = self.hinges
         if len(axes) == 0:
             return ()
@@ -237,6 +270,7 @@ class Compound(Joint):
         return tuple(HingeAngle(k, row) for k in range(len(axes)))
 
     def _row(self, first: Pose, second: Pose) -> HingeRow:
+        """Return the row of two or three hinges between bodies with these poses at the initial pose."""
         axes = self.hinges
         ends = (
             first.vector_to_body(axes[0]),
@@ -254,7 +288,7 @@ class Compound(Joint):
 
 
 def _is_right_handed(hinges: Array) -> bool:
-    """Tell on which side of the axes of the first and the last of three hinges that of the second is."""
+    """Return True if three hinge axes a, b, c (3, 3) have b . (a x c) >= 0; True for fewer axes."""
     if len(hinges) < 3:
         return True
     a, b, c = hinges
@@ -262,10 +296,11 @@ def _is_right_handed(hinges: Array) -> bool:
 
 
 def _scalar(value: Any) -> Any:
-    """Return a float instead of one of NumPy, and generic scalars as they are."""
+    """Convert a NumPy float to a Python float; return other scalars, such as symbols, unchanged."""
     return float(value) if isinstance(value, float) else value
 
 
-def _number(name: str) -> int:
-    """Return which of the axes a parameter is."""
+def _axis_index(name: str) -> int:
+    """Return the index of an axis among the slides and hinges from its parameter name: "axis", "1.axis",
+    "2.axis"."""
     return int(name.partition(".")[0]) if name != "axis" else 0

@@ -1,8 +1,10 @@
-"""Description of a scene at another initial pose.
+"""Describe a scene at another initial pose.
 
-Descriptions have everything in the world at the initial pose, where joint coordinates are zero. At another
-one points and axes are elsewhere, and what is counted from zero is less by what the coordinates are there.
-"""
+A scene gives all points and axes in the world frame at the mechanism's initial pose, where all joint
+coordinates are zero. `described_at` returns an equivalent scene whose initial pose is another closed pose of
+the mechanism: points and axes move with their bodies, and targets, motions and rest values of joint
+coordinates are counted from the new zeros. `newton_euler.runs.variation` uses it for dimensions that change
+the pose."""
 
 from __future__ import annotations
 
@@ -28,19 +30,24 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Floats, cross
 
-COUNTED = ("rest", "force", "torque")
-"""Attributes of forces that are counted from the initial pose, or are components there."""
+POSE_DEPENDENT = ("rest", "force", "torque")
+"""Attributes of forces whose values are counted from the initial pose, or are vector components at the
+initial pose."""
 
-TURNED = 1e-12  # elements of a rotation below which a body has not turned
+ROTATION_TOLERANCE = 1e-12
+"""Largest element of (rotation matrix - identity) for which a body counts as not rotated: round-off."""
 
 
 @dataclass(frozen=True)
-class FromZero:
-    """A sampled controller that reads coordinates as they were counted before.
+class ShiftedController:
+    """Sampled controller of a scene after the change of its initial pose.
+
+    The user's controller still receives joint coordinates that are counted from the old initial pose.
 
     Attributes:
-        controller: what it was.
-        zeros: of the coordinates that it reads, m or rad, where they are zero now.
+        controller: the user's controller.
+        zeros: coordinates that the controller reads at the new initial pose, m or rad, counted from the old
+            pose.
     """
 
     controller: Controller
@@ -51,19 +58,21 @@ class FromZero:
 
 
 def described_at(scene: Scene, state: State) -> Scene:
-    """Return the scene described at the poses of a state, from where it starts at rest.
+    """Return an equivalent scene whose initial pose is that of a state, and which starts there at rest.
 
-    Joints may have numbers that nobody has checked (`newton_euler.model.joint.Joint.varied`) and be open at
-    the scene's own initial pose; those of the new one are checked.
+    The joints of the given scene may be unchecked variations (`newton_euler.model.joint.Joint.varied`) that
+    are open at its own initial pose. The constructor checks the joints of the returned scene.
 
     Args:
-        scene: what is described.
-        state: poses of all bodies in which the joints are closed and coordinates meet their couplings.
+        scene: the scene.
+        state: poses of all bodies in which joint constraints and couplings are satisfied.
 
     Raises:
-        MechanismError: for what cannot be said there: marks of an encoder, values of a controller's model
-            that are counted from the initial pose, and what acts along slides that turn with the first body.
+        MechanismError: for what cannot be described at the new pose: an encoder resolution, parameters of a
+            controller's model that depend on the initial pose, and forces along slides of planar or free
+            joints whose first body has rotated.
     """
+    # How bodies and joint coordinates differ between the two poses
     mechanism, frames = scene.mechanism, state.frames()
     moves = [
         Move(frame.rotation @ body.pose.rotation.T, body.center_of_mass, frame.position)
@@ -73,19 +82,24 @@ def described_at(scene: Scene, state: State) -> Scene:
     change = PoseChange(mechanism, moves, zeros)
     for equations in mechanism.equations:
         _check_slides(scene, equations, moves[equations.first])
+
+    # The mechanism at the new pose
     bodies = [mechanism.bodies[0]]
     for body, move, p in list(zip(mechanism.bodies, moves, state.quaternion, strict=True))[1:]:
         shapes = tuple(_moved(shape, move) for shape in body.shapes)
         meshes = tuple(_moved(mesh, move) for mesh in body.meshes)
         moved = replace(body, center_of_mass=move.end, quaternion=p, shapes=shapes, meshes=meshes)
         bodies.append(moved)
-    joints = [_joint(equations, moves, frames) for equations in mechanism.equations]
-    made = Mechanism(bodies, joints, [coupling.counted_from(zeros) for coupling in mechanism.couplings])
+    joints = [_moved_joint(equations, moves, frames) for equations in mechanism.equations]
+    couplings = [coupling.counted_from(zeros) for coupling in mechanism.couplings]
+    moved_mechanism = Mechanism(bodies, joints, couplings)
+
+    # Control laws, forces and motions counted from the new pose
     motions = [replace(m, function=shifted(m.function, -zeros[m.key])) for m in scene.motions]
     return replace(
         scene,
-        mechanism=made,
-        control=tuple(_law(scene, law, zeros) for law in scene.control),
+        mechanism=moved_mechanism,
+        control=tuple(_shifted_law(scene, law, zeros) for law in scene.control),
         forces=tuple(force.described_after(change) for force in scene.forces),
         motions=tuple(motions),
         initial_state=None,
@@ -93,7 +107,8 @@ def described_at(scene: Scene, state: State) -> Scene:
 
 
 def coordinates_at(mechanism: Mechanism, state: State) -> dict[Key, float]:
-    """Measure all joint coordinates in a state, m or rad, with the revolutions of `State.angles`."""
+    """Measure all joint coordinates in a state, m or rad; angles include the full revolutions of
+    `State.angles`."""
     found, frames = {}, state.frames()
     for key in mechanism.coordinate_labels:
         x = float(mechanism.measure(key, frames)[0])
@@ -102,9 +117,18 @@ def coordinates_at(mechanism: Mechanism, state: State) -> dict[Key, float]:
 
 
 def _check_slides(scene: Scene, equations: JointEquations, first: Move) -> None:
-    """Raise `MechanismError` for slides of planes and free bodies that turn, if something acts along them."""
+    """Raise `MechanismError` if something acts on a planar or free joint whose first body has rotated.
+
+    The slide directions of these joints follow from the world axes at the initial pose, so that they cannot
+    rotate.
+
+    Args:
+        scene: the scene at the old initial pose.
+        equations: the joint.
+        first: displacement of the joint's first body.
+    """
     joint = equations.joint
-    if joint.kind not in ("planar", "free") or np.all(np.abs(first.turn - np.eye(3)) < TURNED):
+    if joint.kind not in ("planar", "free") or np.all(np.abs(first.turn - np.eye(3)) < ROTATION_TOLERANCE):
         return
     coupled = [key for coupling in scene.mechanism.couplings for key in coupling.factors()]
     elements = (*scene.joint_forces, *scene.motions, *scene.armatures)
@@ -114,7 +138,7 @@ def _check_slides(scene: Scene, equations: JointEquations, first: Move) -> None:
 
 
 def _moved(shape: Any, move: Move) -> Any:
-    """Return a shape or a mesh where its body comes to."""
+    """Return a shape or a mesh after the displacement of its body."""
     fields = {}
     for name in ("center", "start", "end", "vertices"):
         if hasattr(shape, name):
@@ -124,8 +148,14 @@ def _moved(shape: Any, move: Move) -> Any:
     return replace(shape, **fields)
 
 
-def _joint(equations: JointEquations, moves: list[Move], frames: list[Frame]) -> Joint:
-    """Return a joint where its bodies come to."""
+def _moved_joint(equations: JointEquations, moves: list[Move], frames: list[Frame]) -> Joint:
+    """Return a joint described at the new initial pose.
+
+    Args:
+        equations: the joint at the old initial pose.
+        moves: displacements of all bodies.
+        frames: frames of all bodies at the new pose.
+    """
     joint, first, second = equations.joint, moves[equations.first], moves[equations.second]
     fields: dict[str, Any] = {
         "point": first.point(joint.point),
@@ -143,42 +173,53 @@ def _joint(equations: JointEquations, moves: list[Move], frames: list[Frame]) ->
                 fields["hinges"] = axes = np.array(
                     coordinate.row.axes(frames[equations.first], frames[equations.second])
                 )
-        before, after = _links(joint.hinges), _links(axes)
-        shares = zip(before, after, joint.offsets, strict=True)
-        fields["offsets"] = [new @ np.linalg.solve(old, offset) for old, new, offset in shares]
+        # Offsets are constant in the links between the hinges, whose frames follow from the axes
+        old_frames, new_frames = _link_frames(joint.hinges), _link_frames(axes)
+        links = zip(old_frames, new_frames, joint.offsets, strict=True)
+        fields["offsets"] = [new @ np.linalg.solve(old, offset) for old, new, offset in links]
     return replace(joint, **fields)
 
 
-def _links(axes: Array) -> list[Array]:
-    """Return a frame (3, 3) in each link between two hinges of a row."""
+def _link_frames(axes: Array) -> list[Array]:
+    """Return the matrix (3, 3) of the columns a, b and a x b for each two neighboring hinge axes a and b."""
     return [np.column_stack([a, b, cross(a, b)]) for a, b in pairwise(axes)]
 
 
-def _law(scene: Scene, law: Law, zeros: dict[Key, float]) -> Law:
-    """Return a control law whose coordinates are counted from other zeros."""
+def _shifted_law(scene: Scene, law: Law, zeros: dict[Key, float]) -> Law:
+    """Return a control law whose joint coordinates are counted from the new initial pose.
+
+    Args:
+        scene: the scene at the old initial pose.
+        law: one of its control laws.
+        zeros: joint coordinates at the new initial pose, m or rad, counted from the old pose.
+    """
     if isinstance(law, Sampled):
-        return replace(law, controller=FromZero(law.controller, tuple(zeros[key] for key in scene.sensed)))
+        read_zeros = tuple(zeros[key] for key in scene.sensed)
+        return replace(law, controller=ShiftedController(law.controller, read_zeros))
     if isinstance(law, Digital):
         if law.resolution > 0.0 and zeros[law.key] != 0.0:
             raise MechanismError(law.element, "has an encoder with marks", "a resolution of 0")
         low, high = law.stroke
         stroke = low - zeros[law.key], high - zeros[law.key]
-        return replace(law, law=_declared(law.law, zeros), stroke=stroke)
-    return _declared(law, zeros)
+        return replace(law, law=_shifted_declared_law(law.law, zeros), stroke=stroke)
+    return _shifted_declared_law(law, zeros)
 
 
-def _declared(law: Any, zeros: dict[Key, float]) -> Any:
-    """Return a declared law whose coordinates are counted from other zeros."""
-    fields: dict[str, Any] = {"target": _less(law.target, zeros[law.key])}
+def _shifted_declared_law(law: Any, zeros: dict[Key, float]) -> Any:
+    """Return a declared law, such as PD, whose targets are counted from the new initial pose, see
+    `_shifted_law`."""
+    fields: dict[str, Any] = {"target": _shifted_target(law.target, zeros[law.key])}
     if isinstance(law, StateFeedback):
         others = {key: law.targets.get(key, 0.0) for key in law.reads if key != law.key}
-        fields["targets"] = {key: _less(target, zeros[key]) for key, target in others.items()}
-    counted = isinstance(law, ComputedTorque) and [name for name in law.model if name.endswith(COUNTED)]
-    if counted:
-        needed = "a model without values that are counted from the initial pose"
-        raise MechanismError(law.element, f"knows {counted[0]!r}", needed)
+        fields["targets"] = {key: _shifted_target(target, zeros[key]) for key, target in others.items()}
+    if isinstance(law, ComputedTorque):
+        for name in law.model:
+            if name.endswith(POSE_DEPENDENT):
+                needed = "a model without values that are counted from the initial pose"
+                raise MechanismError(law.element, f"knows {name!r}", needed)
     return replace(law, **fields)
 
 
-def _less(target: float | TimeFunction, zero: float) -> float | TimeFunction:
+def _shifted_target(target: float | TimeFunction, zero: float) -> float | TimeFunction:
+    """Return a target, m or rad, minus the coordinate `zero`, m or rad, of the new initial pose."""
     return target - zero if isinstance(target, float) else shifted(target, -zero)

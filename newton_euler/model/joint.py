@@ -151,8 +151,8 @@ def perpendicular_pair(axis: Array, described: Array | None = None) -> tuple[Arr
     """
     chosen_by = axis if described is None else described
     helper = np.zeros(3)
-    # Choose the axis of the smallest component. Rounding makes the choice independent of the last digits, which
-    # differ from processor to processor
+    # Choose the axis of the smallest component. Rounding makes the choice independent of the last digits,
+    # which differ from processor to processor
     helper[int(np.argmin(np.abs(chosen_by).round(6)))] = 1.0
     w = cross(axis, helper)
     w /= np.linalg.norm(w)
@@ -174,9 +174,7 @@ def unit_vector(joint: str, name: str, value: object) -> Array:
     largest = float(np.max(np.abs(vector)))
     if largest < 1e-12:
         raise MechanismError(f"joint {quoted(joint)}", f"{name} is {vector.tolist()}", "a non-zero axis")
-    vector = np.ldexp(
-        vector, -np.frexp(largest)[1]
-    )  # exact scaling, so that no square overflows
+    vector = np.ldexp(vector, -np.frexp(largest)[1])  # exact scaling, so that no square overflows
     vector /= np.linalg.norm(vector)
     vector.flags.writeable = False
     return vector
@@ -339,8 +337,9 @@ class Joint(Variable):
         poses = first_pose, second_pose
         return JointEquations(self, first, second, self.constraints(*poses), self.coordinates(*poses))
 
-    # Sets of constraints from which the joint kinds are built. The arguments `first` and `second` are the poses of
-    # the two body frames at the initial pose; axes and other vectors (3,) are in the world at the initial pose
+    # Sets of constraints from which the joint kinds are built. The arguments `first` and `second` are the
+    # poses of the two body frames at the initial pose; axes and other vectors (3,) are in the world at the
+    # initial pose
 
     def _coincident(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         """Return three equations, eq. (25): the joint points of both bodies coincide."""
