@@ -15,7 +15,7 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 
-from mjcf.errors import DivergenceError, MjcfError, heard_warnings
+from mjcf.errors import DivergenceError, MjcfError, collected_warnings
 from mjcf.forces import wind_loads
 from mjcf.soft import SoftMuJoCo, stiffest
 from mjcf.write import controls
@@ -134,7 +134,7 @@ class Stepper:
         """Run the scene and fill `position` and `quaternion`."""
         model, data = self._system.model, self._system.data
         rows = zip(self.position, self.quaternion, strict=True)
-        with heard_warnings(), self._system.following():
+        with collected_warnings(), self._system.following():
             for count, interval in self._intervals:
                 step = interval / self._number
                 self._system.use_step(step, stiffest(step, self._ratio))
@@ -225,7 +225,7 @@ class Rollout:
         kept = np.empty((len(starts), len(self._system.scene.times), model.nq))
         kept[:, 0] = starts[:, 1 : 1 + model.nq]
         steps = self._states.shape[1]
-        with heard_warnings():
+        with collected_warnings():
             for begin in range(0, len(starts), len(self._states)):
                 portion = starts[begin : begin + len(self._states)]
                 runs = len(portion)

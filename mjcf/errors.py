@@ -40,7 +40,7 @@ class DivergenceError(MjcfError, StoppedError):
 
 
 @contextmanager
-def heard_warnings(data: Any = None) -> Iterator[dict[str, float]]:
+def collected_warnings(data: Any = None) -> Iterator[dict[str, float]]:
     """Collect MuJoCo's warnings instead of logging them, each with the first `data.time` of the warning."""
     import mujoco
 

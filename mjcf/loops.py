@@ -80,7 +80,7 @@ class Loop:
     def _ends(self) -> tuple[tuple[int, ...], tuple[Array, ...]]:
         model, data = self.model, self.data
         if self.kind != mujoco.mjtEq.mjEQ_TENDON:
-            return ends(model, data, self.index)
+            return closure_ends(model, data, self.index)
         first = model.tendon_adr[model.eq_obj1id[self.index]]
         sites = model.wrap_objid[first : first + 2]
         return tuple(int(body) for body in model.site_bodyid[sites]), tuple(data.site_xpos[sites])
@@ -122,7 +122,7 @@ class Loop:
         return np.concatenate([linear[0] - linear[1], turned])
 
 
-def ends(model: Any, data: Any, index: int) -> tuple[tuple[int, ...], tuple[Array, ...]]:
+def closure_ends(model: Any, data: Any, index: int) -> tuple[tuple[int, ...], tuple[Array, ...]]:
     """Return the two bodies of a connect or weld, and its point (3,) on each of them, m, world frame."""
     first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
     if model.eq_objtype[index] == mujoco.mjtObj.mjOBJ_SITE:
@@ -138,7 +138,7 @@ def ends(model: Any, data: Any, index: int) -> tuple[tuple[int, ...], tuple[Arra
     return (first, second), (p, q)
 
 
-def closes(model: Any, index: int) -> bool:
+def closes_loop(model: Any, index: int) -> bool:
     """True if an equality closes a loop; all other equalities couple joint coordinates."""
     kind = model.eq_type[index]
     if kind == mujoco.mjtEq.mjEQ_TENDON:
@@ -147,15 +147,15 @@ def closes(model: Any, index: int) -> bool:
     return bool(kind != mujoco.mjtEq.mjEQ_JOINT)
 
 
-def all_loops(model: Any, data: Any) -> list[Loop]:
+def active_loops(model: Any, data: Any) -> list[Loop]:
     """Return all active loops at the state in `data`, with or without constraint rows."""
-    closing = [index for index in np.flatnonzero(data.eq_active).tolist() if closes(model, index)]
+    closing = [index for index in np.flatnonzero(data.eq_active).tolist() if closes_loop(model, index)]
     return [Loop(model, data, index) for index in closing]
 
 
-def loops(model: Any, data: Any) -> list[Loop]:
+def loops_with_rows(model: Any, data: Any) -> list[Loop]:
     """Return the active loops with constraint rows.
 
     MuJoCo drops loops that cannot open, such as a ball on the axis of the only hinge.
     """
-    return [loop for loop in all_loops(model, data) if len(loop.rows)]
+    return [loop for loop in active_loops(model, data) if len(loop.rows)]

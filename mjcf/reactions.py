@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjcf.loops import closes, loops
+from mjcf.loops import closes_loop, loops_with_rows
 from mjcf.model import CompiledScene
 from newton_euler.model.hinge_angles import dual_axes
 from newton_euler.model.parallel_hinges import ParallelHinges, driving_wrench
@@ -25,7 +25,7 @@ class Reactions:
         self._cuts = {
             index: mechanism.joint_index(model.equality(index).name)
             for index in range(model.neq)
-            if closes(model, index) and model.eq_type[index] != mujoco.mjtEq.mjEQ_WELD
+            if closes_loop(model, index) and model.eq_type[index] != mujoco.mjtEq.mjEQ_WELD
         }
         # other tree joints belong to bodies that only rods hold
         kept = [kept for kept in compiled.tree.joints if kept.joint < len(mechanism.joints)]
@@ -63,7 +63,7 @@ class Reactions:
         """Return forces (j, 3), N, and torques (j, 3), N m, on the second bodies at the joint points."""
         compiled, model, data = self._compiled, self._compiled.model, self._compiled.data
         forces, torques = np.zeros((2, len(compiled.welded.mechanism.joints), 3))
-        for loop in loops(model, data):
+        for loop in loops_with_rows(model, data):
             if loop.index in self._cuts:
                 forces[self._cuts[loop.index]] = loop.force_on_second()
         points = self._points()

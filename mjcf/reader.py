@@ -1,19 +1,20 @@
-"""Read an MJCF file as a scene, with an import report on every element.
+"""Import an MJCF file as a scene of newton_euler, with an import report on every element of the file.
 
-MuJoCo compiles the file and resolves its defaults, includes, angles and inertias. The scene is made from the
-compiled model at its start: a keyframe or qpos0, with closed loops. Bodies that are fixed to each other
-become one body.
+MuJoCo compiles the file and resolves its defaults, includes, angles and inertias. The scene is built from the
+compiled model at its start state: a keyframe or qpos0, moved slightly so that all loops are closed. Bodies
+that are fixed to each other become one body.
 
-The scene is verified against the compiled model, see `newton_euler.reading` and `mjcf.reference`. A model
-with actuators is read and verified a second time, with random controls, so that wrong actuators show.
-Excitation adds sines to controls and start velocities to joints, see `mjcf.reading.laws`.
+The scene is then verified: its masses, motions and forces are compared with those of the compiled model
+(`newton_euler.reading`, `mjcf.reference`). A model with actuators is imported and verified a second time with
+random controls, because a wrong actuator has no effect while its control is zero. On request, the scene is
+excited: controls follow sines and joints get start velocities, see `mjcf.reading.laws`.
 """
 
 from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Mapping as Given
+from collections.abc import Mapping as ReadOnlyMapping
 from collections.abc import Sequence, Sized
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,17 +24,17 @@ from typing import Annotated, Any, TypeAlias, Unpack
 import mujoco
 import numpy as np
 
-from mjcf.errors import heard_warnings
+from mjcf.errors import collected_warnings
 from mjcf.reading.actuators import Actuators, driven_joints
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.forces import Forces, armatures
-from mjcf.reading.joints import Joints, Ties
-from mjcf.reading.laws import Drive, excite
+from mjcf.reading.joints import GearGroups, Joints
+from mjcf.reading.laws import Drive, choose_excitation
 from mjcf.reading.leftovers import report_leftovers
 from mjcf.reading.loops import Loops
 from mjcf.reading.plausibility import key_findings, mesh_findings
-from mjcf.reading.source import UNNAMED, SourceError, check_memory, compiled, given, model_name
-from mjcf.reading.start import Start
+from mjcf.reading.source import UNNAMED, SourceError, check_memory, compile_file, copy_model, model_name
+from mjcf.reading.start import ModelAtStart
 from mjcf.reference import MjcfReference
 from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.errors import NewtonEulerError, OptionError
@@ -57,27 +58,27 @@ MAX_LISTED_NAMES = 5
 """Largest number of names of actuators in one line of a report."""
 
 DEFAULT_SOLIMP = (0.9, 0.95, 0.001)
-"""MuJoCo's default for the first three numbers of `solimp`."""
+"""MuJoCo's default for the first three numbers of `solimp`: dmin, dmax and width."""
 
 
 MujocoModel: TypeAlias = mujoco.MjSpec | mujoco.MjModel
-"""Model in memory."""
+"""MuJoCo model in memory: an editable specification, or a compiled model."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Scene imported from an MJCF file.
+    """Result of importing an MJCF file.
 
     Attributes:
         scene: imported scene.
-        report: fate of every element.
-        start: MuJoCo's model at the start, without contacts, limits and dry friction.
-        drives: actuators that excitation can drive, by number.
+        report: import report: for each element of the file, what the element became or why it is left out.
+        start: MuJoCo's model and data at the start state, without contacts, limits and dry friction.
+        drives: actuators whose controls excitation can vary, by number of the actuator.
     """
 
     scene: Scene
     report: ImportReport
-    start: Start
+    start: ModelAtStart
     drives: dict[int, Drive] = field(default_factory=dict)
 
 
@@ -88,14 +89,15 @@ def read(
     root: str | None = None,
     **options: Unpack[ReadOptions],
 ) -> Reading:
-    """Read an MJCF file, or a model that MuJoCo has in memory.
+    """Import an MJCF file, or a model that MuJoCo has in memory, as a scene.
 
     Args:
         model: path of the file, or an `MjSpec` or `MjModel` in its present state.
         key: name of the keyframe to start from, or "qpos0". None means the first keyframe, or "qpos0" if the
             model has no keyframe.
         root: folder that must contain all files that the file refers to, see `mjcf.reading.source`.
-        options: see `newton_euler.model.source_file.Request`.
+        options: duration, output period, excitation and other options of the scene, see
+            `newton_euler.model.source_file.Request`.
 
     Raises:
         MjcfError: for a model that cannot be read or verified, with file or model name and element.
@@ -107,127 +109,168 @@ def read(
         (2.0, True)
     """
     request = Request.of(options)
-    with heard_warnings() as warnings:
-        # compile, or copy, and read
+    with collected_warnings() as warnings:
+        # compile the file, or copy the model in memory; `source_name` is the path or the name for messages
         if isinstance(model, str | os.PathLike):
-            where = path_text(model, SourceError)
-            made, sizes = compiled(where, None if root is None else path_text(root, SourceError))
+            source_name = path_text(model, SourceError)
+            root_folder = None if root is None else path_text(root, SourceError)
+            compiled_model, keyframe_sizes = compile_file(source_name, root_folder)
         else:
-            where, made, sizes = given(model)
+            source_name, compiled_model, keyframe_sizes = copy_model(model)
             if root is not None:
                 raise OptionError("root", root, "no root for a model in memory, which refers to no files")
-        check_memory(where, made)
-        found_of_file = [*mesh_findings(made), *key_findings(made, sizes)]
-        found = _reading(where, copy.copy(made), key, request)
-        # reference models, excitation, likely mistakes and verification
+        check_memory(source_name, compiled_model)
+        file_findings = [*mesh_findings(compiled_model), *key_findings(compiled_model, keyframe_sizes)]
+        # import; every import and every reference model changes its own copy of the compiled model
+        reading = _import(source_name, copy.copy(compiled_model), key, request)
         try:
-            references = [_reference(copy.copy(made), key, found)]
-            if made.nu:
-                references.append(_driven(where, made, key, request))
-            if request.excitation:  # the last use of the model, so no copy is needed
-                found = _excited(where, made, key, request, found)
-            report = found.report
+            # reference models for verification, with the controls of the file and with random controls
+            references = [_reference_model(copy.copy(compiled_model), key, reading)]
+            if compiled_model.nu:
+                references.append(_reference_with_random_controls(source_name, compiled_model, key, request))
+            if request.excitation:  # the last use of the compiled model, so no copy is needed
+                reading = _excite(source_name, compiled_model, key, request, reading)
+            # likely mistakes, and verification
+            report = reading.report
             report.references.extend(references)
-            report.findings.extend(plausibility.findings(found.scene.mechanism))
-            report.findings.extend(plausibility.grouped(found_of_file))
+            report.findings.extend(plausibility.findings(reading.scene.mechanism))
+            report.findings.extend(plausibility.grouped(file_findings))
             if request.verified:
                 report.start.append(verify_report(report))
         except SourceError:
             raise
         except (NewtonEulerError, np.linalg.LinAlgError) as error:
-            raise SourceError(where, str(error)) from error
+            raise SourceError(source_name, str(error)) from error
     report.start.extend(f"MuJoCo warns: {warning}" for warning in warnings)
-    return found
+    return reading
 
 
 @np.errstate(all="ignore")  # numbers that overflow are refused later
-def _reference(
-    model: Any, key: str | None, found: Reading, controls: tuple[Array, Array] | None = None
+def _reference_model(
+    model: Any, key: str | None, reading: Reading, controls: tuple[Array, Array] | None = None
 ) -> tuple[ReferenceModel, Scene]:
-    """Make the reference model of an imported scene."""
-    return MjcfReference(model, key, found.report, found.scene, controls), found.scene
+    """Build the reference model of an imported scene, and return the model with the scene.
+
+    Args:
+        model: compiled model, which is changed.
+        key: name of the keyframe, see `read`.
+        reading: imported scene and its report.
+        controls: controls (nu,) and activations (na,); None for the controls of the keyframe.
+    """
+    return MjcfReference(model, key, reading.report, reading.scene, controls), reading.scene
 
 
 @np.errstate(all="ignore")  # numbers that overflow are refused later
-def _driven(where: str, model: Any, key: str | None, request: Request) -> tuple[ReferenceModel, Scene]:
-    """Read the model with random controls, and make its reference model."""
+def _reference_with_random_controls(
+    source_name: str, model: Any, key: str | None, request: Request
+) -> tuple[ReferenceModel, Scene]:
+    """Import the model with random controls; return its reference model and its scene."""
     control = _random_control(model)
-    driven = _reading(where, copy.copy(model), key, request, control)
-    return _reference(copy.copy(model), key, driven, (control, np.array(driven.start.data.act)))
+    reading = _import(source_name, copy.copy(model), key, request, control)
+    return _reference_model(copy.copy(model), key, reading, (control, np.array(reading.start.data.act)))
 
 
 def _random_control(model: Any) -> Array:
     """Draw random controls (nu,) within their ranges, or between -1 and 1 for controls without range."""
     low, high = np.full((2, model.nu), [[-1.0], [1.0]])
     limited = model.actuator_ctrllimited.astype(bool)
-    for k in np.flatnonzero(limited):
-        places = slice(model.actuator_ctrladr[k], model.actuator_ctrladr[k] + model.actuator_ctrlnum[k])
-        low[places], high[places] = model.actuator_ctrlrange[k].reshape(-1, 2).T
-    most = mujoco.mjMAXVAL  # MuJoCo refuses larger controls
-    low, high = np.clip([low, high], -most, most)
-    share = np.random.default_rng(0).uniform(0.1, 0.9, model.nu)
-    return np.asarray(low + share * (high - low))
+    for actuator in np.flatnonzero(limited):
+        first = model.actuator_ctrladr[actuator]
+        controls = slice(first, first + model.actuator_ctrlnum[actuator])
+        low[controls], high[controls] = model.actuator_ctrlrange[actuator].reshape(-1, 2).T
+    largest = mujoco.mjMAXVAL  # MuJoCo refuses larger controls
+    low, high = np.clip([low, high], -largest, largest)
+    fraction = np.random.default_rng(0).uniform(0.1, 0.9, model.nu)
+    return np.asarray(low + fraction * (high - low))
 
 
 @np.errstate(all="ignore")  # numbers that overflow are refused later
-def _excited(where: str, model: Any, key: str | None, request: Request, found: Reading) -> Reading:
-    """Add sines to controls, and start velocities unless the file has some. Changes the model."""
-    start = found.start
-    control, places = np.array(start.data.ctrl), start.model.actuator_ctrladr
-    plan = excite(found.scene, found.drives, control, places, found.report.bounds)
-    driven = _reading(where, model, key, request, plan.control, plan.swings)
+def _excite(source_name: str, model: Any, key: str | None, request: Request, reading: Reading) -> Reading:
+    """Import the model again with sines of the controls, and with start velocities if the file has none.
+
+    Args:
+        source_name: path or name of the model, for messages.
+        model: compiled model, which is changed.
+        key: name of the keyframe, see `read`.
+        request: options of the scene.
+        reading: scene with the controls of the file, and its report.
+    """
+    start = reading.start
+    excitation = choose_excitation(
+        reading.scene,
+        reading.drives,
+        np.array(start.data.ctrl),
+        start.model.actuator_ctrladr,
+        reading.report.bounds,
+    )
+    excited = _import(source_name, model, key, request, excitation.control, excitation.sines)
+    # describe the excitation in one line of the report
     names = [model.actuator(k).name or repr(k) for k in range(model.nactuator)]
-    said = []
-    if plan.swings:
-        said.append(f"{_count(plan.swings, 'actuator')} driven at {MIN_FREQUENCY:g} to {MAX_FREQUENCY:g} Hz")
-    if plan.moved:
-        moves = [f"{names[k]} from {old:g} to {new:g}" for k, (old, new) in plan.moved.items()]
-        said.append(
-            f"{_count(moves, 'control')} moved inside the ranges of control and force ({_first(moves)})"
+    phrases = []
+    if excitation.sines:
+        driven = _count(excitation.sines, "actuator")
+        phrases.append(f"{driven} driven at {MIN_FREQUENCY:g} to {MAX_FREQUENCY:g} Hz")
+    if excitation.moved:
+        moves = [f"{names[k]} from {old:g} to {new:g}" for k, (old, new) in excitation.moved.items()]
+        phrases.append(
+            f"{_count(moves, 'control')} moved inside the ranges of control and force ({_join_first(moves)})"
         )
-    if kept := [names[k] for k in range(model.nactuator) if k not in plan.swings]:
-        said.append(f"{_count(kept, 'actuator')} with the controls of the file ({_first(kept)})")
+    if constant := [names[k] for k in range(model.nactuator) if k not in excitation.sines]:
+        phrases.append(
+            f"{_count(constant, 'actuator')} with the controls of the file ({_join_first(constant)})"
+        )
     if not np.any(start.data.qvel):
-        moved, fastest = with_start_velocities(driven.scene, driven.report.bounds)
-        driven = replace(driven, scene=moved)
-        said.append(fastest)
-    words = ", ".join(said) or "the velocities of the start are enough"
-    driven.report.start.append(f"excited: {words}")
-    return driven
+        moving_scene, speeds = with_start_velocities(excited.scene, excited.report.bounds)
+        excited = replace(excited, scene=moving_scene)
+        phrases.append(speeds)
+    description = ", ".join(phrases) or "the velocities of the start are enough"
+    excited.report.start.append(f"excited: {description}")
+    return excited
 
 
-def _first(texts: Sequence[str]) -> str:
-    """Join the first `MAX_LISTED_NAMES` texts, with dots if there are more."""
+def _join_first(texts: Sequence[str]) -> str:
+    """Join the first `MAX_LISTED_NAMES` texts by commas, with dots at the end if there are more."""
     return ", ".join(texts[:MAX_LISTED_NAMES]) + (", ..." if texts[MAX_LISTED_NAMES:] else "")
 
 
 def _count(elements: Sized, noun: str) -> str:
+    """Return the number of elements with a noun, such as "3 actuators"."""
     return f"{len(elements)} {noun}{'' if len(elements) == 1 else 's'}"
 
 
-def _reading(
-    where: str,
+def _import(
+    source_name: str,
     model: Any,
     key: str | None,
     request: Request,
     control: Array | None = None,
-    swings: Given[int, Sine] = MappingProxyType({}),
+    sines: ReadOnlyMapping[int, Sine] = MappingProxyType({}),
 ) -> Reading:
+    """Import a compiled model, without verification.
+
+    Args:
+        source_name: path or name of the model, for messages.
+        model: compiled model, which is changed.
+        key: name of the keyframe, see `read`.
+        request: options of the scene.
+        control: (nu,) controls; None for the controls of the keyframe.
+        sines: sines that are added to controls, by number of the actuator.
+    """
     report = ImportReport()
-    report.settings = _own_settings(model)
-    start = Start(where, model, key, report, request.redundancy_tolerance, control)
+    report.settings = _describe_settings(model)
+    start = ModelAtStart(source_name, model, key, report, request.redundancy_tolerance, control)
     try:
         bodies = Bodies(start, report)
-        scene, drives = _scene(start, bodies, report, request, swings)
+        scene, drives = _build_scene(start, bodies, report, request, sines)
     except SourceError:
         raise
     except NewtonEulerError as error:
-        raise SourceError(where, str(error)) from error
+        raise SourceError(source_name, str(error)) from error
     return Reading(scene, report, start, drives)
 
 
-def _own_settings(model: Any) -> str:
-    """Describe the file's own simulation settings: integrator, time step, `solref` of equalities.
+def _describe_settings(model: Any) -> str:
+    """Describe the simulation settings of the file: integrator, time step, `solref` of equalities.
 
     The solver and `solimp` are included if they are not MuJoCo's defaults.
     """
@@ -244,25 +287,41 @@ def _own_settings(model: Any) -> str:
     return ", ".join(words)
 
 
-def _scene(
-    start: Start, bodies: Bodies, report: ImportReport, request: Request, swings: Given[int, Sine]
+def _build_scene(
+    start: ModelAtStart,
+    bodies: Bodies,
+    report: ImportReport,
+    request: Request,
+    sines: ReadOnlyMapping[int, Sine],
 ) -> tuple[Scene, dict[int, Drive]]:
+    """Build the scene from all elements of the model, and fill the report.
+
+    Args:
+        start: MuJoCo's model and data at the start state.
+        bodies: imported bodies.
+        report: report that receives one entry for each element.
+        request: options of the scene.
+        sines: sines that are added to controls, by number of the actuator.
+
+    Returns:
+        The scene, and the actuators whose controls excitation can vary, by number.
+    """
     path, model = start.path, start.model
-    if len(bodies.bodies) < 2:
+    if len(bodies.bodies) < 2:  # the ground is the first body
         raise SourceError(path, "no body can move")
     joints = Joints(start, bodies, driven_joints(model), report)
     loops = Loops(start, bodies, joints, report)
     gravity = np.array(model.opt.gravity)
-    ties = Ties(loops.gears)
-    forces = Forces(start, bodies, joints, ties, gravity, report)
-    actuators = Actuators(start, bodies, joints, ties, forces, report, swings)
-    rotors, of_balls = armatures(start, bodies, joints, ties, report)
+    gear_groups = GearGroups(loops.gears)
+    forces = Forces(start, bodies, joints, gear_groups, gravity, report)
+    actuators = Actuators(start, bodies, joints, gear_groups, forces, report, sines)
+    coordinate_armatures, ball_armatures = armatures(start, joints, gear_groups, report)
     for key, inertia in actuators.armatures.items():
-        rotors[key] = rotors.get(key, 0.0) + inertia
+        coordinate_armatures[key] = coordinate_armatures.get(key, 0.0) + inertia
     report_leftovers(start, bodies, joints, report)
-    # the model's name, or the file's, as the name of the scene
-    own = model_name(model)
-    name = unique_name(Path(path).stem if own in ("", UNNAMED) else own, "model", ())
+    # the name of the scene is the name of the model, or of the file
+    given_name = model_name(model)
+    name = unique_name(Path(path).stem if given_name in ("", UNNAMED) else given_name, "model", ())
     scene = Scene(
         name[:100].strip(".") or "model",
         unweld_loops(Mechanism(bodies.bodies, [*joints.joints, *loops.joints], loops.gears)),
@@ -273,31 +332,37 @@ def _scene(
         forces=tuple(forces.forces),
         motions=tuple(loops.held),
         armatures=(
-            *(Armature(joint, a, k) for (joint, k), a in rotors.items()),
-            *(BallArmature(joint, a) for joint, a in of_balls.items()),
+            *(Armature(joint, inertia, k) for (joint, k), inertia in coordinate_armatures.items()),
+            *(BallArmature(joint, inertia) for joint, inertia in ball_armatures.items()),
         ),
         description=f"{Path(path).name} from {start.key}",
         redundancy_tolerance=request.redundancy_tolerance,
     )
-    return _moving(scene, start, bodies, report), actuators.drives
+    return _with_file_velocities(scene, start, bodies, report), actuators.drives
 
 
-def _moving(scene: Scene, start: Start, bodies: Bodies, report: ImportReport) -> Scene:
-    """Set the initial state to the velocities of the start, adjusted to the constraints."""
+def _with_file_velocities(scene: Scene, start: ModelAtStart, bodies: Bodies, report: ImportReport) -> Scene:
+    """Return the scene with the velocities of the start state, adjusted to satisfy the constraints.
+
+    The scene stays at rest if the file has no velocities or if the constraints leave none. The report
+    receives the size of the adjustment.
+    """
     if not np.any(start.data.qvel):
         return scene
     mechanism = scene.mechanism
     linear, angular = np.zeros((2, len(mechanism.bodies), 3))
     for k, body in enumerate(mechanism.bodies[1:], start=1):
         linear[k], angular[k] = bodies.velocity(bodies.root(body.name), body.center_of_mass)
-    rest = State.initial(mechanism)
-    state = assemble(scene, replace(rest, linear_velocity=linear, angular_velocity=angular))
-    # report the adjustment
+    at_rest = State.initial(mechanism)
+    state = assemble(scene, replace(at_rest, linear_velocity=linear, angular_velocity=angular))
+    # report the adjustment: largest change of linear and of angular velocities, and its fraction
     pairs = ((state.linear_velocity, linear), (state.angular_velocity, angular))
-    changes = [float(np.max(np.abs(found - given))) for found, given in pairs]
-    sizes = [float(np.max(np.abs(given))) for _, given in pairs]
-    share = max((change / size for change, size in zip(changes, sizes, strict=True) if size), default=0.0)
-    report.changed_velocities = ChangedVelocities(start.key, changes[0], changes[1], share)
+    changes = [float(np.max(np.abs(adjusted - given))) for adjusted, given in pairs]
+    largest = [float(np.max(np.abs(given))) for _, given in pairs]
+    fractions = [change / size for change, size in zip(changes, largest, strict=True) if size]
+    report.changed_velocities = ChangedVelocities(
+        start.key, changes[0], changes[1], max(fractions, default=0.0)
+    )
     report.start.append(
         f"velocities of {start.key}, changed by at most {changes[0]:.2e} m/s and {changes[1]:.2e} rad/s "
         "to fit"

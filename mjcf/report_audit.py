@@ -1,9 +1,10 @@
-"""Check the import report against the compiled model.
+"""Check the import report of an MJCF file against the compiled model, for `mjcf.reference`.
 
-The module belongs to `mjcf.reference` and shares only the names of elements with the reader. It lists
-elements that the report does not mention, switches off what the report leaves out, and computes the
-constraint rows of equalities by MuJoCo's own functions. Rows are dimensionless and keep the offsets of loops
-at the start.
+An import report lists what the reader made of every element of a file, and which elements it left out. This
+module lists acting elements that the report does not mention. It switches off the elements that the report
+leaves out, so that the rest of the compiled model can be compared with the imported scene. `Equalities`
+computes residuals and Jacobian of MuJoCo's equality constraints by MuJoCo's own functions. The module shares
+only the names of elements with the reader, so that a mistake of the reader is not repeated here.
 """
 
 from __future__ import annotations
@@ -19,8 +20,11 @@ from newton_euler.reading.import_report import ImportReport
 from newton_euler.reading.quantities import Constraints
 from newton_euler.scalars import Array
 
-TORQUE_SCALE_PLACE = 10
-"""Index of the factor of angles, `torquescale`, in `eq_data` of a weld."""
+TORQUE_SCALE_INDEX = 10
+"""Index of `torquescale`, the factor of rotational residuals, in `eq_data` of a weld."""
+
+WELD_ANCHORS_AND_POSE = slice(0, 10)
+"""Part of `eq_data` of a weld: anchor in body 2, anchor in body 1, orientation of body 2 in body 1."""
 
 
 def unaccounted(model: Any, roots: Sequence[int], report: ImportReport) -> Iterator[str]:
@@ -28,30 +32,42 @@ def unaccounted(model: Any, roots: Sequence[int], report: ImportReport) -> Itera
 
     Args:
         model: compiled model.
-        roots: numbers of bodies that have joints.
+        roots: numbers of the bodies that have joints.
         report: report to check.
     """
-    known = {entry.element for entry in report.entries}
-    acting = model.tendon_stiffness != 0.0
-    acting |= (model.tendon_damping != 0.0) | (model.tendon_armature != 0.0)
-    numbers = {
+    mentioned = {entry.element for entry in report.entries}
+    acting_tendons = model.tendon_stiffness != 0.0
+    acting_tendons |= (model.tendon_damping != 0.0) | (model.tendon_armature != 0.0)
+    numbers_by_kind = {
         "joint": range(model.njnt),
         "equality": range(model.neq),
         "actuator": range(model.nactuator),
         "body": roots,
-        "tendon": np.flatnonzero(acting).tolist(),
+        "tendon": np.flatnonzero(acting_tendons).tolist(),
     }
-    names = (element_name(model, kind, k) for kind, each in numbers.items() for k in each)
-    yield from (name for name in names if name not in known)
+    for kind, numbers in numbers_by_kind.items():
+        for number in numbers:
+            name = element_name(model, kind, number)
+            if name not in mentioned:
+                yield name
 
 
-def without_force(report: ImportReport) -> set[str]:
-    """Return the elements that a report leaves out entirely."""
+def elements_left_out(report: ImportReport) -> set[str]:
+    """Return the names of the elements that a report leaves out entirely, with all their topics."""
     return {entry.element for entry in report.of("left out") if not entry.topic}
 
 
 def switch_off(model: Any, kind: str, k: int, topic: str) -> None:
-    """Switch off one topic of element number `k`, which the report leaves out; not for equalities."""
+    """Switch off one topic of an element in a compiled model, because the report leaves the topic out.
+
+    Args:
+        model: compiled model, which is changed.
+        kind: kind of the element, such as "joint"; for elements without number, the whole name in the report,
+            such as "option wind". Equalities are switched off by `Equalities.active`.
+        k: number of the element.
+        topic: property in the report, such as "armature"; "" for the whole element. Topics without effect on
+            forces, such as "limits", need no change.
+    """
     match kind, topic:
         case "joint", "not linear":
             model.jnt_stiffnesspoly[k] = 0.0
@@ -66,7 +82,7 @@ def switch_off(model: Any, kind: str, k: int, topic: str) -> None:
             model.tendon_stiffness[k] = model.tendon_damping[k] = 0.0
             model.tendon_stiffnesspoly[k] = model.tendon_dampingpoly[k] = 0.0
         case "actuator", "":
-            # types are changed too, because motors divide by their parameters
+            # gain and bias types are changed, too: DC motors divide by parameters, which are set to zero here
             model.actuator_gaintype[k] = mujoco.mjtGain.mjGAIN_FIXED
             model.actuator_biastype[k] = mujoco.mjtBias.mjBIAS_NONE
             model.actuator_gainprm[k] = model.actuator_biasprm[k] = model.actuator_gear[k] = 0.0
@@ -90,97 +106,112 @@ def switch_off(model: Any, kind: str, k: int, topic: str) -> None:
 
 
 class Equalities:
-    """Equality constraints of a compiled model.
+    """Dimensionless residuals and Jacobian of the equality constraints of a compiled model.
 
     Attributes:
         active: (neq,) 0 for equalities that are switched off.
     """
 
     def __init__(self, model: Any, data: Any, units: Array, size: float) -> None:
-        """Take a compiled model and its data. Both are changed later.
+        """Take a compiled model and its data. Later calls change both.
 
         Args:
             model: `MjModel`.
             data: `MjData`.
-            units: (nv,) units of velocities.
+            units: (nv,) units of velocities: `size` for translations, 1 for rotations.
             size: size of the mechanism, m.
         """
-        self._model, self._data, self._units, self._size = model, data, units, size
+        self._model, self._data, self._velocity_units, self._size = model, data, units, size
         self.active = model.eq_active0.copy()
-        rows = [self._units_of(k) for k in range(model.neq)]
-        # (k,) number of the equality and unit, m or 1, of each row
-        self._owners = np.repeat(np.arange(len(rows)), [len(unit) for unit in rows])
-        self._row_units = np.concatenate([np.ones(0), *rows])
+        units_by_equality = [self._units_of_rows(k) for k in range(model.neq)]
+        # for each constraint row (k,): number of its equality, and its unit, m or 1
+        self._equality_of_row = np.repeat(np.arange(model.neq), [len(rows) for rows in units_by_equality])
+        self._row_units = np.concatenate([np.ones(0), *units_by_equality])
 
     def constraints(self, q: Array) -> Constraints:
-        """Return the rows of all active equalities at a configuration."""
+        """Return residuals (k,) and Jacobian (k, nv) of all equalities at a configuration q (nq,).
+
+        Rows of equalities that are not active are zero. MuJoCo also drops equalities whose Jacobian is zero.
+        """
         model, data = self._model, self._data
         data.qpos[:] = q
         data.eq_active[:] = self.active
         mujoco.mj_fwdPosition(model, data)
-        equalities = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-        equalities &= np.isin(data.efc_id, self._owners)  # rows of flexes are left out
+        # rows of MuJoCo that belong to equalities, without deformable bodies (flexes)
+        mujoco_rows = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        mujoco_rows &= np.isin(data.efc_id, self._equality_of_row)
         residual, jacobian = np.zeros(len(self._row_units)), np.zeros((len(self._row_units), model.nv))
-        there = np.isin(self._owners, data.efc_id[equalities])  # MuJoCo drops rows of zeros
-        residual[there] = data.efc_pos[equalities]
-        jacobian[there] = data.efc_J.reshape(-1, model.nv)[equalities]
-        names = [element_name(self._model, "equality", int(k)) for k in self._owners]
+        # both row sets are in the order of the equalities
+        present = np.isin(self._equality_of_row, data.efc_id[mujoco_rows])
+        residual[present] = data.efc_pos[mujoco_rows]
+        jacobian[present] = data.efc_J.reshape(-1, model.nv)[mujoco_rows]
+        names = [element_name(self._model, "equality", int(k)) for k in self._equality_of_row]
         return Constraints(
-            residual / self._row_units, jacobian / self._row_units[:, None] * self._units, names
+            residual / self._row_units, jacobian / self._row_units[:, None] * self._velocity_units, names
         )
 
-    def _units_of(self, equality: int) -> Array:
-        """Return the units of the rows of an equality; angles of welds are scaled by `torquescale`."""
+    def _units_of_rows(self, equality: int) -> Array:
+        """Return the unit of each row of an equality: m for lengths, 1 or `torquescale` for angles."""
         model, size = self._model, self._size
         first = int(model.eq_obj1id[equality])
         match mujoco.mjtEq(model.eq_type[equality]):
             case mujoco.mjtEq.mjEQ_CONNECT:
                 return np.full(3, size)
             case mujoco.mjtEq.mjEQ_WELD:
-                scale = float(model.eq_data[equality, TORQUE_SCALE_PLACE]) or 1.0
-                return np.array([size] * 3 + [scale] * 3)
+                torque_scale = float(model.eq_data[equality, TORQUE_SCALE_INDEX]) or 1.0
+                return np.array([size] * 3 + [torque_scale] * 3)
             case mujoco.mjtEq.mjEQ_JOINT:
-                return self._units[model.jnt_dofadr[first], None]
+                return self._velocity_units[model.jnt_dofadr[first], None]
             case mujoco.mjtEq.mjEQ_TENDON:
-                sums = model.wrap_type[model.tendon_adr[first]] == mujoco.mjtWrap.mjWRAP_JOINT
-                return np.ones(1) if sums else np.full(1, size)
-        return np.ones(0)  # equalities of flexes have no rows here
+                # a fixed tendon is a weighted sum of joint coordinates, a spatial tendon has a length
+                is_fixed = model.wrap_type[model.tendon_adr[first]] == mujoco.mjtWrap.mjWRAP_JOINT
+                return np.ones(1) if is_fixed else np.full(1, size)
+        return np.ones(0)  # equalities of deformable bodies have no rows here
 
     def keep_offsets(self, start: Array) -> None:
-        """Define each equality as closed at a start (nq,): move its second end to the first."""
+        """Redefine each active equality so that its residual is zero at the configuration `start` (nq,).
+
+        The rounded numbers of a file close its loops only approximately. Scenes keep the remaining offsets.
+        """
         model, data, residuals = self._model, self._data, self.constraints(start).residual
         residuals = residuals * self._row_units
         for k in np.flatnonzero(self.active).tolist():
-            kind, values = mujoco.mjtEq(model.eq_type[k]), model.eq_data[k]
+            kind, eq_data = mujoco.mjtEq(model.eq_type[k]), model.eq_data[k]
             if kind in (mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON):
-                values[0] += residuals[self._owners == k][0]
+                eq_data[0] += residuals[self._equality_of_row == k][0]  # constant term of the polynomial
             elif kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
-                point = self._first_end(k)
-                ends = self._bodies_of(k)
-                first, second = (data.xmat[body].reshape(3, 3).T @ (point - data.xpos[body]) for body in ends)
+                # anchor both bodies at the point on the first body
+                point = self._point_on_first(k)
+                bodies = self._bodies_of(k)
+                in_first, in_second = (
+                    data.xmat[body].reshape(3, 3).T @ (point - data.xpos[body]) for body in bodies
+                )
                 model.eq_objtype[k] = mujoco.mjtObj.mjOBJ_BODY
-                model.eq_obj1id[k], model.eq_obj2id[k] = ends
+                model.eq_obj1id[k], model.eq_obj2id[k] = bodies
                 if kind == mujoco.mjtEq.mjEQ_CONNECT:
-                    values[:6] = [*first, *second]
+                    eq_data[:6] = [*in_first, *in_second]
                     continue
-                back, turn = np.zeros(4), np.zeros(4)
-                mujoco.mju_negQuat(back, data.xquat[ends[0]])
-                mujoco.mju_mulQuat(turn, back, data.xquat[ends[1]])
-                values[:TORQUE_SCALE_PLACE] = [*second, *first, *turn]
+                # relative orientation conj(q1) q2
+                conjugate, relative = np.zeros(4), np.zeros(4)
+                mujoco.mju_negQuat(conjugate, data.xquat[bodies[0]])
+                mujoco.mju_mulQuat(relative, conjugate, data.xquat[bodies[1]])
+                eq_data[WELD_ANCHORS_AND_POSE] = [*in_second, *in_first, *relative]
 
     def _bodies_of(self, equality: int) -> tuple[int, int]:
-        """Return the two bodies of a connect or weld."""
+        """Return the numbers of the two bodies of a connect or weld."""
         model = self._model
-        ends = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
+        # numbers of two bodies, or of two sites
+        first, second = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
         if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
-            return int(model.site_bodyid[ends[0]]), int(model.site_bodyid[ends[1]])
-        return ends
+            return int(model.site_bodyid[first]), int(model.site_bodyid[second])
+        return first, second
 
-    def _first_end(self, equality: int) -> Array:
-        """Return the point (3,) of a connect or weld on its first body, m, world frame."""
+    def _point_on_first(self, equality: int) -> Array:
+        """Return the constrained point (3,) on the first body of a connect or weld, m, world frame."""
         model, data, first = self._model, self._data, int(self._model.eq_obj1id[equality])
         if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
             return np.array(data.site_xpos[first])
-        place = 0 if model.eq_type[equality] == mujoco.mjtEq.mjEQ_CONNECT else 3
-        arm = model.eq_data[equality, place : place + 3]
-        return np.asarray(data.xpos[first] + data.xmat[first].reshape(3, 3) @ arm)
+        # eq_data of a connect begins with the anchor in body 1, eq_data of a weld with the anchor in body 2
+        is_connect = model.eq_type[equality] == mujoco.mjtEq.mjEQ_CONNECT
+        anchor = model.eq_data[equality, slice(0, 3) if is_connect else slice(3, 6)]
+        return np.asarray(data.xpos[first] + data.xmat[first].reshape(3, 3) @ anchor)

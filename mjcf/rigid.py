@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from mjcf.evaluate import EvaluatedScene, constraint_jacobian, mass_and_force
-from mjcf.loops import all_loops, closes, loops
+from mjcf.loops import active_loops, closes_loop, loops_with_rows
 from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.model_control import EngineControl, servo_forces
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
@@ -43,7 +43,7 @@ class RigidMuJoCo(EvaluatedScene):
             mujoco.mjtEq.mjEQ_CONNECT: of_weld[:3],
             mujoco.mjtEq.mjEQ_TENDON: of_weld[:1],
         }
-        cut = [index for index in range(self.model.neq) if closes(self.model, index)]
+        cut = [index for index in range(self.model.neq) if closes_loop(self.model, index)]
         units = [closing[mujoco.mjtEq(self.model.eq_type[index])] for index in cut]
         units += list(self.couplings.units[:, None])
         self._constraint = np.repeat(np.arange(len(units)), [len(unit) for unit in units])
@@ -102,7 +102,7 @@ class RigidMuJoCo(EvaluatedScene):
         product = np.zeros(len(self._constraint))  # stays 0 for sums of joint coordinates
         for index in np.flatnonzero(self.model.eq_type == mujoco.mjtEq.mjEQ_JOINT).tolist():
             product[self._constraint == index] = self._polynomial_product(index)
-        for loop in loops(self.model, self.data):
+        for loop in loops_with_rows(self.model, self.data):
             product[self._constraint == loop.index] = loop.velocity_product()
         return product
 
@@ -146,7 +146,7 @@ class RigidMuJoCo(EvaluatedScene):
             return kinds[int(model.jnt_type[index])], data.xaxis[index].copy(), data.xanchor[index].copy()
 
         found = geometry_in_tree(self.welded, read)
-        for loop in all_loops(model, data):
+        for loop in active_loops(model, data):
             if loop.kind != mujoco.mjtEq.mjEQ_WELD:
                 kind = "rod" if loop.kind == mujoco.mjtEq.mjEQ_TENDON else "ball"
                 found[loop.name] = loop_closing_geometry(kind, (loop.points[0].copy(), loop.points[1].copy()))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from mjcf.errors import DivergenceError, heard_warnings
+from mjcf.errors import DivergenceError, collected_warnings
 from mjcf.write import SOLIMP, TIMESTEP
 from newton_euler.arguments import checked
 from newton_euler.equations.applied_forces import surroundings, with_likely_causes
@@ -221,7 +221,7 @@ def _run(
         rows.append(Output(system, layout.to_qpos.T @ data.qpos, layout.to_qvel.T @ data.qvel, size, work))
 
     given, held = system, dict[str, Any]()
-    with heard_warnings(data) as warnings:
+    with collected_warnings(data) as warnings:
         for interval, steps in plan:
             held |= pieces(given.scene, interval.middle, smooth=False)
             # controls and set-points of the interval

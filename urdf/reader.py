@@ -63,7 +63,7 @@ from urdf.reading.source import (
     parsed,
     read_loops,
 )
-from urdf.reading.start import Mimic, Start
+from urdf.reading.start import Mimic, RobotAtStart
 from urdf.reading.visuals import with_visuals
 from urdf.reference import ModelReference, UrdfReference
 
@@ -284,7 +284,7 @@ def _reading(
     reference: Callable[[ImportReport, Scene], ReferenceModel],
 ) -> Reading:
     tolerance = request.redundancy_tolerance
-    start = Start(robot.where, robot.closed, robot.loops, robot.mimics, report, tolerance, robot.first)
+    start = RobotAtStart(robot.where, robot.closed, robot.loops, robot.mimics, report, tolerance, robot.first)
     tree = Tree(robot.where, start, set(robot.loops.name_mot), report)
     if robot.root is not None:
         tree.bodies = with_visuals(robot.where, robot.root, start, tree, report)
@@ -303,7 +303,7 @@ def _reading(
 
 def _scene(
     robot: Robot,
-    start: Start,
+    start: RobotAtStart,
     tree: Tree,
     report: ImportReport,
     request: Request,
@@ -311,7 +311,7 @@ def _scene(
 ) -> Scene:
     for joint, kind in zip(start.loops.joint_name, start.loops.joint_type, strict=True):
         if kind == "FIXED":
-            report.exactly(f"joint {joint!r}", "held at 0 by the loop file")
+            report.imported(f"joint {joint!r}", "held at 0 by the loop file")
     joints = [*tree.joints, *closing_joints(start, tree, report)]
     gears = list(couplings(start, tree, [joint.name for joint in joints], report))
     name = unique_name(robot.name, "robot", ())[:100].strip(".") or "robot"
@@ -336,7 +336,7 @@ def _scene(
     )
 
 
-def _limits(start: Start, joint: JointProperties, key: Key) -> list[Watch]:
+def _limits(start: RobotAtStart, joint: JointProperties, key: Key) -> list[Watch]:
     """Make the watch of a joint's limits."""
     assert joint.limits is not None
     (low, high, _), at = joint.limits, start.displacement(joint.name)
@@ -350,7 +350,9 @@ def _speed_limit(joint: JointProperties, key: Key) -> list[Watch]:
     return [Bounds(((key, 1.0),), -speed, speed, f"{joint.unit}/s", by_value=0.0, by_rate=1.0)]
 
 
-def _report_joints(joints: list[JointProperties], start: Start, tree: Tree, report: ImportReport) -> None:
+def _report_joints(
+    joints: list[JointProperties], start: RobotAtStart, tree: Tree, report: ImportReport
+) -> None:
     """Report dry friction, limits, rotors and safety controllers, which are not simulated."""
     for joint in joints:
         element, key = f"joint {joint.name!r}", tree.keys.get(joint.name)

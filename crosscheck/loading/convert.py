@@ -123,5 +123,5 @@ def _leave_out_kind(report: ImportReport, became: str, why: str, elements: list[
 def scene_report(scene: Scene) -> ImportReport:
     """Make an import report for a scene that was not read from an MJCF or a URDF: all of it is exact."""
     found = ImportReport()
-    found.exactly(f"scene {scene.name!r}", f"{len(scene.mechanism.bodies) - 1} bodies and all between them")
+    found.imported(f"scene {scene.name!r}", f"{len(scene.mechanism.bodies) - 1} bodies and all between them")
     return found

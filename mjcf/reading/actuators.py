@@ -39,10 +39,10 @@ from mjcf.reading.force_limits import (
     limited_tendon,
 )
 from mjcf.reading.forces import Forces, reduced_inertia
-from mjcf.reading.joints import FREE, Joints, Ties
-from mjcf.reading.laws import Acting, Affine, Drive, control_for, swinging
-from mjcf.reading.loops import fixed
-from mjcf.reading.start import Start
+from mjcf.reading.joints import FREE, GearGroups, Joints
+from mjcf.reading.laws import Affine, Drive, JointActuation, constant_plus_sines, control_per_activation
+from mjcf.reading.loops import fixed_tendon_weights
+from mjcf.reading.start import ModelAtStart
 from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.forces import Wrench
 from newton_euler.model.joint import Key
@@ -82,20 +82,20 @@ class Actuators:
 
     def __init__(
         self,
-        start: Start,
+        start: ModelAtStart,
         bodies: Bodies,
         joints: Joints,
-        ties: Ties,
+        gear_groups: GearGroups,
         forces: Forces,
         report: ImportReport,
         swings: Given[int, Sine],
     ) -> None:
         """Import all actuators; `swings` are the sines of controls, by number of the actuator."""
         self._start, self._model, self._data = start, start.model, start.data
-        self._bodies, self._joints, self._ties = bodies, joints, ties
+        self._bodies, self._joints, self._gear_groups = bodies, joints, gear_groups
         self._forces, self._report = forces, report
         self._swings = swings
-        self._acting: dict[Key, Acting] = {}
+        self._acting: dict[Key, JointActuation] = {}
         self.armatures: dict[Key, float] = {}
         self.drives: dict[int, Drive] = {}
         self._pushed: list[int] = []  # numbers of MuJoCo's bodies with wrenches of actuators
@@ -126,7 +126,7 @@ class Actuators:
         kind = TRANSMISSION(model.actuator_trntype[actuator])
         moments = self._moments(actuator, kind)
         if why := self._disabled(actuator):
-            self._report.left_out(element, why, off=True)
+            self._report.left_out(element, why, switched_off=True)
             self._add_rotor(actuator, element, moments)
             return
         law = self._affine(actuator, element)
@@ -153,8 +153,8 @@ class Actuators:
         if kind in JOINT_TRANSMISSIONS:
             weights = {target: 1.0}
         elif kind == TRANSMISSION.mjTRN_TENDON:
-            weights = fixed(self._start, target)
-        if weights is None or any(joint not in self._joints.keys for joint in weights):
+            weights = fixed_tendon_weights(self._start, target)
+        if weights is None or any(joint not in self._joints.coordinate_keys for joint in weights):
             return None
         return {joint: weight * float(gear) for joint, weight in weights.items()}
 
@@ -230,7 +230,7 @@ class Actuators:
         if model.actuator_ctrllimited[actuator]:
             numbers[CONTROL_RANGE] = model.actuator_ctrlrange[actuator].tolist()
         element = element_name(model, "actuator", actuator)
-        self._report.exactly(element, how, became, inert=silent, numbers=numbers)
+        self._report.imported(element, how, became, moves_nothing=silent, numbers=numbers)
 
     def _report_limits(
         self, actuator: int, element: str, law: Affine, moments: dict[int, float] | None
@@ -239,9 +239,9 @@ class Actuators:
         model, report = self._model, self._report
         if model.actuator_forcelimited[actuator]:
             low, high = (float(x) for x in model.actuator_forcerange[actuator])
-            terms = tuple((self._joints.keys[k], moment) for k, moment in (moments or {}).items())
+            terms = tuple((self._joints.coordinate_keys[k], moment) for k, moment in (moments or {}).items())
             constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
-            moving = swinging(constant, tuple(self._swing_force(actuator, 1.0)))
+            moving = constant_plus_sines(constant, tuple(self._swing_force(actuator, 1.0)))
             unit = actuator_force_unit(model, actuator)
             watch = Bounds(terms, low, high, unit, moving, law.by_length, law.by_rate)
             known = moments is not None or not (law.by_length or law.by_rate)
@@ -256,7 +256,7 @@ class Actuators:
     def _report_joint_limit(self, joint: int) -> None:
         """Report a joint's limit of the sum of its actuator forces."""
         model, data = self._model, self._data
-        key, element = self._joints.keys.get(joint), element_name(self._model, "joint", joint)
+        key, element = self._joints.coordinate_keys.get(joint), element_name(self._model, "joint", joint)
         low, high = bounds = [float(x) for x in model.jnt_actfrcrange[joint]]
         why, topic = f"its limit of actuator forces, {low:g} to {high:g}", "limit of actuator forces"
         law = None if key is None else self._acting.get(key)
@@ -294,8 +294,8 @@ class Actuators:
 
     def _add_to_joints(self, actuator: int, element: str, law: Affine, moments: dict[int, float]) -> bool:
         """Add the force to the laws of joint coordinates; False if the actuator is left out."""
-        keys = self._joints.keys
-        slopes = self._ties.slopes({keys[joint]: moment for joint, moment in moments.items()})
+        keys = self._joints.coordinate_keys
+        slopes = self._gear_groups.slopes({keys[joint]: moment for joint, moment in moments.items()})
         constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
         self._add_rotor(actuator, element, moments)
         shares = {keys[joint]: moment for joint, moment in moments.items()}
@@ -305,13 +305,13 @@ class Actuators:
             key, slope = next(iter(slopes.items()))
             if slope == 0.0:
                 why = "equalities keep its length constant, so that it does no work"
-                self._report.left_out(element, why, inert=True)
+                self._report.left_out(element, why, moves_nothing=True)
                 return False
             shares = {key: slope}
         for key, share in shares.items():
             # the change of length by one coordinate, or by all coordinates of the sum
             length = {key: slopes[key]} if slopes else shares
-            acting = self._acting.get(key, Acting())
+            acting = self._acting.get(key, JointActuation())
             for other, slope in length.items() if law.by_length or law.by_rate else ():
                 acting = acting.with_feedback(
                     other, -share * slope * law.by_length, -share * slope * law.by_rate
@@ -356,7 +356,7 @@ class Actuators:
             return
         model, data, low, high = self._model, self._data, -np.inf, np.inf
         if model.actuator_ctrllimited[actuator] and not self._start.disabled("CLAMPCTRL"):
-            needed, now = control_for(model, actuator), self._control(actuator)
+            needed, now = control_per_activation(model, actuator), self._control(actuator)
             low, high = (control + (float(x) - now) / needed for x in model.actuator_ctrlrange[actuator])
         if model.actuator_actlimited[actuator]:
             down, up = (float(x) for x in model.actuator_actrange[actuator])
@@ -372,13 +372,13 @@ class Actuators:
         inertia = float(self._model.actuator_armature[actuator])
         if not inertia:
             return
-        rotor = reduced_inertia(self._start, self._joints, self._ties, moments or {}, inertia)
+        rotor = reduced_inertia(self._start, self._joints, self._gear_groups, moments or {}, inertia)
         if rotor is None:
             why = f"its armature {inertia:g}: no single joint coordinate determines its length"
             self._report.left_out(element, why, topic="armature")
             return
         self.armatures[rotor[0]] = self.armatures.get(rotor[0], 0.0) + rotor[1]
-        self._report.exactly(element, f"its armature {inertia:g} at joint {rotor[0][0]!r}", ROTOR)
+        self._report.imported(element, f"its armature {inertia:g} at joint {rotor[0][0]!r}", ROTOR)
 
     def _add_wrench(self, actuator: int, element: str, law: Affine, gear: Array) -> bool:
         """Add a constant force and torque at a site, in the frame of the site or of a fixed site.

@@ -15,7 +15,7 @@ import numpy as np
 from mjcf.layout import element_name
 from mjcf.loops import body_velocity
 from mjcf.reading.source import SourceError
-from mjcf.reading.start import Start
+from mjcf.reading.start import ModelAtStart
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import Box, Capsule, Cylinder, Inertia, Mesh, Shape, Sphere, total
 from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body
@@ -41,7 +41,7 @@ class Bodies:
         names: for each of MuJoCo's bodies, the name of the body of the scene.
     """
 
-    def __init__(self, start: Start, report: ImportReport) -> None:
+    def __init__(self, start: ModelAtStart, report: ImportReport) -> None:
         model = start.model
         self._model, self._data = model, start.data
         # not body_weldid, which makes mocap bodies separate
@@ -64,9 +64,9 @@ class Bodies:
         element = element_name(self._model, "body", k)
         if k != self._root[k]:
             mocap = " where mocap has it at the start" if self._model.body_mocapid[k] >= 0 else ""
-            report.exactly(element, f"part of {self.names[k]!r}, to which it is fixed{mocap}")
+            report.imported(element, f"part of {self.names[k]!r}, to which it is fixed{mocap}")
         else:
-            report.exactly(element, f"body {self.names[k]!r}" if self.names[k] != name else "a body")
+            report.imported(element, f"body {self.names[k]!r}" if self.names[k] != name else "a body")
 
     def members(self, root: int) -> Array:
         """Return the numbers of MuJoCo's bodies that move with a root."""

@@ -12,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjcf.reading.laws import Acting, swinging
+from mjcf.reading.laws import JointActuation, constant_plus_sines
 from newton_euler.reading.activity import Bounds
 from newton_euler.scalars import Array
 
@@ -73,14 +73,14 @@ def distances_from_limits(
             yield moment, model.jnt_actfrcrange[joint] - force
 
 
-def joint_force_watch(acting: Acting, low: float, high: float, unit: str) -> Bounds | None:
+def joint_force_watch(acting: JointActuation, low: float, high: float, unit: str) -> Bounds | None:
     """Make the watch of a limit of actuator forces on a joint coordinate.
 
     Returns:
         The watch; None if stiffnesses and dampings of the feedback have different weights of coordinates.
     """
     keys, gains = list(acting.feedback), np.array(list(acting.feedback.values())).reshape(-1, 2)
-    moving = swinging(acting.constant, acting.swings)
+    moving = constant_plus_sines(acting.constant, acting.swings)
     if not keys:
         return Bounds((), low, high, unit, moving)
     first = int(np.argmax(np.abs(gains).max(axis=1)))

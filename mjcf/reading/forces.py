@@ -10,9 +10,9 @@ import numpy as np
 
 from mjcf.layout import element_name
 from mjcf.reading.bodies import GROUND, Bodies
-from mjcf.reading.joints import BALL, FREE, Joints, Ties
-from mjcf.reading.loops import fixed, straight
-from mjcf.reading.start import Start
+from mjcf.reading.joints import BALL, FREE, GearGroups, Joints
+from mjcf.reading.loops import fixed_tendon_weights, straight_tendon_ends
+from mjcf.reading.start import ModelAtStart
 from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint import Key
 from newton_euler.reading.import_report import FORCE, ROTOR, ImportReport, unique_name
@@ -27,10 +27,16 @@ class Forces:
     """
 
     def __init__(
-        self, start: Start, bodies: Bodies, joints: Joints, ties: Ties, gravity: Array, report: ImportReport
+        self,
+        start: ModelAtStart,
+        bodies: Bodies,
+        joints: Joints,
+        gear_groups: GearGroups,
+        gravity: Array,
+        report: ImportReport,
     ) -> None:
         self._start, self._model, self._data = start, start.model, start.data
-        self._bodies, self._joints, self._ties, self._report = bodies, joints, ties, report
+        self._bodies, self._joints, self._gear_groups, self._report = bodies, joints, gear_groups, report
         self.forces: list[Force] = []
         self._springs, self._dampers = not start.disabled("SPRING"), not start.disabled("DAMPER")
         for number in range(self._model.njnt):
@@ -64,20 +70,20 @@ class Forces:
         if stiffness == 0.0 and damping == 0.0:
             return
         what = f"its stiffness {stiffness:g} and damping {damping:g}"
-        if number in self._joints.keys:
-            joint, coordinate = self._joints.keys[number]
+        if number in self._joints.coordinate_keys:
+            joint, coordinate = self._joints.coordinate_keys[number]
             rest = float(self._reference(number)[0] - self._data.qpos[place])
             self._add_spring(JointSpring(joint, stiffness, damping, rest, coordinate))
-            self._report.exactly(element, f"{what} as a spring", FORCE if stiffness else "")
+            self._report.imported(element, f"{what} as a spring", FORCE if stiffness else "")
             return
-        joint = self._joints.of[number]
+        joint = self._joints.joint_names[number]
         if model.jnt_type[number] == FREE:
             rests = self._reference(number)[:3] - self._data.qpos[place : place + 3]
             for coordinate, rest in enumerate(rests.tolist()):
                 self._add_spring(JointSpring(joint, stiffness, damping, rest, coordinate))
             place += 3
         self.forces.append(BallSpring(joint, stiffness, damping, self._rest(number, place)))
-        self._report.exactly(element, f"{what} as a spring of all its motions", FORCE)
+        self._report.imported(element, f"{what} as a spring of all its motions", FORCE)
 
     def _add_spring(self, spring: JointSpring) -> None:
         """Add a spring, combined with a spring that its coordinate already has."""
@@ -114,7 +120,7 @@ class Forces:
         mujoco.mju_subQuat(turned, self._reference(number)[-4:], self._data.qpos[place : place + 4])
         child = int(self._model.jnt_bodyid[number])
         in_world = self._data.xmat[child].reshape(3, 3) @ turned
-        (joint,) = (joint for joint in self._joints.joints if joint.name == self._joints.of[number])
+        (joint,) = (joint for joint in self._joints.joints if joint.name == self._joints.joint_names[number])
         return np.asarray(in_world if joint.second == self._bodies.names[child] else -in_world)
 
     def _add_tendon(self, tendon: int) -> None:
@@ -131,8 +137,8 @@ class Forces:
         if plastic >= 0:
             low, high = (float(x) for x in self._data.plastic[plastic : plastic + 2])
             self._report_yield(element, float(model.tendon_springyield[tendon]))
-        ends = straight(self._start, tendon)
-        weights = fixed(self._start, tendon)
+        ends = straight_tendon_ends(self._start, tendon)
+        weights = fixed_tendon_weights(self._start, tendon)
         if low != high and stiffness:
             self._report.left_out(
                 element,
@@ -151,7 +157,9 @@ class Forces:
         self, tendon: int, element: str, what: str, weights: dict[int, float], along: JointSpring
     ) -> None:
         """Add the spring of a fixed tendon at the first coordinate of its sum, which the others follow."""
-        slopes = self._ties.slopes({self._joints.keys[joint]: w for joint, w in weights.items()})
+        slopes = self._gear_groups.slopes(
+            {self._joints.coordinate_keys[joint]: w for joint, w in weights.items()}
+        )
         if slopes is None:
             why = f"{what}: it acts on a sum of {len(weights)} joint coordinates that no gears couple"
             self._report.left_out(element, why)
@@ -159,13 +167,13 @@ class Forces:
         (joint, coordinate), slope = next(iter(slopes.items()))
         if slope == 0.0:
             why = f"{what}: equalities keep its length constant, so that it does no work"
-            self._report.left_out(element, why, inert=True)
+            self._report.left_out(element, why, moves_nothing=True)
             return
         rest = (along.rest - float(self._data.ten_length[tendon])) / slope
         stiffness, damping = along.stiffness * slope * slope, along.damping * slope * slope
         self._add_spring(JointSpring(joint, stiffness, damping, rest, coordinate))
         how = f"{what} as a spring of joint {joint!r}, which determines its length"
-        self._report.exactly(element, how, FORCE if stiffness else "")
+        self._report.imported(element, how, FORCE if stiffness else "")
 
     def _add_straight(
         self,
@@ -179,14 +187,16 @@ class Forces:
         (first, p), (second, q) = ends
         names = self._bodies.names[first], self._bodies.names[second]
         if names[0] == names[1]:
-            self._report.left_out(element, f"{what}: both its ends are parts of {names[0]!r}", inert=True)
+            self._report.left_out(
+                element, f"{what}: both its ends are parts of {names[0]!r}", moves_nothing=True
+            )
             return
         stiffness, damping, rest = values
         name = self._model.tendon(tendon).name
         own = self.name(name.removeprefix("spring "), f"tendon_{tendon}")
         spring = PointSpring(own, *names, p, q, stiffness=stiffness, rest_length=rest, damping=damping)
         self.forces.append(spring)
-        self._report.exactly(element, f"{what} as point spring {spring.name!r}", FORCE)
+        self._report.imported(element, f"{what} as point spring {spring.name!r}", FORCE)
 
     def _add_compensation(self, body: int, gravity: Array) -> None:
         name = self._bodies.names[body]
@@ -197,15 +207,15 @@ class Forces:
             return
         if not (self._springs or self._dampers):
             why = "MuJoCo applies no gravity compensation if the file disables springs and dampers"
-            self._report.left_out(element, f"gravity compensation {share:g}: {why}", inert=True)
+            self._report.left_out(element, f"gravity compensation {share:g}: {why}", moves_nothing=True)
             return
         wrench = self.name(f"{self._model.body(body).name}_gravcomp", f"gravcomp_{body}")
         self.forces.append(Wrench(wrench, name, self._data.xipos[body].copy(), force))
-        self._report.exactly(element, f"gravity compensation {share:g} as wrench {wrench!r}", FORCE)
+        self._report.imported(element, f"gravity compensation {share:g} as wrench {wrench!r}", FORCE)
 
 
 def armatures(
-    start: Start, bodies: Bodies, joints: Joints, ties: Ties, report: ImportReport
+    start: ModelAtStart, joints: Joints, gear_groups: GearGroups, report: ImportReport
 ) -> tuple[dict[Key, float], dict[str, float]]:
     """Return rotor inertias, kg m^2 or kg, by joint coordinate, and rotor inertias of balls by joint."""
     model: Any = start.model
@@ -216,19 +226,19 @@ def armatures(
         if inertia == 0.0:
             continue
         element = element_name(model, "joint", number)
-        if number in joints.keys:
-            key = joints.keys[number]
+        if number in joints.coordinate_keys:
+            key = joints.coordinate_keys[number]
             found[key] = found.get(key, 0.0) + inertia
         else:
-            balls[joints.of[number]] = inertia
+            balls[joints.joint_names[number]] = inertia
             if model.jnt_type[number] == FREE:
-                found |= {(joints.of[number], coordinate): inertia for coordinate in range(3)}
-        report.exactly(element, f"its armature {inertia:g}", ROTOR)
+                found |= {(joints.joint_names[number], coordinate): inertia for coordinate in range(3)}
+        report.imported(element, f"its armature {inertia:g}", ROTOR)
     for tendon in np.flatnonzero(model.tendon_armature):
         element = element_name(model, "tendon", int(tendon))
         inertia = float(model.tendon_armature[tendon])
-        weights = fixed(start, int(tendon)) or {}
-        rotor = reduced_inertia(start, joints, ties, weights, inertia)
+        weights = fixed_tendon_weights(start, int(tendon)) or {}
+        rotor = reduced_inertia(start, joints, gear_groups, weights, inertia)
         if rotor is None:
             why = f"its armature {inertia:g}: no single joint coordinate determines its length"
             report.left_out(element, why, topic="armature")
@@ -236,12 +246,12 @@ def armatures(
         key, reduced = rotor
         found[key] = found.get(key, 0.0) + reduced
         how = f"its armature {inertia:g} at joint {key[0]!r}, which determines its length"
-        report.exactly(element, how, ROTOR)
+        report.imported(element, how, ROTOR)
     return found, balls
 
 
 def reduced_inertia(
-    start: Start, joints: Joints, ties: Ties, moments: dict[int, float], inertia: float
+    start: ModelAtStart, joints: Joints, gear_groups: GearGroups, moments: dict[int, float], inertia: float
 ) -> tuple[Key, float] | None:
     """Reduce an inertia along a sum of joint coordinates to the first coordinate.
 
@@ -250,17 +260,22 @@ def reduced_inertia(
     Returns:
         The coordinate and its inertia; None unless gears couple all coordinates to the first.
     """
-    rates = ties.rates(joints.keys[joint] for joint in moments)
+    rates = gear_groups.rates(joints.coordinate_keys[joint] for joint in moments)
     if rates is None:
         return None
     total = 0.0
     for one, two in product(moments, moments):
         if _one_branch(start, one, two):
-            total += moments[one] * moments[two] * rates[joints.keys[one]] * rates[joints.keys[two]]
+            total += (
+                moments[one]
+                * moments[two]
+                * rates[joints.coordinate_keys[one]]
+                * rates[joints.coordinate_keys[two]]
+            )
     return next(iter(rates)), inertia * total
 
 
-def _one_branch(start: Start, one: int, two: int) -> bool:
+def _one_branch(start: ModelAtStart, one: int, two: int) -> bool:
     """True if two hinges or slides are the same, or one is an ancestor of the other."""
     model: Any = start.model
     low, high = (int(x) for x in sorted((model.jnt_dofadr[one], model.jnt_dofadr[two])))

@@ -8,7 +8,7 @@ import mujoco
 
 from mjcf.layout import element_name
 from mjcf.reading.bodies import GROUND, Bodies
-from mjcf.reading.start import Start
+from mjcf.reading.start import ModelAtStart
 from newton_euler.model.couplings import Gear, JointCoupling
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Free
@@ -34,12 +34,12 @@ class Joints:
         of: name of the joint of each of MuJoCo's joints, by number.
     """
 
-    def __init__(self, start: Start, bodies: Bodies, driven: set[int], report: ImportReport) -> None:
+    def __init__(self, start: ModelAtStart, bodies: Bodies, driven: set[int], report: ImportReport) -> None:
         """Import all joints; `driven` are the numbers of MuJoCo's joints that actuators drive."""
         self._start, self._model, self._data = start, start.model, start.data
         self.joints: list[Joint] = []
-        self.keys: dict[int, Key] = {}
-        self.of: dict[int, str] = {}
+        self.coordinate_keys: dict[int, Key] = {}
+        self.joint_names: dict[int, str] = {}
         for root in bodies.roots[1:]:
             first = int(self._model.body_jntadr[root])
             numbers = range(first, first + int(self._model.body_jntnum[root]))
@@ -47,13 +47,13 @@ class Joints:
             joint = self._joint(list(numbers), parent, bodies.names[root], bool(driven & set(numbers)))
             self.joints.append(joint)
             for number in numbers:
-                self.of[number] = joint.name
-                report.exactly(element_name(self._model, "joint", number), self._became(number, joint))
+                self.joint_names[number] = joint.name
+                report.imported(element_name(self._model, "joint", number), self._became(number, joint))
 
     def _became(self, number: int, joint: Joint) -> str:
-        if number not in self.keys or len(joint.coordinate_kinds) == 1:
+        if number not in self.coordinate_keys or len(joint.coordinate_kinds) == 1:
             return f"{joint.kind} joint {joint.name!r}"
-        return f"coordinate {self.keys[number][1]} of {joint.kind} joint {joint.name!r}"
+        return f"coordinate {self.coordinate_keys[number][1]} of {joint.kind} joint {joint.name!r}"
 
     def _joint(self, numbers: Sequence[int], parent: str, child: str, actuated: bool) -> Joint:
         model, data = self._model, self._data
@@ -74,11 +74,11 @@ class Joints:
         joint, coordinates = combined(name, parent, child, list(parts.values()), actuated)
         for k, part in parts.items():
             if part.name in coordinates:
-                self.keys[k] = (name, coordinates[part.name])
+                self.coordinate_keys[k] = (name, coordinates[part.name])
         return joint
 
 
-class Ties:
+class GearGroups:
     """Groups of joint coordinates that gears couple, each with a constant ratio to the first of its group."""
 
     def __init__(self, gears: Iterable[JointCoupling]) -> None:

@@ -1,4 +1,4 @@
-"""Control laws from forces of actuators, and sines of controls that excite a mechanism."""
+"""Control laws from forces of actuators, and sines of controls that choose_excitation a mechanism."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ class Excitation(NamedTuple):
 
     Attributes:
         control: (nu,) controls at the start.
-        swings: sines about these controls, by number of the actuator.
+        sines: sines about these controls, by number of the actuator.
         moved: control in the file and at the start, by number of the actuator, if they differ.
     """
 
     control: Array
-    swings: dict[int, Sine]
+    sines: dict[int, Sine]
     moved: dict[int, tuple[float, float]]
 
 
-def excite(
+def choose_excitation(
     scene: Scene, drives: Mapping[int, Drive], control: Array, places: Array, bounds: Iterable[Bounds]
 ) -> Excitation:
     """Choose sines that use at most half of the distance of controls from their limits.
@@ -72,7 +72,7 @@ class Affine(NamedTuple):
     by_rate: float
 
 
-class Acting(NamedTuple):
+class JointActuation(NamedTuple):
     """Sum of actuator forces on a joint coordinate: constant + swings - sum_j (k_j x_j + d_j dx_j/dt).
 
     Attributes:
@@ -85,7 +85,7 @@ class Acting(NamedTuple):
     constant: float = 0.0
     swings: tuple[Sine, ...] = ()
 
-    def with_feedback(self, key: Key, stiffness: float, damping: float) -> Acting:
+    def with_feedback(self, key: Key, stiffness: float, damping: float) -> JointActuation:
         """Add gains on a joint coordinate."""
         k, d = self.feedback.get(key, (0.0, 0.0))
         return self._replace(feedback={**self.feedback, key: (k + stiffness, d + damping)})
@@ -98,14 +98,14 @@ class Acting(NamedTuple):
         joint, coordinate = key
         stiffness, damping = self.feedback.get(key, (0.0, 0.0))
         target = self.constant / stiffness if stiffness else 0.0
-        feedforward = swinging(0.0 if stiffness else self.constant, self.swings)
+        feedforward = constant_plus_sines(0.0 if stiffness else self.constant, self.swings)
         if self.feedback.keys() <= {key}:
             return PD(joint, stiffness, damping, target, coordinate, feedforward)
         gains: dict[str | Key, tuple[float, float]] = dict(self.feedback.items())
         return StateFeedback(joint, gains, target, coordinate, feedforward)
 
 
-def swinging(constant: float, swings: tuple[Sine, ...]) -> float | Sine | Sum:
+def constant_plus_sines(constant: float, swings: tuple[Sine, ...]) -> float | Sine | Sum:
     """Return a constant, or the sum of a constant and sines."""
     if not swings:
         return constant
@@ -131,7 +131,7 @@ class Drive(NamedTuple):
     rests: bool
 
 
-def control_for(model: Any, actuator: int) -> float:
+def control_per_activation(model: Any, actuator: int) -> float:
     """Return the largest amplitude of the control per unit amplitude of the activation.
 
     For act = A sin(w t), an integrator needs the control A w cos(w t). A filter needs

@@ -16,8 +16,8 @@ import numpy as np
 from mjcf.layout import element_name
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.joints import Joints
-from mjcf.reading.loops import fixed
-from mjcf.reading.start import Start
+from mjcf.reading.loops import fixed_tendon_weights
+from mjcf.reading.start import ModelAtStart
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.reading.activity import (
     POINTS_PER_INTERVAL,
@@ -52,7 +52,7 @@ BODY_ARRAYS = (("geom_xpos", "geom_xmat"), ("site_xpos", "site_xmat"), ("xipos",
 """Arrays of points and rotation matrices in MuJoCo's data that move with bodies."""
 
 
-def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
+def report_leftovers(start: ModelAtStart, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
     """Report all elements that other parts of the reader do not report."""
     model = start.model
     poses = Poses(start, bodies)
@@ -60,24 +60,36 @@ def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Impor
     _report_contacts(start, poses, report)
     meshes = int(np.sum(model.geom_dataid >= 0))
     if meshes:
-        report.exactly(f"{meshes} geoms of meshes", "drawn where visible; their masses are in the bodies")
+        report.imported(f"{meshes} geoms of meshes", "drawn where visible; their masses are in the bodies")
     # limits and dry friction of joints and tendons
     for number in range(model.njnt):
         _report_joint(start, joints, number, report)
     for tendon in range(model.ntendon):
         element = element_name(model, "tendon", tendon)
         if model.tendon_limited[tendon]:
-            why, off = "its limits: limits are one-sided and not simulated", start.disabled("LIMIT")
+            why, switched_off = "its limits: limits are one-sided and not simulated", start.disabled("LIMIT")
             watches = [_tendon_watch(start, joints, poses, tendon)]
             bounds = model.tendon_range[tendon].tolist()
-            report.left_out(element, why, topic=LIMITS, off=off, watches=watches, numbers=bounds)
+            report.left_out(
+                element, why, topic=LIMITS, switched_off=switched_off, watches=watches, numbers=bounds
+            )
         if model.tendon_frictionloss[tendon]:
             friction = float(model.tendon_frictionloss[tendon])
             why = f"its dry friction {friction:g}"
-            off = start.disabled("FRICTIONLOSS")
-            keys = [joints.keys.get(joint) for joint in fixed(start, tendon) or {-1: 0.0}]
+            switched_off = start.disabled("FRICTIONLOSS")
+            keys = [
+                joints.coordinate_keys.get(joint)
+                for joint in fixed_tendon_weights(start, tendon) or {-1: 0.0}
+            ]
             watches_of = [Rest(tuple(key for key in keys if key))] if all(keys) else []
-            report.left_out(element, why, topic=FRICTION, off=off, watches=watches_of, numbers=[friction])
+            report.left_out(
+                element,
+                why,
+                topic=FRICTION,
+                switched_off=switched_off,
+                watches=watches_of,
+                numbers=[friction],
+            )
     # fluids, flexes and plugins
     option = model.opt
     for name, number in (("density", option.density), ("viscosity", option.viscosity)):
@@ -96,15 +108,15 @@ def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Impor
     if model.nkey > 1:
         names = ", ".join(repr(model.key(k).name or str(k)) for k in range(model.nkey))
         why = f"one is the start; --set key=NAME for another of {names}"
-        report.left_out("other keyframes", why, inert=True)
+        report.left_out("other keyframes", why, moves_nothing=True)
     for prefix, what in PASSIVE_ELEMENTS.items():
         count = int(getattr(model, f"n{prefix}"))
         if count:
-            report.left_out(f"{count} {what}", "they move nothing", inert=True)
-    report.left_out("options of solver and integrator", "every engine has its own", inert=True)
+            report.left_out(f"{count} {what}", "they move nothing", moves_nothing=True)
+    report.left_out("options of solver and integrator", "every engine has its own", moves_nothing=True)
 
 
-def _report_flags(start: Start, report: ImportReport) -> None:
+def _report_flags(start: ModelAtStart, report: ImportReport) -> None:
     """Report flags of the file that disable forces of its elements."""
     model = start.model
     stiff, damped = (
@@ -117,61 +129,73 @@ def _report_flags(start: Start, report: ImportReport) -> None:
         ("DAMPER", damped, "its dampers exert nothing"),
     ):
         if acts and start.disabled(flag):
-            report.left_out(flag.lower(), f'<flag {flag.lower()}="disable"/>: {effect}', off=True)
+            report.left_out(flag.lower(), f'<flag {flag.lower()}="disable"/>: {effect}', switched_off=True)
 
 
-def _tendon_watch(start: Start, joints: Joints, poses: Poses, tendon: int) -> Watch:
+def _tendon_watch(start: ModelAtStart, joints: Joints, poses: Poses, tendon: int) -> Watch:
     """Make the watch of a tendon's limits."""
-    model, weights = start.model, fixed(start, tendon)
-    if weights is None or any(joint not in joints.keys for joint in weights):
+    model, weights = start.model, fixed_tendon_weights(start, tendon)
+    if weights is None or any(joint not in joints.coordinate_keys for joint in weights):
         return TendonWatch(poses, tendon)
     low, high = (float(x) for x in model.tendon_range[tendon])
     margin, length = float(model.tendon_margin[tendon]), float(start.data.ten_length[tendon])
-    terms = tuple((joints.keys[joint], weight) for joint, weight in weights.items())
+    terms = tuple((joints.coordinate_keys[joint], weight) for joint, weight in weights.items())
     slides = {bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE) for joint in weights}
     unit = {True: "m", False: "rad"}[slides.pop()] if len(slides) == 1 else "m or rad"
     return Bounds(terms, low + margin, high - margin, unit, length)
 
 
-def _report_contacts(start: Start, poses: Poses, report: ImportReport) -> None:
-    model, off = start.model, start.disabled("CONTACT")
+def _report_contacts(start: ModelAtStart, poses: Poses, report: ImportReport) -> None:
+    model, switched_off = start.model, start.disabled("CONTACT")
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     for count, what in ((np.sum(touching), "geoms that can touch"), (model.npair, "contact pairs")):
         if count:
             why = "contacts are one-sided and not simulated"
-            report.left_out(f"{count} {what}", why, topic=CONTACTS, off=off, watches=[ContactWatch(poses)])
+            report.left_out(
+                f"{count} {what}",
+                why,
+                topic=CONTACTS,
+                switched_off=switched_off,
+                watches=[ContactWatch(poses)],
+            )
 
     if model.nexclude:
         why = "these pairs of bodies cannot touch; contacts are not simulated anyway"
-        report.left_out(f"{model.nexclude} contact exclusions", why, inert=True)
+        report.left_out(f"{model.nexclude} contact exclusions", why, moves_nothing=True)
 
 
-def _report_joint(start: Start, joints: Joints, number: int, report: ImportReport) -> None:
+def _report_joint(start: ModelAtStart, joints: Joints, number: int, report: ImportReport) -> None:
     model, element = start.model, element_name(start.model, "joint", number)
     if model.jnt_limited[number]:
         low, high = model.jnt_range[number]
         where, watches = "", list[Watch]()
-        if number in joints.keys:
+        if number in joints.coordinate_keys:
             x = float(start.data.qpos[model.jnt_qposadr[number]])
             where = "" if low <= x <= high else f"; the start is outside of them, at {x:.4g}"
             unit = "m" if model.jnt_type[number] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
             margin = float(model.jnt_margin[number])
-            watches.append(Bounds(((joints.keys[number], 1.0),), low + margin, high - margin, unit, x))
+            watches.append(
+                Bounds(((joints.coordinate_keys[number], 1.0),), low + margin, high - margin, unit, x)
+            )
         why = f"its limits {low:.4g} to {high:.4g}{where}: limits are one-sided and not simulated"
-        off = start.disabled("LIMIT")
-        report.left_out(element, why, topic=LIMITS, off=off, watches=watches, numbers=[low, high])
+        switched_off = start.disabled("LIMIT")
+        report.left_out(
+            element, why, topic=LIMITS, switched_off=switched_off, watches=watches, numbers=[low, high]
+        )
     dof = int(model.jnt_dofadr[number])
     if friction := float(model.dof_frictionloss[dof]):
-        off = start.disabled("FRICTIONLOSS")
-        why, key = f"its dry friction {friction:g}", joints.keys.get(number)
+        switched_off = start.disabled("FRICTIONLOSS")
+        why, key = f"its dry friction {friction:g}", joints.coordinate_keys.get(number)
         resting = [Rest((key,))] if key else []
-        report.left_out(element, why, topic=FRICTION, off=off, watches=resting, numbers=[friction])
+        report.left_out(
+            element, why, topic=FRICTION, switched_off=switched_off, watches=resting, numbers=[friction]
+        )
 
 
 class Poses:
     """Compiled model with its contacts, whose bodies are placed at the poses of a run."""
 
-    def __init__(self, start: Start, bodies: Bodies) -> None:
+    def __init__(self, start: ModelAtStart, bodies: Bodies) -> None:
         self._read = start.model
         model, data = start.model, start.data
         numbers = {name: k for k, name in enumerate(body.name for body in bodies.bodies)}

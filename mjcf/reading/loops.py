@@ -5,10 +5,10 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjcf.loops import ends
+from mjcf.loops import closure_ends
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.joints import Joints
-from mjcf.reading.start import TORQUE_SCALE_PLACE, Start
+from mjcf.reading.start import TORQUE_SCALE_PLACE, ModelAtStart
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling, PolynomialCoupling
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Fixed, Rod, Spherical
@@ -29,7 +29,7 @@ class Loops:
         held: prescribed motions of joints that an equality holds.
     """
 
-    def __init__(self, start: Start, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
+    def __init__(self, start: ModelAtStart, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
         self._start, self._model, self._data = start, start.model, start.data
         self._bodies, self._joints, self._report = bodies, joints, report
         self.joints: list[Joint] = []
@@ -40,10 +40,10 @@ class Loops:
         for index in range(self._model.neq):
             if flags:
                 why = f'<flag {flags[0].lower()}="disable"/>: the constraint is not applied'
-                report.left_out(start.equality(index), why, off=True)
+                report.left_out(start.equality(index), why, switched_off=True)
             elif not self._model.eq_active0[index]:
                 why = 'active="false": the constraint is not applied'
-                report.left_out(start.equality(index), why, off=True)
+                report.left_out(start.equality(index), why, switched_off=True)
             else:
                 self._add(index)
 
@@ -55,8 +55,8 @@ class Loops:
         self._taken.append(name)
         return name
 
-    def _leave(self, index: int, why: str, inert: bool = False) -> None:
-        self._report.left_out(self._start.equality(index), why, inert=inert)
+    def _leave(self, index: int, why: str, moves_nothing: bool = False) -> None:
+        self._report.left_out(self._start.equality(index), why, moves_nothing=moves_nothing)
 
     def _add(self, index: int) -> None:
         match mujoco.mjtEq(self._model.eq_type[index]):
@@ -70,10 +70,10 @@ class Loops:
                 self._leave(index, f"scenes have no counterpart of {kind.name.removeprefix('mjEQ_').lower()}")
 
     def _add_closure(self, index: int) -> None:
-        numbers, (p, _) = ends(self._model, self._data, index)
+        numbers, (p, _) = closure_ends(self._model, self._data, index)
         first, second = (self._bodies.names[k] for k in numbers)
         if first == second:
-            self._leave(index, f"both its bodies are parts of {first!r}", inert=True)
+            self._leave(index, f"both its bodies are parts of {first!r}", moves_nothing=True)
             return
         turns = self._model.eq_type[index] == mujoco.mjtEq.mjEQ_WELD
         weld = turns and self._model.eq_data[index, TORQUE_SCALE_PLACE] != 0.0
@@ -81,20 +81,20 @@ class Loops:
         name = self._name(index)
         # one point for both bodies: the scene keeps the offset that the digits of the file leave
         self.joints.append(kind(name, first, second, p))
-        self._report.exactly(self._start.equality(index), f"{kind.kind} joint {name!r}, {HELD_RIGIDLY}")
+        self._report.imported(self._start.equality(index), f"{kind.kind} joint {name!r}, {HELD_RIGIDLY}")
 
     def _add_joint(self, index: int) -> None:
         model = self._model
         first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
-        if first not in self._joints.keys:
+        if first not in self._joints.coordinate_keys:
             self._leave(index, "it couples joints other than hinges and slides")
             return
         polynomial = model.eq_data[index][:5]
-        follower = self._joints.keys[first]
+        follower = self._joints.coordinate_keys[first]
         if second < 0:
             self._couple(index, follower, None, 0.0, HELD_RIGIDLY)
             return
-        driver = self._joints.keys[second]
+        driver = self._joints.coordinate_keys[second]
         place = int(model.jnt_qposadr[second])
         x = float(self._data.qpos[place] - model.qpos0[place])
         if not np.any(polynomial[2:]):
@@ -104,7 +104,7 @@ class Loops:
         name = self._name(index)
         file = PolynomialCoupling(name, driver[0], follower[0], coefficients, driver[1], follower[1])
         self.gears.append(file.from_zero(x))
-        self._report.exactly(self._start.equality(index), f"polynomial coupling {name!r}, {HELD_RIGIDLY}")
+        self._report.imported(self._start.equality(index), f"polynomial coupling {name!r}, {HELD_RIGIDLY}")
 
     def _couple(self, index: int, follower: Key, driver: Key | None, ratio: float, how: str) -> None:
         """Add a gear, or a held joint if there is no driver."""
@@ -115,26 +115,26 @@ class Loops:
             name = self._name(index)
             self.gears.append(Gear(name, driver[0], follower[0], ratio, driver[1], follower[1]))
             how_kept = f"gear {name!r} of ratio {ratio:.6g}, {how}"
-        self._report.exactly(self._start.equality(index), how_kept)
+        self._report.imported(self._start.equality(index), how_kept)
 
     def _add_tendon(self, index: int) -> None:
         """Add an equality of tendons: a rod for a straight tendon, a coupling for sums of coordinates."""
         model = self._model
         tendons = [int(t) for t in (model.eq_obj1id[index], model.eq_obj2id[index]) if t >= 0]
         polynomial = model.eq_data[index][:5]
-        ends = straight(self._start, tendons[0])
+        ends = straight_tendon_ends(self._start, tendons[0])
         if ends and len(tendons) == 1:
             (first, p), (second, q) = ends
             names = self._bodies.names[first], self._bodies.names[second]
             if names[0] == names[1]:
-                self._leave(index, f"both its ends are parts of {names[0]!r}", inert=True)
+                self._leave(index, f"both its ends are parts of {names[0]!r}", moves_nothing=True)
                 return
             name = self._name(index)
             self.joints.append(Rod(name, *names, p, point_on_second=q))
-            self._report.exactly(self._start.equality(index), f"rod {name!r}, {HELD_RIGIDLY}")
+            self._report.imported(self._start.equality(index), f"rod {name!r}, {HELD_RIGIDLY}")
             return
-        weights = fixed(self._start, tendons[0])
-        others = fixed(self._start, tendons[1]) if len(tendons) == 2 else {}
+        weights = fixed_tendon_weights(self._start, tendons[0])
+        others = fixed_tendon_weights(self._start, tendons[1]) if len(tendons) == 2 else {}
         if weights is None or others is None:
             self._leave(index, "it couples tendons that are neither straight nor sums of joint coordinates")
             return
@@ -145,7 +145,7 @@ class Loops:
         total = dict(weights)
         for joint, weight in others.items():
             total[joint] = total.get(joint, 0.0) - polynomial[1] * weight
-        terms = [(self._joints.keys[k], w) for k, w in total.items() if w != 0.0]
+        terms = [(self._joints.coordinate_keys[k], w) for k, w in total.items() if w != 0.0]
         if len(terms) == 1:
             self._couple(index, terms[0][0], None, 0.0, HELD_RIGIDLY)
         elif len(terms) == 2:
@@ -155,12 +155,14 @@ class Loops:
             name = self._name(index)
             self.gears.append(LinearCoupling(name, tuple((*key, weight) for key, weight in terms)))
             how_kept = f"coupling {name!r} of {len(terms)} joint coordinates, {HELD_RIGIDLY}"
-            self._report.exactly(self._start.equality(index), how_kept)
+            self._report.imported(self._start.equality(index), how_kept)
         else:
-            self._leave(index, "its weights are zero", inert=True)
+            self._leave(index, "its weights are zero", moves_nothing=True)
 
 
-def straight(start: Start, tendon: int) -> tuple[tuple[int, Array], tuple[int, Array]] | None:
+def straight_tendon_ends(
+    start: ModelAtStart, tendon: int
+) -> tuple[tuple[int, Array], tuple[int, Array]] | None:
     """Return body and point of both ends of a straight tendon between two sites; None for others."""
     model = start.model
     first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
@@ -171,7 +173,7 @@ def straight(start: Start, tendon: int) -> tuple[tuple[int, Array], tuple[int, A
     return (int(bodies[one]), points[one].copy()), (int(bodies[two]), points[two].copy())
 
 
-def fixed(start: Start, tendon: int) -> dict[int, float] | None:
+def fixed_tendon_weights(start: ModelAtStart, tendon: int) -> dict[int, float] | None:
     """Return joints and weights of a fixed tendon, a sum of joint coordinates; None for others."""
     model = start.model
     rows = slice(int(model.tendon_adr[tendon]), int(model.tendon_adr[tendon] + model.tendon_num[tendon]))

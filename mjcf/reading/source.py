@@ -100,7 +100,7 @@ KeySizes: TypeAlias = dict[int, dict[str, int]]
 """Numbers of values of the fields of keyframes in the file, by number of the keyframe."""
 
 
-def compiled(path: str, root: str | None = None) -> tuple[Any, KeySizes]:
+def compile_file(path: str, root: str | None = None) -> tuple[Any, KeySizes]:
     """Compile an MJCF file.
 
     Args:
@@ -119,7 +119,9 @@ def compiled(path: str, root: str | None = None) -> tuple[Any, KeySizes]:
     scan.run()
     model = _compiled(path, scan.asset_bytes)
     _check_counts(path, model)
-    keys = scan.keys if len(scan.keys) == model.nkey else []  # attached models add keyframes
+    keys = (
+        scan.keyframe_sizes if len(scan.keyframe_sizes) == model.nkey else []
+    )  # attached models add keyframes
     return model, dict(enumerate(keys))
 
 
@@ -132,7 +134,7 @@ def check_memory(where: str, model: Any) -> None:
         raise SourceError(where, f"the compiled model has {size:.0f} MB, mostly meshes; {lacks}")
 
 
-def given(model: object) -> tuple[str, Any, KeySizes]:
+def copy_model(model: object) -> tuple[str, Any, KeySizes]:
     """Copy or compile a model in memory, an `MjSpec` or an `MjModel`, which is not changed.
 
     Returns:
@@ -299,7 +301,7 @@ class _Scan:
         self._homes = [self._home]
         self._folders: dict[str, list[str]] = {name: [] for name in FOLDER_ATTRIBUTES}
         self._assets: list[_Reference] = []
-        self.keys: list[dict[str, int]] = []
+        self.keyframe_sizes: list[dict[str, int]] = []
         self._files = self._bytes = 0
         self._sizes: dict[str, int] = {}
 
@@ -326,7 +328,7 @@ class _Scan:
         def begin(tag: str, attributes: dict[str, str], line: int) -> None:
             counts: dict[str, int] = {}
             if tag == "key":
-                self.keys.append(counts)
+                self.keyframe_sizes.append(counts)
             for name, value in attributes.items():
                 if name not in FREE_TEXT and any(
                     token.lower().lstrip("+-") in NON_FINITE_WORDS for token in value.split()

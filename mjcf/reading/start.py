@@ -9,7 +9,7 @@ import numpy as np
 
 from mjcf.evaluate import constraint_jacobian
 from mjcf.layout import element_name
-from mjcf.loops import ends
+from mjcf.loops import closure_ends
 from mjcf.reading.source import SourceError
 from newton_euler.equations.loop_closure import FileStart, Units, reach
 from newton_euler.errors import choices
@@ -24,7 +24,7 @@ SWITCHED_OFF_FEATURES = ("CONTACT", "LIMIT", "FRICTIONLOSS", "WARMSTART")
 """Features of MuJoCo that scenes do not simulate."""
 
 
-class Start(FileStart):
+class ModelAtStart(FileStart):
     """Compiled model at its start.
 
     Attributes:
@@ -134,7 +134,7 @@ class Start(FileStart):
             if mujoco.mjtEq(model.eq_type[index]) in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
                 own = np.flatnonzero(numbers == index)
                 motions, levers = [], []
-                for body, point in zip(*ends(model, data, index), strict=True):
+                for body, point in zip(*closure_ends(model, data, index), strict=True):
                     motion = np.zeros((6, model.nv))
                     mujoco.mj_jacBodyCom(model, data, motion[:3], motion[3:], body)
                     motions.append(motion)

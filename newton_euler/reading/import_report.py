@@ -147,48 +147,53 @@ class ImportReport:
         self.moved: MovedStart | None = None
         self.changed_velocities: ChangedVelocities | None = None
 
-    def exactly(
+    def imported(
         self,
         element: str,
         how: str,
         became: str = "",
-        inert: bool = False,
+        moves_nothing: bool = False,
         numbers: Mapping[str, Sequence[float]] | None = None,
     ) -> None:
         """Add an element that is imported exactly.
 
         Args:
             element, how, became, numbers: see `ImportedElement`.
-            inert: True if the element moves nothing as the file has it, such as an idle motor.
+            moves_nothing: True if the element moves nothing as the file has it, such as an idle motor.
         """
         given = tuple((what, tuple(map(float, values))) for what, values in (numbers or {}).items())
-        self.entries.append(ImportedElement(element, "exactly", how, became, inert=inert, numbers=given))
+        self.entries.append(
+            ImportedElement(element, "exactly", how, became, inert=moves_nothing, numbers=given)
+        )
 
     def left_out(
         self,
         element: str,
         why: str,
         topic: str = "",
-        inert: bool = False,
+        moves_nothing: bool = False,
         watches: Sequence[Watch] = (),
         examined: bool = True,
-        off: bool = False,
+        switched_off: bool = False,
         numbers: Sequence[float] = (),
     ) -> None:
         """Add an element, or one topic of an element, that is not simulated.
 
         Args:
-            element, topic, inert, examined: see `ImportedElement`.
+            element, topic, examined: see `ImportedElement`.
+            moves_nothing: True if the element moves nothing as the file has it, such as a camera.
             why: reason.
             watches: tests for activity in a run. Together they cover the whole element. An element without
                 watches acts from the start on.
-            off: True if the file itself switches the element off.
+            switched_off: True if the file itself switches the element off.
             numbers: values of the topic in the file; SI units.
         """
-        inert = inert or off
-        if watches and not inert:
+        moves_nothing = moves_nothing or switched_off
+        if watches and not moves_nothing:
             self.watches[len(self.entries)] = watches
-        entry = ImportedElement(element, "left out", why, "", topic, inert, examined=examined, is_off=off)
+        entry = ImportedElement(
+            element, "left out", why, "", topic, moves_nothing, examined=examined, is_off=switched_off
+        )
         if numbers:
             entry = replace(entry, numbers=((topic, tuple(map(float, numbers))),))
         self.entries.append(entry)

@@ -13,7 +13,7 @@ from mjcf import read
 from mjcf.errors import MjcfError
 from mjcf.model import CompiledScene
 from mjcf.reader import Reading
-from mjcf.reading.joints import Ties
+from mjcf.reading.joints import GearGroups
 from newton_euler import NewtonEulerError
 from newton_euler.compiled.formulations import FORMULATIONS, formulate
 from newton_euler.model.compound_joint import Compound
@@ -276,14 +276,16 @@ def test_an_actuator_that_is_not_simulated_has_no_limit_to_watch(actuator: str, 
 
 
 def test_ties_through_several_gears() -> None:
-    ties = Ties([Gear("one", "p", "q", 2.0), Gear("two", "r", "s", 3.0), Gear("three", "s", "p", -0.5)])
+    gear_groups = GearGroups(
+        [Gear("one", "p", "q", 2.0), Gear("two", "r", "s", 3.0), Gear("three", "s", "p", -0.5)]
+    )
     p, q, r, s, other = (("p", 0), ("q", 0), ("r", 0), ("s", 0), ("q", 1))
-    assert ties.rates([r, s, p, q]) == {r: 1.0, s: 3.0, p: -1.5, q: -3.0}
+    assert gear_groups.rates([r, s, p, q]) == {r: 1.0, s: 3.0, p: -1.5, q: -3.0}
     # 4 r - q is 7 r, and -7/3 q
-    assert ties.slopes({r: 4.0, q: -1.0}) == pytest.approx({r: 7.0, q: -7.0 / 3.0})
-    assert ties.rates([p, other]) is None
-    assert ties.rates([other]) == {other: 1.0}
-    assert ties.rates([]) is None
+    assert gear_groups.slopes({r: 4.0, q: -1.0}) == pytest.approx({r: 7.0, q: -7.0 / 3.0})
+    assert gear_groups.rates([p, other]) is None
+    assert gear_groups.rates([other]) == {other: 1.0}
+    assert gear_groups.rates([]) is None
 
 
 @pytest.mark.parametrize("torque_scale", ["1e-9", "0.01", "1", "40", "-2"])

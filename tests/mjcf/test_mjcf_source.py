@@ -12,7 +12,7 @@ from mjcf_models import PAIR, model
 import mjcf
 import mjcf.reading.source as source
 import urdf
-from mjcf.reading.source import compiled
+from mjcf.reading.source import compile_file
 from newton_euler.limits import VARIABLE, changed, size_in_bytes
 from newton_euler.model.source_file import SourceError
 
@@ -51,10 +51,10 @@ def test_a_file_with_assets_may_take_longer(
     for size in (0, 200_000, largest):
         text = WEDGE.format("1")
         mesh.write_text("#" * max(0, size - len(text) - 1) + "\n" + text)
-        compiled(str(path))
+        compile_file(str(path))
     assert [int(command[-2]) for command in commands] == [2, 6, 22]
     path.write_text(model(PAIR))
-    compiled(str(path))
+    compile_file(str(path))
     assert int(commands[-1][-2]) == 2
 
 
@@ -78,7 +78,7 @@ def test_lack_of_memory_is_told_from_a_crash_by_what_was_used(
     path.write_text(model(PAIR, field))
     monkeypatch.setattr(source, "_peak_memory", lambda: used * size_in_bytes("memory"))
     with changed({"memory": 900}), pytest.raises(SourceError) as error:
-        compiled(str(path))
+        compile_file(str(path))
     assert ("--set memory=3600" in str(error.value)) == lacks
     assert ("unknown exception" in str(error.value)) != lacks
 
@@ -93,7 +93,7 @@ def test_copies_of_a_model_that_exceed_the_free_memory_are_refused(
     """
     path = tmp_path / "model.xml"
     path.write_text(model(PAIR, f"<actuator>{actuators}</actuator>"), encoding="utf-8")
-    made, _ = compiled(str(path))
+    made, _ = compile_file(str(path))
     monkeypatch.setattr(source, "free_memory", lambda: copies * made.nbuffer)
     mjcf.read(path)
     monkeypatch.setattr(source, "free_memory", lambda: copies * made.nbuffer - 1)

@@ -15,7 +15,7 @@ from urdf import read
 from urdf.errors import UrdfError
 from urdf.reader import _scene
 from urdf.reading.source import read_loops
-from urdf.reading.start import Mimic, Start
+from urdf.reading.start import Mimic, RobotAtStart
 
 GEARED = robot(
     link("a"), link("b"), link("c"),
@@ -43,7 +43,7 @@ def test_faults_in_the_reading_of_a_urdf_are_found_and_named(geared: Path) -> No
     assert kinds >= {"mass", "axis direction", "gear", "damping of JointSpring"}
 
 
-def started(self: Any, mimics: Any, mimicked: Any = Start._mimicked) -> Any:
+def started(self: Any, mimics: Any, mimicked: Any = RobotAtStart._mimicked) -> Any:
     moved = mimicked(self, mimics)
     moved[-1] += 2.0
     return moved
@@ -62,7 +62,7 @@ def shifted(self: Any, joint: Any, mimic: Any, init: Any = Mimic.__init__) -> No
             lambda *_: iter(()),
             "is not what the file says: dampers, rel: 1 > ",
         ),
-        ("urdf.reading.start.Start._mimicked", started, "joint 'three': .*start, sizes or rad"),
+        ("urdf.reading.start.RobotAtStart._mimicked", started, "joint 'three': .*start, sizes or rad"),
         ("urdf.reader.Mimic.__init__", shifted, "mimic of joint 'two': .*loops open at the start"),
     ],
     ids=["no dampers", "a joint elsewhere", "another offset"],

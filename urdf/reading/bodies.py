@@ -14,7 +14,7 @@ from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body
 from newton_euler.reading.import_report import ImportReport, unique_name
 from newton_euler.scalars import Array
 from urdf.reading.source import SourceError
-from urdf.reading.start import Start
+from urdf.reading.start import RobotAtStart
 
 GROUND = "ground"
 
@@ -30,7 +30,7 @@ class Tree:
             the start.
     """
 
-    def __init__(self, path: str, start: Start, motors: set[str], report: ImportReport) -> None:
+    def __init__(self, path: str, start: RobotAtStart, motors: set[str], report: ImportReport) -> None:
         """Import bodies and joints; `motors` are the names of joints with a motor."""
         self._path, self._model, self._start = path, start.model, start
         self._scratch: Any = start.model.createData()
@@ -49,7 +49,7 @@ class Tree:
         for chain in waiting.values():
             for index in chain:
                 element = f"joint {self._model.names[index]!r}"
-                report.left_out(element, "it moves no mass: held where it is", inert=True)
+                report.left_out(element, "it moves no mass: held where it is", moves_nothing=True)
         if not self.joints:
             raise SourceError(path, "no joint moves any mass")
         self._report_links(report)
@@ -104,7 +104,7 @@ class Tree:
             self.joints.append(joint)
             self.keys |= {part: (joint_name, k) for part, k in coordinates.items()}
         for k in names:
-            report.exactly(f"joint {k!r}", f"{self.joints[-1].kind} joint {joint_name!r}")
+            report.imported(f"joint {k!r}", f"{self.joints[-1].kind} joint {joint_name!r}")
 
     @property
     def joint_names(self) -> list[str]:
@@ -133,7 +133,7 @@ class Tree:
             if frame.type == pin.FrameType.BODY:
                 body = self.names[frame.parentJoint]
                 what = f"body {body!r}" if body == frame.name else f"part of {body!r}"
-                report.exactly(f"link {frame.name!r}", what if body else "no body, because it has no mass")
+                report.imported(f"link {frame.name!r}", what if body else "no body, because it has no mass")
 
     def end(self, frame: int) -> tuple[str, Array]:
         """Return the body and the place (3,), m, world frame, of one of Pinocchio's frames."""

@@ -190,7 +190,7 @@ class _Reader:
         if any(numbers):
             return False
         what = f"<{tag_of(element)}> of joint {joint.get('name')!r:.100}"
-        self._report.left_out(what, f"its {' and '.join(element.attrib)} is 0", inert=True)
+        self._report.left_out(what, f"its {' and '.join(element.attrib)} is 0", moves_nothing=True)
         return True
 
     # Numbers

@@ -9,11 +9,11 @@ from newton_euler.reading.import_report import FORCE, ImportReport
 from urdf.extensions import ARMATURE, STIFFNESS, PointSpringElement
 from urdf.reading.bodies import Tree
 from urdf.reading.source import JointProperties
-from urdf.reading.start import Start
+from urdf.reading.start import RobotAtStart
 
 
 def joint_springs(
-    joints: list[JointProperties], start: Start, tree: Tree, report: ImportReport
+    joints: list[JointProperties], start: RobotAtStart, tree: Tree, report: ImportReport
 ) -> Iterator[JointSpring]:
     """Yield springs and dampers of joints."""
     for joint in joints:
@@ -26,7 +26,7 @@ def joint_springs(
             (key, coordinate), rest = tree.keys[name], joint.rest - start.displacement(name)
             yield JointSpring(key, stiffness, damping, rest if stiffness else 0.0, coordinate)
             how = " and ".join(filter(None, [spring, damper]))
-            report.exactly(f"joint {name!r}", how, FORCE if stiffness else "")
+            report.imported(f"joint {name!r}", how, FORCE if stiffness else "")
             continue
         if damping:
             why = f"its damping {damping:g}: the joint is not a moving hinge or slide"
@@ -37,7 +37,7 @@ def joint_springs(
 
 
 def point_springs(
-    springs: Sequence[PointSpringElement], start: Start, tree: Tree, report: ImportReport
+    springs: Sequence[PointSpringElement], start: RobotAtStart, tree: Tree, report: ImportReport
 ) -> Iterator[PointSpring]:
     """Yield springs and dampers between points."""
     model = start.model
@@ -45,7 +45,7 @@ def point_springs(
         (a, p), (b, q) = (tree.end(model.getFrameId(name)) for name in spring.frames)
         element = f"spring {spring.name!r}"
         if a == b:
-            report.left_out(element, f"both its ends are on {a!r}", inert=True)
+            report.left_out(element, f"both its ends are on {a!r}", moves_nothing=True)
             continue
         yield PointSpring(
             spring.name,
@@ -60,7 +60,7 @@ def point_springs(
         how = (
             f"stiffness {spring.stiffness:g}, rest length {spring.rest_length:g}, damping {spring.damping:g}"
         )
-        report.exactly(element, f"{how}, between {a!r} and {b!r}", FORCE)
+        report.imported(element, f"{how}, between {a!r} and {b!r}", FORCE)
 
 
 def armatures(joints: list[JointProperties], tree: Tree, report: ImportReport) -> Iterator[Armature]:
@@ -70,7 +70,7 @@ def armatures(joints: list[JointProperties], tree: Tree, report: ImportReport) -
         if armature and name in tree.keys:
             key = tree.keys[name]
             yield Armature(key[0], armature, key[1])
-            report.exactly(f"joint {name!r}", f"its armature {armature:g} as a rotor inertia")
+            report.imported(f"joint {name!r}", f"its armature {armature:g} as a rotor inertia")
         elif armature:
             why = f"its armature {armature:g}: the joint is not a moving hinge or slide"
             report.left_out(f"joint {name!r}", why, topic=ARMATURE)

@@ -13,13 +13,13 @@ from newton_euler.reading.import_report import (
 )
 from urdf.loops import REVOLUTE
 from urdf.reading.bodies import Tree
-from urdf.reading.start import Start
+from urdf.reading.start import RobotAtStart
 
 CLOSURE_JOINTS: dict[str, type[Joint]] = {"3d": Spherical, "6d": Fixed}
 """Joints by type of closure, except rods and hinges."""
 
 
-def closing_joints(start: Start, tree: Tree, report: ImportReport) -> Iterator[Joint]:
+def closing_joints(start: RobotAtStart, tree: Tree, report: ImportReport) -> Iterator[Joint]:
     """Yield the joints that close loops."""
     taken, closed, loops = tree.joint_names, start.robot, start.loops
     frames, rods = iter(closed.frames), iter(closed.rods)
@@ -29,7 +29,7 @@ def closing_joints(start: Start, tree: Tree, report: ImportReport) -> Iterator[J
         (a, p), (b, q) = tree.end(first), tree.end(second)
         element = f"closed_loop {' and '.join(pair)}"
         if a == b:
-            report.left_out(element, f"both frames are on {a!r}", inert=True)
+            report.left_out(element, f"both frames are on {a!r}", moves_nothing=True)
             continue
         own, other = (frame.rpartition("_on_")[0] for frame in pair)  # frame names of `urdf.write`
         wanted = own if own and own == other else f"closure_{number + 1}"
@@ -44,10 +44,12 @@ def closing_joints(start: Start, tree: Tree, report: ImportReport) -> Iterator[J
         else:
             joint = CLOSURE_JOINTS[kind](name, a, b, p)
         yield joint
-        report.exactly(element, f"{joint.kind} joint {name!r}")
+        report.imported(element, f"{joint.kind} joint {name!r}")
 
 
-def couplings(start: Start, tree: Tree, taken: list[str], report: ImportReport) -> Iterator[JointCoupling]:
+def couplings(
+    start: RobotAtStart, tree: Tree, taken: list[str], report: ImportReport
+) -> Iterator[JointCoupling]:
     """Yield gears of mimics, and gears and other couplings of coupled joints."""
     pairs: list[tuple[str, Key, Key, float]] = []
     sums: list[LinearCoupling] = []
@@ -64,7 +66,7 @@ def couplings(start: Start, tree: Tree, taken: list[str], report: ImportReport) 
         if any(len(factors) > 1 for factors in coupling.values()):
             if polynomial := _polynomial(start, tree, coupling, f"polynomial_{len(bent) + 1}", taken):
                 bent.append(polynomial)
-                report.exactly(element, f"polynomial coupling {polynomial.name!r}")
+                report.imported(element, f"polynomial coupling {polynomial.name!r}")
             else:
                 why = "it couples joints by polynomials; needed: two joints, one with its first power only"
                 report.left_out(element, why)
@@ -73,7 +75,7 @@ def couplings(start: Start, tree: Tree, taken: list[str], report: ImportReport) 
         if len(terms) > 2:
             name = unique_name(f"coupling_{len(sums) + 1}", "coupling", taken)
             sums.append(LinearCoupling(name, tuple((*key, factor) for key, factor in terms)))
-            report.exactly(element, f"coupling {name!r} of {len(terms)} joint coordinates")
+            report.imported(element, f"coupling {name!r} of {len(terms)} joint coordinates")
             continue
         if len(terms) != 2:
             report.left_out(element, f"it couples {len(terms)} moving joints; needed: two or more")
@@ -84,13 +86,13 @@ def couplings(start: Start, tree: Tree, taken: list[str], report: ImportReport) 
     for number, (element, follower, driver, ratio) in enumerate(pairs):
         name = unique_name(f"gear_{number + 1}", "gear", taken)
         yield Gear(name, driver[0], follower[0], ratio, driver[1], follower[1])
-        report.exactly(element, f"gear {name!r} of ratio {ratio:.6g}")
+        report.imported(element, f"gear {name!r} of ratio {ratio:.6g}")
     yield from sums
     yield from bent
 
 
 def _polynomial(
-    start: Start, tree: Tree, coupling: dict[str, tuple[float, ...]], own: str, taken: list[str]
+    start: RobotAtStart, tree: Tree, coupling: dict[str, tuple[float, ...]], own: str, taken: list[str]
 ) -> PolynomialCoupling | None:
     """Return the coupling of two joints, one with its first power only, from the start; None for others."""
     moving = {name: factors for name, factors in coupling.items() if name in tree.keys and any(factors)}

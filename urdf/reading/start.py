@@ -34,7 +34,7 @@ class _IdentityMap:
         return v
 
 
-class Start(FileStart):
+class RobotAtStart(FileStart):
     """Model at its start.
 
     Attributes:

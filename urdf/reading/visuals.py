@@ -22,7 +22,7 @@ from newton_euler.model.mechanism import Body
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Array
 from urdf.reading.bodies import Tree
-from urdf.reading.start import Start
+from urdf.reading.start import RobotAtStart
 
 MAX_MESH_BYTES = 50_000_000
 """Largest size of a mesh file."""
@@ -48,7 +48,9 @@ class _Unusable(Exception):
     """Visual element that cannot be shown, with the reason."""
 
 
-def with_visuals(path: str, root: ET.Element, start: Start, tree: Tree, report: ImportReport) -> list[Body]:
+def with_visuals(
+    path: str, root: ET.Element, start: RobotAtStart, tree: Tree, report: ImportReport
+) -> list[Body]:
     """Return the bodies of a tree with shapes and meshes; reports meshes that cannot be read.
 
     A mesh file must be in the folder of the URDF, in its parent folder, or in the package of its name. A
@@ -65,18 +67,18 @@ def with_visuals(path: str, root: ET.Element, start: Start, tree: Tree, report: 
             else:
                 shapes.append((visual, shape))
         except (_Unusable, NewtonEulerError) as error:
-            report.left_out(element, str(error), inert=True)
+            report.left_out(element, str(error), moves_nothing=True)
     files = _loaded(list(dict.fromkeys(file for _, file, _ in meshes)))
     drawn: list[tuple[_Visual, Mesh]] = []
     for visual, file, scale in meshes:
         mesh = files[file]
         if mesh is None:
             element, why = f"visual of link {visual.link!r}", f"no mesh can be read from {file.name!r}"
-            report.left_out(element, why, inert=True)
+            report.left_out(element, why, moves_nothing=True)
         else:
             drawn.append((visual, _placed(visual, mesh, scale)))
     if shapes or drawn:
-        report.exactly(f"{len(shapes) + len(drawn)} visuals", "drawn")
+        report.imported(f"{len(shapes) + len(drawn)} visuals", "drawn")
     return [
         replace(
             body,
@@ -87,7 +89,7 @@ def with_visuals(path: str, root: ET.Element, start: Start, tree: Tree, report: 
     ]
 
 
-def _visuals(root: ET.Element, start: Start, tree: Tree) -> list[_Visual]:
+def _visuals(root: ET.Element, start: RobotAtStart, tree: Tree) -> list[_Visual]:
     """Return the visual elements of links that are part of a body."""
     bodies = {body.name: k for k, body in enumerate(tree.bodies)}
     colors = {m.get("name"): _rgba(m) for m in root.findall("material")}

@@ -287,4 +287,4 @@ def report_unmoving(root: ET.Element, report: ImportReport) -> None:
     counts = Counter(tag_of(element) for element in root)
     for tag, count in counts.items():
         if tag not in ("link", "joint", "material"):
-            report.left_out(f"{count} <{tag}>", "its known parts move nothing", inert=True)
+            report.left_out(f"{count} <{tag}>", "its known parts move nothing", moves_nothing=True)

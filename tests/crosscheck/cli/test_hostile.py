@@ -16,7 +16,7 @@ from hostile_cases import cases
 from hostile_files import MJCF, TEXTS, Case
 from hostile_process import LONGEST_LINE, MEMORY, PROCESSOR_TIME, Server
 
-from mjcf.errors import heard_warnings
+from mjcf.errors import collected_warnings
 
 CASES = {case.name: case for case in cases()}
 
@@ -99,7 +99,7 @@ def test_warnings_are_heard_once_and_not_written(
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><body><joint/><geom size="1"/></body></worldbody></mujoco>'
     )
-    with heard_warnings() as heard:
+    with collected_warnings() as heard:
         for _ in range(2):
             data = mujoco.MjData(model)
             data.qpos[0] = np.nan

@@ -13,8 +13,8 @@ from newton_euler.reading.import_report import ImportReport
 
 def test_elements_that_move_something_are_counted_once() -> None:
     report = ImportReport()
-    report.exactly("body 'a'", "a body")
-    report.left_out("2 cameras", "they move nothing", inert=True)
+    report.imported("body 'a'", "a body")
+    report.left_out("2 cameras", "they move nothing", moves_nothing=True)
     assert report.counts() == ""
     report.left_out("joint 'a'", "its limits", topic="limits")
     report.left_out("joint 'a'", "its dry friction", topic="dry friction")
@@ -56,9 +56,9 @@ def test_the_verdict_tells_how_much_of_the_file_is_not_in_it(capsys, tmp_path: P
 
 def test_unsimulated_elements_are_those_that_can_act() -> None:
     report = ImportReport()
-    report.exactly("joint 'a'", "a hinge")
-    report.left_out("2 cameras", "they move nothing", inert=True)
-    report.left_out("equality 'open'", "inactive", off=True)
+    report.imported("joint 'a'", "a hinge")
+    report.left_out("2 cameras", "they move nothing", moves_nothing=True)
+    report.left_out("equality 'open'", "inactive", switched_off=True)
     report.left_out("joint 'a'", "its limits", topic="limits")
     report.not_understood("<muscle>", "no rule knows it")
     assert [entry.element for entry in report.unsimulated()] == ["joint 'a'", "<muscle>"]

@@ -19,7 +19,7 @@ from mjcf.errors import MjcfError
 from mjcf.reading.actuators import Actuators, Affine
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.loops import Loops
-from mjcf.reading.start import Start
+from mjcf.reading.start import ModelAtStart
 from mjcf.report_audit import unaccounted
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import VerificationError
@@ -123,7 +123,7 @@ def nothing(*_: object) -> None:
 
 
 def told(self: Any, index: int) -> None:
-    self._report.exactly(self._start.equality(index), "carried over")
+    self._report.imported(self._start.equality(index), "carried over")
 
 
 def steady(self: Any, actuator: int) -> float:
@@ -197,7 +197,7 @@ STARTS = ZOO.replace(
 )
 
 
-def other_key(self: Any, key: str | None, place: Any = Start._place) -> str:
+def other_key(self: Any, key: str | None, place: Any = ModelAtStart._place) -> str:
     place(self, "qpos0" if key == "still" else "still")
     return str(key)
 
@@ -209,7 +209,7 @@ def test_a_start_that_is_not_that_of_the_file_is_refused(
     key: str, figure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert any(line.startswith("verified") for line in reading(tmp_path, STARTS, key=key).report.start)
-    monkeypatch.setattr(Start, "_place", other_key)
+    monkeypatch.setattr(ModelAtStart, "_place", other_key)
     with pytest.raises(MjcfError, match=f"the scene is not what the file says: {figure}"):
         reading(tmp_path, STARTS, key=key)
 
@@ -239,12 +239,12 @@ def test_loops_that_a_start_closes_hide_no_fault_of_it(
 ) -> None:
     assert any(line.startswith("verified") for line in reading(tmp_path, APART).report.start)
 
-    def moved(self: Any, key: str | None, place: Any = Start._place) -> str:
+    def moved(self: Any, key: str | None, place: Any = ModelAtStart._place) -> str:
         found: str = place(self, key)
         getattr(self.data, which)[element] += shift
         return found
 
-    monkeypatch.setattr(Start, "_place", moved)
+    monkeypatch.setattr(ModelAtStart, "_place", moved)
     with pytest.raises(MjcfError, match=figure):
         reading(tmp_path, APART)
 

@@ -20,7 +20,7 @@ from crosscheck.studies.faults.find import find_in_reading
 from crosscheck.studies.faults.misreadings import misreadings
 from crosscheck.verdict import check
 from mjcf.errors import MjcfError
-from mjcf.reading.start import Start
+from mjcf.reading.start import ModelAtStart
 from newton_euler.equations.relative import Relative
 from newton_euler.model.forces import JointSpring
 from newton_euler.reading.verify import verify
@@ -115,12 +115,12 @@ def test_a_loop_that_stalls_hides_no_wrong_start_beside_it(
     assert all(f"joint '{name}'" in limited for name in ("ja", "jb", "jc"))
     assert "joint 'p'" not in limited
 
-    def moved(self: Any, key: str | None, place: Any = Start._place) -> str:
+    def moved(self: Any, key: str | None, place: Any = ModelAtStart._place) -> str:
         found: str = place(self, key)
         self.data.qpos[3] += 1e-6
         return found
 
-    monkeypatch.setattr(Start, "_place", moved)
+    monkeypatch.setattr(ModelAtStart, "_place", moved)
     with pytest.raises(MjcfError, match=r"joint 'p': .*start, sizes or rad"):
         reading(tmp_path, text, key="bent")
 
