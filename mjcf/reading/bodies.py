@@ -1,7 +1,8 @@
-"""Import bodies of a compiled model: bodies that are fixed to each other become one body.
+"""Import the bodies of a compiled MuJoCo model as bodies of a scene, for `mjcf.reader`.
 
-Bodies that are fixed to the world become the ground. Shapes are the boxes, round bars and meshes that
-MuJoCo's viewer shows.
+MuJoCo's bodies that are fixed to each other become one body of the scene, with their total mass and inertia.
+Bodies that are fixed to the world become the ground. The shapes of a body are the boxes, spheres, cylinders,
+capsules and meshes that MuJoCo's viewer shows.
 """
 
 from __future__ import annotations
@@ -23,36 +24,49 @@ from newton_euler.reading.import_report import ImportReport, unique_name
 from newton_euler.scalars import Array
 
 FIRST_HIDDEN_GROUP = 3
-"""First group of geoms that viewers hide by default, usually collision shapes."""
+"""First group of geoms that viewers hide by default. Models have their collision shapes in such groups."""
 
 UNSET_COLOR = (0.5, 0.5, 0.5, 1.0)
-"""Color of a geom in the compiled model if the file sets no color."""
+"""Color (red, green, blue, opacity) of a geom in the compiled model if the file sets no color."""
 
 
 GROUND = "ground"
+"""Name of the ground, the first body of a scene."""
 
 
 class Bodies:
     """Imported bodies.
 
+    A root is a body of MuJoCo with joints, or the world body 0. Each of the other bodies is fixed to its
+    nearest ancestor that is a root, and has no body of its own in the scene.
+
     Attributes:
         bodies: bodies of the scene, ground first.
-        roots: for each of them, the number of MuJoCo's body with the same frame.
-        names: for each of MuJoCo's bodies, the name of the body of the scene.
+        roots: MuJoCo's numbers of the roots, in the order of `bodies`.
+        names: for each of MuJoCo's bodies, the name of its body in the scene.
     """
 
     def __init__(self, start: ModelAtStart, report: ImportReport) -> None:
+        """Import all bodies at the start state, and report them.
+
+        Args:
+            start: MuJoCo's model and data at the start state.
+            report: report that receives one entry for each of MuJoCo's bodies.
+
+        Raises:
+            SourceError: for a moving body without a positive mass.
+        """
         model = start.model
         self._model, self._data = model, start.data
-        # not body_weldid, which makes mocap bodies separate
+        # root of each body; body_weldid is not used, because mocap bodies are roots there
         self._root = [0] * model.nbody
         for k in range(1, model.nbody):
             self._root[k] = k if model.body_jntnum[k] else self._root[model.body_parentid[k]]
         self.roots = [0] + [k for k in range(1, model.nbody) if self._root[k] == k]
-        taken = {self.roots[0]: GROUND}
+        name_of_root = {self.roots[0]: GROUND}
         for root in self.roots[1:]:
-            taken[root] = unique_name(model.body(root).name, f"body_{root}", taken.values())
-        self.names = [taken[root] for root in self._root]
+            name_of_root[root] = unique_name(model.body(root).name, f"body_{root}", name_of_root.values())
+        self.names = [name_of_root[root] for root in self._root]
         self.bodies = [Body.ground(GROUND, self._shapes(0), meshes(model, start.data, self.members(0)))]
         for root in self.roots[1:]:
             self.bodies.append(self._body(root, start.path))
@@ -60,6 +74,7 @@ class Bodies:
             self._report(k, report)
 
     def _report(self, k: int, report: ImportReport) -> None:
+        """Report the body of the scene that MuJoCo's body number `k` belongs to."""
         name = self._model.body(k).name
         element = element_name(self._model, "body", k)
         if k != self._root[k]:
@@ -69,10 +84,11 @@ class Bodies:
             report.imported(element, f"body {self.names[k]!r}" if self.names[k] != name else "a body")
 
     def members(self, root: int) -> Array:
-        """Return the numbers of MuJoCo's bodies that move with a root."""
+        """Return the numbers of a root and of the bodies that are fixed to the root."""
         return np.flatnonzero(np.array(self._root) == root)
 
     def _body(self, root: int, path: str) -> Body:
+        """Return the body of the scene with the total inertia of a root and the bodies fixed to the root."""
         model, data = self._model, self._data
         members = self.members(root)
         name = self.names[root]
@@ -80,8 +96,9 @@ class Bodies:
         if not mass > 0.0:
             problem = "has no mass" if mass == 0.0 else f"has a mass of {mass:g} kg"
             raise SourceError(path, f"body {name!r} {problem}; needed: a positive mass")
+        # center of mass and inertia, world axes
         axes = data.ximat.reshape(-1, 3, 3)
-        found = total(
+        whole = total(
             [
                 Inertia(
                     model.body_mass[k], data.xipos[k], axes[k] @ np.diag(model.body_inertia[k]) @ axes[k].T
@@ -89,22 +106,31 @@ class Bodies:
                 for k in members
             ]
         )
+        # inertia in the frame of the root
         quaternion = data.xquat[root] / np.linalg.norm(data.xquat[root])
-        into = rotation(quaternion).T
-        local = into @ found.inertia @ into.T
-        local = 0.5 * (local + local.T)
-        a, b, c = np.linalg.eigvalsh(local)
-        unrealisable = bool(a + b < c * (1.0 - REALISABLE_TOLERANCE))
-        drawn = meshes(model, data, members)
-        where = found.mass, found.center_of_mass
-        return Body(name, *where, local, quaternion, self._shapes(root), unrealisable, drawn)
+        to_body = rotation(quaternion).T
+        inertia = to_body @ whole.inertia @ to_body.T
+        inertia = 0.5 * (inertia + inertia.T)
+        # principal moments of a real body satisfy a + b >= c
+        a, b, c = np.linalg.eigvalsh(inertia)
+        return Body(
+            name,
+            whole.mass,
+            whole.center_of_mass,
+            inertia,
+            quaternion,
+            self._shapes(root),
+            allow_unrealisable_inertia=bool(a + b < c * (1.0 - REALISABLE_TOLERANCE)),
+            meshes=meshes(model, data, members),
+        )
 
     def _shapes(self, root: int) -> tuple[Shape, ...]:
-        """Return boxes, balls and round bars among the visible geoms of a root."""
-        found = (self._shape(geom) for geom in visible_geoms(self._model, self.members(root)))
-        return tuple(shape for shape in found if shape is not None)
+        """Return boxes, spheres, cylinders and capsules among the visible geoms of a root and its members."""
+        shapes = (self._shape(geom) for geom in visible_geoms(self._model, self.members(root)))
+        return tuple(shape for shape in shapes if shape is not None)
 
     def _shape(self, geom: int) -> Shape | None:
+        """Return the shape of a geom in the world frame; None for other types, such as meshes and planes."""
         model, kinds = self._model, mujoco.mjtGeom
         kind, size = kinds(model.geom_type[geom]), model.geom_size[geom]
         center, axes = self._data.geom_xpos[geom], self._data.geom_xmat[geom].reshape(3, 3)
@@ -121,25 +147,33 @@ class Bodies:
         return None
 
     def root(self, name: str) -> int:
-        """Return the number of MuJoCo's body with the frame of a body of the scene."""
+        """Return MuJoCo's number of the root with the frame of a body of the scene, by name."""
         return next(root for root in self.roots if self.names[root] == name)
 
-    def velocity(self, root: int, center: Array) -> tuple[Array, Array]:
-        """Return the velocity (3,), m/s, of a point on a root, and the angular velocity (3,), rad/s."""
+    def velocity(self, root: int, point: Array) -> tuple[Array, Array]:
+        """Return the velocity of a point on a root, and the angular velocity of the root.
+
+        Args:
+            root: MuJoCo's number of the root.
+            point: (3,) m, world frame.
+
+        Returns:
+            Velocity (3,), m/s, and angular velocity (3,), rad/s, world frame, at the start state.
+        """
         linear, angular = body_velocity(self._model, self._data, root)
-        return linear + np.cross(angular, center - self._data.xipos[root]), angular
+        return linear + np.cross(angular, point - self._data.xipos[root]), angular
 
 
 def visible_geoms(model: Any, bodies: Array) -> Iterator[int]:
-    """Yield the numbers of visible geoms of some of MuJoCo's bodies."""
+    """Yield the numbers of the geoms of MuJoCo's `bodies` (k,) that viewers show by default."""
     for geom in np.flatnonzero(np.isin(model.geom_bodyid, bodies)):
         if model.geom_group[geom] < FIRST_HIDDEN_GROUP and _color(model, int(geom))[3] > 0.0:
             yield int(geom)
 
 
 def meshes(model: Any, data: Any, bodies: Array) -> tuple[Mesh, ...]:
-    """Return the visible meshes of some of MuJoCo's bodies, world frame, at the state in `data`."""
-    found = []
+    """Return the visible meshes of MuJoCo's `bodies` (k,), world frame, at the state in `data`."""
+    visible_meshes = []
     for geom in visible_geoms(model, bodies):
         if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH:
             continue
@@ -147,12 +181,12 @@ def meshes(model: Any, data: Any, bodies: Array) -> tuple[Mesh, ...]:
         points = model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]]
         triangles = model.mesh_face[mesh.faceadr[0] : mesh.faceadr[0] + mesh.facenum[0]]
         vertices = data.geom_xpos[geom] + points @ data.geom_xmat[geom].reshape(3, 3).T
-        found.append(Mesh(vertices, triangles, _color(model, geom)))
-    return tuple(found)
+        visible_meshes.append(Mesh(vertices, triangles, _color(model, geom)))
+    return tuple(visible_meshes)
 
 
 def _color(model: Any, geom: int) -> tuple[float, float, float, float]:
-    """Return the color of a geom, or of its material if the geom has no color."""
+    """Return (red, green, blue, opacity), 0 to 1, of a geom, or of its material if the geom has no color."""
     material, color = model.geom_matid[geom], model.geom_rgba[geom]
     if material >= 0 and np.allclose(color, UNSET_COLOR):
         color = model.mat_rgba[material]

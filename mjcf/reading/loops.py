@@ -8,7 +8,7 @@ import numpy as np
 from mjcf.loops import closure_ends
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.joints import Joints
-from mjcf.reading.start import TORQUE_SCALE_PLACE, ModelAtStart
+from mjcf.reading.start import TORQUE_SCALE_INDEX, ModelAtStart
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling, PolynomialCoupling
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Fixed, Rod, Spherical
@@ -76,7 +76,7 @@ class Loops:
             self._leave(index, f"both its bodies are parts of {first!r}", moves_nothing=True)
             return
         turns = self._model.eq_type[index] == mujoco.mjtEq.mjEQ_WELD
-        weld = turns and self._model.eq_data[index, TORQUE_SCALE_PLACE] != 0.0
+        weld = turns and self._model.eq_data[index, TORQUE_SCALE_INDEX] != 0.0
         kind = Fixed if weld else Spherical
         name = self._name(index)
         # one point for both bodies: the scene keeps the offset that the digits of the file leave

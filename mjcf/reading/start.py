@@ -1,4 +1,9 @@
-"""Start of a compiled model: a keyframe or qpos0, with closed loops."""
+"""Compiled MJCF model at its start state: a keyframe or qpos0, moved so that all loops are closed.
+
+`ModelAtStart` holds MuJoCo's model and data. All modules of the reader take element values from this model
+and positions from this data. The base class `FileStart` closes the loops by Newton steps. For this purpose,
+the class here provides residuals and Jacobian of MuJoCo's equality constraints, and their units.
+"""
 
 from __future__ import annotations
 
@@ -17,23 +22,25 @@ from newton_euler.model.mechanism import spread
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Array
 
-TORQUE_SCALE_PLACE = 10
-"""Index of the factor of angles, `torquescale`, in `eq_data` of a weld."""
+TORQUE_SCALE_INDEX = 10
+"""Index of `torquescale`, the factor of rotational residuals, in `eq_data` of a weld."""
 
 SWITCHED_OFF_FEATURES = ("CONTACT", "LIMIT", "FRICTIONLOSS", "WARMSTART")
-"""Features of MuJoCo that scenes do not simulate."""
+"""MuJoCo's names of features that scenes do not simulate, and of the warm start of its solver."""
 
 
 class ModelAtStart(FileStart):
-    """Compiled model at its start.
+    """Compiled model at its start state.
 
     Attributes:
-        model: model without contacts, limits and dry friction.
-        data: state at the start, after `mj_fwdVelocity`.
+        path: file of the model, for messages.
+        model: MuJoCo's model without contacts, limits and dry friction.
+        data: MuJoCo's data at the start state, after `mj_fwdVelocity`.
         key: name of the keyframe in reports, or "qpos0".
     """
 
     error = SourceError
+    """Class of the error that `FileStart` raises for loops that do not close."""
 
     def __init__(
         self,
@@ -57,32 +64,38 @@ class ModelAtStart(FileStart):
         Raises:
             SourceError: for an unknown keyframe, and for loops that do not close.
         """
+        # switch off features that scenes do not simulate, but remember the flags of the file
         self.path, self.model = path, model
         self.data: Any = mujoco.MjData(model)
-        self._disabled = int(model.opt.disableflags)
+        self._flags_of_file = int(model.opt.disableflags)
         model.opt.disableflags |= sum(
-            int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{n}")) for n in SWITCHED_OFF_FEATURES
+            int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")) for feature in SWITCHED_OFF_FEATURES
         )
         # otherwise MuJoCo replaces inertial frames that are nearly the body frame
         model.body_sameframe[model.body_simple == 0] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         if self.disabled("GRAVITY"):
             model.opt.gravity[:] = 0.0
+        # set the state of the keyframe, and close the loops
         self.key = self._place(key)
         if control is not None:
             self.data.ctrl[:] = control
         mujoco.mj_normalizeQuat(model, self.data.qpos)
         data = self.data
+        # `closed` (base class) returns the configuration, lines for the report, and the change of the start
         data.qpos[:], lines, report.moved = self.closed(np.array(data.qpos), self.key, tolerance)
         report.start.extend(lines)
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
 
     def disabled(self, feature: str) -> bool:
-        """True if the file itself disables a feature."""
-        return bool(self._disabled & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")))
+        """Return True if the file itself disables a feature, such as "GRAVITY", by `<flag>`."""
+        return bool(self._flags_of_file & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")))
 
     def _place(self, key: str | None) -> str:
-        """Set the state to a keyframe or qpos0; return its name in reports."""
+        """Set the state to a keyframe or qpos0; return the name of the keyframe in reports.
+
+        A keyframe without a name is selected by its number, such as "0".
+        """
         model, data = self.model, self.data
         names = [model.key(k).name or f"{k}" for k in range(model.nkey)]
         if key is None:
@@ -98,67 +111,81 @@ class ModelAtStart(FileStart):
         return key
 
     def residuals(self, q: Array) -> tuple[Array, Array]:
-        """Compute residuals (k,) of the equalities, m or rad, and their Jacobian (k, nv)."""
+        """Compute residuals (k,) of the equalities, m or rad, and their Jacobian (k, nv), at q (nq,)."""
         model, data = self.model, self.data
         data.qpos[:] = q
         mujoco.mj_fwdPosition(model, data)
-        rows, scales = self._rows(), self._scales()
-        return data.efc_pos[rows] / scales, constraint_jacobian(model, data)[rows] / scales[:, None]
+        rows, factors = self._equality_rows(), self._row_factors()
+        return data.efc_pos[rows] / factors, constraint_jacobian(model, data)[rows] / factors[:, None]
 
     @property
     def owners(self) -> list[str]:  # type: ignore[override]
-        """Equality of each residual."""
-        return [self.equality(int(index)) for index in self.data.efc_id[self._rows()]]
+        """Name of the equality of each residual, as reports print it."""
+        return [self.equality(int(index)) for index in self.data.efc_id[self._equality_rows()]]
 
-    def _rows(self) -> Array:
+    def _equality_rows(self) -> Array:
+        """Return the numbers (k,) of MuJoCo's constraint rows that belong to equalities."""
         return np.flatnonzero(self.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
-    def _scales(self) -> Array:
-        """Return MuJoCo's factors (k,) of rows: `torquescale` for angles of welds, 1 for others."""
-        model, numbers = self.model, self.data.efc_id[self._rows()]
-        scales = np.ones(len(numbers))
+    def _row_factors(self) -> Array:
+        """Return MuJoCo's factors (k,) of residuals: `torquescale` for angles of welds, 1 for others."""
+        model, equality_of_row = self.model, self.data.efc_id[self._equality_rows()]
+        factors = np.ones(len(equality_of_row))
         for weld in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_WELD):
-            turning = np.flatnonzero(numbers == weld)[3:]
-            scales[turning] = model.eq_data[weld, TORQUE_SCALE_PLACE] or 1.0  # a factor of 0 leaves no rows
-        return scales
+            # a weld has three rows of translations, then three of rotations
+            rotational = np.flatnonzero(equality_of_row == weld)[3:]
+            # MuJoCo drops the rotational rows of a weld with the factor 0
+            factors[rotational] = model.eq_data[weld, TORQUE_SCALE_INDEX] or 1.0
+        return factors
 
     def units(self) -> Units:
+        """Return units of velocities (nv,) and of residuals (k,), which make loop closure dimensionless."""
         model, data = self.model, self.data
+        # velocities: 1 rad/s for rotations, the spread of the mechanism for translations
         movable = data.xipos[np.flatnonzero(model.body_weldid)]
-        turning = np.any(data.cdof[:, :3] != 0.0, axis=1)
-        velocities = np.where(turning, 1.0, spread([*movable, *data.xanchor]))
+        is_rotation = np.any(data.cdof[:, :3] != 0.0, axis=1)
+        velocity_units = np.where(is_rotation, 1.0, spread([*movable, *data.xanchor]))
+        # residuals of couplings: norm of the row
         _, jacobian = self.residuals(np.array(data.qpos))
-        rows = np.linalg.norm(jacobian * velocities, axis=1)
-        numbers = data.efc_id[self._rows()]
-        for index in np.unique(numbers):
-            if mujoco.mjtEq(model.eq_type[index]) in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
-                own = np.flatnonzero(numbers == index)
-                motions, levers = [], []
-                for body, point in zip(*closure_ends(model, data, index), strict=True):
-                    motion = np.zeros((6, model.nv))
-                    mujoco.mj_jacBodyCom(model, data, motion[:3], motion[3:], body)
-                    motions.append(motion)
-                    levers.append(float(np.linalg.norm(point - data.xipos[body])))
-                rows[own[:3]], rows[own[3:]] = reach(motions, levers, velocities)
-        return Units(velocities, np.where(rows > 0.0, rows, 1.0))
+        row_units = np.linalg.norm(jacobian * velocity_units, axis=1)
+        # residuals of loop closures: largest motion of one of the two bodies, see `reach`
+        equality_of_row = data.efc_id[self._equality_rows()]
+        for equality in np.unique(equality_of_row):
+            kind = mujoco.mjtEq(model.eq_type[equality])
+            if kind not in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
+                continue
+            rows = np.flatnonzero(equality_of_row == equality)
+            body_jacobians, levers = [], []
+            for body, point in zip(*closure_ends(model, data, equality), strict=True):
+                jacobian_of_body = np.zeros((6, model.nv))
+                mujoco.mj_jacBodyCom(model, data, jacobian_of_body[:3], jacobian_of_body[3:], body)
+                body_jacobians.append(jacobian_of_body)
+                levers.append(float(np.linalg.norm(point - data.xipos[body])))
+            row_units[rows[:3]], row_units[rows[3:]] = reach(body_jacobians, levers, velocity_units)
+        return Units(velocity_units, np.where(row_units > 0.0, row_units, 1.0))
 
     def centers(self) -> Array:
+        """Return the centers of mass (nbody, 3) of MuJoCo's bodies, m, world frame."""
         return np.array(self.data.xipos)
 
     def center_names(self) -> list[str]:
+        """Return the names of MuJoCo's bodies, in the order of `centers`."""
         return [self.model.body(number).name for number in range(self.model.nbody)]
 
     def moved(self, q: Array, step: Array) -> Array:
+        """Return the configuration (nq,) that velocities `step` (nv,) reach from q (nq,) in 1 s."""
         moved = q.copy()
         mujoco.mj_integratePos(self.model, moved, step, 1.0)
         return moved
 
     def difference(self, q: Array, other: Array) -> Array:
+        """Return the velocities (nv,) that lead from configuration q (nq,) to `other` (nq,) in 1 s."""
         step = np.zeros(self.model.nv)
         mujoco.mj_differentiatePos(self.model, step, 1.0, q, other)
         return step
 
     def joint_of(self, dof: int) -> str:
+        """Return the name of the joint that velocity number `dof` belongs to."""
         number = int(self.model.dof_jntid[dof])
         return self.model.joint(number).name or f"number {number}"
 
