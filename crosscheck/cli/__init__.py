@@ -1,8 +1,10 @@
-"""The command line. Click parses it.
+"""The command line of crosscheck: `main` runs a command and turns every failure into one line and a status.
 
-Exit status: 0 agree, 1 disagree, 2 bad input or usage, with one line saying what, 3 not all was compared,
-4 agree on a reduced model, 130 interrupted.
-Heavy packages are imported by the commands, so that what goes wrong in an import is one line too.
+Click parses the arguments; the modules of this package define the commands. Commands import large packages
+themselves, so that an error in an import is reported in one line, too.
+
+Exit status: 0 the engines agree, 1 they disagree, 2 bad input or usage, 3 not all was compared, 4 the engines
+agree on a reduced model, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -19,20 +21,24 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 INTERRUPTED = "crosscheck: error: interrupted\n"
+"""Message at an interrupt (Ctrl-C) while packages are imported."""
 
 INTERRUPTED_STATUS = 128 + signal.SIGINT
-"""Exit status, as shells have it, of what an interrupt ends."""
+"""Exit status of an interrupted command, by the convention of shells."""
 
 
 def _end(*_: object) -> None:
-    """End the process at an interrupt while packages are loaded, before there is anything to tidy up."""
+    """End the process at an interrupt while packages are imported, when nothing needs cleanup."""
     os.write(2, INTERRUPTED.encode())
     os._exit(INTERRUPTED_STATUS)
 
 
 @contextmanager
 def _interrupt_calls(handler: signal.Handlers | object) -> Iterator[None]:
-    """Call a handler at interrupts in the block, where Python would raise `KeyboardInterrupt`."""
+    """Within a block, call a handler at interrupts instead of raising `KeyboardInterrupt`.
+
+    Without effect outside of the main thread, or if the process has another handler already.
+    """
     if (
         threading.current_thread() is not threading.main_thread()
         or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
@@ -52,43 +58,48 @@ with _interrupt_calls(_end):
 
     import click
 
-    from crosscheck.cli import identify, measure, regress, run, sun, sweep
+    from crosscheck.cli import identify, measure, models, regress, run, sun, sweep, view
     from crosscheck.cli.shared import BAD_INPUT, cli
     from crosscheck.report.render import shortened_values, wrapped
     from crosscheck.support.errors import CrosscheckError, reason_of, short_of_memory
 
 MIN_ADDRESS_BYTES, MIN_ADDRESS_BYTES_PER_PROCESSOR = 3_000_000_000, 250_000_000
-"""Bytes of addresses that packages take, and that threads for each processor take; most are never used.
-With 2,500 MB and two processors some runs end in an abort of LLVM or a panic of Rerun."""
+"""Smallest permitted limit of address space, bytes: a constant, and a part for the threads of each
+processor. Most of it is reserved and never used. With a limit of 2,500 MB and two processors, some runs end
+in an abort of LLVM or a panic of Rerun."""
 
 MIN_OPEN_FILES = 128
-"""Files that a process may have open. With 12 or fewer Rerun panics, with 16 pictures have no fonts."""
+"""Smallest permitted limit of open files. With 12 or fewer Rerun panics, with 16 pictures have no fonts."""
 
-COLLECT_AFTER = 1_000_000
-"""New objects after which Python looks for cycles. `run tracker` ends with 220,000 objects, of which a search
-finds 28,000 to be garbage. To search after every 20,000 objects takes 9 % of its time and saves 8 MB."""
+GC_THRESHOLD = 1_000_000
+"""Number of new objects after which Python's garbage collector searches for cycles. `run tracker` ends with
+220,000 objects, of which 28,000 are garbage in cycles. A search after every 20,000 objects takes 9 % of the
+time and saves 8 MB."""
 
-__all__ = ["identify", "main", "measure", "regress", "run", "sun", "sweep"]
+__all__ = ["identify", "main", "measure", "models", "regress", "run", "sun", "sweep", "view"]
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:
-    """Run the command line and exit; every failure is one line on stderr and status 2, or 130 if interrupted.
+    """Run a command and exit; a failure is one line on standard error and status 2, or 130 if interrupted.
 
-    Matrices are too small for threads of BLAS: where something else wants the processors, an SVD of 60 rows
-    takes 40 times as long with two of them, and they sum in another order. OpenBLAS reads their number as
-    NumPy is imported. MuJoCo draws nothing here: it would load GLFW, whose process complains if interrupted.
-    At the end Python searches all objects for cycles, which takes 8 % of the time of `run tracker`. It leaves
-    out objects that are frozen.
+    Args:
+        arguments: arguments of the command line; those of the process if None.
     """
-    gc.set_threshold(COLLECT_AFTER, 1, 1)  # a search is rare enough to go to older objects soon
+    # Garbage collection: searches are rare, so that each may include older objects (the thresholds of 1).
+    # At exit, Python would search all objects that are not frozen: 8 % of the time of `run tracker`.
+    gc.set_threshold(GC_THRESHOLD, 1, 1)
     atexit.register(gc.freeze)
+    # The matrices are too small for threads of BLAS: on a busy machine, an SVD of 60 rows takes 40 times as
+    # long with two threads, and they sum in another order. OpenBLAS reads this when NumPy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # MuJoCo draws nothing here; it would load GLFW, whose process prints a message if interrupted
     os.environ["MUJOCO_GL"] = "disable"
-    heard = _open_streams()
+    # streams: a file name may have bytes that are no text; errors in destructors would print a second message
+    open_streams = _open_streams()
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold what is no text
+        sys.stdout.reconfigure(errors="backslashreplace")
     hook = sys.unraisablehook
-    sys.unraisablehook = lambda _: None  # what objects say that go away half made would be a second voice
+    sys.unraisablehook = lambda _: None
     interrupts = list[int]()
 
     def raise_interrupt(number: int, _: object) -> None:
@@ -96,36 +107,38 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         raise KeyboardInterrupt
 
     try:
-        # results are checked where they are used; NumPy's warnings would be another
+        # results are checked for finiteness where they are used; NumPy's warnings would repeat that
         with warnings.catch_warnings(), _interrupt_calls(raise_interrupt):
             warnings.simplefilter("ignore")
             status = _invoke(arguments)
     except KeyboardInterrupt as interrupt:
-        _complain(": ".join(["interrupted", *map(str, interrupt.args)]), heard)
+        _print_error(": ".join(["interrupted", *map(str, interrupt.args)]), open_streams)
         status = INTERRUPTED_STATUS
     except Exception as error:
-        # files are named where they are written
-        nameless = isinstance(error, OSError) and error.filename is None and not short_of_memory(error)
-        if isinstance(error, OSError) and nameless:
-            status = _complain_of_stream(error)
+        # errors of files have a file name; an error without one is of standard output or standard error
+        of_stream = isinstance(error, OSError) and error.filename is None and not short_of_memory(error)
+        if isinstance(error, OSError) and of_stream:
+            status = _print_stream_error(error)
         else:
             reason = _reason(error)
-            # native modules that are interrupted while they are loaded raise errors of their own
-            lost = bool(interrupts) and reason.startswith("internal error")
-            status = _complain("interrupted" if lost else reason, heard)
-            status = INTERRUPTED_STATUS if lost else status
+            # a native module that is interrupted during its import raises an error of another kind
+            is_interrupt = bool(interrupts) and reason.startswith("internal error")
+            _print_error("interrupted" if is_interrupt else reason, open_streams)
+            status = INTERRUPTED_STATUS if is_interrupt else BAD_INPUT
     finally:
         sys.unraisablehook = hook
     sys.exit(status)
 
 
 def _open_streams() -> list[TextIO]:
-    """Open standard streams that the caller has closed (`2>&-`) on nothing; files would take their numbers.
+    """Open standard streams that the caller has closed (`2>&-`) on the null device.
+
+    Otherwise the next file that is opened would get the number of the closed stream, and its output.
 
     Returns:
-        Standard error and standard output, as far as they were open.
+        Those of standard error and standard output that the caller has left open.
     """
-    heard = [stream for stream in (sys.stderr, sys.stdout) if stream is not None]
+    left_open = [stream for stream in (sys.stderr, sys.stdout) if stream is not None]
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             try:
@@ -133,11 +146,14 @@ def _open_streams() -> list[TextIO]:
             except OSError:
                 os.open(os.devnull, os.O_RDWR)  # takes the first number that is free
             setattr(sys, name, open(os.devnull, "w" if number else "r"))  # noqa: SIM115, as long as it runs
-    return heard
+    return left_open
 
 
 def _invoke(arguments: list[str] | None) -> int:
-    """Click's own `main` would add a line of its own to an interrupt."""
+    """Check the environment, run the command, and return its exit status.
+
+    This replaces Click's `main`, which prints a second line at an interrupt.
+    """
     given = sys.argv[1:] if arguments is None else arguments
     _check_no_empty(given)
     _check_resources()
@@ -153,7 +169,7 @@ def _invoke(arguments: list[str] | None) -> int:
 
 
 def _check_no_empty(arguments: list[str]) -> None:
-    """Raise `CrosscheckError` for an empty argument, often a variable of a script that is not set."""
+    """Raise `CrosscheckError` for an empty argument, which is often an unset variable of a script."""
     for before, argument in zip(["crosscheck", *arguments], arguments, strict=False):
         option, equals, value = argument.partition("=")
         if not argument:
@@ -165,8 +181,8 @@ def _check_no_empty(arguments: list[str]) -> None:
 
 
 def _check_resources() -> None:
-    """Raise `CrosscheckError` where few files or little memory are allowed: native code would abort."""
-    with suppress(ImportError):  # not everywhere
+    """Raise `CrosscheckError` if the limit of memory or of open files is too low for native code."""
+    with suppress(ImportError):  # Windows has no `resource`
         import resource
 
         memory = resource.getrlimit(resource.RLIMIT_AS)[0]
@@ -181,7 +197,7 @@ def _check_resources() -> None:
 
 
 def _check_cache() -> None:
-    """Raise `NewtonEulerError` before all work where the environment names a cache that cannot be."""
+    """Raise `NewtonEulerError` if the environment names a cache folder that cannot be used."""
     if "NEWTON_EULER_CACHE" in os.environ:
         from newton_euler.codegen.cache import cache_directory
 
@@ -189,9 +205,9 @@ def _check_cache() -> None:
 
 
 def _reason(error: Exception) -> str:
-    """Word an error, click's own among them."""
+    """Describe an error in one line; errors of Click keep their message."""
     if isinstance(error, click.NoSuchOption):
-        # with Click's own cutoff, 0.6, `--city` would suggest `--pitch`
+        # with Click's similarity threshold, 0.6, `--city` would suggest `--pitch`
         near = get_close_matches(error.option_name, error.possibilities or (), n=1, cutoff=0.8)
         error = click.NoSuchOption(error.option_name, error.message, near, error.ctx)
     if isinstance(error, click.ClickException):
@@ -200,25 +216,24 @@ def _reason(error: Exception) -> str:
 
 
 def _discard_output() -> None:
-    """Send what standard output still holds nowhere; the interpreter would fail on it once more."""
+    """Redirect standard output to the null device, so that the flush at exit does not fail again."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _complain(message: str, streams: list[TextIO]) -> int:
-    """Print one line on the first of the streams that can be written."""
+def _print_error(message: str, streams: list[TextIO]) -> None:
+    """Print an error message in one line on the first of some streams that can be written."""
     line = shortened_values(" ".join(["crosscheck: error:", *message.split()]))
     for stream in streams:
         with suppress(OSError):
             click.echo(wrapped(line, stream), file=stream)
             break
-    return BAD_INPUT
 
 
-def _complain_of_stream(error: OSError) -> int:
-    """Say on the other one that standard output or standard error cannot be written.
+def _print_stream_error(error: OSError) -> int:
+    """Report that standard output (or error) cannot be written, on the other stream; return the exit status.
 
-    Nothing if a reader has read enough, as `head` does.
+    A closed pipe is not reported: its reader, such as `head`, has read enough.
     """
     if isinstance(error, BrokenPipeError):
         _discard_output()

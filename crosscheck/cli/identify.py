@@ -1,4 +1,4 @@
-"""`crosscheck identify`: parameters of a scene fitted to measured motion."""
+"""`crosscheck identify`: fit parameters of a scene to measured motion."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from crosscheck.cli.shared import (
     load_with_warnings,
     next_step,
     progress_shown,
+    result_paths,
     scene_options,
     setting_options,
     show,
@@ -54,15 +55,12 @@ def identify_command(
     file are the time and joint coordinates, rates, poses or forces, in SI units.
     """
     from crosscheck.design.identification import data, report
-    from crosscheck.report.output import usual_folder
-    from crosscheck.support.files import check_no_source, check_writable, write_files
+    from crosscheck.support.files import write_files
     from newton_euler.analysis.identification.identify import identify
 
     options = without_excitation(scene_options(settings), "measured is the scene as it stands")
     loaded = load_with_warnings(scene, options)
-    path = (output or usual_folder(Path("output/identify"), scene, "fit")) / "identify.json"
-    check_no_source([path], [scene, *measured])
-    check_writable(path)
+    [path] = result_paths(output, "output/identify", "fit", ["identify.json"], [scene, *measured])
     with progress_shown() as progress:
         progress("fitting")
         found = identify(loaded, names, measured, rtol=rtol)

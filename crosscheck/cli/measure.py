@@ -1,4 +1,7 @@
-"""`crosscheck bench`, `loads`, `stress`, `faults`, `figures`, and `report` on what they wrote."""
+"""`crosscheck bench`, `controllers`, `loads`, `modes`, `workspace`, `stress`, `faults`, `figures`, `report`.
+
+Each command parses its options, calls a function of another package, and prints the result.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,7 @@ from crosscheck.cli.shared import (
     load_with_warnings,
     next_step,
     progress_shown,
+    result_paths,
     say,
     scene_options,
     setting_options,
@@ -78,15 +82,15 @@ def bench_command(
     from crosscheck.loading.load import with_excitation
     from crosscheck.studies.benchmark.run import BenchmarkRequest, bench
 
-    asked = {"rhs": rhs, "batch": batch is not None, "sensitivities": sensitivities}
-    kinds = [kind for kind, is_asked in asked.items() if is_asked] or ["runs"]
+    given = {"rhs": rhs, "batch": batch is not None, "sensitivities": sensitivities}
+    kinds = [kind for kind, is_given in given.items() if is_given] or ["runs"]
     if len(kinds) > 1:
         names = " and ".join(f"--{kind}" for kind in kinds)
         raise CrosscheckError(f"{names} are different benchmarks; choose one")
     options = with_excitation(scene, scene_options(settings))
-    wanted = BenchmarkRequest(load_with_warnings(scene, options), scene, options, error, batch or 0)
+    request = BenchmarkRequest(load_with_warnings(scene, options), scene, options, error, batch or 0)
     with progress_shown() as progress:
-        found, written = bench(wanted, kinds[0], output, progress)
+        found, written = bench(request, kinds[0], output, progress)
     more = f"more  -v; {next_step('report', written[0].parent)}"
     show(found, f"wrote {', '.join(map(str, written))}", more)
     return AGREE
@@ -159,11 +163,8 @@ def loads_command(
     folder = output or usual_folder(Path("output/loads"), scene, "load table")
     with progress_shown() as progress:
         found, written, acting = loads(scene, models, at_rest, folder, progress)
-    after = (
-        f"look  {next_step('view', written[-1])}",
-        f"more  {next_step('report', folder)}",
-    )
-    show(found, "wrote " + ", ".join(map(str, written)), *after)
+    look = f"look  {next_step('view', written[-1])}"
+    show(found, "wrote " + ", ".join(map(str, written)), look, f"more  {next_step('report', folder)}")
     return REDUCED if acting and not allow_reduced else AGREE
 
 
@@ -202,9 +203,10 @@ def modes_command(
     options = without_excitation(scene_options(settings), "modes are those of the scene as it stands")
     loaded = load_with_warnings(scene, options)
     path = save or usual_folder(Path("output/modes"), scene, "modal analysis") / "modes.rrd"
-    beside = {} if save else {path.with_name("modes.json"): record(scene, options)}
-    check_no_source([path, *beside], [scene])
-    check_writable(path, *beside)
+    # in the default folder, modes.json records which model the recording is of
+    origin = {} if save else {path.with_name("modes.json"): record(scene, options)}
+    check_no_source([path, *origin], [scene])
+    check_writable(path, *origin)
     with progress_shown() as progress:
         progress("linearizing")
         if not at_start:
@@ -213,7 +215,7 @@ def modes_command(
         model = linearize(loaded, state, closed_loop=not open_loop)
         modes = model.modes()
         progress("recording")
-        write_files({**beside, path: recorded(log_modes, loaded, model, modes)})
+        write_files({**origin, path: recorded(log_modes, loaded, model, modes)})
     show(report(loaded, model, modes), f"wrote {path}", "more  -v")
     return AGREE
 
@@ -239,21 +241,16 @@ def workspace_command(
     SCENE is the name of a library scene or a model file (see run).
     """
     from crosscheck.design import workspace
-    from crosscheck.report.output import usual_folder
-    from crosscheck.support.files import check_no_source, check_writable
 
     options = without_excitation(scene_options(settings), "a workspace is that of the scene as it stands")
     loaded = load_with_warnings(scene, options)
     grid = dict(workspace.range_of(loaded, each) for each in ranges)
     pointing = None if axis is None else workspace.axis_of(axis)
-    folder = output or usual_folder(Path("output/workspace"), scene, "workspace")
-    paths = [folder / name for name in workspace.FILES]
-    check_no_source(paths, [scene])
-    check_writable(*paths)
+    paths = result_paths(output, "output/workspace", "workspace", workspace.FILES, [scene])
     with progress_shown() as progress:
         found = workspace.measure(loaded, grid, pointing, progress)
         progress("writing")
-        written = workspace.write(found, folder, scene, options)
+        written = workspace.write(found, paths[0].parent, scene, options)
     click.echo(terminal([workspace.table(found)]), nl=False)
     say(*filter(None, [workspace.statement(found)]), "wrote " + ", ".join(str(path) for path in written))
     return AGREE
@@ -296,7 +293,7 @@ def stress_command(full: bool, output: Path, letters: str) -> int:
 
 
 def _injected_engines(_: click.Context, __: click.Parameter, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return engines to inject faults into, each once; all of them by default."""
+    """Validate the values of `--engine`, and return each engine once; all engines by default."""
     from crosscheck.studies.faults import INJECTED_ENGINES
     from newton_euler.errors import choices
 
@@ -332,10 +329,9 @@ def faults_command(
     Each fault is in one engine's model of SCENE, or with --reading in the import of the model file SCENE.
     """
     from crosscheck.loading.load import load_scene
-    from crosscheck.report.output import usual_folder
     from crosscheck.studies.faults.find import find_faults, find_in_reading
     from crosscheck.studies.faults.report import data, holds, report
-    from crosscheck.support.files import check_no_source, check_writable, write_files
+    from crosscheck.support.files import write_files
 
     options = scene_options(settings)
     if reading:
@@ -343,9 +339,7 @@ def faults_command(
     loaded, mapping = load_scene(scene, options)
     if reading and mapping is None:
         raise CrosscheckError(f"{scene} is read from no model file; --reading needs an MJCF or a URDF")
-    path = (output or usual_folder(Path("output/faults"), scene, "fault search")) / "faults.json"
-    check_no_source([path], [scene])
-    check_writable(path)
+    [path] = result_paths(output, "output/faults", "fault search", ["faults.json"], [scene])
     start = time.perf_counter()
     with progress_shown() as progress:
         if reading and mapping is not None:

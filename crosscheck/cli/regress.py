@@ -1,4 +1,4 @@
-"""`crosscheck regress`."""
+"""`crosscheck regress`: compare the results of newton_euler with stored baselines, or store new baselines."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import click
 from crosscheck.cli.shared import (
     AGREE,
     cli,
-    everything,
     progress_shown,
     say,
     scene_options,
     setting_options,
     verbose_option,
+    verbose_parts,
     warn_about_import,
 )
 from crosscheck.report.render import terminal
@@ -24,21 +24,21 @@ from crosscheck.support.errors import CrosscheckError
 if TYPE_CHECKING:
     from crosscheck.regress.run import GuardedScene
 
-_file = click.Path(path_type=Path)
+_path = click.Path(path_type=Path)
 
 
 @cli.command("regress")
 @click.argument("sources", nargs=-1, metavar="[SCENE]...")
 @setting_options
 @click.option(
-    "--baseline", type=_file, help="File of the baseline; needs one SCENE.  [default: next to the model file]"
+    "--baseline", type=_path, help="File of the baseline; needs one SCENE.  [default: next to the model file]"
 )
 @click.option(
     "--update", "reason", metavar="REASON", help="Write new baselines and store the reason in them."
 )
 @click.option(
     "--output",
-    type=_file,
+    type=_path,
     default=Path("output/regress"),
     show_default=True,
     help="Folder for reports (JSON, JUnit XML, Markdown) and recordings.",
@@ -69,7 +69,7 @@ def regress_command(
 
     if len(sources) != 1 and (settings or baseline):
         raise CrosscheckError("--set and --baseline are of one SCENE; name it")
-    guarded, left_out = _guarded(sources, scene_options(settings), baseline)
+    guarded, left_out = _load_guarded(sources, scene_options(settings), baseline)
     if reason is not None:
         if left_out:
             raise CrosscheckError(f"--update: {'; '.join(f'{n}: {why}' for n, why in left_out.items())}")
@@ -83,7 +83,7 @@ def regress_command(
         return AGREE
     with progress_shown() as progress:
         compared, recordings, written = check_baselines(guarded, output, progress, left_out, allow_reduced)
-    parts = everything(report(compared, recordings, left_out))[1:]  # the first are the verdicts, which follow
+    parts = verbose_parts(report(compared, recordings, left_out))[1:]  # without the verdicts, which follow
     click.echo(terminal(parts or tables(compared)), nl=False)
     for comparison in compared:
         say(comparison.verdict)
@@ -96,10 +96,19 @@ def regress_command(
     return outcome(compared).exit_status(allow_reduced)
 
 
-def _guarded(
+def _load_guarded(
     sources: tuple[str, ...], options: dict[str, str], baseline: Path | None
 ) -> tuple[list[GuardedScene], dict[str, str]]:
-    """Load what is compared, and name the scenes of the library whose optional packages are not installed."""
+    """Load the scenes with the paths of their baselines.
+
+    Args:
+        sources: names of library scenes or model files; all library scenes if empty.
+        options: options of the scene, if there is only one.
+        baseline: path of its baseline; None for the default path.
+
+    Returns:
+        The scenes, and the library scenes whose optional packages are not installed, with the reason.
+    """
     from crosscheck.library import SCENES
     from crosscheck.regress.run import guard_scene
     from newton_euler.errors import MissingPackageError

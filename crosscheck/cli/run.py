@@ -1,18 +1,18 @@
-"""`crosscheck run`, `convert`, `list` and `view`."""
+"""`crosscheck run`: simulate a model in all engines and compare the results, or compare two models.
+
+`run_command` parses the options and chooses a comparison. `_run` then carries out the comparison, in the same
+steps for both kinds: check the output files, compute, write, print.
+"""
 
 from __future__ import annotations
 
-import os
-import signal
-import socket
-import subprocess
 import sys
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib.abc import MetaPathFinder
 from pathlib import Path
-from textwrap import TextWrapper
 from typing import TYPE_CHECKING
-from urllib.parse import quote_plus
 
 import click
 
@@ -21,8 +21,6 @@ from crosscheck.cli.shared import (
     DISAGREE,
     cli,
     engines_option,
-    is_verbose,
-    load_with_warnings,
     next_step,
     progress_shown,
     say,
@@ -30,35 +28,18 @@ from crosscheck.cli.shared import (
     setting_options,
     show,
     verbose_option,
-    without_excitation,
 )
-from crosscheck.report.render import printable, terminal
+from crosscheck.report.render import terminal
 from crosscheck.support.errors import CrosscheckError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
     from types import ModuleType
 
     from crosscheck.compare.crosscheck import Crosscheck, Progress
     from crosscheck.compare.two_models.unsimulated import Model
-    from newton_euler.model.scene import Scene
-    from newton_euler.scalars import Array
-
-HERE = "127.0.0.1"
-"""Address of this machine for itself alone."""
 
 OUTPUT = Path("output")
 """Default parent of the folders of results."""
-
-MOST_NUMBERS = 9
-"""Largest number of listed components of a parameter, as many as an inertia has."""
-
-DIGITS = 12
-"""Significant digits of listed values relative to the largest of their array; further digits are
-round-off."""
-
-WIDTH = 80
-"""Characters of a line of the list of parameters, unless names are long."""
 
 
 @cli.command("run")
@@ -107,7 +88,8 @@ def run_command(
     against_settings: tuple[str, ...],
     advice: bool,
     allow_reduced: bool,
-    **files: Path | None,
+    output: Path | None,
+    save: Path | None,
 ) -> int:
     """Simulate a model in all engines and compare the results.
 
@@ -118,12 +100,11 @@ def run_command(
     """
     from crosscheck.engines.engine import ENGINES
 
-    output, save = files["output"], files["save"]
     if library:
         alone = scene is None and against is None and not (settings or advice or save or allow_reduced)
         if not alone:
             raise CrosscheckError("--all runs all scenes at their defaults, without SCENE and its options")
-        return _run_all(engines or list(ENGINES), output)
+        return _run_library(engines or list(ENGINES), output)
     if against is None and against_settings:
         raise CrosscheckError("--against-set is for the model of --against")
     if against is not None and engines is not None:
@@ -136,11 +117,20 @@ def run_command(
         raise CrosscheckError(f"--save {save}: a recording's name ends in .rrd")
     chosen = "tracker" if scene is None else scene
     if against is None:
-        return _run(chosen, engines or list(ENGINES), settings, output, save, advice, allow_reduced)
-    return _run_against(_models((chosen, settings), (against, against_settings)), output, save)
+        comparison = _engine_comparison(chosen, engines or list(ENGINES), settings, output, advice)
+    else:
+        models = _load_two_models((chosen, settings), (against, against_settings))
+        comparison = _model_comparison(models, output)
+    return _run(comparison, save, allow_reduced)
 
 
-def _run_all(engines: list[str], output: Path | None) -> int:
+def _run_library(engines: list[str], output: Path | None) -> int:
+    """Crosscheck all scenes of the library, print a table with a row per scene, and return the exit status.
+
+    Args:
+        engines: names of the engines.
+        output: parent of the scenes' result folders; `OUTPUT` if None.
+    """
     from crosscheck.cli.run_all import outcome_lines, outcomes_table, run_all
     from crosscheck.library import SCENES
     from crosscheck.report.output import check_own
@@ -156,15 +146,76 @@ def _run_all(engines: list[str], output: Path | None) -> int:
     return AGREE if all(outcome.agrees or outcome.left_out for outcome in outcomes) else DISAGREE
 
 
-def _run(
-    scene: str,
-    engines: list[str],
-    settings: tuple[str, ...],
-    output: Path | None,
-    save: Path | None,
-    advised: bool,
-    allow_reduced: bool,
-) -> int:
+@dataclass(frozen=True)
+class _Comparison:
+    """A comparison to carry out: of one model in several engines, or of two models.
+
+    Attributes:
+        name: name of the results; the recording is NAME.rrd by default.
+        runs: names of the runs, of engines or models; each run is written to RUN.npz.
+        folder: folder for the results.
+        compute: carries out the comparison; its argument shows a message to the user.
+    """
+
+    name: str
+    runs: Sequence[str]
+    folder: Path
+    compute: Callable[[Progress], Crosscheck]
+
+
+def _run(comparison: _Comparison, save: Path | None, allow_reduced: bool) -> int:
+    """Carry out a comparison, write its results, print its report, and return the exit status.
+
+    Args:
+        comparison: the comparison.
+        save: path of the recording; None for the default.
+        allow_reduced: whether agreement on a reduced model counts as agreement.
+    """
+    from crosscheck.compare.two_models.compare import TwoModelComparison
+    from crosscheck.loading.load import non_default_options
+    from crosscheck.recording.mesh_budget import meshes_left_out
+    from crosscheck.report.output import write
+    from crosscheck.report.run import report
+    from crosscheck.support.files import check_writable
+
+    # check the output files before the long computation
+    folder = comparison.folder
+    recording = save or folder / f"{comparison.name}.rrd"
+    check_writable(*(folder / f"{run}.npz" for run in comparison.runs), folder / "summary.json", recording)
+
+    # compute, write
+    with progress_shown() as progress:
+        result = comparison.compute(progress)
+        progress("writing")
+        found = report(result)
+        with _pandas_hidden():
+            write(result, found, folder, recording, comparison.name)
+
+    # print, with commands for further steps
+    look = f"look  {next_step('view', recording)}"
+    more = ["-v", next_step("report", folder)]
+    if not isinstance(result, TwoModelComparison):
+        if without_meshes := meshes_left_out(result.scene.mechanism, list(result.trajectories)):
+            look = f"{without_meshes}\n{look}"
+        options = non_default_options(result.options)
+        settings = [word for key, value in options.items() for word in ("--set", f"{key}={value}")]
+        more.append(next_step("bench", result.source, *settings))
+    show(found, look, f"more  {'; '.join(more)}")
+    return result.outcome.exit_status(allow_reduced)
+
+
+def _engine_comparison(
+    scene: str, engines: list[str], settings: tuple[str, ...], output: Path | None, advised: bool
+) -> _Comparison:
+    """Load a model, and prepare its comparison in several engines.
+
+    Args:
+        scene: name of a library scene, or a file.
+        engines: names of the engines.
+        settings: options of the scene, OPTION=VALUE.
+        output: folder for the results; None for the default.
+        advised: whether to make further runs for advice on time steps and softness.
+    """
     from crosscheck.compare.crosscheck import crosscheck
     from crosscheck.engines.engine import choose
     from crosscheck.loading.load import load_scene, with_excitation
@@ -174,101 +225,64 @@ def _run(
     chosen = choose(engines)
     folder = output or usual_folder(OUTPUT, scene, "crosscheck")
     check_no_source([folder / "summary.json"], [scene])
-    options = scene_options(settings)
-    taken = with_excitation(scene, options)
-    loaded, mapping = load_scene(scene, taken, verified=False)  # the run says all that is not right
+    options = with_excitation(scene, scene_options(settings))
+    # not verified here: the comparison has checks of the import, and reports all that fail
+    loaded, mapping = load_scene(scene, options, verified=False)
 
-    def work(progress: Progress) -> Crosscheck:
-        return crosscheck(loaded, chosen, progress, scene, taken, mapping, advised)
+    def compute(progress: Progress) -> Crosscheck:
+        return crosscheck(loaded, chosen, progress, scene, options, mapping, advised)
 
-    return _carry_out(work, own_name(scene), [engine.name for engine in chosen], folder, save, allow_reduced)
-
-
-def _models(*named: tuple[str, tuple[str, ...]]) -> tuple[Model, Model]:
-    """Load two models by name or file and settings, with names of their own."""
-    from crosscheck.compare.two_models.unsimulated import Model
-    from crosscheck.loading.load import load_scene
-    from newton_euler.reading.import_report import unique_name
-
-    paths = [Path(source) for source, *_ in named]
-    found: list[Model] = []
-    for path, other, given_as, (source, settings) in zip(
-        paths, paths[::-1], ("--set", "--against-set"), named, strict=True
-    ):
-        options = scene_options(settings, given_as)
-        for option in ("duration", "output_period"):
-            if found and option in options:
-                raise CrosscheckError(f"{given_as} {option}: both models have the first's, see --set")
-        name = unique_name(_short_name(path, other), "model", [model.name for model in found])
-        found.append(Model(name, source, options, *load_scene(source, options)))
-    first, second = found
-    return first, second
+    return _Comparison(own_name(scene), [engine.name for engine in chosen], folder, compute)
 
 
-def _short_name(path: Path, other: Path) -> str:
-    """Return the part of a path that tells it from another: its stem, its name, or its folder, too."""
-    if path.name == other.name and path.parent.name:
-        return f"{path.parent.name}_{path.name}"
-    return path.name if path.stem == other.stem else path.stem
-
-
-def _run_against(models: tuple[Model, Model], output: Path | None, save: Path | None) -> int:
+def _model_comparison(models: tuple[Model, Model], output: Path | None) -> _Comparison:
+    """Prepare the comparison of two models; `output` is the folder for the results, None for the default."""
     from crosscheck.compare.two_models.compare import compare_models, together
     from crosscheck.report.output import check_own
 
-    def work(progress: Progress) -> Crosscheck:
+    def compute(progress: Progress) -> Crosscheck:
         return compare_models(*models, progress)
 
     name = together(models)
     folder = output or OUTPUT / name
     if output is None:
         check_own(folder, [model.source for model in models])
-    return _carry_out(work, name, [model.name for model in models], folder, save)
+    return _Comparison(name, [model.name for model in models], folder, compute)
 
 
-def _carry_out(
-    work: Callable[[Progress], Crosscheck],
-    name: str,
-    runs: Sequence[str],
-    folder: Path,
-    save: Path | None,
-    allow_reduced: bool = False,
-) -> int:
-    """Do what was asked for of the models, with `runs` of these names, write it and tell of it."""
-    from crosscheck.compare.two_models.compare import TwoModelComparison
-    from crosscheck.loading.load import non_default_options
-    from crosscheck.recording.mesh_budget import meshes_left_out
-    from crosscheck.report.output import write
-    from crosscheck.report.run import report
-    from crosscheck.support.files import check_writable
+def _load_two_models(*sources: tuple[str, tuple[str, ...]]) -> tuple[Model, Model]:
+    """Load two models, each given by its name or file and its settings, and give them different names."""
+    from crosscheck.compare.two_models.unsimulated import Model
+    from crosscheck.loading.load import load_scene
+    from newton_euler.reading.import_report import unique_name
 
-    recording = save or folder / f"{name}.rrd"
-    arrays = [folder / f"{run}.npz" for run in runs]
-    check_writable(*arrays, folder / "summary.json", recording)
-    with progress_shown() as progress:
-        result = work(progress)
-        progress("writing")
-        found = report(result)
-        with _pandas_hidden():
-            write(result, found, folder, recording, name)
-    more = ["-v", next_step("report", folder)]
-    look = f"look  {next_step('view', recording)}"
-    if not isinstance(result, TwoModelComparison):
-        if unseen := meshes_left_out(result.scene.mechanism, list(result.trajectories)):
-            look = f"{unseen}\n{look}"
-        told = non_default_options(result.options)
-        settings = [word for key, value in told.items() for word in ("--set", f"{key}={value}")]
-        more.append(next_step("bench", result.source, *settings))
-    show(found, look, f"more  {'; '.join(more)}")
-    return result.outcome.exit_status(allow_reduced)
+    paths = [Path(source) for source, _ in sources]
+    names = [_distinct_name(*paths), _distinct_name(*reversed(paths))]
+    found: list[Model] = []
+    for name, given_as, (source, settings) in zip(names, ("--set", "--against-set"), sources, strict=True):
+        options = scene_options(settings, given_as)
+        for option in ("duration", "output_period"):
+            if found and option in options:
+                raise CrosscheckError(f"{given_as} {option}: both models have the first's, see --set")
+        unique = unique_name(name, "model", [model.name for model in found])
+        found.append(Model(unique, source, options, *load_scene(source, options)))
+    first, second = found
+    return first, second
+
+
+def _distinct_name(path: Path, other: Path) -> str:
+    """Return the part of a path that differs from another path: the stem, the name, or folder and name."""
+    if path.name == other.name and path.parent.name:
+        return f"{path.parent.name}_{path.name}"
+    return path.name if path.stem == other.stem else path.stem
 
 
 @contextmanager
 def _pandas_hidden() -> Iterator[None]:
-    """Keep pandas, if it is installed and not loaded yet, from being loaded in the block.
+    """Within a block, prevent the import of pandas if it is installed and not imported yet.
 
-    Arrow loads pandas at the first array of a recording, to tell arrays from a Series. The load takes 8 % of
-    the time of `run tracker`, and no recording has a Series.
+    Arrow imports pandas at the first array of a recording, to distinguish arrays from a pandas Series. The
+    import takes 8 % of the time of `run tracker`, and no recording has a Series.
     """
     finder = _NoPandas()
     sys.meta_path.insert(0, finder)
@@ -279,175 +293,9 @@ def _pandas_hidden() -> Iterator[None]:
 
 
 class _NoPandas(MetaPathFinder):
-    """Finder of modules for which there is no pandas."""
+    """Module finder that reports pandas as not installed."""
 
     def find_spec(self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None) -> None:
-        """Return None for other modules, which the next finder looks for."""
+        """Raise `ModuleNotFoundError` for pandas; return None for other modules, so that Python looks on."""
         if fullname == "pandas":
             raise ModuleNotFoundError("hidden", name=fullname)
-
-
-@cli.command("list")
-@click.argument("scene", required=False)
-@setting_options
-@verbose_option
-def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
-    """List scenes, engines and options, or the parameters of SCENE.
-
-    SCENE is the name of a library scene or a model file (see run). sweep varies its parameters and identify
-    fits them.
-    """
-    if scene is not None:
-        for line in _parameters(load_with_warnings(scene, scene_options(settings))):
-            click.echo(printable(line))
-        return AGREE
-    if settings:
-        raise CrosscheckError("--set has no effect here: it is of a scene")
-    from crosscheck.engines.engine import ENGINES
-    from crosscheck.library import SCENES
-    from crosscheck.library.options import options_of
-    from crosscheck.loading.model_files import MJCF_OPTIONS, URDF_OPTIONS
-    from newton_euler.errors import MissingPackageError
-    from newton_euler.limits import LIMITS
-
-    for name, make in SCENES.items():
-        try:
-            say(f"{name}: {make().description}")
-        except MissingPackageError as error:
-            say(f"{name}: not available: {error}")
-        for key, option in options_of(make).items():
-            default = f"{option.default:g}" if isinstance(option.default, float) else str(option.default)
-            say(f"    --set {key}={option}  [default: {default or 'none'}]")
-    for kind, options in (("MJCF, a .xml or .mjcf file", MJCF_OPTIONS), ("URDF, a .urdf file", URDF_OPTIONS)):
-        say(f"{kind}:")
-        for name, choice in options.items():
-            say(f"    --set {name}={choice.values}  [default: {choice.default}]")
-    say(f"limits of whatever is read and run{':' if is_verbose() else ', such as time=600: list -v'}")
-    for name, limit in LIMITS.items() if is_verbose() else ():
-        say(f"    --set {name}={limit.unit.upper()}, {limit.meaning}  [default: {limit}]")
-    say(f"engines: {', '.join(ENGINES)}")
-    return AGREE
-
-
-def _parameters(scene: Scene) -> Iterator[str]:
-    """Yield lines for each parameter and initial coordinate: name, unit and own value, a matrix by rows.
-
-    Displacements are followed by the points that they start from.
-    """
-    from newton_euler.equations.parameters import origins, parameter_values
-    from newton_euler.runs.initial_coordinates import initial_names
-    from newton_euler.runs.variation import own_values, units_of
-
-    starts = own_values(scene, initial_names(scene))
-    values = parameter_values(scene)
-    starting = origins(scene, values)
-    own = values | {name: value.round(DIGITS) for name, value in starts.items()}
-    units = units_of(scene, own)
-    columns = max(map(len, own)), max(map(len, units.values()))
-    for name, value in own.items():
-        before = f"{name:{columns[0]}}  {units[name]:{columns[1]}}  "
-        lines = TextWrapper(WIDTH, before, " " * len(before), break_long_words=False, break_on_hyphens=False)
-        for row in value if value.shape == (3, 3) else [value]:
-            text = _numbers(row, abs(value).max(initial=0.0))
-            if name in starting:
-                text += f"  offset from {_numbers(starting[name], abs(starting[name]).max())}"
-            yield from lines.wrap(text)
-            lines.initial_indent = lines.subsequent_indent
-
-
-def _numbers(row: Array, largest: float) -> str:
-    """Write numbers beside the largest of their array, of many the first ones and how many there are."""
-    known = [number if abs(number) > 10.0**-DIGITS * largest else 0.0 for number in row.flat[:MOST_NUMBERS]]
-    shown = " ".join(f"{number:.6g}" for number in known)
-    return shown if row.size <= MOST_NUMBERS else f"{shown} ... ({row.size} numbers)"
-
-
-@cli.command("convert")
-@click.argument("source", metavar="IN")
-@click.argument("target", metavar="OUT", type=click.Path(path_type=Path))
-@setting_options
-@verbose_option
-def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int:
-    """Convert a model to another format.
-
-    IN is a library scene, a scene file, an MJCF file or a URDF file. The suffix of OUT selects the format.
-    """
-    from crosscheck.loading.convert import check_target, files_written, scene_report, write_as
-    from crosscheck.loading.load import load_scene
-    from crosscheck.loading.model_files import report_lines
-    from crosscheck.support.files import check_no_source, check_writable
-
-    check_target(target)
-    options = scene_options(settings)
-    if target.suffix == ".urdf":
-        without_excitation(options, "a URDF holds no control and no start")
-    check_no_source(files_written(target), [source, *([options["loops"]] if "loops" in options else [])])
-    check_writable(target)
-    scene, report = load_scene(source, options)
-    report = report or scene_report(scene)
-    written = write_as(scene, target, report)
-    for line in (*map(str, report.findings), *report_lines(report, exact=is_verbose())):
-        say(line)
-    say("wrote " + ", ".join(str(path) for path in written))
-    return AGREE
-
-
-@cli.command("view")
-@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--web", is_flag=True, help="Show the recordings in a browser instead of a window.")
-def view_command(files: tuple[Path, ...], web: bool) -> int:
-    """Open recordings in the Rerun viewer, side by side."""
-    for file in files:
-        if file.exists() and not file.is_file():
-            raise CrosscheckError(f"{file} is not a file")
-        try:
-            with file.open("rb") as stream:
-                if stream.read(4) != b"RRF2":
-                    raise CrosscheckError(f"{file} is not a Rerun recording")
-        except OSError as error:
-            raise CrosscheckError(f"cannot read {file}: {error.strerror}") from error
-    from crosscheck.recording.show import has_display
-
-    if not (web or has_display()):
-        raise CrosscheckError("no display to open a viewer on; --web shows the recordings in a browser")
-    serve = []
-    if web:
-        pages, data = _free_port(9090), _free_port(9876)  # Rerun's own defaults, if they are free
-        serve = ["--serve-web", "--web-viewer-port", str(pages), "--port", str(data)]
-        source = quote_plus(f"rerun+http://localhost:{data}/proxy")
-        say(f"Ctrl+C ends it; open http://{HERE}:{pages}?url={source}")
-        sys.stdout.flush()
-    # by itself it would listen to all of the network
-    viewer = [sys.executable, "-P", "-m", "rerun", "--bind", HERE, *serve, *map(str, files)]
-    status = _run_to_its_end(viewer)
-    if status != 0:
-        raise CrosscheckError(f"the viewer ended with status {status}")
-    return AGREE
-
-
-def _run_to_its_end(viewer: Sequence[str]) -> int:
-    """Run a viewer until it ends or this process is interrupted or asked to end; return its exit status.
-
-    The viewer has a process group of its own, because Rerun's program starts the viewer as a child.
-    """
-    from crosscheck.support.time_limits import signals_as_interrupts
-
-    with signals_as_interrupts():
-        process = subprocess.Popen(viewer, start_new_session=True, env=os.environ | {"RUST_LOG": "error"})
-        try:
-            return process.wait()
-        except KeyboardInterrupt:  # the usual way to end a viewer
-            with suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGTERM)
-            process.wait()
-            return 0
-
-
-def _free_port(usual: int) -> int:
-    """Return a port of this machine that nothing listens at: the usual one if it is free."""
-    with socket.socket() as tried:
-        try:
-            tried.bind((HERE, usual))
-        except OSError:
-            tried.bind((HERE, 0))
-        return int(tried.getsockname()[1])

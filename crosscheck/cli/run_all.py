@@ -1,4 +1,7 @@
-"""The whole library of scenes through the engines, one line a scene."""
+"""Crosscheck all scenes of the library in parallel processes, for `crosscheck run --all`.
+
+Each scene becomes one row of a table, with its verdict, run time and the check closest to failing.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from crosscheck.compare.crosscheck import Crosscheck, Progress, crosscheck
+from crosscheck.compare.crosscheck import Progress, crosscheck
 from crosscheck.engines.engine import choose
 from crosscheck.library import SCENES, load
 from crosscheck.report.output import write
@@ -23,22 +26,22 @@ from newton_euler.errors import MissingPackageError
 from newton_euler.runs.batch import thread_count
 
 LEFT_OUT = Cell("left out", "doubtful")
-"""The word of a scene whose optional packages are not installed."""
+"""Table cell of a scene whose optional packages are not installed."""
 
 NOT_RUN = Cell("FAILS", "fails")
-"""The word on a scene that did not run."""
+"""Table cell of a scene that did not run."""
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SceneOutcome:
     """Outcome of one scene.
 
     Attributes:
-        scene: its name.
-        wall_time: s, of everything.
-        agrees: whether it ran and all its figures are within what is allowed.
-        verdict: one line.
-        nearest: the figure that is nearest its tolerance or exceeds it most, in words.
+        scene: name of the scene.
+        wall_time: time of loading, runs, comparison and writing, s.
+        agrees: whether the crosscheck passes.
+        verdict: the verdict in one line, or the reason why there is none.
+        nearest: the check closest to failing, in words.
         word: the verdict in one word.
         left_out: whether an optional package that the scene needs is not installed.
     """
@@ -52,11 +55,16 @@ class Outcome:
     left_out: bool = False
 
 
-def run_all(engines: Sequence[str], folder: Path, progress: Progress) -> list[Outcome]:
-    """Crosscheck all scenes of the library at their default options, a process for each processor.
+def run_all(engines: Sequence[str], folder: Path, progress: Progress) -> list[SceneOutcome]:
+    """Crosscheck all scenes of the library at their default options, in one process per processor.
 
-    Writes a folder for each scene below `folder`, as a single run does. A scene that cannot be run is
-    an outcome that does not agree.
+    Args:
+        engines: names of the engines.
+        folder: parent of the result folders, one per scene, each with the files of a single run.
+        progress: shows a message to the user.
+
+    Returns:
+        An outcome per scene. The outcome of a scene that cannot be run has `agrees` False.
 
     Raises:
         CrosscheckError: for unknown engines, and for a folder that cannot be written.
@@ -64,40 +72,37 @@ def run_all(engines: Sequence[str], folder: Path, progress: Progress) -> list[Ou
     choose(list(engines))
     check_writable(*(folder / name / "summary.json" for name in SCENES))
     found = run_in_processes(
-        partial(outcome, engines=tuple(engines), folder=folder),
+        partial(run_scene, engines=tuple(engines), folder=folder),
         list(SCENES),
         thread_count(),
         lambda count, name: progress(f"{count} of {len(SCENES)} scenes, last {name}"),
     )
     return [
-        Outcome(name, 0.0, False, f"did not run: {each}") if isinstance(each, ProcessLostError) else each
+        SceneOutcome(name, 0.0, False, f"did not run: {each}") if isinstance(each, ProcessLostError) else each
         for name, each in zip(SCENES, found, strict=True)
     ]
 
 
-def outcome(name: str, engines: Sequence[str], folder: Path) -> Outcome:
-    """Crosscheck one scene at its default options; write to its folder below `folder` as a run does."""
+def run_scene(name: str, engines: Sequence[str], folder: Path) -> SceneOutcome:
+    """Crosscheck one library scene at its default options, and write its results to `folder`/NAME."""
     start = time.perf_counter()
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # results are checked where they are used
+            warnings.simplefilter("ignore")  # NumPy's; results are checked for finiteness where they are used
             result = crosscheck(load(name), choose(list(engines)), lambda _: None, name, {})
             write(result, report(result), folder / name, folder / name / f"{name}.rrd", name)
     except MissingPackageError as error:
         wall_time = time.perf_counter() - start
-        return Outcome(name, wall_time, False, str(error), word=LEFT_OUT, left_out=True)
-    except Exception as error:  # what goes wrong with one scene is a line, like the others' results
-        return Outcome(name, time.perf_counter() - start, False, f"did not run: {reason_of(error)}")
-    return _outcome(name, result, time.perf_counter() - start)
+        return SceneOutcome(name, wall_time, False, str(error), word=LEFT_OUT, left_out=True)
+    except Exception as error:  # an error in one scene is a row of the table, and does not end the others
+        return SceneOutcome(name, time.perf_counter() - start, False, f"did not run: {reason_of(error)}")
+    wall_time, closest = time.perf_counter() - start, nearest(judged_figures(result))
+    passes = result.outcome.passes()
+    return SceneOutcome(name, wall_time, passes, result.verdict, closest, judged_word(result))
 
 
-def _outcome(name: str, result: Crosscheck, wall_time: float) -> Outcome:
-    figure = nearest(judged_figures(result))
-    return Outcome(name, wall_time, result.outcome.passes(), result.verdict, figure, judged_word(result))
-
-
-def outcomes_table(outcomes: Sequence[Outcome]) -> Table:
-    """A row per scene, with the figure that is nearest its tolerance."""
+def outcomes_table(outcomes: Sequence[SceneOutcome]) -> Table:
+    """Make a table with a row per scene: verdict, time, and the check closest to failing."""
     heads = [*texts("scene", "verdict"), *figures("time, s")]
     return Table(
         "",
@@ -106,8 +111,8 @@ def outcomes_table(outcomes: Sequence[Outcome]) -> Table:
     )
 
 
-def outcome_lines(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    """Name the scenes that fail or are left out, and why; the sum last."""
+def outcome_lines(outcomes: Sequence[SceneOutcome]) -> Iterator[str]:
+    """Yield a line with the reason for each scene that is left out or fails, then the overall verdict."""
     left_out = [found for found in outcomes if found.left_out]
     failing = [found for found in outcomes if not (found.agrees or found.left_out)]
     for found in left_out:

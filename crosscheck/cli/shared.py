@@ -1,4 +1,9 @@
-"""Parts that all commands share: the group, options, scenes and models, tables, exit statuses."""
+"""What the commands of `crosscheck` share: options, loading, result files, progress, output, exit statuses.
+
+Most commands follow the same steps: parse options, load a scene (`load_with_warnings`), check that the result
+files can be written (`result_paths`), compute while a message shows the stage (`progress_shown`), write the
+files, and print a report (`show`).
+"""
 
 from __future__ import annotations
 
@@ -6,7 +11,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -26,16 +31,17 @@ if TYPE_CHECKING:
     from newton_euler.reading.import_report import ImportReport
 
 VERDICT_COLORS = {"": None, "holds": "green", "improved": "green", "doubtful": "yellow", "fails": "red"}
-"""Terminal colors of verdicts."""
+"""Terminal color of each verdict of `crosscheck.report.table.Cell`."""
 
 PROGRESS_DELAY_S = 10.0
 """Time without a message, s, before a command whose standard error is no terminal prints its stage."""
 
 AGREE, DISAGREE, BAD_INPUT, UNFINISHED, REDUCED = ExitStatus
+"""Exit statuses; `crosscheck.report.outcome` explains them."""
 
 
 class Commands(click.Group):
-    """Commands whose first sentences are shown in full, where Click cuts them to one line."""
+    """Group of commands whose help lists each command with its full first sentence; Click would cut it."""
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands with the first sentence of their help."""
@@ -52,19 +58,22 @@ def cli() -> None:
 
 
 def setting_options(command: Callable[..., int]) -> Callable[..., int]:
-    """Add the option `--set` to a command. Limits among the settings apply until the command ends."""
+    """Add the option `--set` to a command, whose argument `settings` gets the values.
+
+    Settings that are limits, such as time=600, apply until the command ends and are not passed on.
+    """
     option = click.option(
         "--set",
         "settings",
         multiple=True,
         metavar="OPTION=VALUE",
-        callback=_heed_limits,
+        callback=_apply_limits,
         help="Option of the scene or model file, or a limit; crosscheck list prints all. Repeatable.",
     )
     return option(command)
 
 
-def _heed_limits(context: click.Context, _: click.Parameter, settings: tuple[str, ...]) -> tuple[str, ...]:
+def _apply_limits(context: click.Context, _: click.Parameter, settings: tuple[str, ...]) -> tuple[str, ...]:
     """Apply the limits among the settings while the command runs, and return the other settings."""
     from newton_euler.limits import LIMITS, changed
 
@@ -80,6 +89,7 @@ def scene_options(settings: tuple[str, ...], given_as: str = "--set") -> dict[st
     The values of a repeated `ignore` are joined by commas.
 
     Args:
+        settings: values of the command-line option.
         given_as: command-line option that the settings belong to, for messages.
 
     Raises:
@@ -97,7 +107,11 @@ def scene_options(settings: tuple[str, ...], given_as: str = "--set") -> dict[st
 
 
 def folder_option(default: str) -> Callable[[Callable[..., int]], Callable[..., int]]:
-    """Add the option `--output` to a command; its default is None if the folder depends on the scene."""
+    """Add the option `--output`, the folder for results, to a command.
+
+    Args:
+        default: default folder, for the help; the option is None by default if it contains "SCENE".
+    """
     fixed = None if "SCENE" in default else Path(default)
     folder = click.Path(path_type=Path)
     return click.option(
@@ -120,7 +134,12 @@ def engines_option(command: Callable[..., int]) -> Callable[..., int]:
 
 
 def without_excitation(options: dict[str, str], why: str) -> dict[str, str]:
-    """Return the options of a command that never excites a scene; raise if they switch excitation on."""
+    """Return the options of a command that does not excite the scene; raise if they switch excitation on.
+
+    Args:
+        options: options of the scene.
+        why: reason, for the error message.
+    """
     if options.get("excitation") == "on":
         raise CrosscheckError(f"--set excitation=on has no effect here: {why}")
     return options
@@ -132,7 +151,7 @@ def say(*lines: str, bold: bool = False) -> None:
         click.echo(click.style(wrapped(line), bold=bold))
 
 
-VERBOSE = "crosscheck.verbose"
+VERBOSE_KEY = "crosscheck.verbose"
 """Key of Click's context that holds the value of `--verbose`."""
 
 
@@ -140,7 +159,7 @@ def verbose_option(command: Callable[..., int]) -> Callable[..., int]:
     """Add the option `--verbose` to a command; `is_verbose` returns its value."""
 
     def keep(context: click.Context, _: click.Parameter, wanted: bool) -> None:
-        context.meta[VERBOSE] = wanted
+        context.meta[VERBOSE_KEY] = wanted
 
     text = "Print everything: figures, notes, elements of model files, limits."
     option = click.option("-v", "--verbose", is_flag=True, expose_value=False, callback=keep, help=text)
@@ -149,11 +168,11 @@ def verbose_option(command: Callable[..., int]) -> Callable[..., int]:
 
 def is_verbose() -> bool:
     """Return True if `--verbose` is given."""
-    return bool(click.get_current_context().meta.get(VERBOSE))
+    return bool(click.get_current_context().meta.get(VERBOSE_KEY))
 
 
-def everything(report: Report) -> list[Part]:
-    """Return all parts of a report, unfolded, if `--verbose` is given; otherwise no part."""
+def verbose_parts(report: Report) -> list[Part]:
+    """Return all parts of a report, also folded ones, if `--verbose` is given; otherwise an empty list."""
     return [replace(part, folded=False) for part in report.parts] if is_verbose() else []
 
 
@@ -161,9 +180,10 @@ def show(report: Report, *after: str) -> None:
     """Print a report: all parts if `--verbose` is given, then its title, verdict and summary.
 
     Args:
+        report: report of a command.
         after: sentences to print below the summary.
     """
-    click.echo(terminal(everything(report)), nl=False)
+    click.echo(terminal(verbose_parts(report)), nl=False)
     say(report.title, bold=True)
     if report.verdict:
         click.echo(click.style(wrapped(report.verdict), fg=VERDICT_COLORS[report.judged.verdict], bold=True))
@@ -181,11 +201,42 @@ def load_with_warnings(scene: str, options: dict[str, str]) -> Scene:
     return loaded
 
 
+def result_paths(
+    output: Path | None, parent: str, kind: str, names: Sequence[str], sources: Sequence[str | Path]
+) -> list[Path]:
+    """Choose the paths of result files, and check that they can be written and are no input files.
+
+    Args:
+        output: folder for the files; None for a folder below `parent`, by the name of the model.
+        parent: parent of the default folder.
+        kind: kind of the results, a key of `crosscheck.report.output.RECORDS`.
+        names: names of the files.
+        sources: the model, by name or file, and further input files.
+
+    Raises:
+        CrosscheckError: if the default folder has results of another model, if a file cannot be written, or
+            if a file is also an input file.
+    """
+    from crosscheck.report.output import usual_folder
+    from crosscheck.support.files import check_no_source, check_writable
+
+    folder = output or usual_folder(Path(parent), str(sources[0]), kind)
+    paths = [folder / name for name in names]
+    check_no_source(paths, sources)
+    check_writable(*paths)
+    return paths
+
+
 def warn_about_import(source: str, mapping: ImportReport | None, scene: Scene) -> None:
     """Warn on standard error about differences between a scene and the file that it is read from.
 
-    There is a line for each finding, for a changed initial state, and for each of the first elements that are
-    not imported exactly. The last line counts the other elements.
+    There is a line for each likely mistake in the file, for a changed initial state, and for each of the
+    first elements that are not imported exactly. The last line counts the other elements.
+
+    Args:
+        source: name or file of the scene, with which each line begins.
+        mapping: import report; None if the scene is not read from a model file.
+        scene: the scene.
     """
     if mapping is None:
         return
@@ -202,7 +253,13 @@ def warn_about_import(source: str, mapping: ImportReport | None, scene: Scene) -
 
 
 def next_step(*words: object) -> str:
-    """Return a command line that the user can copy, with the path of `crosscheck` if the shell needs it."""
+    """Return a command line that the user can copy, such as "crosscheck view output/arm/arm.rrd".
+
+    The name of the program has its path if the shell would not find the program by its name.
+
+    Args:
+        words: command and arguments.
+    """
     called, command = Path(sys.argv[0]), "crosscheck"
     if called.name == command and shutil.which(command) != str(called.absolute()):
         command = os.path.relpath(called)
@@ -211,7 +268,10 @@ def next_step(*words: object) -> str:
 
 @contextmanager
 def progress_shown() -> Iterator[Callable[[str], None]]:
-    """Yield a function that shows the current stage on standard error, now and then if that is a pipe."""
+    """Yield a function that shows the current stage of a long computation on standard error.
+
+    On a terminal, the stage is a status line. In a file or a pipe, a line is printed now and then.
+    """
     if sys.stderr is None or not sys.stderr.isatty():  # a pipe has no cursor, even with FORCE_COLOR
         with _LongStages() as stages:
             yield stages.begin
@@ -224,7 +284,7 @@ def progress_shown() -> Iterator[Callable[[str], None]]:
 
 
 class _LongStages:
-    """Prints the current stage on standard error after `PROGRESS_DELAY_S`, and then ever less often."""
+    """Prints the current stage on standard error: first after `PROGRESS_DELAY_S`, then less often."""
 
     def __init__(self) -> None:
         self._timer: Timer | None = None
@@ -238,15 +298,16 @@ class _LongStages:
             self._timer.cancel()
 
     def begin(self, stage: str) -> None:
-        """Begin a stage and end the previous stage."""
+        """Set the current stage, and schedule the next message unless one is scheduled."""
         self._stage = stage
         if not self._timer:
             # in a run of hours, the next message waits for a tenth of the time so far
             wait = max(PROGRESS_DELAY_S, 0.1 * (time.perf_counter() - self._start))
-            self._timer = Timer(wait, self._tell)
+            self._timer = Timer(wait, self._print_stage)
             self._timer.daemon = True
             self._timer.start()
 
-    def _tell(self) -> None:
+    def _print_stage(self) -> None:
+        """Print the current stage; a timer calls this method."""
         self._timer = None
         click.echo(f"{printable(self._stage)} ...", err=True)

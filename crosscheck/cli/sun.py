@@ -1,4 +1,4 @@
-"""`crosscheck sun`: days of a solar tracker."""
+"""`crosscheck sun`: simulate days of a solar tracker at given places and dates."""
 
 from __future__ import annotations
 
@@ -88,23 +88,25 @@ def sun_command(
     if (stow is None) != (wind is None):
         given, other = ("--wind", "--stow SPEED") if stow is None else ("--stow", "--wind SPEED|CSV")
         raise CrosscheckError(f"{given} has an effect with {other} alone; give both or none")
-    calm = float("inf")
-    tracking = Tracking(
-        numbers["deadband"], numbers["most_tilt"], numbers["pitch"], calm if stow is None else stow
-    )
+    stow_speed = float("inf") if stow is None else stow  # without --stow, no wind is too fast
+    tracking = Tracking(numbers["deadband"], numbers["most_tilt"], numbers["pitch"], stow_speed)
     check_period(period)
     speeds = None if wind is None else wind_over_day(wind, seconds_of_day(period))
     places = [Place(latitude, numbers["longitude"], numbers["altitude"]) for latitude in latitudes]
     pairs = list(product(places, dates))
-    optional_package("pvlib", SUN)  # a missing package leaves no folder
+    optional_package("pvlib", SUN)  # raises if pvlib is missing, before folders are created
     check_writable(*files_of(output, several=len(pairs) > 1))
     scene, days = sun_tracker(), []
     with progress_shown() as progress:
         for place, date in with_progress(pairs, progress, "day"):
             days.append(tracker_day(scene, PANEL_NORMAL, place, date, zone, tracking, period, speeds))
         progress("sunlight on other panels, plots and recording")
-        report = survey_report(days) if days[1:] else day_report(days[0])
-        written = write_survey(report, output) if days[1:] else write(days[0], report, output)
+        if len(days) > 1:
+            report = survey_report(days)
+            written = write_survey(report, output)
+        else:
+            report = day_report(days[0])
+            written = write(days[0], report, output)
     show(report)
     for path in written:
         say(f"wrote {path}")

@@ -1,4 +1,4 @@
-"""`crosscheck sweep`: many runs of a scene with parameters from distributions."""
+"""`crosscheck sweep`: Monte Carlo and design-of-experiments studies of a scene."""
 
 from __future__ import annotations
 
@@ -92,26 +92,24 @@ def sweep_command(
     from crosscheck.sweeps.sweep import own_scene, sweep
 
     vary = parse_vary(varied)
-    given = with_excitation(scene, scene_options(settings))
-    read, mapping = load_scene(scene, given)
+    scene_settings = with_excitation(scene, scene_options(settings))
+    read, mapping = load_scene(scene, scene_settings)
     warn_about_import(scene, mapping, read)
     loaded = own_scene(scene, read)
     folder = output or Path("output/sweep") / loaded.name
     with interruptible(folder / STORE_NAME), progress_shown() as progress:
         swept = sweep(loaded, vary, keep=keep, output=folder, progress=progress, **options)
-        swept = replace(swept, options=given, mapping=mapping)
+        swept = replace(swept, options=scene_settings, mapping=mapping)
         if check != 0:
             swept = swept.check(check, progress=progress)
         progress("analysis")
         made, judged = swept.report, swept.findings.outcome
-    show(made)  # before what may fail, as on a full disk
+    show(made)  # before the files are written, which may fail, for example because the disk is full
     with progress_shown() as progress:
         progress("pictures and recording")
         written = swept.save(folder)
     look = [f"look  {next_step('view', path)}" for path in written if path.suffix == ".rrd"]
-    beside = ", ".join(path.name for path in written if path.suffix == ".png")
-    more = (
-        f"more  -v; {next_step('report', folder)}; there {beside or 'no pictures'} and numbers, {STORE_NAME}"
-    )
+    pictures = ", ".join(path.name for path in written if path.suffix == ".png") or "no pictures"
+    more = f"more  -v; {next_step('report', folder)}; there {pictures} and numbers, {STORE_NAME}"
     say(*look, more)
     return judged.exit_status(allow_reduced) if judged else AGREE

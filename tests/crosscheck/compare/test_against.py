@@ -15,7 +15,7 @@ from test_two_ways import DURATION, PERIOD, whole, written_mjcf, written_urdf
 
 import mjcf
 import urdf
-from crosscheck.cli.run import _short_name
+from crosscheck.cli.run import _distinct_name
 from crosscheck.compare.check import OF_EQUATIONS, OF_RUNS, START
 from crosscheck.compare.two_models import compare
 from crosscheck.compare.two_models.align import alignments
@@ -375,7 +375,7 @@ def test_a_converted_model_is_the_same_on_the_command_line(capsys, tmp_path, fil
     ],
 )
 def test_models_are_named_by_what_tells_them_apart(path: str, other: str, name: str) -> None:
-    assert _short_name(Path(path), Path(other)) == name
+    assert _distinct_name(Path(path), Path(other)) == name
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from command_line import command, run, scene_file, short_example, verdict_of
 import newton_euler
 from crosscheck import check
 from crosscheck.cli import run_all
-from crosscheck.cli.run_all import Outcome, outcome, outcome_lines, outcomes_table
+from crosscheck.cli.run_all import SceneOutcome, outcome_lines, outcomes_table, run_scene
 from crosscheck.cli.shared import UNFINISHED
 from crosscheck.compare.check import OWN_ERROR, UNRESOLVED
 from crosscheck.compare.reference_values import ROUND_OFF, known_of, measure
@@ -206,7 +206,7 @@ def test_an_engine_that_cannot_express_a_scene_is_left_out(capsys, tmp_path, mon
 
 
 def test_one_scene_of_the_library(tmp_path):
-    found = outcome("pendulum", ("newton_euler", "pinocchio"), tmp_path)
+    found = run_scene("pendulum", ("newton_euler", "pinocchio"), tmp_path)
     assert found.agrees
     assert re.fullmatch(r" *\d+ % .+", found.nearest.text)
     assert {path.name for path in (tmp_path / "pendulum").iterdir()} == {
@@ -219,13 +219,13 @@ def test_a_scene_that_does_not_run_is_a_line(tmp_path, monkeypatch):
         raise ZeroDivisionError("nothing there")
 
     monkeypatch.setattr(run_all, "load", breaks)
-    found = outcome("pendulum", ("newton_euler",), tmp_path)
+    found = run_scene("pendulum", ("newton_euler",), tmp_path)
     assert not found.agrees
     assert found.verdict == "did not run: internal error: ZeroDivisionError: nothing there"
 
 
 OUTCOMES = [
-    Outcome(
+    SceneOutcome(
         "good",
         1.0,
         True,
@@ -233,7 +233,7 @@ OUTCOMES = [
         Cell(" 10 % rod, positions"),
         Cell("AGREE", "holds"),
     ),
-    Outcome(
+    SceneOutcome(
         "bad",
         2.0,
         False,

@@ -15,7 +15,7 @@ from command_line import verdict_of
 import mjcf
 import newton_euler
 import urdf
-from crosscheck.cli.run_all import outcome
+from crosscheck.cli.run_all import run_scene
 from crosscheck.cli.shared import UNFINISHED
 from crosscheck.engines.engine import ENGINES as ENGINES_BY_NAME
 from crosscheck.library import load
@@ -297,7 +297,7 @@ def test_run_all_tells_what_each_scene_computed(monkeypatch, tmp_path):
     monkeypatch.setitem(
         ENGINES_BY_NAME, "newton_euler", replace(ENGINES_BY_NAME["newton_euler"], simulate=stopping)
     )
-    found = outcome("pendulum", ("newton_euler", "mujoco"), tmp_path)
+    found = run_scene("pendulum", ("newton_euler", "mujoco"), tmp_path)
     assert not found.agrees
     assert found.verdict.startswith("UNFINISHED: newton_euler: integration stopped at t = 5 s")
     assert {path.name for path in (tmp_path / "pendulum").iterdir()} == {*FILES, "pendulum.rrd"}
