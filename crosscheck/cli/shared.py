@@ -1,4 +1,4 @@
-"""What the commands of `crosscheck` share: options, loading, result files, progress, output, exit statuses.
+"""Shared parts of all commands: options, loading, result files, progress, output and exit statuses.
 
 Most commands follow the same steps: parse options, load a scene (`load_with_warnings`), check that the result
 files can be written (`result_paths`), compute while a message shows the stage (`progress_shown`), write the
