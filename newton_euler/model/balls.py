@@ -67,7 +67,8 @@ def spin_gamma(first: Frame, second: Frame) -> Array:
     """Compute gamma (3,), rad/s^2, world frame, in d omega/dt = `SPIN` . accelerations - gamma.
 
     The rate of omega is the one that an observer fixed in one of the two bodies sees; both bodies see the
-    same. gamma is the part of the rate that depends on velocities alone."""
+    same. gamma is the part of the rate that depends on velocities alone.
+    """
     return cross(first.angular_velocity, second.angular_velocity)
 
 

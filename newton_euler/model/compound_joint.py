@@ -2,7 +2,8 @@
 
 MJCF and URDF files often have several elementary motions between two bodies. `newton_euler.model.joint_parts`
 combines them to this class if no special joint class fits. The angles of the hinges are those of
-`newton_euler.model.hinge_angles`."""
+`newton_euler.model.hinge_angles`.
+"""
 
 from __future__ import annotations
 
@@ -130,7 +131,8 @@ class Compound(Joint):
         """Copy the joint with other, unchecked numbers, see `Joint.varied`.
 
         Axes and offsets are those at the initial pose. The second body's point moves with them, so that the
-        joint stays closed there."""
+        joint stays closed there.
+        """
         # The new axes, of unit length
         axes = [*self.slides, *self.hinges]
         for name, axis in values.items():

@@ -15,7 +15,8 @@ With respect to Euler parameters p, the Jacobian is Phi_p = 2 Phi_t G, because d
 
 Equation numbers are those of S. Srang, S. Ath and M. Yamakita, Advances in Science, Technology and
 Engineering Systems Journal 5(5), 2020, doi:10.25046/aj050587, Appendix A. The constraints are also in
-Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, section 7.2."""
+Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, section 7.2.
+"""
 
 from __future__ import annotations
 

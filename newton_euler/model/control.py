@@ -1,4 +1,10 @@
-"""Control laws that are declared: every engine evaluates them at each state and time."""
+"""Control laws that are declared by numbers and evaluated in continuous time: PD, state feedback, computed
+torque.
+
+Every engine evaluates these laws at each state and time. A control law acts on one coordinate of an actuated
+joint. Controllers that are Python functions, and laws in discrete time, are in
+`newton_euler.model.digital_control`.
+"""
 
 from __future__ import annotations
 
@@ -26,17 +32,22 @@ from newton_euler.model.smooth_functions import Sine
 from newton_euler.model.variable import functions_of
 from newton_euler.scalars import Array, Scalar
 
-DRIVEN = ("target", "feedforward")  # attributes of laws that may be functions of time
+TIME_DEPENDENT = ("target", "feedforward")
+"""Names of the attributes of control laws that may be functions of time."""
+
 TARGET = NumberField("m", "rad", may_be_function=True)
 FEEDFORWARD = NumberField("N", "N m", may_be_function=True, strength="actuator")
+
 NO_FORCES: Mapping[Key, Scalar] = {}
+"""Forces from a model of the mechanism, by joint coordinate, if no law uses a model."""
 
 Readings = Mapping[Key, Sequence[Any]]
-"""Joint coordinates (m or rad), their rates, and further values that are not used here."""
+"""Measured values by joint coordinate: a sequence whose first two values are the coordinate, m or rad, and
+its rate."""
 
 
 class Reference(NamedTuple):
-    """The wanted value of a joint coordinate, m or rad, and its first and second derivatives by time."""
+    """Set-point of a joint coordinate, m or rad, with its first and second derivative by time."""
 
     value: Scalar
     rate: Scalar
@@ -44,14 +55,14 @@ class Reference(NamedTuple):
 
 
 def reference(target: float | TimeFunction, time: Scalar) -> Reference:
-    """Evaluate a target at a time in s: value, rate and acceleration."""
+    """Evaluate a target (a number, m or rad, or a function of time) at a time in s."""
     if isinstance(target, TimeFunction):
         return Reference(target.value(time), target.rate(time), target.acceleration(time))
     return Reference(target, 0.0, 0.0)
 
 
 class ControlLaw(CoordinateForce):
-    """A control law of an actuated joint."""
+    """Base class of all control laws; a law drives one coordinate of an actuated joint."""
 
     noun = "control"
 
@@ -63,16 +74,17 @@ class ControlLaw(CoordinateForce):
 
     @property
     def reads(self) -> tuple[Key, ...]:
-        """The joint coordinates that the law depends on."""
+        """Joint coordinates on which the law depends."""
         return (self.key,)
 
 
 class DeclaredLaw(ControlLaw):
-    """A control law that is a function of joint coordinates, their rates and time.
+    """Base class of control laws that are a declared function of joint coordinates, their rates and time.
 
     Attributes:
-        target: set-point of the law's own coordinate, m or rad from the initial pose.
-        feedforward: u_0, N or N m, a number or a function of time.
+        target: set-point of the driven coordinate, m or rad from the initial pose, a number or a function of
+            time.
+        feedforward: force u_0 that is added, N or N m, a number or a function of time.
     """
 
     target: float | TimeFunction
@@ -88,16 +100,16 @@ class DeclaredLaw(ControlLaw):
     @property
     def is_driven(self) -> bool:
         """True if the law depends on time."""
-        return any(isinstance(getattr(self, name), TimeFunction) for name in DRIVEN)
+        return any(isinstance(getattr(self, name), TimeFunction) for name in TIME_DEPENDENT)
 
     @property
     def jumps(self) -> bool:
-        """True if a function of time of the law jumps."""
+        """True if the value of a function of time of the law jumps at some time."""
         return any(f.jumps for name in self.functions for f in functions_of(getattr(self, name)))
 
     @property
     def feedback(self) -> Mapping[Key, tuple[float, float]]:
-        """Gains (K_p, K_d), SI, by the coordinates that the law reads."""
+        """Feedback gains (K_p, K_d), SI units, by the joint coordinate that they multiply."""
         raise NotImplementedError
 
     @property
@@ -105,17 +117,17 @@ class DeclaredLaw(ControlLaw):
         return tuple(self.feedback)
 
     def references(self, time: Scalar) -> dict[Key, Reference]:
-        """Return the set-points of the coordinates that the law reads, at a time in s."""
+        """Return the set-points, at a time in s, by the joint coordinate that the law reads."""
         return {self.key: reference(self.target, time)}
 
     def feedforward_at(self, time: Scalar) -> Scalar:
-        """Return u_0 (N or N m) at a time in s."""
+        """Return the feedforward u_0 (N or N m) at a time in s."""
         u_0 = self.feedforward
         return u_0.value(time) if isinstance(u_0, TimeFunction) else u_0
 
     @property
     def uses_model(self) -> bool:
-        """True if a part of the force comes from a model of the mechanism."""
+        """True if a part of the force is computed from a model of the mechanism."""
         return False
 
     def towards(
@@ -125,13 +137,14 @@ class DeclaredLaw(ControlLaw):
         time: Scalar,
         model: Mapping[Key, Scalar] = NO_FORCES,
     ) -> Scalar:
-        """Compute the force (N or N m) for given set-points and readings.
+        """Compute the force (N or N m) that drives the readings towards the set-points.
 
         Args:
-            references: set-points by coordinate, which may differ from the law's own targets.
-            readings: coordinates (m or rad) and rates.
+            references: set-points by joint coordinate; a digital law passes targets that are limited to its
+                stroke.
+            readings: measured coordinates and rates by joint coordinate.
             time: s.
-            model: forces from a model of the mechanism, N or N m, by coordinate.
+            model: forces from a model of the mechanism, N or N m, by joint coordinate.
         """
         force = self.feedforward_at(time)
         for key, (k_p, k_d) in self.feedback.items():
@@ -148,20 +161,23 @@ class DeclaredLaw(ControlLaw):
 class PD(DeclaredLaw):
     """PD controller for one joint coordinate: u = u_0 + K_p (r - x) + K_d (dr/dt - dx/dt).
 
-    The equation is eq. (23) with the sign that makes the loop stable.
+    This is eq. (23) of S. Srang, S. Ath and M. Yamakita, Advances in Science, Technology and Engineering
+    Systems Journal 5(5), 2020, doi:10.25046/aj050587, with the sign that makes the loop stable.
 
     Attributes:
         joint: name of the driven joint.
         stiffness: K_p in N/m or N m/rad.
         damping: K_d in N s/m or N m s/rad.
-        target: set-point r of the joint coordinate, m or rad from the initial pose, or a function of time.
-        coordinate: which of the joint's coordinates, from 0.
+        target: set-point r of the joint coordinate, m or rad from the initial pose, a number or a function of
+            time.
+        coordinate: index of the driven joint coordinate, from 0.
         feedforward: u_0 in N or N m, a number or a function of time.
-        gravity_compensation: True adds the force that holds the coordinate at rest against gravity, springs
-            and wrenches, but not the wind. All such laws of a scene hold their coordinates together.
+        gravity_compensation: True adds the force that holds the mechanism at rest against gravity, springs
+            and wrenches, but not against wind. All laws of a scene with gravity compensation hold it
+            together.
 
     Raises:
-        MechanismError: naming the joint and the value at fault.
+        MechanismError: naming the joint and the invalid value.
 
     Examples:
         >>> law = PD("hinge", stiffness=10.0, damping=1.0, target=1.0)
@@ -197,19 +213,22 @@ class PD(DeclaredLaw):
 
 @dataclass(frozen=True)
 class StateFeedback(DeclaredLaw):
-    """u = u_0 - sum_j (K_pj (x_j - r_j) + K_dj (dx_j/dt - dr_j/dt)) over several joint coordinates.
+    """State feedback from several joint coordinates x_j to one driven coordinate.
+
+    The force is u = u_0 - sum_j (K_pj (x_j - r_j) + K_dj (dx_j/dt - dr_j/dt)).
 
     Attributes:
         joint: name of the driven joint.
-        gains: (K_pj, K_dj) of each coordinate that it reads, by the name of the joint, or by (name, number)
-            for another one than the joint's first; SI.
-        target: r of its own coordinate, m or rad from the initial pose, or a function of time for that.
-        coordinate: which of the joint's coordinates it drives, from 0.
+        gains: (K_pj, K_dj), SI units, of each coordinate that the law reads, by the name of its joint, or by
+            (name, index) for another coordinate than the first of a joint.
+        target: set-point r of the driven coordinate, m or rad from the initial pose, a number or a function
+            of time.
+        coordinate: index of the driven joint coordinate, from 0.
         feedforward: u_0 in N or N m, a number or a function of time.
-        targets: r_j of other coordinates, by the same names; 0 if not given.
+        targets: set-points r_j of the other coordinates, by the same names as `gains`; 0 if not given.
 
     Raises:
-        MechanismError: naming the joint and the value at fault.
+        MechanismError: naming the joint and the invalid value.
 
     Examples:
         >>> law = StateFeedback("rail", {"rail": (10.0, 2.0), "pole": (-50.0, -8.0)})
@@ -246,19 +265,25 @@ class StateFeedback(DeclaredLaw):
         object.__setattr__(self, "targets", targets)
 
     def _by_key(self, name: str, shape: tuple[int, ...]) -> dict[Key, Any]:
-        """Return an attribute by joint coordinates, checked."""
+        """Return an attribute whose keys are joint names as a mapping from joint coordinates, with checked
+        values.
+
+        Args:
+            name: name of the attribute, "gains" or "targets".
+            shape: shape of each value; () also allows functions of time.
+        """
         given: Any = getattr(self, name)
         given = {} if isinstance(given, tuple) and not given else given
         if not isinstance(given, Mapping):
             raise MechanismError(self.element, f"{name} is {quoted(given)}", "a mapping from names of joints")
-        found: dict[Key, Any] = {}
-        for place, value in given.items():
-            key = place if isinstance(place, tuple) and len(place) == 2 else (place, 0)
+        values: dict[Key, Any] = {}
+        for label, value in given.items():
+            key = label if isinstance(label, tuple) and len(label) == 2 else (label, 0)
             check_key(f"{name} of {self.element}", *key)
             if shape or not isinstance(value, TimeFunction):
                 value = finite_array(self.element, f"{name} of joint {quoted(key[0])}", value, shape).tolist()
-            found[key] = value
-        return found
+            values[key] = value
+        return values
 
     def check(self, mechanism: Mechanism) -> None:
         super().check(mechanism)
@@ -270,7 +295,7 @@ class StateFeedback(DeclaredLaw):
 
     @property
     def feedback(self) -> Mapping[Key, tuple[float, float]]:
-        gains: Any = self.gains  # names are keys by now
+        gains: Any = self.gains  # the constructor has replaced joint names by keys (name, index)
         return gains
 
     def references(self, time: Scalar) -> dict[Key, Reference]:
@@ -280,24 +305,25 @@ class StateFeedback(DeclaredLaw):
 
 @dataclass(frozen=True)
 class ComputedTorque(DeclaredLaw):
-    """Inverse dynamics for the acceleration d2r/dt2 - d (dx/dt - dr/dt) - k (x - r).
+    """Computed-torque control: inverse dynamics for the acceleration d2r/dt2 - d (dx/dt - dr/dt) - k (x - r).
 
-    All laws of computed torque of a scene act together: their forces cause the commanded accelerations in
-    the controller's model. The model has the poses and velocities, gravity, springs, dampers, wrenches,
-    rotors and prescribed motions, but neither the wind nor other control laws.
+    All computed-torque laws of a scene act together: their forces cause the commanded accelerations in the
+    controller's model of the mechanism. The model includes gravity, springs, dampers, wrenches, armatures and
+    prescribed motions, but neither wind nor other control laws.
 
     Attributes:
         joint: name of the driven joint.
-        stiffness: k in 1/s^2, the square of the angular frequency with which errors vanish.
-        damping: d in 1/s; 2 sqrt(k) is critical.
-        target: set-point r of the joint coordinate, m or rad from the initial pose, or a function of time.
-        coordinate: which of the joint's coordinates, from 0.
+        stiffness: k in 1/s^2, the square of the natural angular frequency of the control error.
+        damping: d in 1/s; 2 sqrt(k) is critical damping.
+        target: set-point r of the joint coordinate, m or rad from the initial pose, a number or a function of
+            time.
+        coordinate: index of the driven joint coordinate, from 0.
         feedforward: u_0 in N or N m, added to the force, a number or a function of time.
-        model: parameter values of the controller's model that differ from the scene, by name, such as
-            `{"panel.mass": 0.9}`; the same for all laws of computed torque of a scene.
+        model: values of parameters for which the controller's model differs from the scene, by parameter
+            name, such as `{"panel.mass": 0.9}`; the same for all computed-torque laws of a scene.
 
     Raises:
-        MechanismError: naming the joint and the value at fault.
+        MechanismError: naming the joint and the invalid value.
 
     Examples:
         >>> law = ComputedTorque("hinge", stiffness=100.0, damping=20.0, target=Sine(0.1, 2.0))
@@ -340,39 +366,59 @@ class ComputedTorque(DeclaredLaw):
         return (self.key,)
 
     def command(self, references: Mapping[Key, Reference], readings: Readings) -> Scalar:
-        """Compute the acceleration that it asks for, m/s^2 or rad/s^2."""
+        """Compute the commanded acceleration, m/s^2 or rad/s^2, from set-points and readings by joint
+        coordinate."""
         r, (x, x_rate) = references[self.key], readings[self.key][:2]
         return r.acceleration - self.damping * (x_rate - r.rate) - self.stiffness * (x - r.value)
 
 
 def commands(laws: Sequence[object], readings: Readings, time: float) -> list[float]:
-    """Compute the accelerations (m/s^2 or rad/s^2) that the laws of computed torque among others ask for."""
-    torque = (law for law in laws if isinstance(law, ComputedTorque))
-    return [float(law.command(law.references(time), readings)) for law in torque]
+    """Compute the commanded accelerations (m/s^2 or rad/s^2) of the computed-torque laws among other laws.
+
+    Args:
+        laws: control laws of a scene; other laws than `ComputedTorque` are skipped.
+        readings: measured coordinates and rates by joint coordinate.
+        time: s.
+    """
+    torque_laws = (law for law in laws if isinstance(law, ComputedTorque))
+    return [float(law.command(law.references(time), readings)) for law in torque_laws]
 
 
 def sensed(laws: Sequence[ControlLaw]) -> tuple[Key, ...]:
-    """List the joint coordinates that laws act on, in their order, then others that they read."""
-    own, others = [law.key for law in laws], [key for law in laws for key in law.reads]
-    return tuple(dict.fromkeys([*own, *others]))
+    """List the joint coordinates that a controller measures.
+
+    The coordinates on which laws act come first, in the order of the laws; other coordinates that laws read
+    follow.
+    """
+    driven, read = [law.key for law in laws], [key for law in laws for key in law.reads]
+    return tuple(dict.fromkeys([*driven, *read]))
 
 
 class DrivenLaws:
-    """The PD laws that depend on time among others, all sines at once, for engines that Python evaluates.
+    """Fast evaluation of the time-dependent part of all PD laws with a target or feedforward that depends on
+    time.
 
-    Without feedback, at x = 0 and dx/dt = 0, their force is w = u_0 + K_p r + K_d dr/dt.
+    Engines whose control laws are evaluated in Python (MuJoCo and Pinocchio) use it: the sines of all laws
+    are evaluated in one NumPy call. The time-dependent part of a PD law is its force at x = 0 and dx/dt = 0,
+    w = u_0 + K_p r + K_d dr/dt.
 
     Attributes:
-        places: (n,) numbers of these laws among all.
+        places: (n,) indices of the n time-dependent PD laws among all laws.
     """
 
     def __init__(self, laws: Sequence[object]) -> None:
+        """Sort the terms of all functions of time: sines, other functions, and laws that jump.
+
+        Args:
+            laws: all control laws of a scene.
+        """
         driven = [(k, law) for k, law in enumerate(laws) if isinstance(law, PD) and law.is_driven]
         self.places = np.array([k for k, _ in driven], dtype=int)
-        self._constant = np.zeros(len(driven))
+        self._constant = np.zeros(len(driven))  # constant part of w of each law
+        # (row of the law in w, gain of the value, gain of the rate, function)
         sines: list[tuple[int, float, float, Sine]] = []
         self._others: list[tuple[int, float, float, TimeFunction]] = []
-        self._jumping: list[tuple[int, int]] = []
+        self._jumping: list[tuple[int, int]] = []  # (row of the law in w, index of the law)
         for n, (k, law) in enumerate(driven):
             if law.jumps:
                 self._jumping.append((n, k))
@@ -389,23 +435,29 @@ class DrivenLaws:
                         sines.append((n, gain, rate_gain, term))
                     else:
                         self._others.append((n, gain, rate_gain, term))
-        # a law's share of each sine, and of each cosine, which is of the sine's rate
-        self._of_sine, self._of_cosine = np.zeros((2, len(driven), len(sines)))
+
+        # Factors of each sine in w, and of each cosine, which comes from the rate of the sine
+        self._sine_factors, self._cosine_factors = np.zeros((2, len(driven), len(sines)))
         for column, (n, gain, rate_gain, sine) in enumerate(sines):
             self._constant[n] += gain * sine.offset
-            self._of_sine[n, column] = gain * sine.amplitude
-            self._of_cosine[n, column] = rate_gain * sine.amplitude * sine.angular_frequency
+            self._sine_factors[n, column] = gain * sine.amplitude
+            self._cosine_factors[n, column] = rate_gain * sine.amplitude * sine.angular_frequency
         self._frequency = np.array([sine.angular_frequency for *_, sine in sines])
         self._phase = np.array([sine.phase for *_, sine in sines])
 
     def at(self, laws: Sequence[object], time: float) -> Array:
-        """Compute w (n,), N or N m, at a time in s, by laws whose functions are held between their jumps."""
+        """Compute the time-dependent part w (n,), N or N m, of the laws `places` at a time in s.
+
+        Args:
+            laws: all control laws of the scene; functions that jump are replaced by their present pieces.
+            time: s.
+        """
         angle = self._frequency * time + self._phase
-        found = self._constant + self._of_sine @ np.sin(angle) + self._of_cosine @ np.cos(angle)
-        for n, k_p, k_d, function in self._others:
-            found[n] += k_p * function.value(time) + k_d * function.rate(time)
+        w = self._constant + self._sine_factors @ np.sin(angle) + self._cosine_factors @ np.cos(angle)
+        for n, gain, rate_gain, function in self._others:
+            w[n] += gain * function.value(time) + rate_gain * function.rate(time)
         for n, k in self._jumping:
             law = laws[k]
             assert isinstance(law, PD)
-            found[n] = law.force(0.0, 0.0, time)
-        return np.asarray(found)
+            w[n] = law.force(0.0, 0.0, time)
+        return np.asarray(w)

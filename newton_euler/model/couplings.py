@@ -2,7 +2,8 @@
 
 Each coupling is one constraint equation: a sum of polynomials of joint coordinates is zero. The constructor
 of `Mechanism` takes couplings besides bodies and joints, and `newton_euler.equations.couplings` evaluates
-them."""
+them.
+"""
 
 from __future__ import annotations
 

@@ -3,7 +3,8 @@
 `Sampled` calls a Python function of the user. `Digital` executes a declared law, such as `PD`, as an embedded
 computer does: with a sampling period, delay, encoder resolution, and limits of force, slew rate and
 set-point. A run creates the controllers of all laws with `HeldLaw.controller_of` and calls them once a
-period."""
+period.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +43,8 @@ Controller = Callable[[float, Floats, Floats], float]
 """Function of time (s), coordinates (a,) in m or rad, and their rates (a,), that returns a force, N or N m.
 
 The coordinates on which the control laws of the scene act come first, in the order of the laws. Other
-coordinates that laws read follow."""
+coordinates that laws read follow.
+"""
 
 
 Model = Callable[[Readings, Sequence[float], float], Mapping[Key, float]]
@@ -50,7 +52,8 @@ Model = Callable[[Readings, Sequence[float], float], Mapping[Key, float]]
 torque.
 
 Its arguments are the readings of joint coordinates, the commanded accelerations of all `ComputedTorque` laws
-in the order of the laws, and the time in s. It returns the forces by joint coordinate."""
+in the order of the laws, and the time in s. It returns the forces by joint coordinate.
+"""
 
 
 MIN_PERIOD = 1e-6

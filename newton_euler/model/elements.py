@@ -3,7 +3,8 @@ motions.
 
 There is one base class for each place where an element can act: a joint coordinate (`OnCoordinate`), the ball
 of a joint (`OnBall`) or points of bodies (`OnBodies`). `AppliedForce` is the base class of forces and control
-laws; its methods compute wrenches, energy and power from the state, which they take as `Surroundings`."""
+laws; its methods compute wrenches, energy and power from the state, which they take as `Surroundings`.
+"""
 
 from __future__ import annotations
 
@@ -104,7 +105,8 @@ class Element(Variable):
         effect.
 
         A spring with a damper returns {"spring": ("stiffness",), "damper": ("damping",)}; see
-        `NumberField.strength`."""
+        `NumberField.strength`.
+        """
         kinds = dict.fromkeys(field.strength for field in self.number_fields.values() if field.strength)
         return {
             kind: tuple(name for name, field in self.number_fields.items() if field.strength == kind)

@@ -1,9 +1,11 @@
-"""Forces: springs and dampers at joints and between points, constant wrenches, and inertias of rotors.
+"""Force elements: springs and dampers at joints and between points, constant wrenches, and rotor inertias
+(armatures).
 
-Points are given in the world at the initial pose, as for joints, and move with their bodies. Each kind of
-force computes its wrenches on bodies, its energy and its power over generic scalars. The source of springs
-between two points is Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, chapter 9.
-`newton_euler.equations.applied_forces` sums the forces of a scene.
+Points are given in the world at the initial pose, like those of joints, and move with their bodies. Each kind
+of force computes its wrenches on bodies, its energy and its power from the state (`Surroundings`). The
+numbers may be floats or generic scalars such as expressions of the code generator (`newton_euler.scalars`).
+`newton_euler.equations.applied_forces` sums the forces of a scene. Source of springs between points:
+Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, chapter 9.
 """
 
 from __future__ import annotations
@@ -38,46 +40,48 @@ from newton_euler.model.mechanism import Mechanism, check_name
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array, Scalar, cross, sqrt
 
-SPRING = NumberField("N/m", "N m/rad", least=0.0, strength="spring")
-DAMPER = NumberField("N s/m", "N m s/rad", least=0.0, strength="damper")
-ROTOR = NumberField("kg", "kg m^2", positive=True, strength="rotor")
+STIFFNESS = NumberField("N/m", "N m/rad", least=0.0, strength="spring")
+DAMPING = NumberField("N s/m", "N m s/rad", least=0.0, strength="damper")
+ROTOR_INERTIA = NumberField("kg", "kg m^2", positive=True, strength="rotor")
 
 
 class Spring(AppliedForce):
-    """A spring with a damper beside it.
+    """Base class of a spring and a damper in parallel.
 
     Attributes:
-        stiffness: of the spring, N/m or N m/rad.
-        damping: of the damper, N s/m or N m s/rad.
+        stiffness: stiffness of the spring, N/m or N m/rad.
+        damping: damping coefficient of the damper, N s/m or N m s/rad.
     """
 
     stiffness: float
     damping: float
 
     noun = "spring"
-    number_fields: ClassVar = {"stiffness": SPRING, "damping": DAMPER}
+    number_fields: ClassVar = {"stiffness": STIFFNESS, "damping": DAMPING}
 
     @property
     def active_parts(self) -> list[str]:
-        """The parts of nonzero strength: "spring", "damper", or both."""
+        """The parts that are present: "spring" if the stiffness is not 0, "damper" if the damping is not
+        0."""
         return [part for part, (name,) in self.strengths.items() if getattr(self, name)]
 
 
 @dataclass(frozen=True)
 class JointSpring(CoordinateForce, Spring):
-    """A spring and damper on a joint's hinge or slide: -(k (x - rest) + d dx/dt), N or N m.
+    """A spring and damper on a hinge or slide of a joint.
 
-    The joint need not be actuated. Damping without stiffness is viscous friction.
+    The force on the joint coordinate x is -(k (x - rest) + d dx/dt), N or N m. The joint need not be
+    actuated. Damping without stiffness is viscous friction.
 
     Attributes:
         joint: name of the joint.
         stiffness: k in N/m or N m/rad, 0 or more.
         damping: d in N s/m or N m s/rad, 0 or more.
         rest: joint coordinate at which the spring force is zero, m or rad from the initial pose.
-        coordinate: which of the joint's coordinates, from 0.
+        coordinate: index of the joint coordinate, from 0.
 
     Raises:
-        MechanismError: naming the joint and the value at fault.
+        MechanismError: naming the joint and the invalid value.
 
     Examples:
         >>> JointSpring("hinge", damping=0.1)  # viscous friction
@@ -116,21 +120,22 @@ class JointSpring(CoordinateForce, Spring):
 
 @description
 class BallSpring(OnBall, Spring):
-    """A torsion spring and damper on a joint's ball, the same about all axes: -(k theta + d omega), N m.
+    """An isotropic torsion spring and damper on the ball of a joint.
 
-    theta is the rotation vector of the second body against the first, from the orientation of rest; omega is
-    the relative angular velocity. The torque acts on the second body, and the opposite torque on the first.
-    |theta| is at most half a revolution, where the torque of the spring jumps to the opposite direction.
+    The torque on the second body is -(k theta + d omega), N m; the opposite torque acts on the first body.
+    theta is the rotation vector (axis times angle) of the second body relative to the first, counted from the
+    orientation at rest. omega is the relative angular velocity. |theta| is at most half a revolution; there
+    the torque of the spring jumps to the opposite direction.
 
     Attributes:
         joint: name of the joint.
         stiffness: k in N m/rad, 0 or more.
         damping: d in N m s/rad, 0 or more.
-        rest: (3,) rotation vector of the second body against the first where the spring rests, rad from
-            the initial pose, in the world's axes there.
+        rest: (3,) rotation vector of the second body relative to the first where the spring torque is zero,
+            rad from the initial pose, with world components at the initial pose.
 
     Raises:
-        MechanismError: naming the joint and the value at fault.
+        MechanismError: naming the joint and the invalid value.
 
     Examples:
         >>> BallSpring("shoulder", stiffness=5.0, damping=0.1).stiffness
@@ -156,7 +161,8 @@ class BallSpring(OnBall, Spring):
         return replace(self, rest=balls.rotation_vector(rest))
 
     def theta(self, at: Surroundings) -> Array:
-        """Compute the rotation vector theta (3,), rad, world frame."""
+        """Compute the rotation vector theta (3,), rad, of the second body from the rest orientation, world
+        frame."""
         i, j = balls.ends(at.mechanism, self.joint)
         return balls.rotation_from_rest(at.poses[i], at.poses[j], self.rest, (at.frames[i], at.frames[j]))
 
@@ -166,7 +172,8 @@ class BallSpring(OnBall, Spring):
         return -(self.stiffness * theta + self.damping * omega)
 
     def reversing(self, at: Surroundings) -> Array:
-        """Compute the quaternion (4,) of theta, whose sign changes at half a revolution."""
+        """Compute the quaternion (4,) of theta, which reverses its sign where theta jumps; zeros without a
+        spring."""
         return np.zeros(4) if self.stiffness == 0.0 else balls.quaternion_by(self.theta(at))
 
     def wrenches(self, at: Surroundings) -> Iterator[tuple[int, Array]]:
@@ -189,33 +196,39 @@ class BallSpring(OnBall, Spring):
 
 
 class Line(NamedTuple):
-    """The two points of a spring at a state; world frame."""
+    """The line between the two points of a point spring at a state, world frame."""
 
     first: int
+    """Index of the first body."""
     second: int
+    """Index of the second body."""
     s_i: Array
     """(3,) from the first body's center of mass to its point, m."""
     s_j: Array
+    """(3,) from the second body's center of mass to its point, m."""
     d: Array
-    """(3,) from the first point to the second, m."""
+    """(3,) from the first body's point to the second body's point, m."""
     rate: Array
-    """(3,) of d, m/s."""
+    """(3,) rate of d, m/s."""
 
 
 @description
 class PointSpring(OnBodies, Spring):
-    """A spring and damper between points of two bodies; tension k (l - l0) + d dl/dt along their line.
+    """A spring and damper between points of two bodies.
+
+    The tension along the line between the points is k (l - l0) + d dl/dt, where l is the distance of the
+    points.
 
     Attributes:
         name: unique among the forces of a scene; letters, digits, `_`, `.` and `-`.
         first, second: names of the two bodies.
-        point_on_first, point_on_second: (3,) in the world at the initial pose, m.
+        point_on_first, point_on_second: (3,) point of each body, m, world at the initial pose.
         stiffness: k in N/m, 0 or more.
         rest_length: l0 in m, 0 or more.
         damping: d in N s/m, 0 or more.
 
     Raises:
-        MechanismError: naming the spring and the value at fault.
+        MechanismError: naming the spring and the invalid value.
 
     Examples:
         >>> ends = [0.0, 0.0, 1.0], [0.0, 0.0, 0.2]
@@ -238,9 +251,9 @@ class PointSpring(OnBodies, Spring):
     number_fields: ClassVar = {
         "point_on_first": POINT,
         "point_on_second": POINT,
-        "stiffness": SPRING,
+        "stiffness": STIFFNESS,
         "rest_length": NumberField("m", least=0.0),
-        "damping": DAMPER,
+        "damping": DAMPING,
     }
     body_fields = ("first", "second")
     may_jump = True
@@ -251,7 +264,7 @@ class PointSpring(OnBodies, Spring):
         self.set_numbers(self.element)
 
     def check(self, mechanism: Mechanism) -> None:
-        """Raise `MechanismError` unless the mechanism has its two bodies."""
+        """Raise `MechanismError` unless the mechanism has both bodies of the spring and they differ."""
         super().check(mechanism)
         if self.first == self.second:
             raise MechanismError(self.element, f"connects {quoted(self.first)} to itself", "two bodies")
@@ -263,11 +276,15 @@ class PointSpring(OnBodies, Spring):
 
     @property
     def has_direction(self) -> bool:
-        """True if the force needs the direction of the line; without rest length and damping it does not."""
+        """True if the force depends on the direction of the line, so that the points must not coincide.
+
+        Without rest length and damping the force is k d, which is smooth where the vector d between the
+        points is 0.
+        """
         return not (self.rest_length == 0.0 and self.damping == 0.0)
 
     def line(self, at: Surroundings) -> Line:
-        """Compute the two points of the spring."""
+        """Compute the line between the two points of the spring."""
         poses, frames = at.poses, at.frames
         i, j = at.mechanism.body_index(self.first), at.mechanism.body_index(self.second)
         on_first = poses[i].point_to_body(self.point_on_first)
@@ -276,7 +293,8 @@ class PointSpring(OnBodies, Spring):
         return Line(i, j, *span, span.rate(frames[i], frames[j]))
 
     def pull(self, line: Line) -> Array:
-        """Compute the force (3,), N, on the first body's point; the opposite acts on the second's."""
+        """Compute the force (3,), N, on the first body's point, world frame; the second body's point has the
+        opposite."""
         if not self.has_direction:
             return np.asarray(self.stiffness * line.d)
         length = sqrt(line.d @ line.d)
@@ -288,7 +306,11 @@ class PointSpring(OnBodies, Spring):
         return (self.line(at).d,) if self.has_direction else ()
 
     def reversing(self, at: Surroundings) -> Array:
-        """Compute the line (3,), m, along which the spring pushes; a damper does not jump."""
+        """Compute the vector (3,), m, between the points, which reverses where the points pass through each
+        other.
+
+        It is zero for an element whose force does not jump there: a damper, or a spring without rest length.
+        """
         return np.zeros(3) if self.stiffness == 0.0 or self.rest_length == 0.0 else self.line(at).d
 
     def wrenches(self, at: Surroundings) -> Iterator[tuple[int, Array]]:
@@ -299,7 +321,7 @@ class PointSpring(OnBodies, Spring):
 
     def energy(self, at: Surroundings) -> Scalar:
         d = self.line(at).d
-        if self.rest_length == 0.0:  # a length has no derivative where it is 0
+        if self.rest_length == 0.0:  # without a square root, which has no derivative at 0
             return 0.5 * self.stiffness * (d @ d)
         stretch = sqrt(d @ d) - self.rest_length
         return 0.5 * self.stiffness * (stretch * stretch)
@@ -317,18 +339,18 @@ class PointSpring(OnBodies, Spring):
 
 @description
 class Wrench(OnPoint):
-    """A constant force at a point of a body and a constant torque, constant in the world or the body.
+    """A force at a point of a body and a torque on it, constant in the world frame or in the body frame.
 
     Attributes:
         name: unique among the forces of a scene; letters, digits, `_`, `.` and `-`.
         body: name of the body, not the ground.
-        point: (3,) in the world at the initial pose, m; the point moves with the body.
+        point: (3,) m, world at the initial pose; the point moves with the body.
         force: (3,) N, world components at the initial pose.
         torque: (3,) N m, world components at the initial pose.
-        frame: "world", or "body" for a force and a torque that turn with the body.
+        frame: "world", or "body" for a force and a torque that rotate with the body.
 
     Raises:
-        MechanismError: naming the wrench and the value at fault.
+        MechanismError: naming the wrench and the invalid value.
 
     Examples:
         >>> wind = Wrench("wind", "rod", point=[0.0, 0.0, -1.0], force=[2.0, 0.0, 0.0])
@@ -375,24 +397,25 @@ class Wrench(OnPoint):
 
 
 Force = JointSpring | BallSpring | PointSpring | Wrench | WindLoad
+"""Every kind of force in `Scene.forces`."""
 
 
 @dataclass(frozen=True)
 class Armature(OnCoordinate):
-    """The inertia of a rotor that a joint coordinate turns through a gear, reflected to the joint.
+    """Rotor inertia of a geared motor, reflected to a joint coordinate (called armature in MuJoCo).
 
-    The armature adds the generalized force -a d2x/dt2 on a joint's hinge or slide x, and the kinetic energy
-    1/2 a (dx/dt)^2: a on the diagonal of the mass matrix in joint coordinates. The rotor is no body of the
-    mechanism. Only its spin about its axis is modeled, which dominates at a large gear ratio (Featherstone,
-    Rigid Body Dynamics Algorithms, 2008, chapter 9, on gears).
+    The armature adds a to the diagonal of the mass matrix in joint coordinates: the generalized force -a
+    d2x/dt2 on the hinge or slide x, and the kinetic energy 1/2 a (dx/dt)^2. The rotor is not a body of the
+    mechanism. Only the spin of the rotor about its axis is modeled, which dominates for large gear ratios
+    (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 9, on gears).
 
     Attributes:
         joint: name of the joint.
-        inertia: a in kg m^2 or kg, positive.
-        coordinate: which of the joint's coordinates, from 0.
+        inertia: a in kg m^2 at a hinge, kg at a slide, positive.
+        coordinate: index of the joint coordinate, from 0.
 
     Raises:
-        MechanismError: naming the joint and the value at fault.
+        MechanismError: naming the joint and the invalid value.
 
     Examples:
         >>> Armature("hinge", inertia=0.02).key
@@ -404,7 +427,7 @@ class Armature(OnCoordinate):
     coordinate: int = 0
 
     noun = "armature"
-    number_fields: ClassVar = {"inertia": ROTOR}
+    number_fields: ClassVar = {"inertia": ROTOR_INERTIA}
     kind_of_parameters = ".rotor"
 
     def __post_init__(self) -> None:
@@ -412,7 +435,7 @@ class Armature(OnCoordinate):
         check_key(self.element, self.joint, self.coordinate)
 
     def at_joint(self, at: Surroundings) -> Scalar:
-        """Compute the momentum, kg m/s or kg m^2/s."""
+        """Compute the momentum of the rotor, kg m/s or kg m^2/s."""
         return self.inertia * self.measure(at)[1]
 
     def energy(self, at: Surroundings) -> Scalar:
@@ -424,17 +447,18 @@ class Armature(OnCoordinate):
 
 @dataclass(frozen=True)
 class BallArmature(OnBall):
-    """A rotor inertia on a joint's ball, the same about all axes: kinetic energy 1/2 a |omega|^2.
+    """Isotropic rotor inertia on the ball of a joint, with the kinetic energy 1/2 a |omega|^2.
 
-    omega is the angular velocity of the joint's second body against the first. The torque on the second
-    body is -a times the rate of omega as either body sees it, alpha_2 - alpha_1 + omega_2 x omega_1.
+    omega is the angular velocity of the joint's second body relative to the first body. The torque on the
+    second body is -a (alpha_2 - alpha_1 + omega_2 x omega_1), where alpha is the angular acceleration of a
+    body: -a times the rate of omega as seen from either body.
 
     Attributes:
         joint: name of the joint.
         inertia: a in kg m^2, positive.
 
     Raises:
-        MechanismError: naming the joint and the value at fault.
+        MechanismError: naming the joint and the invalid value.
 
     Examples:
         >>> BallArmature("shoulder", inertia=0.02).inertia
@@ -445,7 +469,7 @@ class BallArmature(OnBall):
     inertia: float
 
     noun = "armature"
-    number_fields: ClassVar = {"inertia": ROTOR}
+    number_fields: ClassVar = {"inertia": ROTOR_INERTIA}
     kind_of_parameters = ".rotor"
 
     def __post_init__(self) -> None:
@@ -453,7 +477,8 @@ class BallArmature(OnBall):
         check_texts(self.element, self, "joint")
 
     def at_joint(self, at: Surroundings) -> Array:
-        """Compute the momentum (3,), kg m^2/s, of what turns with the second body, world frame."""
+        """Compute the angular momentum (3,) of the rotor, kg m^2/s, in the sense of the second body, world
+        frame."""
         return np.asarray(self.inertia * self.spin(at))
 
     def energy(self, at: Surroundings) -> Scalar:

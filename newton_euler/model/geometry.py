@@ -3,7 +3,8 @@
 Viewers draw the shapes, and exported model files contain them. A shape determines the mass and inertia of a
 body only if the body is constructed by `Body.solid`. All coordinates are in m, world frame, at the
 mechanism's initial pose. Moments of inertia of homogeneous solids are those of Meriam and Kraige, Engineering
-Mechanics: Dynamics, table D/4."""
+Mechanics: Dynamics, table D/4.
+"""
 
 from __future__ import annotations
 

@@ -312,7 +312,8 @@ class RowSlide(RowDisplacement):
     With two hinges, the bodies cannot rotate relative to each other about a_1 x a_2. The Jacobian of
     `RowDisplacement` may have a component along this axis, which does not change the rate of the coordinate.
     This class removes the component, so that a force on the coordinate causes no torque that the hinges would
-    have to carry."""
+    have to carry.
+    """
 
     def _blocked_part(self, first: Frame, second: Frame) -> Array:
         """Compute the component (3,) of the rotational Jacobian along a_1 x a_2, due to the offset of two

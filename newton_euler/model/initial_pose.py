@@ -4,7 +4,8 @@ A scene gives all points and axes in the world frame at the mechanism's initial 
 coordinates are zero. `described_at` returns an equivalent scene whose initial pose is another closed pose of
 the mechanism: points and axes move with their bodies, and targets, motions and rest values of joint
 coordinates are counted from the new zeros. `newton_euler.runs.variation` uses it for dimensions that change
-the pose."""
+the pose.
+"""
 
 from __future__ import annotations
 

@@ -7,7 +7,8 @@ balls) that the joint allows. Spanning trees, MJCF files and URDF files are buil
 
 Joint coordinates measure the motion of the second body relative to the first body and are zero at the initial
 pose. Equation numbers are those of S. Srang, S. Ath and M. Yamakita, Advances in Science, Technology and
-Engineering Systems Journal 5(5), 2020, doi:10.25046/aj050587, Appendix A."""
+Engineering Systems Journal 5(5), 2020, doi:10.25046/aj050587, Appendix A.
+"""
 
 from __future__ import annotations
 
@@ -300,7 +301,8 @@ class Joint(Variable):
         """Point (3,), m, of each of `motions`, world at the initial pose.
 
         It is a point on the axis of a hinge, the center of a ball, or the point at which a slide's force
-        acts."""
+        acts.
+        """
         return (self.reaction_point,) * len(self.motions)
 
     @property
@@ -353,7 +355,8 @@ class Joint(Variable):
 
         The cross product s_i x s_j must vanish. Its component along s_i is always zero; the other two
         components are -w . s_j and u . s_j, where (u, w) is the pair of vectors of the first body
-        perpendicular to the axis."""
+        perpendicular to the axis.
+        """
         s_j = second.vector_to_body(axis)
         return tuple(Perpendicular(first.vector_to_body(a), s_j) for a in pair)
 
@@ -362,7 +365,8 @@ class Joint(Variable):
         body.
 
         The vector between the joint points has no component along the pair of vectors perpendicular to the
-        axis."""
+        axis.
+        """
         return tuple(self._displacement(a, 0.0, first, second) for a in pair)
 
     def _aligned(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
@@ -434,7 +438,8 @@ class AxisJoint(Joint):
         """Copy the joint with other, unchecked numbers, see `Joint.varied`.
 
         If the axis varies, the vector between the joint points turns with it, so that the second body's point
-        stays on the axis, or in the plane, of the first body."""
+        stays on the axis, or in the plane, of the first body.
+        """
         changed, span = super().varied(values), self.span
         if "axis" in values and np.any(span):
             turned = self._turned(changed, span)

@@ -4,7 +4,8 @@ The base classes are in `newton_euler.model.joint`, compound joints in `compound
 Equation numbers in docstrings are those of Appendix A of S. Srang, S. Ath and M. Yamakita, Advances in
 Science, Technology and Engineering Systems Journal 5(5), 2020, doi:10.25046/aj050587. "Five equations" means
 that the joint removes five of the six relative degrees of freedom. The mapping `JOINT_KINDS` has all classes
-by the names that scene files use."""
+by the names that scene files use.
+"""
 
 from __future__ import annotations
 

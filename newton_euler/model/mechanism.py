@@ -1,7 +1,8 @@
-"""Body and Mechanism: the one description that every engine's model is built from.
+"""Body and Mechanism: the description of a multibody system from which every engine's model is built.
 
-Everything is given in the world frame at one initial pose, in SI units. The frame of a body has
-its origin at the center of mass, as in the paper, and the orientation `Body.quaternion`.
+Everything is given in SI units in the world frame at one pose of the mechanism, the initial pose. The frame
+of a body has its origin at the center of mass and the orientation `Body.quaternion`. The constructor of
+`Mechanism` checks names, inertias and connections, and that all joints are closed at the initial pose.
 """
 
 from __future__ import annotations
@@ -35,22 +36,32 @@ from newton_euler.model.joint import Joint, JointEquations, Key, Pose
 from newton_euler.model.variable import Change, Variable
 from newton_euler.scalars import Array, Scalar, sqrt
 
-CLOSURE_TOLERANCE = 1e-9  # how far (meters or radians) a joint may be open at an initial pose
-LEAST = 1e-150  # kg and kg m^2, so that products with squares of lengths keep their digits
-REALISABLE_TOLERANCE = 1e-12  # relative slack of A + B >= C, for the round-off of an eigenvalue
-LOOKS = "what bodies look like, and moves nothing"
+CLOSURE_TOLERANCE = 1e-9
+"""Largest constraint violation of a joint at the initial pose, m or rad: round-off of the numbers of a
+description."""
+
+MIN_INERTIA = 1e-150
+"""Smallest mass, kg, and principal moment of inertia, kg m^2; products of smaller numbers with squares of
+lengths would lose digits to underflow."""
+
+REALISABLE_TOLERANCE = 1e-12
+"""Relative tolerance of the triangle inequality A + B >= C of principal moments: round-off of eigenvalues."""
+
+APPEARANCE = "what bodies look like, and moves nothing"
+"""Reason, for error messages, why shapes and meshes cannot vary from run to run."""
 
 _NAME = re.compile(r"[A-Za-z0-9_.\-]+")
 
 
 def spread(points: Sequence[Array]) -> float:
-    """Compute the largest distance of points (3,) from their mean, m; 1 if they are one."""
+    """Compute the largest distance, m, of points (3,) from their mean; 1 if all points coincide."""
     found = float(np.max(np.linalg.norm(np.array(points) - np.mean(points, axis=0), axis=1)))
     return found if found > 0.0 else 1.0
 
 
 def check_name(what: str, name: object) -> None:
-    """Raise `MechanismError` for a name that files and reports cannot use."""
+    """Raise `MechanismError` for a name that files and reports cannot use; `what` is the kind of the named
+    element."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise MechanismError(
             f"{what} {quoted(name)}", "has an unusable name", "letters, digits, _, . and - only"
@@ -58,7 +69,13 @@ def check_name(what: str, name: object) -> None:
 
 
 def check_coordinate(element: str, joint: Joint, coordinate: int) -> None:
-    """Raise `MechanismError` unless the joint has that hinge or slide."""
+    """Raise `MechanismError` unless a joint has a coordinate (hinge or slide) of this index.
+
+    Args:
+        element: name of the element that acts on the coordinate, for the message.
+        joint: the joint.
+        coordinate: index of the coordinate, from 0.
+    """
     count = len(joint.coordinate_kinds)
     if not 0 <= coordinate < count:
         needed = f"an index below {count}" if count else "a joint with a hinge or a slide"
@@ -72,13 +89,14 @@ class Body(Variable):
     Attributes:
         name: unique in its mechanism; letters, digits, `_`, `.` and `-`.
         mass: kg.
-        center_of_mass: (3,) r, world at the initial pose, m.
-        inertia: (3, 3) J' about the center of mass in the body frame, kg m^2.
-        quaternion: (4,) p, w-x-y-z, orientation of the body frame at the initial pose.
-        shapes: what it looks like; bars from the center of mass to the joints if empty.
-        allow_unrealisable_inertia: accept principal moments that break A + B >= C, which no mass
-            distribution has, so that a published table can be run as printed.
-        meshes: what it looks like in more detail, for viewers; model files get the shapes.
+        center_of_mass: (3,) m, world at the initial pose.
+        inertia: (3, 3) inertia tensor about the center of mass, kg m^2, body frame.
+        quaternion: (4,) orientation of the body frame at the initial pose, (w, x, y, z).
+        shapes: simple shapes that viewers draw and model files contain; if empty, bars from the center of
+            mass to the joints.
+        allow_unrealisable_inertia: True accepts principal moments with A + B < C, which no mass distribution
+            has. A published table with such values can then be simulated as printed.
+        meshes: detailed surfaces for viewers; exported model files contain the shapes instead.
 
     Examples:
         >>> rod = Body("rod", 1.0, [0.5, 0.0, 0.0], np.diag([0.001, 0.1, 0.1]))
@@ -101,7 +119,7 @@ class Body(Variable):
         "inertia": NumberField("kg m^2", shape=(3, 3), allowed="inertia"),
         "quaternion": NumberField(shape=(4,), allowed="direction", moves_loops=True),
     }
-    constant: ClassVar = {"shapes": LOOKS, "meshes": LOOKS}
+    constant: ClassVar = {"shapes": APPEARANCE, "meshes": APPEARANCE}
 
     def __post_init__(self) -> None:
         check_name("body", self.name)
@@ -115,25 +133,31 @@ class Body(Variable):
     def ground(
         cls, name: str = "ground", shapes: tuple[Shape, ...] = (), meshes: tuple[Mesh, ...] = ()
     ) -> Body:
-        """The fixed body of a mechanism: the world frame itself. Its mass counts for nothing."""
+        """Return the fixed body of a mechanism, whose frame is the world frame; its mass has no effect.
+
+        Args:
+            name: name of the body.
+            shapes, meshes: appearance in viewers, world frame.
+        """
         return cls(name, 0.0, np.zeros(3), np.zeros((3, 3)), shapes=shapes, meshes=meshes)
 
     @classmethod
     def solid(
         cls, name: str, *solids: Solid, density: float | None = None, mass: float | None = None
     ) -> Body:
-        """Make a body of homogeneous solids, which are also what it looks like.
+        """Return a body that consists of homogeneous solids, which are also its appearance.
 
-        What several of them have in common counts as often. The body frame is parallel to the world.
+        A region where solids overlap counts once for each of them. The body frame is parallel to the world at
+        the initial pose.
 
         Args:
-            name: of the body.
-            solids: boxes, spheres, cylinders, capsules and closed meshes, in the world at the initial pose.
-            density: kg/m^3; or
-            mass: kg, of all of them together, of one density.
+            name: name of the body.
+            solids: boxes, spheres, cylinders, capsules and closed meshes, world frame at the initial pose.
+            density: density of all solids, kg/m^3; give either density or mass.
+            mass: mass of all solids together, kg, which have the same density.
 
         Raises:
-            MechanismError: naming the body, and the shape at fault.
+            MechanismError: naming the body and the invalid shape or value.
 
         Examples:
             >>> link = Cylinder([0.0, 0.0, 0.0], [0.5, 0.0, 0.0], radius=0.01)
@@ -163,10 +187,12 @@ class Body(Variable):
         )
 
     def check(self) -> None:
-        """Raise `MechanismError` unless a moving rigid body can have these values."""
+        """Raise `MechanismError` unless mass and inertia are those of a rigid body: positive, symmetric,
+        realisable."""
         where = f"body {quoted(self.name)}"
-        if self.mass < LEAST:
-            raise MechanismError(where, f"mass is {self.mass:g} kg", f"a positive mass, {LEAST:g} kg or more")
+        if self.mass < MIN_INERTIA:
+            needed = f"a positive mass, {MIN_INERTIA:g} kg or more"
+            raise MechanismError(where, f"mass is {self.mass:g} kg", needed)
         scale = float(np.max(np.abs(self.inertia)))
         asymmetry = float(np.max(np.abs(self.inertia - self.inertia.T)))
         if asymmetry > 1e-12 * scale:
@@ -175,8 +201,8 @@ class Body(Variable):
             )
         a, b, c = (float(x) for x in np.linalg.eigvalsh(self.inertia))
         moments = f"principal moments are {a:.6g}, {b:.6g}, {c:.6g} kg m^2"
-        if a < LEAST:
-            needed = f"a positive definite inertia, of {LEAST:g} kg m^2 or more"
+        if a < MIN_INERTIA:
+            needed = f"a positive definite inertia, of {MIN_INERTIA:g} kg m^2 or more"
             raise MechanismError(where, moments, needed)
         if a + b < c * (1.0 - REALISABLE_TOLERANCE) and not self.allow_unrealisable_inertia:
             raise MechanismError(
@@ -193,9 +219,9 @@ class Body(Variable):
         return fields
 
     def rebuilt(self, values: Mapping[str, Any]) -> Self:
-        made = super().rebuilt(values)
-        made.check()
-        return made
+        rebuilt = super().rebuilt(values)
+        rebuilt.check()
+        return rebuilt
 
     @property
     def pose(self) -> Pose:
@@ -204,12 +230,17 @@ class Body(Variable):
 
 
 class Mechanism:
-    """Bodies and the joints between them; validated on construction.
+    """Bodies, the joints between them, and couplings of joint coordinates; checked on construction and then
+    immutable.
 
     Attributes:
-        bodies: `bodies[0]` is the ground; it never moves.
-        joints: in the order in which constraint rows and reactions are listed.
-        couplings: gears between joint coordinates, and sums of several that stay 0.
+        bodies: `bodies[0]` is the ground, which never moves.
+        joints: joints in the order of constraint equations and reactions.
+        couplings: gears and other equations between joint coordinates.
+        DEFINED_BY: names of the attributes that define a mechanism; everything else follows from them.
+
+    Raises:
+        MechanismError: naming the body, joint or coupling that is invalid.
 
     Examples:
         >>> rod = Body("rod", 1.0, [0.5, 0.0, 0.0], np.diag([0.001, 0.1, 0.1]))
@@ -220,7 +251,7 @@ class Mechanism:
 
     DEFINED_BY = ("bodies", "joints", "couplings")
 
-    @np.errstate(all="ignore")  # what overflows is refused
+    @np.errstate(all="ignore")  # numbers that overflow are refused
     def __init__(
         self, bodies: Iterable[Body], joints: Iterable[Joint], couplings: Iterable[JointCoupling] = ()
     ) -> None:
@@ -231,6 +262,8 @@ class Mechanism:
             raise MechanismError(
                 "mechanism", f"has {len(self.bodies)} bodies", "the ground and at least one more"
             )
+
+        # Names are valid and unique
         for joint in self.joints:
             check_name("joint", joint.name)
         for coupling in self.couplings:
@@ -239,6 +272,8 @@ class Mechanism:
             for name, count in Counter(element.name for element in named).items():
                 if count > 1:
                     raise MechanismError(f"{what} {quoted(name)}", f"{count} of that name", "unique names")
+
+        # Bodies have unit quaternions, and moving bodies valid inertias; joints and couplings are valid
         for body in self.bodies:
             norm = float(np.linalg.norm(body.quaternion))
             if abs(norm - 1.0) > UNIT_TOLERANCE:
@@ -254,7 +289,7 @@ class Mechanism:
         self._check_couplings()
 
     def __setattr__(self, name: str, value: object) -> None:
-        """Once only: what is worked out of a mechanism is kept."""
+        """Allow an attribute to be set only once, because cached results depend on the attributes."""
         if name in self.__dict__:
             raise AttributeError(f"{name} of a mechanism cannot be changed; make another mechanism")
         super().__setattr__(name, value)
@@ -265,6 +300,7 @@ class Mechanism:
         return f"<Mechanism: bodies: {len(self.bodies)}; joints: {joints}; couplings: {len(self.couplings)}>"
 
     def _check_joints(self) -> None:
+        """Raise `MechanismError` for joints to unknown bodies, unconnected bodies, and open joints."""
         for joint in self.joints:
             where = f"joint {quoted(joint.name)}"
             for body in (joint.first, joint.second):
@@ -284,7 +320,8 @@ class Mechanism:
         self.check_closed(frames, "at the initial pose")
 
     def _check_labels(self) -> None:
-        """Refuse a joint with the name that a coordinate of another joint has in tables and files."""
+        """Raise `MechanismError` for a joint whose name is also the label of a coordinate of another
+        joint."""
         names = {joint.name for joint in self.joints}
         for (joint, k), label in self.coordinate_labels.items():
             if label != joint and label in names:
@@ -292,6 +329,7 @@ class Mechanism:
                 raise MechanismError(f"joint {quoted(label)}", problem, "another name")
 
     def _check_couplings(self) -> None:
+        """Raise `MechanismError` for couplings with repeated names, or on unknown joint coordinates."""
         names = Counter([*self.joint_names, *(coupling.name for coupling in self.couplings)])
         for coupling in self.couplings:
             where = f"{coupling.kind} {quoted(coupling.name)}"
@@ -302,12 +340,13 @@ class Mechanism:
                 check_coordinate(on_joint, self.joint(joint), coordinate)
 
     def _check_connected(self) -> None:
-        reached, ahead = {0}, [0]
-        while ahead:
-            joints = [self.joints[k] for k in self.joints_at[ahead.pop()]]
-            near = {self.body_index(name) for joint in joints for name in (joint.first, joint.second)}
-            ahead.extend(near - reached)
-            reached |= near
+        """Raise `MechanismError` for a body that no chain of joints connects to the ground."""
+        reached, to_visit = {0}, [0]
+        while to_visit:
+            joints = [self.joints[k] for k in self.joints_at[to_visit.pop()]]
+            neighbors = {self.body_index(name) for joint in joints for name in (joint.first, joint.second)}
+            to_visit.extend(neighbors - reached)
+            reached |= neighbors
         for index, name in enumerate(self.body_names):
             if index not in reached:
                 raise MechanismError(
@@ -317,11 +356,16 @@ class Mechanism:
                 )
 
     def check_closed(self, frames: list[Frame], when: str) -> None:
-        """Raise `MechanismError` for the first joint open by more than `CLOSURE_TOLERANCE`."""
+        """Raise `MechanismError` for the first joint whose constraint violation exceeds `CLOSURE_TOLERANCE`.
+
+        Args:
+            frames: frames of all bodies.
+            when: description of the pose for the message, such as "at the initial pose".
+        """
         for equations in self.equations:
             phi = equations.phi(frames[equations.first], frames[equations.second])
             gap = float(np.max(np.abs(phi), initial=0.0))
-            if not gap <= CLOSURE_TOLERANCE:  # of coordinates that overflow it is not a number
+            if not gap <= CLOSURE_TOLERANCE:  # true also for NaN, which follows from numbers that overflow
                 unit = "m" if equations.is_length[int(np.argmax(np.abs(phi)))] else "rad"
                 raise MechanismError(
                     f"joint {quoted(equations.joint.name)}",
@@ -331,21 +375,27 @@ class Mechanism:
 
     @cached_property
     def body_names(self) -> tuple[str, ...]:
+        """Names of all bodies, ground first."""
         return tuple(body.name for body in self.bodies)
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
+        """Names of all joints, in order."""
         return tuple(joint.name for joint in self.joints)
 
     @cached_property
     def size(self) -> float:
-        """A characteristic length, m: how far joint points and centers of mass lie from their mean."""
+        """Characteristic length, m: largest distance of joint points and centers of mass from their mean."""
         return spread([*(body.center_of_mass for body in self.bodies[1:]), *(j.point for j in self.joints)])
 
     @cached_property
     def longest(self) -> float:
-        """Compute the longest body's extent from its center of mass, m: to a joint with rows, or on average
-        (root of the mean square over its mass). Unlike `size` it does not depend on where bodies float."""
+        """Largest extent of a body from its center of mass, m.
+
+        The extent is the distance to a joint with constraint equations, or the root mean square distance of
+        the body's mass from the center of mass. Unlike `size`, it does not depend on where floating bodies
+        are.
+        """
         lengths = [float(np.sqrt(0.5 * np.trace(body.inertia) / body.mass)) for body in self.bodies[1:]]
         for equations in self.equations:
             ends = (
@@ -359,19 +409,21 @@ class Mechanism:
 
     @cached_property
     def _body_indices(self) -> dict[str, int]:
+        """Index of each body by name."""
         return {name: index for index, name in enumerate(self.body_names)}
 
     @cached_property
     def _joint_indices(self) -> dict[str, int]:
+        """Index of each joint by name."""
         return {name: index for index, name in enumerate(self.joint_names)}
 
     def body_index(self, name: str) -> int:
-        """Index of a body; raises `UnknownNameError`."""
+        """Return the index of a body in `bodies` by its name; raises `UnknownNameError`."""
         check_choice("body", name, self.body_names)
         return self._body_indices[name]
 
     def joint_index(self, name: str) -> int:
-        """Index of a joint; raises `UnknownNameError`."""
+        """Return the index of a joint in `joints` by its name; raises `UnknownNameError`."""
         check_choice("joint", name, self.joint_names)
         return self._joint_indices[name]
 
@@ -394,11 +446,15 @@ class Mechanism:
         return self.joint(joint).coordinate_kinds[coordinate] == "slide"
 
     def coordinate(self, name: str | Key) -> Key:
-        """Return a joint coordinate by the name of its joint, or by (name, number) where it has several.
+        """Return a joint coordinate as (name of the joint, index).
+
+        Args:
+            name: name of a joint with one coordinate, or (name, index) for a joint with several.
 
         Raises:
             UnknownNameError: for an unknown joint.
-            MechanismError: for a joint without such a coordinate, and for one of several that is left open.
+            MechanismError: for a joint without such a coordinate, and for the bare name of a joint with
+                several.
         """
         joint, number = name if isinstance(name, tuple) and len(name) == 2 else (name, 0)
         count, where = len(self.joint(joint).coordinate_kinds), f"joint {quoted(joint)}"
@@ -410,13 +466,15 @@ class Mechanism:
 
     @cached_property
     def coordinate_labels(self) -> dict[Key, str]:
-        """All joint coordinates, and their names in columns: `JOINT`, or `JOINT.1` for the second."""
+        """Labels of all joint coordinates in tables: `JOINT`, or `JOINT.0`, `JOINT.1`, ... for a joint with
+        several."""
         counts = {joint.name: len(joint.coordinate_kinds) for joint in self.joints}
         keys = [(joint, k) for joint, count in counts.items() for k in range(count)]
         return {(joint, k): f"{joint}.{k}" if counts[joint] > 1 else joint for joint, k in keys}
 
     def coordinate_name(self, key: Key) -> str | Key:
-        """Return the name of a joint coordinate: that of its joint, if it has no others.
+        """Return the shortest name of a joint coordinate: the name of its joint, if that has no other
+        coordinates.
 
         Raises:
             UnknownNameError: for an unknown joint.
@@ -430,12 +488,13 @@ class Mechanism:
         return self.equations[self.joint_index(name)]
 
     def measure(self, key: Key, frames: Sequence[Frame]) -> tuple[Scalar, Scalar]:
-        """Measure a joint coordinate and its rate where bodies have these frames, see `JointEquations`."""
+        """Measure a joint coordinate, m or rad from the initial pose, and its rate, at given frames of all
+        bodies."""
         return self.joint_equations(key[0]).measure(key[1], frames)
 
     @cached_property
     def joints_at(self) -> tuple[tuple[int, ...], ...]:
-        """Indices of the joints of each body, ascending."""
+        """Indices of the joints at each body, ascending; one tuple per body."""
         found: list[list[int]] = [[] for _ in self.bodies]
         for index, joint in enumerate(self.joints):
             for name in (joint.first, joint.second):
@@ -443,7 +502,11 @@ class Mechanism:
         return tuple(map(tuple, found))
 
     def attach(self, poses: list[Pose]) -> tuple[JointEquations, ...]:
-        """All joints' equations, tied to bodies with these reference poses (one for each body)."""
+        """Return the equations of all joints for other body frames.
+
+        Args:
+            poses: pose of each body's frame at the initial pose; it need not be that of `Body.pose`.
+        """
         attached = []
         for joint in self.joints:
             i, j = self.body_index(joint.first), self.body_index(joint.second)
@@ -452,18 +515,20 @@ class Mechanism:
 
     @cached_property
     def equations(self) -> tuple[JointEquations, ...]:
-        """The joints' equations in the frames of the bodies."""
+        """Equations of all joints in the frames of the bodies, in the order of `joints`."""
         return self.attach([body.pose for body in self.bodies])
 
     @cached_property
     def reaction_arms(self) -> tuple[Array, ...]:
-        """The joint points on the second bodies, (3,) m from the center of mass, in the body's frame."""
+        """For each joint, the joint point of its second body: (3,) m from the center of mass, frame of that
+        body."""
         return tuple(
             self.bodies[each.second].pose.point_to_body(each.joint.reaction_point) for each in self.equations
         )
 
     def shapes(self, index: int) -> tuple[Shape, ...]:
-        """Return shapes of body number `index`: its own, or bars from its center to its joints."""
+        """Return the shapes of the body with an index: those of `Body.shapes`, or bars from its center to its
+        joints."""
         body = self.bodies[index]
         if body.shapes or index == 0:
             return body.shapes

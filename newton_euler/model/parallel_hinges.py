@@ -3,7 +3,8 @@ knees.
 
 `ParallelHinges` is the joint, `LinkAngle` its two coordinates, and `driving_wrench` the wrench with which
 actuators at the two hinges drive the second body. Frames, spans and Jacobians are those of
-`newton_euler.model.constraints`."""
+`newton_euler.model.constraints`.
+"""
 
 from __future__ import annotations
 

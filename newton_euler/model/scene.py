@@ -2,7 +2,8 @@
 
 A `Scene` holds the mechanism, gravity, control laws, forces, prescribed motions, rotor inertias, the initial
 state, and the duration and outputs of the run. Its constructor checks all of them. Every engine simulates a
-scene."""
+scene.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 
 The functions read regular files as bytes or UTF-8 text, convert CSV text to columns of finite numbers over
 ascending times (`TimeTable`), and scan XML text (`scan`) before another parser builds a tree from it.
-`Request` holds the options of the readers of MJCF and URDF files. All errors are `SourceError`s."""
+`Request` holds the options of the readers of MJCF and URDF files. All errors are `SourceError`s.
+"""
 
 from __future__ import annotations
 

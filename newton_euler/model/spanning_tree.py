@@ -1,9 +1,14 @@
-"""Spanning tree of a mechanism: which joints carry coordinates and which close loops.
+"""Spanning tree of a mechanism: which joints carry coordinates, and which joints are cut because they close
+loops.
 
-The same tree serves the joint-coordinate formulation, the MJCF and the URDF, so that their
-coordinates are the same numbers. Bodies of the tree use frames that are parallel to the world at
-the initial pose: a hinge's axis then has the same components in both of its bodies, and joint
-coordinates are zero there.
+The joint-coordinate formulation of newton_euler, exported MJCF files and exported URDF files use the same
+tree, so that their coordinates have the same values. Bodies of the tree have frames that are parallel to the
+world at the initial pose ("tree frames"). A hinge axis then has the same components in both of its bodies,
+and joint coordinates are zero at the initial pose.
+
+MuJoCo and Pinocchio close loops only with ball joints, rods and welds. `weld_loops` rewrites a mechanism for
+them: instead of any other joint it cuts a body into two halves, which a weld holds together. `unweld_loops`
+reverses this.
 """
 
 from __future__ import annotations
@@ -27,17 +32,18 @@ from newton_euler.scalars import Array, mapped, sqrt, zeros
 
 @dataclass(frozen=True, eq=False)
 class TreeJoint:
-    """A joint that the tree keeps.
+    """A joint of the tree, which carries coordinates, between a parent and a child body.
 
     Attributes:
-        joint: number of the joint, as of `SpanningTree.joint`.
-        parent, child: body indices.
-        forward: True if the child is the joint's second body.
-        motions: from parent to child; hinge and slide axes are signed so that coordinates keep the
-            joint's own sense. A ball turns the child against the parent.
-        points: of the motions, (3,) each, as of `Joint.motion_points`.
-        q, v: where its coordinates and velocities are. A ball has a quaternion w-x-y-z in q and
-            in v the angular velocity against the parent, in the child's tree frame.
+        joint: index of the joint, see `SpanningTree.joint`.
+        parent, child: indices of the two bodies.
+        forward: True if the child is the second body of the joint.
+        motions: elementary motions from the parent to the child. The signs of hinge and slide axes are such
+            that the coordinates are those of the joint also if the child is its first body.
+        points: (3,) m, point of each motion, see `Joint.motion_points`.
+        q, v: slices of the joint's coordinates in q and of its velocities in v. A ball has a quaternion (w,
+            x, y, z) in q, and in v the angular velocity of the child relative to the parent, in the child's
+            tree frame.
     """
 
     joint: int
@@ -51,7 +57,7 @@ class TreeJoint:
 
     @property
     def places(self) -> Iterator[tuple[Motion, slice, slice]]:
-        """The motions with their places in q and in v."""
+        """Elementary motions with their slices in q and in v."""
         iq, iv = self.q.start, self.v.start
         for motion in self.motions:
             nq, nv = (4, 3) if motion.kind == "ball" else (1, 1)
@@ -60,9 +66,14 @@ class TreeJoint:
 
 
 def motion_names(joint: Joint, forward: bool = True) -> list[str]:
-    """A name for each of a joint's motions: the joint's own, numbered from 1 if there are several.
+    """Name the elementary motions of a joint, for exported model files.
 
-    In the joint's own order, from its first body to its second; in the other one unless `forward`.
+    A single motion has the name of the joint; several have the suffixes _1, _2, ....
+
+    Args:
+        joint: the joint.
+        forward: True for the order from the joint's first body to its second body, False for the reverse
+            order.
     """
     count = len(joint.motions)
     names = [joint.name] if count == 1 else [f"{joint.name}_{k + 1}" for k in range(count)]
@@ -70,40 +81,51 @@ def motion_names(joint: Joint, forward: bool = True) -> list[str]:
 
 
 def coordinate_name(joint: Joint, coordinate: int) -> str:
-    """Name of the motion of one of a joint's coordinates, which count its hinges and slides from 0."""
+    """Return the name of the elementary motion that a joint coordinate measures, see `motion_names`.
+
+    Args:
+        joint: the joint.
+        coordinate: index of the coordinate among the joint's hinges and slides, from 0.
+    """
     names = zip(motion_names(joint), joint.motions, strict=True)
     return [name for name, motion in names if motion.kind != "ball"][coordinate]
 
 
 class SpanningTree:
-    """The tree of `mechanism` that cuts the joints with the fewest equations: balls first.
+    """A spanning tree of a mechanism, in which the joints with the most constraint equations are kept.
 
-    Of joints with as many it rather keeps those that are actuated or have `loaded` balls.
-
-    Rods are always cut. A body that only they reach floats: the tree has a free joint for it, after
-    the joints of the mechanism, at its center of mass.
+    The cut joints, which close loops, therefore have few equations, such as balls. Among joints with equally
+    many, those that are actuated or have loaded balls are kept. Rods are always cut. A body that only rods
+    hold gets an additional free joint at its center of mass; additional joints have indices after those of
+    the mechanism.
 
     Attributes:
+        mechanism: the mechanism.
         joints: kept joints, parents before children.
-        floating: the free joints that are not among the mechanism's.
+        floating: the additional free joints.
         cuts: indices of the joints that close loops.
-        nq, nv: numbers of coordinates and velocities.
+        nq, nv: numbers of coordinates and of velocities; nq is larger by one for each ball.
     """
 
     def __init__(
         self, mechanism: Mechanism, never: Collection[str] = (), loaded: Collection[str] = ()
     ) -> None:
-        """Grow from the ground; joints named in `never` are cut whatever their kind.
+        """Grow the tree from the ground, always by the best joint at a reached body (Prim's algorithm).
 
-        `loaded` are names of joints whose balls something acts on, see `Scene.loaded_balls`.
+        Args:
+            mechanism: the mechanism.
+            never: names of joints that are always cut.
+            loaded: names of joints with a spring, damper or armature on their ball, see `Scene.loaded_balls`.
         """
         self.mechanism = mechanism
         kept: list[TreeJoint] = []
-        reached: dict[int, int] = {0: 0}  # body: depth
+        reached: dict[int, int] = {0: 0}  # depth in the tree by body index
+        # heap of (-equations, is passive, depth of the body, index of the joint, index of the reached body)
         candidates: list[tuple[int, bool, int, int, int]] = []
         nq = nv = 0
 
-        def offer(body: int) -> None:
+        def add_candidates(body: int) -> None:
+            """Add the joints at a reached body to the candidates."""
             for index in mechanism.joints_at[body]:
                 equations = self._equations[index]
                 if equations.joint.name not in never and not equations.joint.only_closes:
@@ -111,17 +133,22 @@ class SpanningTree:
                     heapq.heappush(candidates, (-equations.count, passive, reached[body], index, body))
 
         self.floating: tuple[Free, ...] = ()
-        offer(0)
+        add_candidates(0)
         while len(reached) < len(mechanism.bodies):
+            # Without candidates, the next body is held by rods only: let it float
             if not candidates:
                 body = next(k for k in range(len(mechanism.bodies)) if k not in reached)
-                heapq.heappush(candidates, (0, True, 0, self._float(body), 0))
+                heapq.heappush(candidates, (0, True, 0, self._add_floating_joint(body), 0))
+
+            # Take the best candidate, unless its other body has been reached by another joint
             _, _, depth, index, parent = heapq.heappop(candidates)
             equations = self._equations[index]
             forward = equations.first == parent
             child = equations.second if forward else equations.first
             if child in reached:
                 continue
+
+            # Keep the joint, with its motions in the direction from parent to child
             motions, points = equations.joint.motions, equations.joint.motion_points
             if not forward:
                 motions = tuple(Motion(m.kind, -m.axis) for m in reversed(motions))
@@ -132,7 +159,8 @@ class SpanningTree:
             kept.append(TreeJoint(index, parent, child, forward, motions, points, on_q, on_v))
             nq, nv = nq + q_size, nv + v_size
             reached[child] = depth + 1
-            offer(child)
+            add_candidates(child)
+
         self.joints = tuple(kept)
         self.nq, self.nv = nq, nv
         self._kept = {joint.joint: joint for joint in kept}
@@ -140,79 +168,88 @@ class SpanningTree:
 
     @cached_property
     def poses(self) -> list[Pose]:
-        """Reference poses of the frames of the tree."""
+        """Poses of the tree frames of all bodies at the initial pose: at the centers of mass, parallel to the
+        world."""
         return [Pose(body.center_of_mass, np.eye(3)) for body in self.mechanism.bodies]
 
     @cached_property
     def _equations(self) -> list[JointEquations]:
-        """All joints' equations in the frames of the tree, those of `floating` at the end."""
+        """Equations of all joints in the tree frames; those of `floating` at the end."""
         return list(self.mechanism.attach(self.poses))
 
-    def _float(self, body: int) -> int:
-        """Add a free joint between the ground and a body; returns its number."""
+    def _add_floating_joint(self, body: int) -> int:
+        """Add a free joint between the ground and the body with an index; return the index of the joint."""
         ground, name = self.mechanism.body_names[0], self.mechanism.body_names[body]
         free = Free(f"{name}_floats", ground, name, np.zeros(3))
-        for point in ("point", "point_on_second"):  # which may be generic scalars
+        # set after construction, because the constructor refuses generic scalars
+        for point in ("point", "point_on_second"):
             object.__setattr__(free, point, self.mechanism.bodies[body].center_of_mass)
         self.floating = (*self.floating, free)
         self._equations.append(free.attach(0, self.poses[0], body, self.poses[body]))
         return len(self._equations) - 1
 
     def joint(self, joint: int) -> Joint:
-        """Joint number `joint`: of the mechanism, or of `floating` after those."""
+        """Return the joint with an index: joints of the mechanism first, then those of `floating`."""
         return self._equations[joint].joint
 
     def equations(self, joint: int) -> JointEquations:
-        """Equations of joint number `joint` in the frames of the tree."""
+        """Return the equations of the joint with an index, in the tree frames, see `joint`."""
         return self._equations[joint]
 
     @cached_property
     def initial_rotations(self) -> tuple[Array, ...]:
-        """(3, 3) for each body: takes its own frame to its tree frame."""
+        """For each body, the rotation matrix (3, 3) from its body frame to its tree frame."""
         return tuple(rotation(body.quaternion) for body in self.mechanism.bodies)
 
     @cached_property
     def motions(self) -> tuple[tuple[Motion, slice, slice], ...]:
-        """All motions of the tree with their places in q and in v."""
+        """All elementary motions of the tree with their slices in q and in v."""
         return tuple(place for joint in self.joints for place in joint.places)
 
     @property
     def quaternions(self) -> list[slice]:
-        """Places of the Euler parameters of balls in q."""
+        """Slices of the quaternions of balls in q."""
         return [on_q for motion, on_q, _ in self.motions if motion.kind == "ball"]
 
     @cached_property
     def is_length(self) -> Array:
-        """(nv,) True for velocities in m/s."""
-        found = np.zeros(self.nv, dtype=bool)
+        """(nv,) True for velocities in m/s, False for velocities in rad/s."""
+        lengths = np.zeros(self.nv, dtype=bool)
         for motion, _, on_v in self.motions:
-            found[on_v] = motion.kind == "slide"
-        return found
+            lengths[on_v] = motion.kind == "slide"
+        return lengths
 
     @cached_property
     def velocity_units(self) -> Array:
-        """(nv,) what makes velocities dimensionless: the mechanism's size for slides, 1 for angles."""
+        """(nv,) scales of velocities: the mechanism's size, m, for slides, and 1 for angles."""
         return np.where(self.is_length, self.mechanism.size, 1.0)
 
     @cached_property
     def coordinate_units(self) -> Array:
-        """(nq,) units of coordinates: the mechanism's size, m, for slides, 1 for angles and quaternions."""
-        found = np.ones(self.nq)
+        """(nq,) scales of coordinates: the mechanism's size, m, for slides, and 1 for angles and
+        quaternions."""
+        units = np.ones(self.nq)
         for motion, on_q, _ in self.motions:
             if motion.kind == "slide":
-                found[on_q] = self.mechanism.size
-        return found
+                units[on_q] = self.mechanism.size
+        return units
 
     def place(self, joint: str, coordinate: int) -> tuple[int, int] | None:
-        """Return the places in q and v of a joint's hinge or slide number `coordinate`; None if cut."""
+        """Return the indices of a joint coordinate in q and in v; None if the joint is cut.
+
+        Args:
+            joint: name of the joint.
+            coordinate: index of the coordinate among the joint's hinges and slides, from 0.
+        """
         kept = self._kept.get(self.mechanism.joint_index(joint))
         if kept is None:
             return None
-        single = [(on_q.start, on_v.start) for motion, on_q, on_v in kept.places if motion.kind != "ball"]
-        return single[coordinate if kept.forward else -1 - coordinate]
+        places = [(on_q.start, on_v.start) for motion, on_q, on_v in kept.places if motion.kind != "ball"]
+        return places[coordinate if kept.forward else -1 - coordinate]
 
     def ball_place(self, joint: str) -> slice | None:
-        """Return the place in v of the angular velocity of a joint's ball; None if it is cut."""
+        """Return the slice in v of the angular velocity of a joint's ball, by joint name; None if the joint
+        is cut."""
         kept = self._kept.get(self.mechanism.joint_index(joint))
         if kept is None:
             return None
@@ -220,54 +257,63 @@ class SpanningTree:
         return place
 
     def rate(self, q: Array, v: Array) -> Array:
-        """qdot (nq,): v itself, and pdot = 1/2 L^T omega' for quaternions."""
+        """Compute dq/dt (nq,) from q (nq,) and v (nv,).
+
+        It is v for hinges and slides, and dp/dt = 1/2 L^T omega' for quaternions p
+        (`euler_parameters.matrix_l`).
+        """
         if self.nq == self.nv:
             return v
-        balls = [0.5 * matrix_l(q[on_q]).T @ v[on_v] for on_q, on_v in self._balls]
-        return np.concatenate([v[self._singles[1]], *balls])[self._in_order]
+        quaternion_rates = [0.5 * matrix_l(q[on_q]).T @ v[on_v] for on_q, on_v in self._ball_slices]
+        return np.concatenate([v[self._axis_indices[1]], *quaternion_rates])[self._axes_first_to_q]
 
     def retract(self, q: Array, step: Array) -> Array:
-        """q moved by a small step (nv,); quaternions come out with norm 1."""
+        """Compute the coordinates (nq,) after a small step (nv,) from q (nq,), with unit quaternions."""
         if self.nq == self.nv:
             return q[: self.nq] + step
-        on_q, on_v = self._singles
-        moved = [q[on_q] + step[on_v]]
-        for at, turned in self._balls:
-            p = q[at] + 0.5 * (matrix_l(q[at]).T @ step[turned])
+        axes_q, axes_v = self._axis_indices
+        moved = [q[axes_q] + step[axes_v]]
+        for on_q, on_v in self._ball_slices:
+            p = q[on_q] + 0.5 * (matrix_l(q[on_q]).T @ step[on_v])
             moved.append(p / sqrt(p @ p))
-        return np.concatenate(moved)[self._in_order]
+        return np.concatenate(moved)[self._axes_first_to_q]
 
     @cached_property
-    def _balls(self) -> list[tuple[slice, slice]]:
-        """Places of the balls in q and in v."""
+    def _ball_slices(self) -> list[tuple[slice, slice]]:
+        """Slices of each ball in q and in v."""
         return [(on_q, on_v) for motion, on_q, on_v in self.motions if motion.kind == "ball"]
 
     @cached_property
-    def _singles(self) -> tuple[Array, Array]:
-        """(n,) the places of all other motions in q, and in v."""
+    def _axis_indices(self) -> tuple[Array, Array]:
+        """Indices (n,) of all hinges and slides in q, and (n,) in v."""
         places = [(on_q.start, on_v.start) for m, on_q, on_v in self.motions if m.kind != "ball"]
         on_q, on_v = np.reshape(np.array(places, dtype=int), (-1, 2)).T
         return on_q, on_v
 
     @cached_property
-    def _in_order(self) -> Array:
-        """(nq,) where what comes as the singles and then the balls has the coordinates q."""
-        order = [*self._singles[0], *(k for on_q, _ in self._balls for k in range(self.nq)[on_q])]
+    def _axes_first_to_q(self) -> Array:
+        """(nq,) indices that bring a vector with all hinges and slides first, then all balls, to the order of
+        q."""
+        order = [*self._axis_indices[0], *(k for on_q, _ in self._ball_slices for k in range(self.nq)[on_q])]
         return np.argsort(np.array(order, dtype=int))
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
-        """Joint coordinates q (nq,) and velocities v (nv,) of the kept joints in a state."""
+        """Compute the coordinates q (nq,) and velocities v (nv,) of the kept joints in a state."""
+        # Frames of the tree, which differ from body frames by the rotations at the initial pose
         frames = [
             frame._replace(rotation=frame.rotation @ initial.T)
             for frame, initial in zip(state.frames(), self.initial_rotations, strict=True)
         ]
         q, v = zeros(self.nq, state.position), zeros(self.nv, state.position)
         for kept in self.joints:
+            # Measure the hinges and slides of the joint
             equations = self._equations[kept.joint]
             i, j = frames[equations.first], frames[equations.second]
             values = []
             for coordinate in equations.coordinates:
                 values.append((coordinate.phi(i, j), coordinate.jacobian(i, j).rate(i, j)))
+
+            # Order the values from parent to child, with quaternions and angular velocities for balls
             parent, child = frames[kept.parent], frames[kept.child]
             remaining = iter(values if kept.forward else values[::-1])
             parts = []
@@ -285,17 +331,17 @@ class SpanningTree:
 
 @dataclass(frozen=True, eq=False)
 class WeldedMechanism:
-    """A mechanism whose loops close at balls, rods and welds only, for engines that know no other closure.
+    """A mechanism whose loops are closed by ball joints, rods and welds only, for MuJoCo and Pinocchio.
 
-    A loop that would have to be cut at any other joint is cut through a body instead: the body is halved,
-    both halves of the same pose and shape of inertia, the joint stays in the tree with one half,
-    and a weld holds the halves together. That is exact, adds no equation that the joint did not
-    have, and leaves the joint's reaction what it was.
+    If a loop would have to be cut at any other joint, a body is cut instead. The body is replaced by two
+    halves, each with the pose and half the mass and inertia of the body. The joint stays in the tree, at one
+    half, and a weld holds the halves together. The dynamics and the reaction of the joint do not change. The
+    weld has the six equations that balance the degrees of freedom that the joint adds to the tree.
 
     Attributes:
-        mechanism: the bodies, halves appended at the end; the joints, welds appended at the end.
-        tree: its spanning tree; the cuts are spherical joints that nothing acts on, rods and welds.
-        origin: for each body the index of the body it is a part of in the original.
+        mechanism: the bodies, with the additional halves at the end; the joints, with the welds at the end.
+        tree: spanning tree of that mechanism; its cuts are ball joints without loads, rods and welds.
+        origin: for each body, the index of the body in the original mechanism of which it is a part.
     """
 
     mechanism: Mechanism
@@ -303,7 +349,8 @@ class WeldedMechanism:
     origin: tuple[int, ...]
 
     def state(self, state: State) -> State:
-        """The state of the original with rows repeated for the halves."""
+        """Convert a state of the original mechanism to this mechanism: halves have the state of their
+        body."""
         rows = list(self.origin)
         return State(*(array[rows] for array in state.arrays))
 
@@ -311,17 +358,21 @@ class WeldedMechanism:
 def weld_loops(
     mechanism: Mechanism, keep_bodies: bool = False, loaded: Collection[str] = ()
 ) -> WeldedMechanism:
-    """Rewrite the loops of a mechanism so that only balls, rods and welds close them.
+    """Rewrite a mechanism so that only ball joints, rods and welds close its loops, see `WeldedMechanism`.
 
     Args:
-        mechanism: of any loops.
-        keep_bodies: whether to cut loops at their own welds. To an engine a weld in the tree is the better
-            one, it costs no equations; but readers of a file make one body of the two that it holds.
-        loaded: names of joints whose balls something acts on, which engines have in the tree only.
+        mechanism: a mechanism with any loops.
+        keep_bodies: True to cut loops at `Fixed` joints of the mechanism where possible. In the tree a fixed
+            joint costs no equations, but readers of an exported file merge the two bodies that it holds into
+            one.
+        loaded: names of joints with a spring, damper or armature on their ball; engines support these only
+            for joints of the tree.
     """
     bodies, joints = list(mechanism.bodies), list(mechanism.joints)
     origin = list(range(len(bodies)))
-    never = _own_welds(mechanism) if keep_bodies else []
+    never = _removable_welds(mechanism) if keep_bodies else []
+
+    # Split a body at each cut joint that an engine cannot close
     for index in SpanningTree(mechanism, never, loaded).cuts:
         joint = mechanism.joints[index]
         closes = isinstance(joint, Rod) or (isinstance(joint, Spherical) and joint.name not in loaded)
@@ -329,36 +380,45 @@ def weld_loops(
             continue
         side = "second" if joint.second != mechanism.body_names[0] else "first"
         whole = mechanism.body_index(getattr(joint, side))
-        name, half = _names_of_cut(joint.name, bodies[whole].name, bodies, joints)
+        weld, half = _names_of_cut(joint.name, bodies[whole].name, bodies, joints)
         joints[index] = replace(joint, first=half) if side == "first" else replace(joint, second=half)
-        joints.append(Fixed(name, bodies[whole].name, half, bodies[whole].center_of_mass))
-        never.append(name)
+        joints.append(Fixed(weld, bodies[whole].name, half, bodies[whole].center_of_mass))
+        never.append(weld)
         bodies.append(replace(mechanism.bodies[whole], name=half, shapes=()))
         origin.append(whole)
+
+    # Divide mass and inertia equally among the parts of a body
     parts = Counter(origin)
-    for number, whole in enumerate(origin):
+    for index, whole in enumerate(origin):
         share = 1.0 / parts[whole]
         if share < 1.0:
-            body = bodies[number]
-            bodies[number] = replace(body, mass=share * body.mass, inertia=share * body.inertia)
+            body = bodies[index]
+            bodies[index] = replace(body, mass=share * body.mass, inertia=share * body.inertia)
     welded = Mechanism(bodies, joints, mechanism.couplings)
     return WeldedMechanism(welded, SpanningTree(welded, never, loaded), tuple(origin))
 
 
-def _own_welds(mechanism: Mechanism) -> list[str]:
-    """Names of welds that other joints can do without to reach all bodies."""
+def _removable_welds(mechanism: Mechanism) -> list[str]:
+    """Return the names of the fixed joints that can all be cut at once while the other joints still reach all
+    bodies."""
     floating = len(SpanningTree(mechanism).floating)
-    found: list[str] = []
+    removable: list[str] = []
     for joint in mechanism.joints:
         if isinstance(joint, Fixed):
-            without = SpanningTree(mechanism, [*found, joint.name])
+            without = SpanningTree(mechanism, [*removable, joint.name])
             if len(without.floating) == floating:
-                found.append(joint.name)
-    return found
+                removable.append(joint.name)
+    return removable
 
 
 def _names_of_cut(joint: str, whole: str, bodies: list[Body], joints: list[Joint]) -> tuple[str, str]:
-    """Names of a weld and a half that are not taken, for a joint that a loop is cut at."""
+    """Return unused names for the weld and the new half of a body that is split at a joint.
+
+    Args:
+        joint: name of the joint.
+        whole: name of the body.
+        bodies, joints: all bodies and joints, whose names are taken.
+    """
     taken = {body.name for body in bodies} | {other.name for other in joints}
     for number in count(1):
         cut = joint if number == 1 else f"{joint}_{number}"
@@ -369,18 +429,26 @@ def _names_of_cut(joint: str, whole: str, bodies: list[Body], joints: list[Joint
 
 
 def unweld_loops(mechanism: Mechanism) -> Mechanism:
-    """Put halves of `weld_loops` together again, known by their names; joints are as they were."""
+    """Merge the body halves that `weld_loops` has made, which are recognized by their names.
+
+    A mechanism without such halves is returned with the same bodies and joints.
+    """
     bodies, joints = {body.name: body for body in mechanism.bodies}, list(mechanism.joints)
     for weld in mechanism.joints:
+        # The names of the weld and the half must match those of `_names_of_cut`
         cut = weld.name.removesuffix("_weld")
         half = f"{weld.first}_at_{cut}"
         if not isinstance(weld, Fixed) or cut == weld.name or weld.second != half:
             continue
+
+        # The half must have exactly one joint besides the weld, and the same center of mass
         body, other = bodies[weld.first], bodies[half]
         ends = [end for joint in joints if joint is not weld for end in (joint.first, joint.second)]
         same = np.allclose(body.center_of_mass, other.center_of_mass, rtol=0.0, atol=CLOSURE_TOLERANCE)
         if ends.count(half) != 1 or not same:
             continue
+
+        # Add mass and inertia of the half, and move its joint to the body
         turn = rotation(body.quaternion).T @ rotation(other.quaternion)
         inertia = body.inertia + turn @ other.inertia @ turn.T
         bodies[weld.first] = replace(body, mass=body.mass + other.mass, inertia=0.5 * (inertia + inertia.T))
@@ -390,7 +458,7 @@ def unweld_loops(mechanism: Mechanism) -> Mechanism:
 
 
 def _with_end(joint: Joint, old: str, new: str) -> Joint:
-    """A joint with another body where it has one of that name."""
+    """Return a joint with the body `old` replaced by the body `new` if it is one of its two bodies."""
     if joint.first == old:
         return replace(joint, first=new)
     return replace(joint, second=new) if joint.second == old else joint

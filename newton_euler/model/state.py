@@ -94,7 +94,8 @@ def stacked(states: Sequence[State]) -> State:
     """Combine n states into one state whose numbers are `Stack` scalars.
 
     A `Stack` (`newton_euler.scalars`) holds n numbers that are computed at once. The `angles` of the states
-    are not combined."""
+    are not combined.
+    """
     columns = zip(*(state.arrays for state in states), strict=True)
     return State(*(_stacks(np.array(column)) for column in columns))
 

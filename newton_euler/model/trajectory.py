@@ -1,4 +1,10 @@
-"""Trajectory: what every engine returns, or, of a run that ends before its time, raises with the error."""
+"""Trajectory: the result of a run in any engine, with body poses, velocities, reactions and energies over
+time.
+
+`Trajectory.save` writes the arrays to an .npz file and `load_arrays` reads them. The module also defines the
+errors of runs that stop early; such an error carries the trajectory up to the stop. `joint_motion` computes
+joint coordinates from body poses.
+"""
 
 from __future__ import annotations
 
@@ -35,12 +41,13 @@ from newton_euler.scalars import Array, Floats, unstacked
 
 
 class Quantity(NamedTuple):
-    """A computed array of a trajectory.
+    """Description of a computed array of a trajectory.
 
     Attributes:
-        shape: n times, b bodies, j joints, a actuators.
-        unit: SI, "" where it depends on the joint.
-        output: which a scene has to be asked for; None for what all runs have.
+        shape: one character per dimension: n output times, b bodies, j joints, a actuators, or a number.
+        unit: SI unit; "" if the unit depends on the joint.
+        output: name of the optional output of the scene (`newton_euler.model.scene.OUTPUTS`) to which the
+            array belongs; None if every run has the array.
     """
 
     shape: str
@@ -60,7 +67,7 @@ QUANTITIES = {
     "potential_energy": Quantity("n", "J", "energy"),
     "work": Quantity("n", "J", "energy"),
 }
-"""Quantities of bodies, joints and mechanisms, by name."""
+"""Computed arrays of a trajectory by attribute name."""
 
 SHAPES = {
     "time": "n",
@@ -70,24 +77,30 @@ SHAPES = {
     "angle_names": "c",
     "joint_angle": "nc",
 } | {name: quantity.shape for name, quantity in QUANTITIES.items()}
-"""Shapes of the arrays of a trajectory; c is the number of carried angles."""
+"""Shapes of all arrays of a trajectory by name, with the letters of `Quantity.shape`.
 
-UNREADABLE = (OSError, EOFError, KeyError, RuntimeError, MemoryError, BadZipFile, ZlibError)
-"""Errors that broken archives raise, in addition to ValueError."""
+The letter c stands for the carried angles: hinge angles that a run integrates with their full revolutions.
+"""
 
-COMPONENTS = {"3": "xyz", "4": "wxyz"}  # names of the components of vectors and quaternions
-NEEDED = ("time", "body_names", "joint_names", "position", "quaternion")  # arrays that every run has
+ARCHIVE_ERRORS = (OSError, EOFError, KeyError, RuntimeError, MemoryError, BadZipFile, ZlibError)
+"""Errors, in addition to ValueError, that `zipfile` and `numpy.load` raise for broken archives."""
+
+COMPONENTS = {"3": "xyz", "4": "wxyz"}
+"""Names of the components of vectors and quaternions, by the character of their dimension in `SHAPES`."""
+
+REQUIRED_ARRAYS = ("time", "body_names", "joint_names", "position", "quaternion")
+"""Names of the arrays that every saved trajectory has."""
 
 
 class JointMotion(NamedTuple):
     """The k coordinates of a joint over n output times, as control laws and springs measure them."""
 
     names: tuple[str, ...]
-    """(k,) "angle" or "position", numbered from 1 where a joint has several of a kind."""
+    """(k,) "angle" or "position", numbered from 1 if the joint has several coordinates of a kind."""
     coordinates: Floats
-    """(n, k) rad or m from the initial pose, revolutions counted."""
+    """(n, k) rad or m from the initial pose; angles include full revolutions."""
     rates: Floats | None
-    """(n, k) rad/s or m/s; None where the scene did not ask for velocities."""
+    """(n, k) rad/s or m/s; None if the run has no velocities."""
 
     def __repr__(self) -> str:
         return f"<JointMotion of {', '.join(self.names)}: {len(self.coordinates)} outputs>"
@@ -102,22 +115,36 @@ def joint_motion(
     linear_velocity: Array | None,
     angular_velocity: Array | None,
 ) -> JointMotion:
-    """Compute the coordinates (..., n, k) of a joint, and their rates, of motions over the same n times, s.
+    """Compute the k coordinates of a joint and their rates from body poses and velocities, for any number of
+    runs.
 
-    Arrays are those of `Trajectory`, (..., n, b, 3 or 4), of any number of runs; `carried` has the angles
-    (..., n), rad, that the runs carry, by the number of the coordinate.
+    Args:
+        equations: the joint, with its two bodies.
+        time: (n,) output times of all runs, s.
+        carried: angles (..., n), rad, including full revolutions, that the runs carry, by index of the
+            coordinate.
+        position: (..., n, b, 3) centers of mass of all b bodies, m, as in `Trajectory`.
+        quaternion: (..., n, b, 4) orientations.
+        linear_velocity, angular_velocity: (..., n, b, 3) m/s and rad/s; None if the runs have no velocities.
+
+    Returns:
+        Coordinates and rates (..., n, k).
     """
+    # Evaluate all coordinates and rates at all times at once
     bodies, measures = [equations.first, equations.second], equations.coordinates
     has_rates = linear_velocity is not None and angular_velocity is not None
     if linear_velocity is None or angular_velocity is None:
         linear_velocity = angular_velocity = np.zeros_like(position)
     motion = (position, quaternion, linear_velocity, angular_velocity)
     first, second = stacked_frames(*(a[..., bodies, :].reshape(-1, 2, a.shape[-1]) for a in motion))
-    with np.errstate(invalid="ignore", divide="ignore"):  # hinges in a row do not reach all
-        found = [measure.phi(first, second)[0] for measure in measures]
-        slopes = [measure.jacobian(first, second).rate(first, second)[0] for measure in measures]
-    times, shape = position[..., 0, 0].size, (*position.shape[:-2], len(measures))
-    x, rates = (unstacked(scalars, times).reshape(shape) for scalars in (found, slopes))
+    with np.errstate(invalid="ignore", divide="ignore"):  # NaN where three hinges cannot reach the poses
+        x_stacks = [measure.phi(first, second)[0] for measure in measures]
+        rate_stacks = [measure.jacobian(first, second).rate(first, second)[0] for measure in measures]
+    count, shape = position[..., 0, 0].size, (*position.shape[:-2], len(measures))
+    x, rates = (unstacked(stacks, count).reshape(shape) for stacks in (x_stacks, rate_stacks))
+
+    # Add full revolutions to angles: those of carried angles, or those that the rates imply (trapezoidal
+    # rule)
     for k, measure in enumerate(measures):
         if k in carried:
             x[..., k] += whole_revolutions(carried[k] - x[..., k])
@@ -129,17 +156,18 @@ def joint_motion(
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A run at n output times: b bodies (ground first), j joints, a actuators; world frame, SI.
+    """A run at n output times: b bodies (ground first), j joints, a actuators; world frame, SI units.
 
-    Arrays that the scene did not ask for are None and are left out of files.
+    Arrays of outputs that the scene does not list are None and are omitted in files.
 
     Attributes:
-        engine: name of the engine that made it.
-        settings: the options it ran with and what it counted (steps, evaluations).
-        wall_time: s, of the run itself, without building the model.
-        angle_names: of the c angles that the run carries, as of `Mechanism.coordinate_labels`: those that
-            forces, control laws or couplings depend on. Files hold none where there are none.
-        mechanism: what moved; None of a run that was made of arrays alone. Files do not hold it.
+        engine: name of the engine that simulated the run.
+        settings: options of the engine and its counts of steps and evaluations.
+        wall_time: duration of the simulation in real time, s, without the construction of the model.
+        angle_names: labels (`Mechanism.coordinate_labels`) of the c angles that the run carries. A run
+            carries, including full revolutions, the angles on which forces, control laws or couplings depend.
+        mechanism: the mechanism that moved; None for a trajectory that was made from arrays. Files do not
+            contain it.
 
     Examples:
         >>> run = simulate(load("pendulum"))
@@ -155,35 +183,36 @@ class Trajectory:
     settings: dict[str, Any]
     wall_time: float
     time: Floats
-    """(n,) s."""
+    """(n,) output times, s."""
     body_names: tuple[str, ...]
     joint_names: tuple[str, ...]
     position: Floats
     """(n, b, 3) centers of mass, m."""
     quaternion: Floats
-    """(n, b, 4) w-x-y-z, continuous in sign."""
+    """(n, b, 4) orientations (w, x, y, z), with signs that make them continuous in time."""
     linear_velocity: Floats | None = None
-    """(n, b, 3) of the centers of mass, m/s."""
+    """(n, b, 3) velocities of the centers of mass, m/s."""
     angular_velocity: Floats | None = None
     """(n, b, 3) rad/s."""
     reaction_force: Floats | None = None
-    """(n, j, 3) constraint force on the second body, N; not unique where constraints are redundant, see
-    `newton_euler.equations.reactions`."""
+    """(n, j, 3) constraint force on the second body of each joint, N. It is not unique if constraints are
+    redundant, see `newton_euler.equations.reactions`."""
     reaction_torque: Floats | None = None
-    """(n, j, 3) constraint torque on the second body about the joint point, N m; as unique as the force."""
+    """(n, j, 3) constraint torque on the second body of each joint about its joint point, N m; unique like
+    the force."""
     actuator_force: Floats | None = None
-    """(n, a) along the actuated coordinates, N or N m."""
+    """(n, a) forces of control laws on their joint coordinates, N or N m."""
     constraint_violation: Floats | None = None
-    """(n, j) largest residual of each joint's equations, m or rad."""
+    """(n, j) largest residual of each joint's constraint equations, m or rad."""
     kinetic_energy: Floats | None = None
     """(n,) J."""
     potential_energy: Floats | None = None
-    """(n,) of gravity, zero at the world origin, and of springs, zero at rest, J."""
+    """(n,) J: of gravity, zero with all mass at the world origin, plus of springs, zero at rest."""
     work: Floats | None = None
-    """(n,) done since the start by control, dampers, wrenches, wind and prescribed motions, J."""
+    """(n,) work since the start by control laws, dampers, wrenches, wind and prescribed motions, J."""
     angle_names: tuple[str, ...] = ()
     joint_angle: Floats | None = None
-    """(n, c) the carried angles with their revolutions, rad from the initial pose; None if there are none."""
+    """(n, c) carried angles including full revolutions, rad from the initial pose; None if there are none."""
     mechanism: Mechanism | None = None
 
     def __repr__(self) -> str:
@@ -195,10 +224,14 @@ class Trajectory:
     def joint(self, name: str) -> JointMotion:
         """Compute the coordinates of a joint, and their rates, at all output times.
 
-        Angles that the run carries, `angle_names`, have the revolutions of `joint_angle`. Other angles begin
-        within half a revolution of the initial pose. From output to output they follow their rates by the
-        trapezoidal rule, whose error must be below half a revolution: where joints turn fast and unevenly,
-        choose a shorter output period. Without rates they must move by less than half a revolution.
+        Angles that the run carries (`angle_names`) have the revolutions of `joint_angle`. Other angles begin
+        within half a revolution of the initial pose; their revolutions follow from the rates by the
+        trapezoidal rule. The error of the rule must be below half a revolution per output period: choose a
+        shorter output period for joints that rotate fast and unevenly. Without velocities, angles must change
+        by less than half a revolution per period.
+
+        Args:
+            name: name of the joint.
 
         Raises:
             UnknownNameError: for an unknown joint.
@@ -218,14 +251,18 @@ class Trajectory:
 
     @property
     def _carried(self) -> dict[Key, Array]:
-        """The carried angles (n,) by joint coordinate."""
+        """The carried angles (n,), rad, by joint coordinate."""
         if self.joint_angle is None:
             return {}
         keys = (coordinate_key(name, self.joint_names) for name in self.angle_names)
         return dict(zip(keys, self.joint_angle.T, strict=True))
 
     def state(self, output: int) -> State:
-        """Return the state at an output, from which a scene may start; at rest if the run has no velocities.
+        """Return the state at an output time, from which another scene may start; at rest if the run has no
+        velocities.
+
+        Args:
+            output: index of the output time; negative indices count from the end.
 
         Raises:
             OptionError: for an output that the run does not have.
@@ -243,13 +280,14 @@ class Trajectory:
         return State(*arrays, angles={key: float(angle[int(output)]) for key, angle in self._carried.items()})
 
     def to_dataframe(self) -> Any:
-        """Return a table with a row per output time, of pandas, or of polars if that alone is installed.
+        """Return a pandas DataFrame with a row per output time; a polars DataFrame if only polars is
+        installed.
 
-        Its columns are `time` and the components of the arrays, `position.rod.x` and `reaction_force.pivot.z`
-        for example; actuators go by number.
+        The columns are `time` and the components of the arrays, such as `position.rod.x` and
+        `reaction_force.pivot.z`. Actuators are numbered from 0.
 
         Raises:
-            MissingPackageError: if neither is installed.
+            MissingPackageError: if neither package is installed.
         """
         columns: dict[str, Array] = {}
         for name, array in self.arrays().items():
@@ -264,39 +302,41 @@ class Trajectory:
 
     @property
     def _names(self) -> dict[str, Sequence[str]]:
-        """Names along dimensions, by their letters in `SHAPES`."""
+        """Names of bodies, joints and carried angles, by the letter of the dimension in `SHAPES`."""
         return {"b": self.body_names, "j": self.joint_names, "c": self.angle_names}
 
     def arrays(self) -> dict[str, Array]:
-        """The arrays of the run by name, names as arrays of text."""
-        skipped = (
-            "engine",
-            "settings",
-            "wall_time",
-            "mechanism",
-            *(() if self.angle_names else ("angle_names",)),
-        )
-        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in skipped}
+        """Return the arrays of the run by name; names of bodies, joints and angles are arrays of text."""
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name in SHAPES}
+        if not self.angle_names:
+            del values["angle_names"]
         return {name: np.asarray(value) for name, value in values.items() if value is not None}
 
     @checked
     def first(self, outputs: Annotated[int, Range(0)]) -> Trajectory:
-        """The run at its first outputs; itself if it has no more."""
+        """Return the run at its first output times; the run itself if it has at most this number of outputs.
+
+        Args:
+            outputs: number of output times.
+        """
         if outputs >= len(self.time):
             return self
-        cut: dict[str, Any] = {
+        shortened: dict[str, Any] = {
             name: values[:outputs] for name, values in self.arrays().items() if values.dtype.kind == "f"
         }
-        return replace(self, **cut)
+        return replace(self, **shortened)
 
     @checked
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the arrays to an .npz; the file appears whole or not at all.
+        """Write the arrays to an .npz file, which appears complete or not at all.
+
+        Args:
+            path: path of the file.
 
         Raises:
             SourceError: naming a path that cannot be written.
         """
-        content = self.archive()  # a zip file on a full disk would fail once more on its way out
+        content = self.archive()  # in memory, because closing a zip file on a full disk raises a second error
         try:
             with atomic_file(path) as temporary:
                 temporary.write_bytes(content)
@@ -304,7 +344,7 @@ class Trajectory:
             raise SourceError(quoted(os.fspath(path)), f"cannot be written: {error.strerror}") from error
 
     def archive(self) -> bytes:
-        """The content of an .npz of the arrays."""
+        """Return the content of an .npz file with the arrays."""
         content = io.BytesIO()
         arrays: dict[str, Any] = dict(self.arrays())
         np.savez_compressed(content, **arrays)
@@ -312,23 +352,33 @@ class Trajectory:
 
 
 def column_names(name: str, shape: Sequence[int], names: Mapping[str, Sequence[str]]) -> list[str]:
-    """Name the components of an array of a trajectory at one time, in order: `position.rod.x` for one.
+    """Name the components of an array of a trajectory at one time, such as `position.rod.x`, in C order.
 
-    `names` are those along dimensions by their letters in `SHAPES`.
+    Args:
+        name: name of the array in `SHAPES`.
+        shape: shape of the array without the dimension of time.
+        names: names along dimensions, by the letter of the dimension in `SHAPES`; indices for other
+            dimensions.
     """
-    named = {**names, **COMPONENTS}
-    found = []
-    for place in np.ndindex(*shape):
-        ends = zip(SHAPES[name][1:], place, strict=True)
-        found.append(".".join((name, *(named[each][k] if each in named else str(k) for each, k in ends))))
-    return found
+    labels_of = {**names, **COMPONENTS}
+    columns = []
+    for indices in np.ndindex(*shape):
+        labels = [name]
+        for dimension, index in zip(SHAPES[name][1:], indices, strict=True):
+            labels.append(labels_of[dimension][index] if dimension in labels_of else str(index))
+        columns.append(".".join(labels))
+    return columns
 
 
 def coordinate_key(label: str, joints: Collection[str]) -> Key:
-    """Return the joint coordinate of a label of `Mechanism.coordinate_labels`, of joints of these names.
+    """Return the joint coordinate that a label from `Mechanism.coordinate_labels` names.
+
+    Args:
+        label: "JOINT" or "JOINT.INDEX".
+        joints: names of all joints.
 
     Raises:
-        ValueError: for a label of none of them.
+        ValueError: for a label that names no coordinate of these joints.
     """
     joint, _, number = (label, "", "0") if label in joints else label.rpartition(".")
     if joint not in joints or not (number.isascii() and number.isdecimal()):
@@ -337,7 +387,8 @@ def coordinate_key(label: str, joints: Collection[str]) -> Key:
 
 
 def coordinate_names(joint: Joint) -> tuple[str, ...]:
-    """Name the coordinates of a joint, numbered from 1 where it has several of a kind."""
+    """Name the coordinates of a joint "angle" or "position", numbered from 1 if there are several of a
+    kind."""
     kinds = ["position" if kind == "slide" else "angle" for kind in joint.coordinate_kinds]
     return tuple(
         kind if kinds.count(kind) == 1 else f"{kind}_{kinds[:k].count(kind) + 1}"
@@ -346,21 +397,31 @@ def coordinate_names(joint: Joint) -> tuple[str, ...]:
 
 
 def distance(one: Trajectory, two: Trajectory, at: int | slice = slice(None), length: float = 1.0) -> float:
-    """Return the largest difference of two runs at some outputs, of positions, in units of a length in m, and
-    of orientations, rad."""
+    """Return the largest difference between the body poses of two runs, over all bodies and some output
+    times.
+
+    Args:
+        one, two: runs of the same bodies at the same output times.
+        at: index or slice of the output times; all by default.
+        length: length, m, by which distances are divided, so that they are comparable with angles in rad.
+
+    Returns:
+        The larger one of the largest distance of centers of mass, in units of `length`, and the largest
+        angle, rad.
+    """
     angles = angle_between(one.quaternion[at], two.quaternion[at])
-    apart = np.linalg.norm(one.position[at] - two.position[at], axis=-1) / length
-    return float(max(np.max(apart), np.max(angles)))
+    distances = np.linalg.norm(one.position[at] - two.position[at], axis=-1) / length
+    return float(max(np.max(distances), np.max(angles)))
 
 
 class StoppedError(NewtonEulerError):
-    """Base of errors of runs, in any engine, that end before their time.
+    """Base class of errors for runs, in any engine, that stop before their end.
 
     Attributes:
-        time: s, that the run had reached.
-        reason: why it could not go on, with the joint or the force that it is about.
-        partial: the run at the output times before, a trajectory like any other; None if it did not
-            come that far, or was one of a batch.
+        time: time that the run had reached, s.
+        reason: why the run stopped, with the joint or force that caused it.
+        partial: the run at the output times before the stop; None if there are none, or if the run was one of
+            a batch.
     """
 
     def __init__(self, time: float, reason: str, message: str) -> None:
@@ -371,53 +432,66 @@ class StoppedError(NewtonEulerError):
 
 
 class IntegrationError(StoppedError):
-    """A run that an integrator could not carry on."""
+    """A run that the integrator could not continue."""
 
     def __init__(self, time: float, reason: str) -> None:
         super().__init__(time, reason, f"integration stopped at t = {time:.6g} s: {reason}")
 
 
 class UndeterminedStartError(IntegrationError):
-    """A run that starts at a singular configuration, where no equation determines its motion.
+    """A run that starts at a singular configuration, where the equations do not determine the motion.
 
-    It starts at rest, or with velocities of no branch. Runs of other engines may move in any of the possible
-    directions, so they cannot be compared.
+    The run starts at rest, or with velocities that belong to no branch of motion through the configuration.
+    Different engines may then move in different directions, so that their runs cannot be compared.
     """
 
 
 def check_finite(times: Array, arrays: Mapping[str, Array]) -> None:
-    """Raise `IntegrationError` for the first time at which an array, a row for each, is not finite."""
-    wrong = {name: np.argwhere(~np.isfinite(array)) for name, array in arrays.items()}
-    first = [(int(rows[0, 0]), name) for name, rows in wrong.items() if len(rows)]
-    if first:
-        row, name = min(first)
+    """Raise `IntegrationError` for the first time at which an array is not finite.
+
+    Args:
+        times: (n,) s.
+        arrays: arrays (n, ...) with one row per time, by name.
+    """
+    not_finite = {name: np.argwhere(~np.isfinite(array)) for name, array in arrays.items()}
+    first_rows = [(int(indices[0, 0]), name) for name, indices in not_finite.items() if len(indices)]
+    if first_rows:
+        row, name = min(first_rows)
         raise IntegrationError(float(times[row]), f"{name} is not finite")
 
 
 def load_arrays(path: str | os.PathLike[str]) -> dict[str, Array]:
-    """Read the arrays of a saved trajectory by name, each with the type and the shape of `SHAPES`.
+    """Read the arrays of a trajectory from an .npz file, and check their types and shapes (`SHAPES`).
+
+    Args:
+        path: path of the file.
+
+    Returns:
+        The arrays by name.
 
     Raises:
-        SourceError: naming the file, and the array at fault if one is.
+        SourceError: naming the file and, if one array is invalid, the array.
     """
     content = io.BytesIO(read_content(path, "array_size"))
     try:
-        with ZipFile(content) as archive:  # which unpacks no more than its directory says
+        with ZipFile(content) as archive:  # the zip reader unpacks at most the sizes in its directory
             size = sum(entry.file_size for entry in archive.infolist())
         if problem := exceeded("array_size", size / MB):
             raise ValueError(problem)
         with np.load(content, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         _check_arrays(arrays)
-    except (*UNREADABLE, ValueError) as error:
+    except (*ARCHIVE_ERRORS, ValueError) as error:
         raise SourceError(os.fspath(path), f"holds no trajectory: {error}") from error
     return arrays
 
 
 def _check_arrays(arrays: Mapping[str, Array]) -> None:
-    """Raise `ValueError` for arrays that are missing, of shapes that do not fit, or not finite."""
-    sizes = {digit: int(digit) for digit in "34"}
-    for name in NEEDED:
+    """Raise `ValueError` for missing or unknown arrays, shapes that do not fit together, and numbers not
+    finite."""
+    # All required arrays are there, and each array has the right type and number of dimensions
+    sizes = {digit: int(digit) for digit in "34"}  # length of each dimension by its character in SHAPES
+    for name in REQUIRED_ARRAYS:
         if name not in arrays:
             raise ValueError(f"no array {name!r}")
     for name, array in arrays.items():
@@ -428,12 +502,16 @@ def _check_arrays(arrays: Mapping[str, Array]) -> None:
             raise ValueError(f"{name} is an array of {array.dtype}, shape {array.shape}")
         for letter, size in zip(SHAPES[name], array.shape, strict=True):
             sizes.setdefault(letter, size)
+
+    # The lengths of a dimension are the same in all arrays, and all numbers are finite
     for name, array in arrays.items():
         needed = tuple(sizes[letter] for letter in SHAPES[name])
         if array.shape != needed:
             raise ValueError(f"{name} has shape {array.shape}; needed: {needed}")
         if array.dtype.kind == "f" and not np.all(np.isfinite(array)):
             raise ValueError(f"{name} is not finite")
+
+    # Carried angles have different labels of known joints; there is at least one body and one time
     if ("joint_angle" in arrays) != ("angle_names" in arrays):
         raise ValueError("one of joint_angle and angle_names without the other")
     joints, labels = (

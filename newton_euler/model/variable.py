@@ -4,7 +4,8 @@
 class of functions of time. Parameter studies, fits and sensitivities name a number (`mass`, `target.phase`)
 and give another value: `Variable.rebuilt` checks the value, `Variable.varied` accepts any scalar, such as a
 symbolic expression of the code generator. The values that a number may take are declared in
-`newton_euler.model.fields`."""
+`newton_euler.model.fields`.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +26,15 @@ Change = Callable[..., Any]
 """Function that copies an object with other values of some fields, given as keywords.
 
 It is `altered`, which does not check the values, or `dataclasses.replace`, whose call of the constructor
-does."""
+does.
+"""
 
 PART_UNITS = {"angular_frequency": "rad/s", "phase": "rad"}
 """Units of the numbers of functions of time on which the value depends nonlinearly, by part, see
 `Function.parts`.
 
-Parameter names are ATTRIBUTE.PART, such as `target.phase`."""
+Parameter names are ATTRIBUTE.PART, such as `target.phase`.
+"""
 
 COORDINATE_INDEX = "which coordinate it is"
 """Reason, for error messages, why the index of a joint coordinate cannot vary."""
@@ -275,7 +278,8 @@ def _numbers(value: Any, part: str) -> Any:
 
     Part "" has all numbers that are in no named part: the linear numbers of a function of time, or a number
     or array itself. The numbers of a mapping are those of its values, in order: rows if each value is an
-    array."""
+    array.
+    """
     if isinstance(value, Function):
         return value.part(part)
     if isinstance(value, Mapping):

@@ -1,4 +1,9 @@
-"""Wind loads on flat plates such as solar panels; gusts and turbulence as functions of time."""
+"""Wind loads on flat plates such as solar panels, and wind speeds with gusts and turbulence as functions of
+time.
+
+`WindLoad` is a force element of a scene. Its wind speed is a number or a function of time, for example from
+`wind_gust` or `wind_turbulence`.
+"""
 
 from __future__ import annotations
 
@@ -19,58 +24,86 @@ from newton_euler.model.motions import Sum, TimeFunction
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.scalars import Array, Scalar, arctan2, cross, exp, sqrt
 
-FACE_ON = 1.98  # normal force coefficient of a plate of infinite span across the wind
-ATTACHED, SEPARATED = 0.56, 0.44  # of C_N: FACE_ON sin(a) / (ATTACHED + SEPARATED sin(a))
-END_LOSS, END_RATE = 0.41, 17.0  # of finite plates: END_LOSS (1 - exp(-END_RATE / aspect ratio))
-LEAD = 0.175  # center of pressure ahead of the plate's center along the wind, in chords
-CALM = 1e-2  # m/s, below which a speed counts as this one, smoothly: round-off of any wind that loads
-LONG = 1e100  # of any vector, so that its square is finite, and so is the plate's area
-SQUARE = 1e-9  # cosine of the angle between the sides of a plate that are perpendicular
-MOST_SINES = 1000  # of turbulence, as code is made of each
-STANDARD_AIR = 1.225  # kg/m^3, ISO 2533 Standard Atmosphere at sea level, 15 degrees Celsius
+NORMAL_COEFFICIENT = 1.98
+"""Normal force coefficient C_N of a plate of infinite span perpendicular to the wind (sources in
+`WindLoad`)."""
+
+HOERNER_CONSTANT, HOERNER_SLOPE = 0.56, 0.44
+"""Coefficients of Hoerner's formula C_N = 1.98 sin a / (0.56 + 0.44 sin a) for infinite span (sources in
+`WindLoad`)."""
+
+END_LOSS, END_RATE = 0.41, 17.0
+"""Coefficients of Lindenburg's term 0.41 (1 - exp(-17 / R)) for a plate of aspect ratio R (sources in
+`WindLoad`)."""
+
+PRESSURE_LEAD = 0.175
+"""Distance of the center of pressure ahead of the plate's center for wind along the plate, in plate
+lengths."""
+
+CALM = 1e-2
+"""Speed, m/s, whose square is added to squares of wind speeds, so that the load is smooth where the wind is
+calm."""
+
+MAX_VECTOR_LENGTH = 1e100
+"""Largest length of any vector of a wind load, so that squared lengths and the plate's area stay finite."""
+
+PERPENDICULAR_TOLERANCE = 1e-9
+"""Largest cosine of the angle between the two sides of a plate."""
+
+MAX_SINES = 1000
+"""Largest number of sines in a turbulent wind speed; code is generated for each sine."""
+
+STANDARD_AIR = 1.225
+"""Density of air, kg/m^3, of the ISO 2533 Standard Atmosphere at sea level and 15 degrees Celsius."""
 
 
 @description
 class WindLoad(OnPoint):
     """The load of wind on a flat rectangular plate that is a part of a body.
 
-    With the wind's velocity w relative to the plate's center, its component w_n along the plate's normal n,
-    and the angle of attack a between w and the plate, sin a = |w_n| / |w|, the force is
+    Let w be the velocity of the wind relative to the plate's center, w_n the component of w along the plate's
+    normal n, and a the angle of attack between w and the plate, sin a = |w_n| / |w|. A is the area of the
+    plate, rho the density of air, and R the ratio of the plate's longer side to the shorter side. The force
+    is
 
         F = 1/2 rho A |w|^2 C_N sign(w_n) n,
-        C_N = 1.98 sin a (1 / (0.56 + 0.44 sin a) - 0.41 (1 - exp(-17 / R))),
+        C_N = 1.98 sin a (1 / (0.56 + 0.44 sin a) - 0.41 (1 - exp(-17 / R))).
 
-    and acts ahead of the center, towards the edge that the wind meets first, by 0.175 (1 - 2 a / pi) of the
-    plate's length along the wind. R is the ratio of its longer side to the shorter one. A square plate across
-    the wind has C_N = 1.17.
+    The force acts ahead of the plate's center, towards the edge that the wind meets first. The distance is
+    0.175 (1 - 2 a / pi) times the length of the plate along the wind. A square plate perpendicular to the
+    wind has C_N = 1.17.
 
-    Sources: for infinite span S. F. Hoerner, Fluid-Dynamic Lift, 2nd edition, 1985, chapter XXI, eq. (2);
-    with the term in R C. Lindenburg, Stall Coefficients, ECN-RX--01-004, 2001; with 1.98 and the center of
-    pressure W. Khan and M. Nahon, Real-time modeling of agile fixed-wing UAV aerodynamics, ICUAS 2015, pp.
-    1188-1195, doi:10.1109/ICUAS.2015.7152411. The originals were not at hand: the formulas were checked
-    against other programs that cite these works for them.
+    Sources. Infinite span: S. F. Hoerner, Fluid-Dynamic Lift, 2nd edition, 1985, chapter XXI, eq. (2). Term
+    with R: C. Lindenburg, Stall Coefficients, ECN-RX--01-004, 2001. Coefficient 1.98 and center of pressure:
+    W. Khan and M. Nahon, Real-time modeling of agile fixed-wing UAV aerodynamics, ICUAS 2015, pp. 1188-1195,
+    doi:10.1109/ICUAS.2015.7152411. The originals were not available: the formulas were checked against other
+    programs that cite these works.
 
-    Range: thin plates in free and steady flow of low Mach number, at Reynolds numbers above 1000, that is
-    separated, at some 20 to 90 degrees; below, the same formula goes on smoothly to no force at 0.
-    Assumptions beside the sources: R is that ratio for wind along either side; wind across a corner moves the
-    center of pressure along each side by its component there; the flow follows w without delay, and the
-    plate's rotation changes nothing but w; there is no friction along the plate, and neither the ground nor
-    anything upwind is near. In the turbulence near the ground mean and peak loads of heliostats are larger
-    than in such flow; their coefficients are in J. A. Peterka and R. G. Derickson, Wind Load Design Methods
-    for Ground-Based Heliostats and Parabolic Dish Collectors, SAND92-7009, 1992. Here gusts are in `speed`.
+    Validity. The formula holds for thin plates in free, steady, separated flow: angles of attack from about
+    20 to 90 degrees, low Mach number, Reynolds number above 1000. Below 20 degrees it continues smoothly to
+    zero force at 0. Further assumptions of this class are:
+
+    - R does not depend on the direction of the wind along the plate;
+    - wind along a diagonal moves the center of pressure along each side in proportion to its component there;
+    - the flow follows w without delay, and the plate's rotation affects the load through w only;
+    - there is no friction along the plate, and neither the ground nor an obstacle upwind is near.
+
+    In the turbulence near the ground, mean and peak loads of heliostats are larger. Coefficients for that
+    case are in J. A. Peterka and R. G. Derickson, Wind Load Design Methods for Ground-Based Heliostats and
+    Parabolic Dish Collectors, SAND92-7009, 1992. In this class gusts are a part of `speed`.
 
     Attributes:
         name: unique among the forces of a scene; letters, digits, `_`, `.` and `-`.
-        body: name of the body that the plate is a part of; not the ground.
-        point: (3,) center of the plate in the world at the initial pose, m.
-        first_side, second_side: (3,) m along the plate's sides, as long as these, perpendicular, in the world
-            at the initial pose.
-        direction: (3,) that the wind blows to, world frame, of any length.
-        speed: m/s along `direction`, a number or a function of time.
+        body: name of the body of which the plate is a part; not the ground.
+        point: (3,) center of the plate, m, world at the initial pose.
+        first_side, second_side: (3,) m, the two sides of the plate with their lengths, perpendicular to each
+            other, world at the initial pose.
+        direction: (3,) direction towards which the wind blows, world frame, of any length.
+        speed: wind speed along `direction`, m/s, a number or a function of time.
         air_density: rho in kg/m^3, 0 or more.
 
     Raises:
-        MechanismError: naming the wind load and the value at fault.
+        MechanismError: naming the wind load and the invalid value.
 
     Examples:
         >>> center, x, y = [0.0, 0.0, 3.0], [2.0, 0.0, 0.0], [0.0, 1.0, 0.0]
@@ -98,20 +131,22 @@ class WindLoad(OnPoint):
         "second_side": NumberField("m", shape=(3,), allowed="joint"),
     }
 
-    @np.errstate(all="ignore")  # squares overflow, and are refused
+    @np.errstate(all="ignore")  # squares that overflow are refused
     def __post_init__(self) -> None:
         check_name(self.noun, self.name)
         check_texts(self.element, self, "body")
         self.set_numbers(self.element)
         for vector in ("first_side", "second_side", "direction"):
             given = getattr(self, vector)
-            if not 0.0 < given @ given < LONG * LONG:
+            if not 0.0 < given @ given < MAX_VECTOR_LENGTH * MAX_VECTOR_LENGTH:
                 problem = f"{vector} is {given.tolist()}"
-                raise MechanismError(self.element, problem, f"a vector not of length 0, nor above {LONG:g}")
+                needed = f"a vector not of length 0, nor above {MAX_VECTOR_LENGTH:g}"
+                raise MechanismError(self.element, problem, needed)
         cosine = float(self.first_side @ self.second_side) / self.area
-        if abs(cosine) > SQUARE:
+        if abs(cosine) > PERPENDICULAR_TOLERANCE:
             problem = f"its sides have a cosine of {cosine:.3g}"
-            raise MechanismError(self.element, problem, f"perpendicular sides, |cosine| at most {SQUARE:g}")
+            needed = f"perpendicular sides, |cosine| at most {PERPENDICULAR_TOLERANCE:g}"
+            raise MechanismError(self.element, problem, needed)
 
     def described_after(self, change: PoseChange) -> Self:
         move = change.move(self.body)
@@ -131,15 +166,18 @@ class WindLoad(OnPoint):
 
     @property
     def axes(self) -> Array:
-        """Unit vectors along the sides and the normal, columns (3, 3), in the world at the initial pose."""
+        """(3, 3) matrix whose columns are unit vectors along both sides and the normal, world at the initial
+        pose."""
         length, width = self.lengths
         first, second = self.first_side / length, self.second_side / width
         return np.column_stack([first, second, cross(first, second)])
 
     @property
     def end_loss(self) -> Scalar:
-        """Loss of the normal force at the ends of the plate: 0.41 (1 - exp(-17 / R))."""
+        """Reduction of the force coefficient by the ends of the plate: 0.41 (1 - exp(-17 / R)), R the aspect
+        ratio."""
         length, width = self.lengths.tolist()
+        # For symbols, min and max of the sides are written with |length - width|, smooth at equal sides
         if isinstance(length, float) and isinstance(width, float):
             shorter, longer = min(length, width), max(length, width)
         else:
@@ -148,7 +186,7 @@ class WindLoad(OnPoint):
         return END_LOSS * (1.0 - exp(-END_RATE * shorter / longer))
 
     def velocity(self, time: float) -> Array:
-        """Compute the wind's velocity (3,), m/s, world frame, at a time in s."""
+        """Compute the velocity of the wind (3,), m/s, world frame, at a time in s."""
         speed = self.speed.value(time) if isinstance(self.speed, TimeFunction) else self.speed
         return np.asarray(speed / sqrt(self.direction @ self.direction) * self.direction)
 
@@ -156,36 +194,45 @@ class WindLoad(OnPoint):
         k = at.mechanism.body_index(self.body)
         pose, frame = at.poses[k], at.frames[k]
         arm = frame.rotation @ pose.point_to_body(self.point)
+
+        # Relative wind w in the frame of the plate; its speeds normal to the plate and along it
         axes = frame.rotation @ (pose.rotation.T @ self.axes)
         w = (self.velocity(at.time) - frame.velocity - cross(frame.angular_velocity, arm)) @ axes
         calm = CALM * CALM
-        across, along = sqrt(w[2] * w[2] + calm), sqrt(w[0] * w[0] + w[1] * w[1] + calm)
-        total = sqrt(across * across + along * along)
-        slope = FACE_ON * (total / (ATTACHED * total + SEPARATED * across) - self.end_loss)
-        push = 0.5 * self.area * self.air_density * slope * total * w[2]
+        normal_speed, tangential_speed = sqrt(w[2] * w[2] + calm), sqrt(w[0] * w[0] + w[1] * w[1] + calm)
+        speed = sqrt(normal_speed * normal_speed + tangential_speed * tangential_speed)
+
+        # Normal force; C_N / sin a, as sin a = normal_speed / speed
+        hoerner = speed / (HOERNER_CONSTANT * speed + HOERNER_SLOPE * normal_speed)
+        coefficient = NORMAL_COEFFICIENT * (hoerner - self.end_loss)
+        normal_force = 0.5 * self.area * self.air_density * coefficient * speed * w[2]
+        force = axes[:, 2] * normal_force
+
+        # Center of pressure; arctan2(tangential, normal) = pi / 2 - a
         length, width = self.lengths
-        lead = (LEAD * 2.0 / math.pi) * arctan2(along, across) / along
-        force = axes[:, 2] * push
+        lead = (PRESSURE_LEAD * 2.0 / math.pi) * arctan2(tangential_speed, normal_speed) / tangential_speed
         center = axes[:, 0] * (-(length * lead * w[0])) + axes[:, 1] * (-(width * lead * w[1]))
         return k, force, cross(center, force), arm
 
 
 @checked
 def wind_gust(mean: float, gust: float, period: float = 10.5) -> Sum:
-    """Make the speed of an extreme operating gust: a dip, a rise by 0.74 of `gust`, and a dip again.
+    """Return the wind speed of an extreme operating gust: a dip, a rise by 0.74 of `gust`, and a second dip.
 
-    mean - 0.37 gust sin(3 pi t / T) (1 - cos(2 pi t / T)) for t from 0 to T, the standard IEC 61400-1 (2005)
-    of wind turbines, as a sum of sines, which goes on after T: end runs there. The standard was not at hand;
-    formula and T were checked against programs for wind turbines. Its gust is that at the hub, below 3.3
-    standard deviations of the turbulence; for structures near the ground it is an assumption.
+    For t from 0 to the period T, the speed is mean - 0.37 gust sin(3 pi t / T) (1 - cos(2 pi t / T)), the
+    extreme operating gust of the standard IEC 61400-1 (2005) for wind turbines. The function is a sum of
+    sines that repeats after T, so that runs should end at T. The standard was not available; the formula and
+    T were checked against programs for wind turbines. The gust of the standard is that at the hub of a
+    turbine, less than 3.3 standard deviations of the turbulence. For structures near the ground the formula
+    is an assumption.
 
     Args:
-        mean: m/s before and after.
-        gust: m/s.
-        period: T in s.
+        mean: wind speed before and after the gust, m/s.
+        gust: size of the gust, m/s.
+        period: duration T of the gust, s.
 
     Raises:
-        ArgumentError: for a value that is no finite number.
+        ArgumentError: for a value that is not a finite number.
         MechanismError: for a period that is not positive.
 
     Examples:
@@ -200,7 +247,7 @@ def wind_gust(mean: float, gust: float, period: float = 10.5) -> Sum:
 
 
 @checked
-@np.errstate(all="ignore")  # sines refuse what overflows
+@np.errstate(all="ignore")  # the constructor of `Sine` refuses numbers that overflow
 def wind_turbulence(
     mean: float,
     deviation: float,
@@ -208,29 +255,32 @@ def wind_turbulence(
     seed: Annotated[int, Range(0)],
     lowest: float = 0.01,
     highest: float = 10.0,
-    count: Annotated[int, Range(1, MOST_SINES)] = 40,
+    count: Annotated[int, Range(1, MAX_SINES)] = 40,
 ) -> Sum:
-    """Make the speed of turbulent wind of Kaimal's spectrum, one of many as chosen by a seed.
+    """Return a random wind speed with Kaimal's turbulence spectrum; the seed selects the realization.
 
-    S(f) = 4 s^2 (L / V) / (1 + 6 f L / V)^(5/3), of the component along the mean wind, as in an annex of
-    IEC 61400-1, whose integral over all frequencies f is s^2. It becomes a sum of sines of random phases
-    (M. Shinozuka and G. Deodatis, Simulation of stochastic processes by spectral representation, Applied
-    Mechanics Reviews 44(4), 1991, pp. 191-204): of each part of the band one, of the part's variance. That
-    parts are equal on a logarithmic scale, and frequencies random in them, is a choice made here: so the wind
-    does not repeat, and few sines span a wide band. Wind beyond the band is left out.
+    The spectrum of the component along the mean wind is S(f) = 4 s^2 (L / V) / (1 + 6 f L / V)^(5/3), as in
+    an annex of IEC 61400-1. Its integral over all frequencies f is the variance s^2. The realization is a sum
+    of sines with random phases (M. Shinozuka and G. Deodatis, Simulation of stochastic processes by spectral
+    representation, Applied Mechanics Reviews 44(4), 1991, pp. 191-204). The band of frequencies is divided
+    into parts of equal width on a logarithmic scale. Each part has one sine, with the variance of the part
+    and a random frequency in it. This division is a choice of this function: the wind does not repeat, and
+    few sines cover a wide band. Turbulence outside of the band is omitted.
 
-    The standard was not at hand; spectrum, L and s were checked against programs for wind turbines. They are
-    of hubs tens of meters above the ground: near the ground, as at 2 m, L proportional to the height is an
-    assumption, and turbulence is often stronger.
+    The standard was not available; spectrum, L and s were checked against programs for wind turbines. The
+    values are for hubs tens of meters above the ground. Near the ground, as at 2 m, L proportional to the
+    height is an assumption, and turbulence is often stronger.
 
     Args:
-        mean: V in m/s.
-        deviation: s in m/s; the standard's is I (0.75 V + 5.6 m/s), I = 0.16, 0.14, 0.12 for classes A, B, C.
-        length: L in m; the standard's is 8.1 * 0.7 = 5.67 times the height above ground up to 60 m.
+        mean: mean wind speed V, m/s.
+        deviation: standard deviation s of the wind speed, m/s. The standard's value is I (0.75 V + 5.6 m/s),
+            with I = 0.16, 0.14, 0.12 for turbulence classes A, B, C.
+        length: length scale L of the turbulence, m. The standard's value is 8.1 * 0.7 = 5.67 times the height
+            above ground, up to a height of 60 m.
         seed: 0 or more; the same seed gives the same wind.
-        lowest: Hz, of the band.
-        highest: Hz.
-        count: number of sines, 1 to `MOST_SINES`.
+        lowest: lower end of the band of frequencies, Hz.
+        highest: upper end of the band of frequencies, Hz.
+        count: number of sines, 1 to `MAX_SINES`.
 
     Raises:
         ArgumentError: for a value of another type, and an impossible seed or count.
@@ -249,15 +299,17 @@ def wind_turbulence(
     mean, deviation, length, lowest, highest = map(float, (mean, deviation, length, lowest, highest))
     rng = np.random.default_rng(int(seed))
     edges = np.geomspace(lowest, highest, count + 1)
-    below = 1.0 - (1.0 + 6.0 * edges * length / mean) ** (-2.0 / 3.0)
-    amplitudes = deviation * np.sqrt(2.0 * np.diff(below))
+    # fraction of the variance below each edge: the integral of S from 0, divided by s^2
+    variance_below = 1.0 - (1.0 + 6.0 * edges * length / mean) ** (-2.0 / 3.0)
+    amplitudes = deviation * np.sqrt(2.0 * np.diff(variance_below))
     frequencies = edges[:-1] * (edges[1:] / edges[:-1]) ** rng.random(count)
     phases = 2.0 * np.pi * rng.random(count)
-    waves = zip(amplitudes.tolist(), (2.0 * np.pi * frequencies).tolist(), phases.tolist(), strict=True)
-    return Sum((Polynomial((mean,)), *(Sine(*wave) for wave in waves)))
+    sines = zip(amplitudes.tolist(), (2.0 * np.pi * frequencies).tolist(), phases.tolist(), strict=True)
+    return Sum((Polynomial((mean,)), *(Sine(*numbers) for numbers in sines)))
 
 
 def _check_positive(where: str, **values: float) -> None:
+    """Raise `MechanismError`, naming `where` and the argument, for a value that is not positive."""
     for name, value in values.items():
         if not value > 0.0:
             raise MechanismError(where, f"{name} is {quoted(value)}", "a positive number")

@@ -30,7 +30,7 @@ from newton_euler.errors import MechanismError, finite_array, quoted, real_array
 from newton_euler.model.elements import OnBall, OnCoordinate
 from newton_euler.model.fields import NumberField
 from newton_euler.model.initial_pose import coordinates_at, described_at
-from newton_euler.model.mechanism import LEAST, REALISABLE_TOLERANCE
+from newton_euler.model.mechanism import MIN_INERTIA, REALISABLE_TOLERANCE
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.variable import functions_of
@@ -357,7 +357,7 @@ def _realisable(inertia: Array, unrealisable: bool) -> Array:
     """Return for inertias (n, 3, 3) whether a rigid body can surely have them, (n,)."""
     scale = np.max(np.abs(inertia), axis=(1, 2))
     asymmetry = np.max(np.abs(inertia - np.swapaxes(inertia, 1, 2)), axis=(1, 2))
-    usable = (scale > LEAST) & (scale < 1.0 / LEAST)
+    usable = (scale > MIN_INERTIA) & (scale < 1.0 / MIN_INERTIA)
     a, b, c = np.linalg.eigvalsh(np.where(usable[:, None, None], inertia, np.eye(3))).T
-    fine = usable & (asymmetry == 0.0) & (a > INERTIA_MARGIN * scale) & (a > 2.0 * LEAST)
+    fine = usable & (asymmetry == 0.0) & (a > INERTIA_MARGIN * scale) & (a > 2.0 * MIN_INERTIA)
     return np.asarray(fine & (unrealisable | (a + b >= c * (1.0 + REALISABLE_TOLERANCE))))

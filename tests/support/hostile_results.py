@@ -22,7 +22,7 @@ from hostile_files import MJCF, SEED, TEXTS, URDF, sparse
 from crosscheck.report.page import RESULTS
 from crosscheck.support.checksum import with_checksum
 from crosscheck.support.results import digest
-from newton_euler.model.trajectory import NEEDED, SHAPES, load_arrays
+from newton_euler.model.trajectory import REQUIRED_ARRAYS, SHAPES, load_arrays
 
 Prepare = Callable[[Path], None]
 
@@ -196,7 +196,7 @@ def array_cases(run: Path) -> Iterator[Refused]:
         if numbers:
             bad = lambda x, name=name: x | {name: np.full_like(x[name], np.nan)}  # noqa: E731
             yield case(f"{name} of NaN", f"{name} is not finite", bad)
-        if name in NEEDED:
+        if name in REQUIRED_ARRAYS:
             yield case(
                 f"no {name}",
                 f"no array {name!r}",
