@@ -1,16 +1,18 @@
-"""Machine code and chosen constraint rows kept on disk, by name.
+"""Cache on disk for machine code, and for choices of constraint rows that are expensive to compute.
 
-What the cache holds is executed. Its directory and its files must belong to this user, or to root, and nobody
-else may write them; the directory is made for this user alone. A checksum would be no protection: whoever can
-write a file can write a checksum that fits it.
+`read_cache` and `write_cache` store bytes under a key, which `cache_key` makes from all that the bytes depend
+on.
 
-A file holds the SHA-256 of its name and content and then the content, so that a damaged or renamed file
-counts as missing. A file is written beside its place and renamed, so that no reader ever sees half of it,
-whoever else writes at the same time and wherever a run is killed. A file that cannot be read or written
-costs a compilation, never a run.
+Security: the machine code is executed. So the directory and its files must belong to this user or to root,
+and nobody else may have permission to write them. A checksum would be no protection, because an attacker who
+can write a file can write a matching checksum.
 
-The cache is kept below `LIMIT` by removing what has not been used for longest. A file's time of modification
-is when it was last used, to `_RECENT`. Files are counted with one write in `_COUNT_EVERY`, never by a read.
+Robustness: a file holds the SHA-256 of its key and content, then the content. A damaged or renamed file
+counts as missing. A file is written under a temporary name and then renamed, so that no process reads half a
+file. If a file cannot be read or written, the code is compiled again; a run never fails for it.
+
+Size: the cache is kept below `LIMIT` by removing the files that have not been used for the longest time. The
+modification time of a file is the time of its last use.
 """
 
 from __future__ import annotations
@@ -31,78 +33,92 @@ from newton_euler.errors import OptionError
 from newton_euler.folders import make_folder
 
 CACHE_VARIABLE = "NEWTON_EULER_CACHE"
-"""Environment variable that names the cache directory; empty for no cache."""
+"""Environment variable with the path of the cache directory; an empty value turns the cache off."""
 
 LIMIT = 256 * 2**20
-"""Bytes that the cache is kept below, but for what is written between two counts."""
+"""Largest size of the cache, bytes. It may be exceeded until the next check."""
 
-_FULL = 0.75
-"""Share of the limit that is left of a cache that exceeded it."""
+_REDUCED_FRACTION = 0.75
+"""Size of the cache after a reduction, as a fraction of `LIMIT`."""
 
-_COUNT_EVERY = 64
-_RECENT = 3600.0
-"""s within which uses are not distinguished."""
+_WRITES_PER_CHECK = 64
+"""Average number of writes between two checks of the size of the cache."""
 
-_ENDING = ".newton-euler"
-_OWN = re.compile(r"[0-9a-f]{64}" + re.escape(_ENDING))
-_UNFINISHED = ".newton-euler-new-"
-"""Names of the cache's own files, among all that may be in a directory that somebody chose."""
+_USE_TIME_RESOLUTION = 3600.0
+"""Resolution of the time of last use, s: a file's time is updated only if it is older than this."""
 
-_ABANDONED = 3600.0
-"""s after which an unfinished file is that of a run that was killed."""
+_SUFFIX = ".newton-euler"
+_ENTRY_NAME = re.compile(r"[0-9a-f]{64}" + re.escape(_SUFFIX))
+_TEMPORARY_PREFIX = ".newton-euler-new-"
+"""Suffix and pattern of names of cache entries, and prefix of names of files that are being written. Other
+files in the directory are left alone, because the user may have chosen any directory."""
+
+_ABANDONED_AFTER = 3600.0
+"""Age of a temporary file, s, after which its process must have been killed, and the file is removed."""
 
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
-"""Permissions that no directory and no file of the cache may have."""
+"""Permission bits that the directory and the files of the cache must not have."""
 
 PRIVATE = stat.S_IRWXU
-"""Permissions of the directory that the cache makes."""
+"""Permission bits of a cache directory that this module makes: access for its user only."""
 
 OWN_OR_NOTHING = "a directory of your own that nobody else can write, or nothing for no cache"
+"""Text for error messages: what `CACHE_VARIABLE` should name."""
 
-_DIGEST = 32
-"""Bytes of a SHA-256."""
+_DIGEST_SIZE = 32
+"""Length of a SHA-256 digest, bytes."""
 
 
 def _digest(key: str, code: bytes) -> bytes:
+    """Return the digest that the file of an entry begins with."""
     return hashlib.sha256(key.encode() + code).digest()
 
 
 def cache_key(*parts: object) -> str:
-    """Return the name of an entry that depends on the text of these parts alone."""
+    """Return the key of an entry: the SHA-256 of the texts of all parts that the entry depends on."""
     return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()
 
 
 def cache_directory() -> Path | None:
-    """Return the directory of the cache; None if the user wants none or has no home directory.
+    """Return the directory of the cache; None if the user has turned it off or has no home directory.
 
     Raises:
-        OptionError: for a name of what is no directory and cannot become one, and for a directory that others
-            own or can write.
+        OptionError: if the path is not a directory and cannot become one, or if another user owns the
+            directory or may write to it.
     """
     chosen = os.environ.get(CACHE_VARIABLE)
     if chosen is not None:
-        return _checked(chosen, OWN_OR_NOTHING) if chosen else None
+        return _trusted_path(chosen, OWN_OR_NOTHING) if chosen else None
     try:
         directory = user_cache_path("newton_euler", appauthor=False)
     except RuntimeError:  # a user without a home directory
         return None
-    if not directory.is_absolute():  # platformdirs 4.2 leaves "~" to such a user
+    if not directory.is_absolute():  # platformdirs 4.2 returns "~" for such a user
         return None
+    # in the default directory of this user, take the permission to write away from all others
     with suppress(OSError):
         status = os.lstat(directory)
         if stat.S_ISDIR(status.st_mode) and status.st_uid == os.geteuid() and status.st_mode & OTHERS_WRITE:
             os.chmod(directory, PRIVATE)
-    return _checked(str(directory), f"another directory by {CACHE_VARIABLE}, {OWN_OR_NOTHING}")
+    return _trusted_path(str(directory), f"another directory by {CACHE_VARIABLE}, {OWN_OR_NOTHING}")
 
 
-def _checked(name: str, needed: str) -> Path:
-    """Return the path of a directory that is there, or that may be made later if the disk permits."""
+def _trusted_path(name: str, needed: str) -> Path:
+    """Return the path of a directory that can be trusted, or that does not exist yet.
+
+    Args:
+        name: path of the directory.
+        needed: text for the error message: what the user should choose.
+
+    Raises:
+        OptionError: if the directory cannot be trusted or is not a directory.
+    """
     problem = os.strerror(errno.ENOTDIR)
     try:
         status = os.stat(name)
         if stat.S_ISDIR(status.st_mode):
-            # who owns a link can point it elsewhere later
-            problem = _foreign(status) or _foreign_owner(os.lstat(name))
+            # the owner must be trusted for a symbolic link too: the owner could change its target later
+            problem = _reason_for_distrust(status) or _untrusted_owner(os.lstat(name))
             if not problem:
                 return Path(name)
     except (FileNotFoundError, PermissionError):
@@ -112,78 +128,82 @@ def _checked(name: str, needed: str) -> Path:
     raise OptionError(CACHE_VARIABLE, f"{name:.100}", f"{needed} ({problem})")
 
 
-def _foreign(status: os.stat_result) -> str:
-    """Word why code of a file or directory is not executed; empty if it may be."""
-    if owner := _foreign_owner(status):
+def _reason_for_distrust(status: os.stat_result) -> str:
+    """Return why code in a file or directory must not be executed; an empty text if it may be executed."""
+    if owner := _untrusted_owner(status):
         return owner
     return "others can write it; chmod go-w" if status.st_mode & OTHERS_WRITE else ""
 
 
-def _foreign_owner(status: os.stat_result) -> str:
+def _untrusted_owner(status: os.stat_result) -> str:
+    """Return a text about the owner if it is neither this user nor root, else an empty text."""
     trusted = (os.geteuid(), 0)
     return "" if status.st_uid in trusted else f"it belongs to user {status.st_uid}, not {trusted[0]}"
 
 
 def read_cache(key: str) -> bytes | None:
-    """Read the entry of a key; None if there is none, or none that can be trusted."""
+    """Return the content of the entry with this key; None if there is no such entry or it cannot be
+    trusted."""
     directory = cache_directory()
     if directory is None:
         return None
-    path = directory / (key + _ENDING)
+    path = directory / (key + _SUFFIX)
     try:
-        # a link is not followed, and a pipe does not keep its reader waiting
+        # do not follow symbolic links, and do not wait if the file is a pipe
         handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
         with os.fdopen(handle, "rb") as stream:
             status = os.fstat(handle)
-            if not stat.S_ISREG(status.st_mode) or _foreign(status):
+            if not stat.S_ISREG(status.st_mode) or _reason_for_distrust(status):
                 return None
             content = stream.read()
     except OSError:
         return None
-    if time.time() - status.st_mtime > _RECENT:
-        with suppress(OSError):  # a read-only disk, or another process has removed it
+    if time.time() - status.st_mtime > _USE_TIME_RESOLUTION:
+        with suppress(OSError):  # the disk is read-only, or another process has removed the file
             os.utime(path)
-    digest, code = content[:_DIGEST], content[_DIGEST:]
+    digest, code = content[:_DIGEST_SIZE], content[_DIGEST_SIZE:]
     return code if _digest(key, code) == digest else None
 
 
 def write_cache(key: str, code: bytes) -> None:
-    """Write an entry under a key, if the disk permits."""
+    """Store the content of an entry under a key; do nothing if the disk does not permit writing."""
     directory = cache_directory()
     if directory is None:
         return
-    with suppress(OSError):  # a full or read-only disk: the next run compiles again
+    with suppress(OSError):  # the disk is full or read-only: the next run compiles again
         make_folder(directory, PRIVATE)
-        if int(key, 16) % _COUNT_EVERY == 0:
-            _tidy(directory)
-        handle, name = tempfile.mkstemp(dir=directory, prefix=_UNFINISHED)
+        if int(key, 16) % _WRITES_PER_CHECK == 0:  # keys are random numbers
+            _reduce(directory)
+        handle, name = tempfile.mkstemp(dir=directory, prefix=_TEMPORARY_PREFIX)
         try:
             with os.fdopen(handle, "wb") as stream:
                 stream.write(_digest(key, code) + code)
-            Path(name).replace(directory / (key + _ENDING))
+            Path(name).replace(directory / (key + _SUFFIX))
         except BaseException:
             Path(name).unlink(missing_ok=True)
             raise
 
 
-def _tidy(directory: Path) -> None:
-    """Remove files that killed runs left unfinished, and entries beyond the limit, those unused for longest
-    first."""
+def _reduce(directory: Path) -> None:
+    """Remove abandoned temporary files; if the cache exceeds its limit, remove the entries unused for
+    longest."""
+    # list the entries, and remove abandoned files
     now, total = time.time(), 0
-    found: list[tuple[float, int, str]] = []
+    entries: list[tuple[float, int, str]] = []  # time of last use, size, path
     for entry in os.scandir(directory):
-        with suppress(OSError):  # here and below: another process may have been quicker
-            if not entry.is_file(follow_symlinks=False):  # somebody's own
+        with suppress(OSError):  # here and below: another process may have removed the file
+            if not entry.is_file(follow_symlinks=False):  # not made by the cache
                 continue
             status = entry.stat(follow_symlinks=False)
-            if _OWN.fullmatch(entry.name):
-                found.append((status.st_mtime, status.st_size, entry.path))
+            if _ENTRY_NAME.fullmatch(entry.name):
+                entries.append((status.st_mtime, status.st_size, entry.path))
                 total += status.st_size
-            elif entry.name.startswith(_UNFINISHED) and now - status.st_mtime > _ABANDONED:
+            elif entry.name.startswith(_TEMPORARY_PREFIX) and now - status.st_mtime > _ABANDONED_AFTER:
                 os.unlink(entry.path)
+    # remove the oldest entries
     if total > LIMIT:
-        for _, size, path in sorted(found):
-            if total <= _FULL * LIMIT:
+        for _, size, path in sorted(entries):
+            if total <= _REDUCED_FRACTION * LIMIT:
                 break
             with suppress(OSError):
                 os.unlink(path)

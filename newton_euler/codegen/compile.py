@@ -34,7 +34,7 @@ MIN_ROLLED_SIZE = 9_500
 as long to compile."""
 
 MIN_ROLLED_SIZE_IN_LANES = 6 * MIN_ROLLED_SIZE
-"""The same limit for some programs that take several inputs at once: straight-line code of this size compiles
+"""Larger limit, for some programs that take several inputs at once. Straight-line code of this size compiles
 in 8 s."""
 
 CODE_LEVEL, ROLLED_CODE_LEVEL = 1, 0
@@ -51,7 +51,7 @@ PROGRAM_SIGNATURE = Signature({"x": "ptr", "y": "ptr", "on": "i64"}, "void")
 y."""
 
 C_FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
-"""The same signature as a type of `ctypes`."""
+"""Type of `ctypes` for functions with the signature `PROGRAM_SIGNATURE`."""
 
 
 @lru_cache
@@ -106,7 +106,7 @@ class NativeModule:
             identity: text that identifies the code in the cache: the LLVM text, or all that it depends on.
             text: returns the LLVM text and LLVM's code generation level for it; not called if the code is in
                 the cache.
-            functions: signature of each function to call from outside, by name.
+            functions: signature by name of each function that may be called by its address.
             optimize: True to move variables from memory to registers. Traced programs have no variables.
         """
         llvm = llvm_binding()

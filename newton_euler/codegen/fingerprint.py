@@ -1,4 +1,7 @@
-"""Fingerprints of traced programs: one hash of all they depend on, the source that traces them included."""
+"""Fingerprints of compiled programs: a hash of all objects that a program depends on, for the cache on disk.
+
+The hash includes the source code of this package, because the package computes the program from the objects.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +15,14 @@ import numpy as np
 
 
 def fingerprint(*values: object, neutral: frozenset[str] = frozenset()) -> str | None:
-    """Hash some values and this package's source.
+    """Return a hash of the contents of some values and of the source code of this package.
 
-    None if one of them holds something whose meaning lies outside this package: an object of a class of the
-    user's own, for one.
+    The result is None if a value contains an object of a class outside this package, such as one of the user:
+    its behavior cannot be hashed.
 
     Args:
-        neutral: names of fields that no program depends on.
+        values: numbers, texts, arrays, collections, and objects of classes of this package.
+        neutral: names of fields that are not hashed, because the program does not depend on them.
     """
     try:
         parts = [part for value in values for part in _parts(value, neutral)]
@@ -28,15 +32,15 @@ def fingerprint(*values: object, neutral: frozenset[str] = frozenset()) -> str |
 
 
 PACKAGE = Path(__file__).parents[1]
-"""Every module of `newton_euler`: the equations as well as their compiler."""
+"""Folder of the package `newton_euler`, with the equations of motion as well as their compiler."""
 
 
 def _source() -> bytes:
-    """Hash the package's files."""
-    found = hashlib.sha256()
+    """Return the SHA-256 of all source files of the package."""
+    digest = hashlib.sha256()
     for path in sorted(PACKAGE.rglob("*.py")):
-        found.update(path.read_bytes())
-    return found.digest()
+        digest.update(path.read_bytes())
+    return digest.digest()
 
 
 SOURCE = _source()
@@ -44,7 +48,11 @@ SOURCE = _source()
 
 
 def _parts(value: Any, neutral: frozenset[str]) -> Iterator[bytes]:
-    """Yield the same bytes for the same value, in every process."""
+    """Yield bytes that identify the content of a value, the same in every process.
+
+    Raises:
+        TypeError: if the value has no fingerprint.
+    """
     if value is None or isinstance(value, str | int | float):
         yield repr(value).encode()
     elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":

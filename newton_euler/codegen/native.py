@@ -1,14 +1,16 @@
-"""Plain Python functions that become native code: the loops around traced programs, integrators above all.
+"""Mark Python functions that can be compiled to machine code, such as the integrators.
 
-A function decorated with `native` is ordinary Python over floats, integers, NumPy vectors and other
-functions, and runs as such. `newton_euler.codegen.translate` gives the same function as LLVM text, for one
-run or for several side by side. It may contain all that a method of integration needs: assignments, if,
-while, `for k in range(...)`, arithmetic, comparisons, elements `a[k]` and tails `a[k:]` of vectors, fields of
-records, calls of other native functions, of callbacks and of abs, min, max, sqrt. Arguments are annotated
-`float`, `int`, an `IntEnum`, `Vector`, `Shared`, `Callback` or a subclass of `Record`. Tables of module level
-(tuples of floats) and members of an `IntEnum` become constants.
+A function decorated with `native` is ordinary Python and runs as such. `newton_euler.codegen.translate` turns
+the same function into LLVM text, for one run or for several runs at once. The function may contain:
 
-Integers are 64 bit; `//` and `%` round towards zero and are meant for numbers that are not negative.
+- assignments, if, while, `for k in range(...)`, arithmetic and comparisons;
+- elements `a[k]` and tails `a[k:]` of vectors, and fields of records;
+- calls of other native functions, of callbacks, and of abs, min, max and sqrt;
+- tables of module level (tuples of floats) and members of an `IntEnum`, which become constants.
+
+Arguments are annotated `float`, `int`, an `IntEnum`, `Vector`, `Shared`, `Callback` or a subclass of
+`Record`. Integers have 64 bits. `//` and `%` round towards zero, so they are meant for numbers that are not
+negative.
 """
 
 from __future__ import annotations
@@ -26,16 +28,18 @@ import numpy as np
 from newton_euler.scalars import Array
 
 Vector = Array
-"""A vector of doubles; native code gets its address."""
+"""Annotation: a vector of doubles, passed by address. Compiled for several runs at once, one in each lane of
+the vector registers, it has separate elements for each lane."""
 
 Shared = Array
-"""A vector that runs in all lanes share; scalar code makes no difference."""
+"""Annotation: a vector of doubles that the runs in all lanes share. For one run it is the same as
+`Vector`."""
 
 Callback = Any
-"""A function f(x, y) that writes the vector y; native code gets its address.
+"""Annotation: a function f(x, y) that reads the vector x and writes the vector y, passed by address.
 
-Native code passes the lanes that are on as the bits of a third argument, all of them in scalar code: y stays
-as it is in other lanes."""
+Native code adds a third argument, an integer. If bit i is 1, lane i is active, and the function writes its y.
+In code for one run all bits are 1."""
 
 TYPES = {
     "float": "double",
@@ -45,23 +49,24 @@ TYPES = {
     "Callback": "fn",
     "None": "void",
 }
-
+"""Kind of a value (see `Kind`) by its annotation."""
 
 F = TypeVar("F", bound=Callable[..., Any])
+"""Type of a function that the decorator `native` returns unchanged."""
 
 
 class Record:
-    """Base of frozen dataclasses of numbers, vectors, callbacks and records, which native code gets as one
-    pointer.
+    """Base class of frozen dataclasses that native functions take as one argument.
 
-    Native functions read a field once, when they are entered; what changes in a run is in vectors.
+    Fields are numbers, vectors, callbacks and other records. A native function reads a field once, when it is
+    called. Values that change during a run must be elements of vectors.
     """
 
     kinds: ClassVar[dict[str, Kind]]
-    """LLVM type of each field, in order, or the class of a record."""
+    """Kind of each field, in order."""
 
     layout: ClassVar[Struct]
-    """The fields in memory, 8 bytes each: a double, an integer or an address."""
+    """Format of the fields in memory, 8 bytes each: a double, an integer or an address."""
 
     def __init_subclass__(cls) -> None:
         known = vars(sys.modules[cls.__module__])
@@ -70,66 +75,70 @@ class Record:
 
     @cached_property
     def _packed(self) -> Any:
-        """The fields in memory, alive as long as this object is."""
+        """Memory block with the values of the fields, which lives as long as this object."""
         values = (address_of(getattr(self, name)) or 0 for name in self.kinds)
         return ctypes.create_string_buffer(self.layout.pack(*values), self.layout.size)
 
     @property
     def address(self) -> int:
-        """Address of the fields, valid as long as this object lives."""
+        """Address of the memory block with the fields, valid as long as this object lives."""
         return ctypes.addressof(self._packed)
 
     def overwrite_with(self, other: Self) -> None:
-        """Take the fields of another record, as native code sees them; it may call this."""
+        """Replace the fields that native code sees by those of another record, also while native code runs.
+
+        The attributes that Python sees stay as they are.
+        """
         ctypes.memmove(self.address, other.address, self.layout.size)
-        self.__dict__["_other"] = other  # alive as long as this object is
+        self.__dict__["_other"] = other  # keeps the memory that the other record's fields point to
 
 
 def address_of(argument: Any) -> Any:
-    """Return the address of an array of doubles, of a record or of a native function, anything else as it is.
+    """Return the address of an array of doubles, of a record or of a native function; numbers unchanged.
 
     Raises:
-        TypeError: for an array of another kind.
+        TypeError: if an array has elements of another type or is not contiguous.
     """
     if isinstance(argument, np.ndarray):
         if argument.dtype != np.float64 or not argument.flags.c_contiguous:
             raise TypeError(f"got an array of {argument.dtype}; needed: contiguous doubles")
         if argument.flags.writeable and argument.size:
-            return ctypes.addressof(
-                ctypes.c_char.from_buffer(argument.data)
-            )  # far quicker than `ctypes.data`
+            # much faster than `argument.ctypes.data`, which also works for read-only and empty arrays
+            return ctypes.addressof(ctypes.c_char.from_buffer(argument.data))
         return argument.ctypes.data
     return getattr(argument, "address", argument)
 
 
 Kind = str | type[Record]
-"""Type of a value: double, i64, ptr (a vector), shared (by all lanes), fn (a callback), void, or a record."""
+"""Kind of a value in native code: "double", "i64" (an integer), "ptr" (a `Vector`), "shared" (a `Shared`
+vector), "fn" (a callback), "void", or a class of records."""
 
 
 class NativeError(TypeError):
-    """Python that native code cannot express, with the function and the line."""
+    """Error for Python code that cannot be compiled to native code; the message names function and line."""
 
 
 class Signature(NamedTuple):
-    """Types of a function's arguments (name: type) and result."""
+    """Kinds of the arguments of a native function, by name, and of its result."""
 
     arguments: dict[str, Kind]
     result: str
 
 
 def machine_type(kind: Kind) -> str:
-    """Return LLVM's own type of a kind: vectors, callbacks and records are pointers."""
+    """Return the LLVM type of a kind; vectors, callbacks and records are pointers."""
     return "ptr" if kind in ("shared", "fn") or not isinstance(kind, str) else kind
 
 
 _SIGNATURES: dict[Callable[..., Any], Signature] = {}
+"""Signature of every function that is marked `native`."""
 
 
 def native(function: F) -> F:
-    """Mark a function for native code; returns it unchanged.
+    """Mark a function as one that can be compiled to native code, and return it unchanged (a decorator).
 
     Raises:
-        NativeError: for an annotation that native code does not know.
+        NativeError: if an argument or the result has an annotation that native code does not support.
     """
     kinds: dict[str, Any] = {}
     for name, hint in function.__annotations__.items():
@@ -145,7 +154,7 @@ def native(function: F) -> F:
 
 
 def signature_of(function: Callable[..., Any]) -> Signature:
-    """Return the LLVM types of a native function."""
+    """Return the kinds of the arguments and of the result of a native function."""
     return _SIGNATURES[function]
 
 

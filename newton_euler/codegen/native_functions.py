@@ -1,7 +1,7 @@
 """Compile functions marked `native` (see `newton_euler.codegen.native`) and call them from Python.
 
-`NativeFunctions` translates the functions and all that they call to LLVM text, compiles it or loads the
-machine code from the cache, and passes numbers, arrays and records to the functions.
+`NativeFunctions` translates the functions and all functions that they call to LLVM text. It compiles the text
+or loads its machine code from the cache. Its calls pass numbers, arrays and records to the functions.
 """
 
 from __future__ import annotations
