@@ -1,8 +1,10 @@
-"""Emission of programs as LLVM text.
+"""Write programs (pruned expression graphs) as straight-line LLVM code, for one input or for one in each
+lane.
 
-In straight-line code a product that one sum alone uses is rounded with it, once, on processors that can. That
-is decided here and not by LLVM, whose choice depends on the code around: results are the same in all lanes of
-vector code as in scalar code. Large programs, rolled up or not, round each operation by itself.
+A *lane* is an element of a vector register; code in lanes processes several inputs at once. If one sum alone
+uses a product, straight-line code computes both by a fused multiply-add, which rounds once. This module makes
+this choice and not LLVM, because LLVM's choice depends on the surrounding code. So results are the same bit
+by bit in all lanes and in scalar code. Large programs round each operation separately.
 """
 
 from __future__ import annotations
@@ -11,54 +13,66 @@ from collections import Counter
 from collections.abc import Callable
 
 from newton_euler.codegen.expression import Program, operands
-from newton_euler.codegen.trigonometry import by_lane, constant, sincos, suffix, vector_type
+from newton_euler.codegen.trigonometry import call_per_lane, constant, intrinsic_suffix, sincos, vector_type
 
+# LLVM's instructions and intrinsic functions by name of the operation
 _ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _CALLS = {"sqrt": "llvm.sqrt", "minimum": "llvm.minnum"}
-_BOTH = ("sin", "cos")
+_SINCOS_RESULTS = ("sin", "cos")  # in the order in which @sincos returns them
 
 
 def with_callees(body: str, lanes: int = 1) -> str:
-    """Return emitted functions with those that they call."""
+    """Return LLVM text of functions, completed by the functions that they call."""
     return f"declare double @atan2(double, double)\n{sincos(lanes) if '@sincos(' in body else ''}\n{body}"
 
 
 class Instructions:
-    """Instructions of one function, in order, on doubles or on vectors of them.
+    """LLVM instructions of one function, in order, on doubles or on vectors of doubles.
+
+    Each method appends the text of its instructions to `lines` and returns the name of its result.
 
     Attributes:
-        lines: their text.
+        lines: text of the instructions.
     """
 
     def __init__(self, lanes: int = 1) -> None:
         self.lines: list[str] = []
         self._lanes = lanes
-        self._type, self._suffix = vector_type("double", lanes), suffix(lanes)
-        self._turned: set[str] = set()
+        self._type, self._suffix = vector_type("double", lanes), intrinsic_suffix(lanes)
+        self._angles: set[str] = set()  # operands whose sine and cosine are computed already
 
     def operation(self, name: str, op: str, a: str, b: str | None) -> str:
-        """Add an operation on operands a and b; its result is named `name`."""
+        """Append an operation on operands a and b (None if there is no second one), with the result
+        `name`."""
         t = self._type
         if op in _ARITHMETIC:
             self.lines.append(f"  {name} = {_ARITHMETIC[op]} {t} {a}, {b}")
         elif op == "neg":
             self.lines.append(f"  {name} = fneg {t} {a}")
-        elif op in _BOTH:
+        elif op in _SINCOS_RESULTS:
             pair = f"%both.{a[1:]}"
-            if a not in self._turned:  # sine and cosine come together
-                self._turned.add(a)
+            if a not in self._angles:  # one call computes sine and cosine
+                self._angles.add(a)
                 self.lines.append(f"  {pair} = call {{{t}, {t}}} @sincos({t} {a})")
-            self.lines.append(f"  {name} = extractvalue {{{t}, {t}}} {pair}, {_BOTH.index(op)}")
+            self.lines.append(f"  {name} = extractvalue {{{t}, {t}}} {pair}, {_SINCOS_RESULTS.index(op)}")
         elif op == "arctan2":
             assert b is not None
-            self.lines.append(by_lane(name[1:], "atan2", [a, b], self._lanes))
+            self.lines.append(call_per_lane(name[1:], "atan2", [a, b], self._lanes))
         else:
             second = "" if b is None else f", {t} {b}"
             self.lines.append(f"  {name} = call {t} @{_CALLS[op]}.{self._suffix}({t} {a}{second})")
         return name
 
     def product_and_sum(self, name: str, op: str, factors: tuple[str, str], term: str, first: bool) -> str:
-        """Add x y + z, x y - z or, if the product does not come first, z - x y, rounded once if possible."""
+        """Append a sum or difference of a product and a term, rounded once if the processor supports that.
+
+        Args:
+            name: name of the result.
+            op: "add" or "sub".
+            factors: operands x and y of the product.
+            term: operand z.
+            first: True for x y + z or x y - z, False for z - x y.
+        """
         t, (x, y) = self._type, factors
         if op == "sub":
             negated = term if first else x
@@ -68,13 +82,13 @@ class Instructions:
         return name
 
     def load(self, name: str, pointer: str, place: int | str) -> str:
-        """Add a load of pointer[place]."""
+        """Append a load of the value pointer[place], one double per lane."""
         self.lines.append(f"  {name}.at = getelementptr {self._type}, ptr {pointer}, i64 {place}")
         self.lines.append(f"  {name} = load {self._type}, ptr {name}.at, align 8")
         return name
 
     def load_shared(self, name: str, pointer: str, place: int) -> str:
-        """Add a load of pointer[place], a double for all lanes."""
+        """Append a load of the double pointer[place], which is the same for all lanes."""
         one = name if self._lanes == 1 else f"{name}.one"
         self.lines.append(f"  {name}.at = getelementptr double, ptr {pointer}, i64 {place}")
         self.lines.append(f"  {one} = load double, ptr {name}.at")
@@ -85,10 +99,16 @@ class Instructions:
         return name
 
     def store(self, name: str, value: str, pointer: str, place: int | str, mask: str = "") -> None:
-        """Add pointer[place] = value, in the lanes of a mask if given; `name` is for the address.
+        """Append the assignment pointer[place] = value, in the lanes of a mask if one is given.
 
-        What was there is loaded as volatile, or LLVM makes masked stores, which AMD's processors without
-        AVX-512 take a dozen cycles for.
+        With a mask, the old value is loaded and blended with the new one. The load is volatile, because LLVM
+        would otherwise use masked stores, which take a dozen cycles on AMD's processors without AVX-512.
+
+        Args:
+            name: name for the address.
+            value: operand to store.
+            pointer, place: address of an array, and index of the element.
+            mask: name of the mask, empty for all lanes.
         """
         t = self._type
         self.lines.append(f"  {name} = getelementptr {t}, ptr {pointer}, i64 {place}")
@@ -100,7 +120,7 @@ class Instructions:
         self.lines.append(f"  store {t} {value}, ptr {name}, align 8")
 
     def mask(self, name: str, bits: str) -> str:
-        """Add the mask of the lanes that are bits of an integer; empty for one lane, which is on."""
+        """Append the conversion of an integer to a mask of lanes: bit i is lane i. Return "" for one lane."""
         if self._lanes == 1:
             return ""
         self.lines.append(f"  {name}.bits = trunc i64 {bits} to i{self._lanes}")
@@ -111,11 +131,12 @@ class Instructions:
 
 
 Emitter = Callable[[Program, str, int], str]
-"""Program, name of the function and lanes to LLVM text of `void name(double *x, double *y, int64_t on)`: y =
-outputs at x, the values of all lanes side by side, in the lanes that are bits of `on`."""
+"""Type of functions that write a program as LLVM text. Arguments: the program, the name of the function and
+the number of lanes. The text defines `void name(double *x, double *y, int64_t on)`, which writes the outputs
+at x to y in each lane i for which bit i of `on` is 1. The values of all lanes are contiguous."""
 
 ARGUMENTS = "ptr noalias nocapture readonly %x, ptr noalias nocapture %y, i64 %on"
-
+"""LLVM text of the arguments of such a function."""
 
 _IN_LANES = """
 entry:
@@ -144,19 +165,26 @@ keeping:
 done:
   ret void
 """
-"""Body of straight-line code in lanes. Results go to y if all lanes are on, and else to memory of their own,
-from where those of the lanes that are on are copied: a mask at each result would take LLVM as long as all the
-rest."""
+"""Body of straight-line code in lanes. If all lanes are active, results go to y. Otherwise they go to
+temporary memory, and a loop copies the results of the active lanes to y. A mask at each result would double
+the compile time."""
 
 
 def emit_straight(program: Program, name: str, lanes: int = 1, fuses: bool = True) -> str:
-    """Emit the program as straight-line code, which rounds a product with its sum if it `fuses`; an
-    `Emitter`."""
-    out, fused = Instructions(lanes), _fused(program) if fuses else {}
-    absorbed = set(fused.values())
-    places: dict[int, list[int]] = {}
+    """Write a program as straight-line code; an `Emitter`.
+
+    Args:
+        program: program to write.
+        name: name of the LLVM function.
+        lanes: number of inputs that a call takes at once.
+        fuses: True to round a product and the only sum that uses it once.
+    """
+    out, fused = Instructions(lanes), _fused_products(program) if fuses else {}
+    absorbed = set(fused.values())  # products that have no separate instruction
+    places: dict[int, list[int]] = {}  # places in y of the outputs of each node
     for place, output in enumerate(program.outputs):
         places.setdefault(output, []).append(place)
+    # one instruction for each node; `values` are the LLVM operands of all nodes
     target = "%y" if lanes == 1 else "%to"
     values: list[str] = []
     for k, (op, a, b) in enumerate(program.nodes):
@@ -176,16 +204,20 @@ def emit_straight(program: Program, name: str, lanes: int = 1, fuses: bool = Tru
             values.append(out.operation(f"%n{k}", op, values[a], values[b] if b >= 0 else None))
         for place in places.get(k, ()):
             out.store(f"%y{place}", values[k], target, place)
+    # the function around the instructions
     head = f"define void @{name}({ARGUMENTS})"
     if lanes == 1:
         return "\n".join([f"{head} {{", *out.lines, "  ret void\n}"])
     t, lines = vector_type("double", lanes), "\n".join(out.lines)
     body = _IN_LANES.format(t=t, lines=lines, lanes=lanes, outputs=len(program.outputs))
-    return f'{head} "stackrealign" {{{body}}}'  # registers are saved within lines of the cache
+    return f'{head} "stackrealign" {{{body}}}'  # aligned so that saved registers do not cross cache lines
 
 
-def _fused(program: Program) -> dict[int, int]:
-    """Find the product that each sum or difference is rounded with, its first operand or else its second."""
+def _fused_products(program: Program) -> dict[int, int]:
+    """Return the node of the product to fuse with each sum or difference, by node of the sum.
+
+    A product is fused if nothing else uses it. If both operands are such products, the first one is fused.
+    """
     uses = Counter(program.outputs)
     for node in program.nodes:
         uses.update(operands(node))

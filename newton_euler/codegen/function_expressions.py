@@ -18,7 +18,7 @@ from newton_euler.codegen.function_text import (
     varies,
 )
 from newton_euler.codegen.native import Kind, is_native, machine_type, signature_of
-from newton_euler.codegen.trigonometry import literal, suffix, vector_type
+from newton_euler.codegen.trigonometry import intrinsic_suffix, literal, vector_type
 
 COMPARISONS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
 FLOAT_OPERATIONS = {ast.Add: "fadd", ast.Sub: "fsub", ast.Mult: "fmul", ast.Div: "fdiv"}
@@ -254,7 +254,7 @@ class Expressions(FunctionText):
         """Call one of LLVM's functions of doubles, all of one type."""
         kind, lanes = given[0].type, self.lanes if varies(given[0]) else 1
         arguments = ", ".join(map(typed, given))
-        return Value(kind, self._new(f"call {kind} @{name}.{suffix(lanes)}({arguments})"))
+        return Value(kind, self._new(f"call {kind} @{name}.{intrinsic_suffix(lanes)}({arguments})"))
 
     def _of_ifexp(self, node: ast.IfExp) -> Value:
         test = self._condition(node.test)
@@ -336,7 +336,7 @@ class Expressions(FunctionText):
 
     def _moved(self, way: str) -> str:
         """Return the name of LLVM's function that moves doubles from or to addresses of their own."""
-        return f"@llvm.masked.{way}.{suffix(self.lanes)}.v{self.lanes}p0"
+        return f"@llvm.masked.{way}.{intrinsic_suffix(self.lanes)}.v{self.lanes}p0"
 
     # Calls
 

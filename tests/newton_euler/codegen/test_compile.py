@@ -291,7 +291,7 @@ def test_the_cache_keeps_what_was_used_last_below_its_limit(cache, monkeypatch):
 
 def test_a_directory_that_somebody_else_uses_too(cache, tmp_path, monkeypatch):
     """Old files with names like the cache's own, and links to large ones, which count for nothing."""
-    monkeypatch.setattr(newton_euler.codegen.cache, "_COUNT_EVERY", 1)
+    monkeypatch.setattr(newton_euler.codegen.cache, "_WRITES_PER_CHECK", 1)
     monkeypatch.setattr(newton_euler.codegen.cache, "LIMIT", 10_000)
     cache.mkdir()
     large = tmp_path / "large"
@@ -326,7 +326,7 @@ def test_what_cannot_be_marked_as_used_is_read(cache, monkeypatch):
 
 
 def test_what_a_killed_run_left_is_removed_in_time(cache, monkeypatch):
-    monkeypatch.setattr(newton_euler.codegen.cache, "_COUNT_EVERY", 1)
+    monkeypatch.setattr(newton_euler.codegen.cache, "_WRITES_PER_CHECK", 1)
     compiled(SOURCE)
     old, new = cache / ".newton-euler-new-old", cache / ".newton-euler-new-new"
     for path in (old, new):
