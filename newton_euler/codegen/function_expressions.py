@@ -1,4 +1,10 @@
-"""Expressions of native functions as LLVM text: conditions, numbers, elements of vectors, calls."""
+"""Translate Python expressions of native functions to LLVM text: conditions, numbers, elements of vectors,
+calls.
+
+`newton_euler.codegen.function_text` explains lanes (elements of vector registers, one per run) and masks, and
+`newton_euler.codegen.translate` adds statements. Methods named `_of_...` translate one class of syntax nodes
+of the module `ast`.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +26,7 @@ from newton_euler.codegen.function_text import (
 from newton_euler.codegen.native import Kind, is_native, machine_type, signature_of
 from newton_euler.codegen.trigonometry import intrinsic_suffix, literal, vector_type
 
+# LLVM's names of comparisons, instructions and intrinsic functions by Python's syntax node or function
 COMPARISONS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
 FLOAT_OPERATIONS = {ast.Add: "fadd", ast.Sub: "fsub", ast.Mult: "fmul", ast.Div: "fdiv"}
 INT_OPERATIONS = {
@@ -37,13 +44,18 @@ INTRINSICS = {
 }
 
 FORMS = {"double": "v", "i64": "u", "ptr": "l", "shared": "s"}
-"""Forms of arguments, by type: doubles, which vary if anything does, whole numbers that are the same in all
-lanes, vectors by lanes or shared; w are whole numbers that vary. Capital letters are vectors that begin
-elsewhere in each lane; others, r, are addresses of records and callbacks."""
+"""Letter for the form of an argument by kind of its value. A function is translated once for each combination
+of forms.
+
+- v: double, or one double per lane;
+- u: integer that is the same in all lanes; w: one integer per lane;
+- l: `Vector`; s: `Shared` vector; capital letters if the vector begins at another index in each lane;
+- r: record or callback.
+"""
 
 
 def form_of(value: Value) -> str:
-    """Return the form of an argument."""
+    """Return the letter for the form of an argument, see `FORMS`."""
     if varies(value):
         return "w" if is_whole(value) else "v"
     form = FORMS.get(str(value.type), "r")
@@ -51,71 +63,84 @@ def form_of(value: Value) -> str:
 
 
 def kind_in(kind: Kind, lanes: int) -> Kind:
-    """Return the kind that code for so many lanes takes for another: one makes no difference between
-    vectors."""
+    """Return the kind that code for so many lanes uses; for one lane a `Shared` vector is an ordinary one."""
     return "ptr" if kind == "shared" and lanes == 1 else kind
 
 
 class Call(NamedTuple):
-    """A native function and the forms of its arguments."""
+    """A native function with given forms of its arguments, which is translated to one LLVM function.
+
+    Attributes:
+        function: the Python function.
+        forms: letters for the forms of its arguments, see `FORMS`.
+    """
 
     function: Callable[..., Any]
     forms: str
 
     @property
     def name(self) -> str:
+        """Name of the LLVM function."""
         return f"{self.function.__name__}.{self.forms}"
 
 
 class Expressions(FunctionText):
-    """Instructions of a function with its expressions.
+    """LLVM text of a function, with methods that translate expressions.
 
     Attributes:
-        tables: LLVM text of the tables that it uses, by name.
-        calls: of native functions.
+        tables: LLVM text of the tables (tuples of module level) that the function uses, by name.
+        calls: calls of other native functions, which have to be translated too.
     """
 
     def __init__(self, function: Callable[..., Any], lanes: int, found: Found) -> None:
         super().__init__(function, lanes, found)
         self.tables: dict[str, str] = {}
         self.calls: list[Call] = []
-        self._fields: dict[tuple[str, str], Value] = {}
-        self._entry: list[str] = []
+        self._fields: dict[tuple[str, str], Value] = {}  # by names of record and field
+        self._entry: list[str] = []  # instructions that load fields of records on entry
 
     # Conditions
 
     def _condition(self, test: ast.expr) -> Value:
-        """Evaluate a condition: i1, or the mask of the lanes where it holds.
+        """Translate a condition: to a boolean (i1), or to the mask of lanes where it holds.
 
-        `and` and `or` look no further than some lane must.
+        The second operand of `and` and `or` is evaluated only if it matters in some lane.
         """
         if isinstance(test, ast.BoolOp):
-            found = self._condition(test.values[0])
+            condition = self._condition(test.values[0])
             for part in test.values[1:]:
-                found = self._joined(test.op, found, part)
-            return found
+                condition = self._joined(test.op, condition, part)
+            return condition
         if isinstance(test, ast.UnaryOp) and isinstance(test.op, ast.Not):
             return self._opposite(self._condition(test.operand))
         if isinstance(test, ast.Compare) and len(test.ops) == 1:
             return self._compare(test)
         raise self._error(test, "tests anything but a comparison")
 
-    def _joined(self, op: ast.boolop, found: Value, part: ast.expr) -> Value:
-        either = isinstance(op, ast.Or)
-        open_ = self._opposite(found) if either else found
-        more = self._where(open_, lambda: self._condition(part), either)
-        if not varies(found):
-            return more
-        more = self._wide(more)
-        joined = f"{'or' if either else 'and'} {found.type} {found.operand}, {more.operand}"
-        return Value(found.type, self._new(joined))
+    def _joined(self, op: ast.boolop, first: Value, part: ast.expr) -> Value:
+        """Translate `first and part` or `first or part`, where `first` is evaluated already."""
+        is_or = isinstance(op, ast.Or)
+        undecided = self._opposite(first) if is_or else first
+        second = self._where(undecided, lambda: self._condition(part), is_or)
+        if not varies(first):
+            return second
+        second = self._wide(second)
+        joined = f"{'or' if is_or else 'and'} {first.type} {first.operand}, {second.operand}"
+        return Value(first.type, self._new(joined))
 
     def _opposite(self, test: Value) -> Value:
+        """Return the negation of a condition."""
         everywhere = ALL if varies(test) else "true"
         return Value(test.type, self._new(f"xor {test.type} {test.operand}, {everywhere}"))
 
     def _where(self, test: Value, make: Callable[[], Value], else_true: bool = False) -> Value:
-        """Evaluate something where a test holds, if it does in any lane; elsewhere it is zero, or true."""
+        """Evaluate a value only in the lanes where a condition holds, and not at all if it holds in none.
+
+        Args:
+            test: the condition.
+            make: emits the instructions of the value and returns it.
+            else_true: the value is true in the other lanes if True, else zero.
+        """
         more, after = self._labels("where", "after")
         on = chosen = ""
         if varies(test):
@@ -140,17 +165,19 @@ class Expressions(FunctionText):
         return Value(value.type, self._new(made))
 
     def _compare(self, test: ast.Compare) -> Value:
+        """Translate a comparison of two numbers."""
         a, b = self._pair(self._value(test.left), self._value(test.comparators[0]))
         word, kind = COMPARISONS[type(test.ops[0])], str(a.type)
         if is_whole(a):
-            found = f"icmp {word if word in ('eq', 'ne') else f's{word}'} {kind} {a.operand}, {b.operand}"
-            return Value(kind.replace("i64", "i1"), self._new(found))
-        found = f"fcmp {'une' if word == 'ne' else f'o{word}'} {kind} {a.operand}, {b.operand}"
-        return Value(kind.replace("double", "i1"), self._new(found))
+            made = f"icmp {word if word in ('eq', 'ne') else f's{word}'} {kind} {a.operand}, {b.operand}"
+            return Value(kind.replace("i64", "i1"), self._new(made))
+        made = f"fcmp {'une' if word == 'ne' else f'o{word}'} {kind} {a.operand}, {b.operand}"
+        return Value(kind.replace("double", "i1"), self._new(made))
 
     # Numbers
 
     def _value(self, node: ast.expr) -> Value:
+        """Translate an expression, by the method for its syntax node."""
         method = getattr(self, f"_of_{type(node).__name__.lower()}", None)
         if method is None:
             raise self._error(node, f"holds {type(node).__name__}")
@@ -158,14 +185,17 @@ class Expressions(FunctionText):
         return value
 
     def _of_constant(self, node: ast.Constant) -> Value:
+        """Translate a number."""
         return self._number(node, node.value)
 
     def _number(self, node: ast.expr, value: object) -> Value:
+        """Return a constant integer or float as a value; `node` is for the message of an error."""
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self._error(node, f"holds {value!r}")
         return Value("double", literal(value)) if isinstance(value, float) else Value("i64", str(value))
 
     def _of_name(self, node: ast.Name) -> Value:
+        """Translate the name of a variable, a record, a table or a constant of module level."""
         if node.id in self._variables:
             return self._load(node.id)
         if node.id in self._records:
@@ -178,13 +208,15 @@ class Expressions(FunctionText):
         return self._number(node, value)
 
     def _global(self, node: ast.Name) -> Any:
+        """Return the object of a name of module level."""
         try:
             return self.function.__globals__[node.id]
         except KeyError as error:
             raise self._error(node, f"uses {node.id!r} before it has a value") from error
 
     def _of_attribute(self, node: ast.Attribute) -> Value:
-        """Read a field of a record, from where it was put on entry, or the number of an `IntEnum` member."""
+        """Translate a field of a record, which is loaded on entry of the function, or a member of an
+        `IntEnum`."""
         if not isinstance(node.value, ast.Name):
             raise self._error(node, "holds an attribute of anything but a record or an IntEnum")
         if node.value.id not in self._records:
@@ -213,6 +245,7 @@ class Expressions(FunctionText):
         return members[node.attr]
 
     def _of_unaryop(self, node: ast.UnaryOp) -> Value:
+        """Translate a negation."""
         value = self._value(node.operand)
         if not isinstance(node.op, ast.USub):
             raise self._error(node, f"holds {type(node.op).__name__}")
@@ -221,10 +254,13 @@ class Expressions(FunctionText):
         return Value(value.type, self._new(f"fneg {value.type} {value.operand}"))
 
     def _of_binop(self, node: ast.BinOp) -> Value:
+        """Translate + - * / // % and **."""
         a, b = self._pair(self._value(node.left), self._value(node.right))
         op, t = type(node.op), a.type
         if is_whole(a) and op in INT_OPERATIONS:
-            if op in (ast.FloorDiv, ast.Mod) and "%" in b.operand:  # 0 in a lane that is off, perhaps
+            if (
+                op in (ast.FloorDiv, ast.Mod) and "%" in b.operand
+            ):  # a variable may be 0 in lanes that are off
                 raise self._error(node, "divides whole numbers by what may be 0")
             return Value(t, self._new(f"{INT_OPERATIONS[op]} {t} {a.operand}, {b.operand}"))
         x, y = self._float(a), self._float(b)
@@ -239,9 +275,10 @@ class Expressions(FunctionText):
         return Value(x.type, made, factors)
 
     def _product_and_sum(self, op: type[ast.operator], x: Value, y: Value) -> Value:
-        """Add or subtract a product of the same expression, rounded once on processors that can.
+        """Translate the sum or difference of a product and a term in one expression to a fused multiply-add.
 
-        LLVM, left to contract, would do so wherever it finds both in one block.
+        The fused operation rounds once on processors that support it. LLVM does not choose which operations
+        to fuse, because its choice would depend on the surrounding code.
         """
         (first, second), term = x.factors or y.factors or ("", ""), y.operand if x.factors else x.operand
         if op is ast.Sub and x.factors:
@@ -251,12 +288,13 @@ class Expressions(FunctionText):
         return self._intrinsic("llvm.fmuladd", [Value(x.type, each) for each in (first, second, term)])
 
     def _intrinsic(self, name: str, given: list[Value]) -> Value:
-        """Call one of LLVM's functions of doubles, all of one type."""
+        """Call one of LLVM's intrinsic functions with doubles, all scalars or all vectors."""
         kind, lanes = given[0].type, self.lanes if varies(given[0]) else 1
         arguments = ", ".join(map(typed, given))
         return Value(kind, self._new(f"call {kind} @{name}.{intrinsic_suffix(lanes)}({arguments})"))
 
     def _of_ifexp(self, node: ast.IfExp) -> Value:
+        """Translate `a if test else b`; each side is evaluated only in the lanes that need it."""
         test = self._condition(node.test)
         yes = self._where(test, lambda: self._value(node.body))
         no = self._where(self._opposite(test), lambda: self._value(node.orelse))
@@ -270,6 +308,7 @@ class Expressions(FunctionText):
     # Vectors
 
     def _of_subscript(self, node: ast.Subscript) -> Value:
+        """Translate an element `a[k]` or a tail `a[k:]` of a vector."""
         vector, index = self._place(node)
         if isinstance(node.slice, ast.Slice):
             if varies(index):
@@ -283,7 +322,7 @@ class Expressions(FunctionText):
         return Value(kind, self._new(f"load {kind}, ptr {self._address(vector, index)}, align 8"))
 
     def _assign_element(self, target: ast.Subscript, value: Value) -> None:
-        """Write an element of a vector, in the lanes that are on."""
+        """Translate the assignment of an element of a vector, in the lanes that are on."""
         vector, index = self._place(target)
         value = self._wide(self._float(value))
         if self._is_scattered(vector, index):
@@ -296,7 +335,7 @@ class Expressions(FunctionText):
             self._blend(value, self._address(vector, index), " volatile")
 
     def _place(self, node: ast.Subscript) -> tuple[Value, Value]:
-        """Return the vector and the number of an element, or of the first of a tail."""
+        """Return the vector of `a[k]` or `a[k:]`, and the index k."""
         place = node.slice
         if isinstance(place, ast.Slice):
             if place.upper is not None or place.step is not None or place.lower is None:
@@ -308,18 +347,21 @@ class Expressions(FunctionText):
         return vector, index
 
     def _is_scattered(self, vector: Value, index: Value) -> bool:
-        """Return True for an element that is elsewhere in each lane."""
+        """Return True if the index of an element, counted from the start of the vector, differs between
+        lanes."""
         return bool(vector.offset) or varies(index)
 
     def _element_type(self, vector: Value) -> str:
+        """Return the LLVM type of an element: a double if lanes share it, else one double per lane."""
         return "double" if vector.type == "shared" else self._doubles
 
     def _address(self, vector: Value, index: Value) -> str:
+        """Return the address of an element with the same index in all lanes."""
         kind = self._element_type(vector)
         return self._new(f"getelementptr {kind}, ptr {vector.operand}, i64 {index.operand}")
 
     def _addresses(self, vector: Value, index: Value) -> str:
-        """Return the addresses of an element of each lane."""
+        """Return the vector of addresses of an element whose index differs between lanes."""
         place = self._sum(vector.offset, self._wide(index).operand)
         if vector.type == "ptr":
             numbers = ", ".join(f"i64 {lane}" for lane in range(self.lanes))
@@ -328,19 +370,22 @@ class Expressions(FunctionText):
         return self._new(f"getelementptr double, ptr {vector.operand}, {self._wholes} {place}")
 
     def _sum(self, offset: str, index: str) -> str:
+        """Return the sum of an index and the offset of a vector, which is empty if there is none."""
         return self._new(f"add {self._wholes} {offset}, {index}") if offset else index
 
     @property
     def _pointers(self) -> str:
+        """LLVM type of one address per lane."""
         return vector_type("ptr", self.lanes)
 
     def _moved(self, way: str) -> str:
-        """Return the name of LLVM's function that moves doubles from or to addresses of their own."""
+        """Return the name of LLVM's intrinsic function for a masked "gather" or "scatter" of doubles."""
         return f"@llvm.masked.{way}.{intrinsic_suffix(self.lanes)}.v{self.lanes}p0"
 
     # Calls
 
     def _of_call(self, node: ast.Call) -> Value:
+        """Translate a call of a callback, a conversion, an intrinsic function or a native function."""
         if not isinstance(node.func, ast.Name | ast.Attribute) or node.keywords:
             raise self._error(node, "calls anything but a function by its name")
         arguments = [self._value(argument) for argument in node.args]
@@ -366,6 +411,7 @@ class Expressions(FunctionText):
         return self._call(node, function, arguments)
 
     def _call(self, node: ast.Call, function: Callable[..., Any], arguments: list[Value]) -> Value:
+        """Translate the call of a native function, and record that the function has to be translated."""
         signature, forms = signature_of(function), ""
         given = [f"{self._mask} {self._on()}"] if self.lanes > 1 else []
         for argument, kind in zip(arguments, signature.arguments.values(), strict=True):

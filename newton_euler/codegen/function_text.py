@@ -1,7 +1,11 @@
-"""Text of a function in LLVM's language while it is written: instructions, labels, lanes and variables.
+"""Write the LLVM text of one function: instructions, labels, masks of lanes, and variables.
 
-A number that is the same in all lanes is a scalar, any other a vector with an element per lane. So are
-conditions, whose vectors are masks. Code for one run has one lane, which is always on, and neither.
+`newton_euler.codegen.function_expressions` adds expressions, and `newton_euler.codegen.translate` adds
+statements of Python. Code for several runs processes one run in each *lane* (element) of the vector
+registers. A number that is the same in all lanes is an LLVM scalar; other numbers are vectors with one
+element per lane. A condition that differs between lanes is a *mask*, a vector of booleans. A lane is *on*
+(active) if the present instructions apply to it. The variable %on holds the mask of active lanes. Code for
+one run has no masks.
 """
 
 from __future__ import annotations
@@ -14,15 +18,17 @@ from newton_euler.codegen.native import Kind, NativeError, machine_type
 from newton_euler.codegen.trigonometry import vector_type
 
 ALL = "splat (i1 true)"
-"""Mask of all lanes."""
+"""LLVM text of the mask with all lanes on."""
 
 
 class Value(NamedTuple):
     """An LLVM operand with its type.
 
     Attributes:
-        factors: of a product of doubles.
-        offset: of a vector that begins elsewhere in each lane, in elements.
+        type: LLVM type of a number or a condition; kind of a vector, a callback or a record.
+        operand: LLVM text of the operand.
+        factors: operands of the two factors if the value is a product of doubles.
+        offset: operand of the index at which a vector begins in each lane, if it differs between lanes.
     """
 
     type: Kind
@@ -32,26 +38,28 @@ class Value(NamedTuple):
 
 
 def is_whole(value: Value) -> bool:
-    """Return True for an integer, or one per lane."""
+    """Return True if the value is an integer, the same in all lanes or not."""
     return "i64" in str(value.type)
 
 
 def is_vector(value: Value) -> bool:
-    """Return True for a vector in memory."""
+    """Return True if the value is a Python vector (`Vector` or `Shared`), an array in memory."""
     return value.type in ("ptr", "shared")
 
 
 def varies(value: Value) -> bool:
-    """Return True for a number or a condition that has an element per lane."""
+    """Return True if the value is a number or a condition that may differ between lanes."""
     return isinstance(value.type, str) and value.type.startswith("<")
 
 
 class Found(NamedTuple):
-    """Findings of a translation so far, which the next one begins with.
+    """Properties of a function that its translation finds out, and that the next translation starts with.
+
+    The translation is repeated until nothing is added.
 
     Attributes:
-        varying: names of variables that differ between lanes.
-        divergent: lines of loops that some lanes may leave or cut short before others.
+        varying: names of variables that may differ between lanes.
+        divergent: line numbers of loops in which some lanes may use break, continue or return before others.
     """
 
     varying: set[str]
@@ -59,48 +67,54 @@ class Found(NamedTuple):
 
 
 class FunctionText:
-    """Instructions of a function. Variables live in memory; LLVM moves them to registers.
+    """LLVM text of a function while it is written. Variables are in memory; LLVM moves them to registers.
 
     Attributes:
-        function: in Python, for messages.
-        lanes: runs side by side.
+        function: Python function that is translated, for messages.
+        lanes: number of runs at once.
     """
 
     def __init__(self, function: Callable[..., Any], lanes: int, found: Found) -> None:
         self.function, self.lanes, self._found = function, lanes, found
         self._doubles, self._wholes, self._mask = map(self._type_in_lanes, ("double", "i64", "i1"))
         self._lines: list[str] = []
-        self._slots: list[str] = []
-        self._records: dict[str, Value] = {}
-        self._variables: dict[str, Value] = {}
-        self._count = self._divergence = 0
-        self._open = True
-        self._at = "entry"
+        self._slots: list[str] = []  # instructions that allocate variables
+        self._records: dict[str, Value] = {}  # arguments that are records, by name
+        self._variables: dict[str, Value] = {}  # slot of a number, or the vector or callback, by name
+        self._count = 0  # number of temporary names so far
+        self._divergence = 0  # depth of branches and loops in which lanes may be off
+        self._open = True  # False after a jump, until the next label
+        self._at = "entry"  # label of the present block
 
     def _new(self, instruction: str) -> str:
+        """Append an instruction with a result, and return the name of the result."""
         self._count += 1
         self._emit(f"%t{self._count} = {instruction}")
         return f"%t{self._count}"
 
     def _emit(self, instruction: str) -> None:
+        """Append an instruction without a result."""
         self._lines.append(f"  {instruction}")
 
     def _error(self, node: ast.AST | None, problem: str) -> NativeError:
+        """Return an error that names the function, the line of a syntax node and the problem."""
         line = getattr(node, "lineno", 0)
         return NativeError(f"{self.function.__name__}, line {line}: {problem}, which native code cannot")
 
     # Labels
 
     def _labels(self, *names: str) -> list[str]:
+        """Return a unique label for each name."""
         self._count += 1
         return [f"{name}{self._count}" for name in names]
 
     def _begin(self, label: str) -> None:
+        """Begin a block of instructions at a label."""
         self._lines.append(f"{label}:")
         self._open, self._at = True, label
 
     def _jump(self, label: str) -> bool:
-        """Jump unless the block has ended already; True if it jumps."""
+        """Jump to a label unless the block has ended already; return True if it had not."""
         jumped = self._open
         if jumped:
             self._emit(f"br label %{label}")
@@ -108,7 +122,7 @@ class FunctionText:
         return jumped
 
     def _branch(self, test: str, yes: str, no: str) -> None:
-        """Jump to one of two labels."""
+        """Jump to the label `yes` if a condition holds, else to the label `no`."""
         self._emit(f"br i1 {test}, label %{yes}, label %{no}")
         self._open = False
 
@@ -119,41 +133,45 @@ class FunctionText:
         return self._new(f"load {self._mask}, ptr %on")
 
     def _turn(self, mask: str) -> None:
-        """Set the lanes that are on."""
+        """Set the mask of the lanes that are on."""
         self._emit(f"store {self._mask} {mask}, ptr %on")
 
     def _any(self, mask: str) -> str:
+        """Return the condition that some lane of a mask is on."""
         return self._new(f"call i1 @llvm.vector.reduce.or.v{self.lanes}i1({self._mask} {mask})")
 
     def _and(self, a: str, b: str) -> str:
+        """Return the mask of lanes in both masks."""
         return self._new(f"and {self._mask} {a}, {b}")
 
     def _or(self, a: str, b: str) -> str:
+        """Return the mask of lanes in at least one of two masks."""
         return self._new(f"or {self._mask} {a}, {b}")
 
     def _without(self, a: str, b: str) -> str:
+        """Return the mask of lanes in mask a that are not in mask b."""
         return self._and(a, self._new(f"xor {self._mask} {b}, {ALL}"))
 
     def _mask_slot(self) -> str:
-        """Make a slot for a mask, with no lanes."""
+        """Allocate a variable for a mask, initially without lanes, and return its address."""
         self._count += 1
         self._slots.append(f"  %lanes{self._count} = alloca {self._mask}")
         self._emit(f"store {self._mask} zeroinitializer, ptr %lanes{self._count}")
         return f"%lanes{self._count}"
 
     def _bits(self) -> str:
-        """Return the lanes that are on, as the bits of an integer: all, of one state or of several."""
+        """Return an integer whose bit i is 1 if lane i is on; all bits are 1 in code for one run."""
         if self.lanes == 1:
             return "-1"
         bits = self._new(f"bitcast {self._mask} {self._on()} to i{self.lanes}")
         return self._new(f"zext i{self.lanes} {bits} to i64")
 
     def _type_in_lanes(self, kind: Kind) -> str:
-        """Return the type of a number or a condition in all lanes."""
+        """Return the LLVM type of a number or a condition that may differ between lanes."""
         return vector_type(str(kind), self.lanes)
 
     def _wide(self, value: Value) -> Value:
-        """Return a number or a condition in all lanes."""
+        """Return a number or a condition as a vector with one element per lane."""
         if self.lanes == 1 or varies(value):
             return value
         kind = str(value.type)
@@ -161,6 +179,7 @@ class FunctionText:
         return Value(self._type_in_lanes(kind), self._splat(kind, value.operand), factors)
 
     def _splat(self, kind: str, operand: str) -> str:
+        """Return the vector that has a scalar operand of an LLVM type in all lanes."""
         if not operand.startswith("%"):
             return f"splat ({kind} {operand})"
         wide = self._type_in_lanes(kind)
@@ -168,11 +187,18 @@ class FunctionText:
         return self._new(f"shufflevector {wide} {one}, {wide} poison, <{self.lanes} x i32> zeroinitializer")
 
     def _alike(self, value: Value, other: Value) -> Value:
-        """Return a value in all lanes if another one is."""
+        """Return a value as a vector if another value is one, so that both have the same type."""
         return self._wide(value) if varies(other) else value
 
     def _blend(self, value: Value, address: str, volatile: str = "") -> None:
-        """Store a value in the lanes that are on; " volatile" as in `newton_euler.codegen.emit`."""
+        """Store a value in the lanes that are on; in other lanes memory stays as it is.
+
+        Args:
+            value: number to store.
+            address: LLVM operand of the address.
+            volatile: " volatile" to prevent masked stores, see
+                `newton_euler.codegen.emit.Instructions.store`.
+        """
         operand = value.operand
         if self.lanes > 1:
             before = self._new(f"load{volatile} {value.type}, ptr {address}, align 8")
@@ -183,6 +209,7 @@ class FunctionText:
     # Numbers and variables
 
     def _float(self, value: Value) -> Value:
+        """Return a number as a double."""
         if is_whole(value):
             kind = str(value.type).replace("i64", "double")
             return Value(kind, self._new(f"sitofp {value.type} {value.operand} to {kind}"))
@@ -191,13 +218,13 @@ class FunctionText:
         return value
 
     def _pair(self, a: Value, b: Value) -> tuple[Value, Value]:
-        """Return two numbers of one type: doubles unless both are whole."""
+        """Return two numbers converted to one type: doubles, unless both are integers."""
         if not (is_whole(a) and is_whole(b)):
             a, b = self._float(a), self._float(b)
         return self._alike(a, b), self._alike(b, a)
 
     def _store(self, name: str, value: Value, node: ast.expr | None = None) -> None:
-        """Give a variable a value; one of a vector is its only one."""
+        """Assign a value to a variable. A variable that is a vector or a callback is assigned only once."""
         known = self._variables.get(name)
         if name in self._records:
             raise self._error(node, f"assigns to {name!r}, which is a record")
@@ -217,7 +244,13 @@ class FunctionText:
         self._set(name, value, self._divergence > 0)
 
     def _set(self, name: str, value: Value, divergent: bool = False) -> None:
-        """Store a number in a slot for its type, in the lanes that are on if others may need theirs."""
+        """Store a number in the variable of this name and type, allocated when first used.
+
+        Args:
+            name: name of the variable.
+            value: number to store.
+            divergent: True to store only in the lanes that are on.
+        """
         slot = f"%{name}.{str(value.type).strip('<>').replace(' ', '')}"
         line = f"  {slot} = alloca {value.type}"
         if line not in self._slots:
@@ -229,16 +262,17 @@ class FunctionText:
             self._emit(f"store {value.type} {value.operand}, ptr {slot}, align 8")
 
     def _load(self, name: str) -> Value:
+        """Return the value of a variable."""
         known = self._variables[name]
         if not self._in_slot(known):
             return known
         return Value(known.type, self._new(f"load {known.type}, ptr {known.operand}, align 8"))
 
     def _in_slot(self, known: Value) -> bool:
-        """Return True for a variable that is a number."""
+        """Return True if a variable is a number, which is stored in memory."""
         return not is_vector(known) and known.type != "fn"
 
 
 def typed(value: Value) -> str:
-    """Return a value with its type, as calls have it."""
+    """Return LLVM text of a value with its type, as an argument of a call."""
     return f"{machine_type(value.type)} {value.operand}"

@@ -1,13 +1,14 @@
-"""Loop rolling of large programs: code for each piece that repeats, and tables of its instances.
+"""Write large programs as loops over repeated pieces (loop rolling), to keep code and compile time small.
 
-Straight-line code grows with the scene; what it computes repeats itself, once for every joint, body
-and loop of a kind. The program is cut into pieces at places that depend on nothing but the operations
-just before them, so that repetitions are cut alike wherever they stand. Pieces of the same structure
-become one function; which values and constants each instance takes is data. Results are those of the
-straight-line code: the same operations in the same order, each rounded by itself.
+A program is a pruned expression graph, a list of operations. The same sequences of operations repeat for
+every joint, body and loop of a kind. `cut` divides the program into pieces. Whether it cuts at a place
+depends only on the operations around that place, so repeated sequences are cut alike (content-defined
+chunking). Pieces of equal structure become one LLVM function. Tables hold the values and constants that each
+instance of a piece takes. Results equal those of straight-line code bit by bit: the same operations in the
+same order.
 
-A value that other pieces use has a place in a table of values. Its first places are the inputs. Where
-there is no memory for the table, all results are NaN, whose pivot ratio no caller takes for positive.
+Values that a piece uses from other pieces are in one array, which begins with the inputs. If there is no
+memory for this array, all results are NaN, which callers treat as a failure.
 """
 
 from __future__ import annotations
@@ -24,35 +25,40 @@ from newton_euler.codegen.expression import LEAVES, Program, operands
 from newton_euler.codegen.trigonometry import constant, literal, vector_type
 from newton_euler.scalars import Array
 
-WINDOW = 8
-"""Number of operations that decide on a cut of the program after them."""
+CHECKSUM_LENGTH = 8
+"""Number of consecutive operations that a checksum covers."""
 
-SHORTEST = 128
-"""Operations of a piece at least; calls, and values that other pieces use, take as long as an operation."""
+MIN_PIECE_OPERATIONS = 128
+"""Smallest number of operations of a piece. Shorter pieces would spend much of the time on calls and on
+storing values for other pieces."""
 
-REACH = 80
-"""A cut has the least checksum of so many operations before and after it."""
+CUT_NEIGHBORHOOD = 80
+"""A cut is at an operation whose checksum is the smallest among this number of operations before and
+after."""
 
-BASE, PRIME = 131, 1_000_003
-"""Base and modulus of the rolling checksums; their products fit into 64 bits."""
+CHECKSUM_BASE, CHECKSUM_MODULUS = 131, 1_000_003
+"""Base and modulus of the checksums (Rabin-Karp rolling hash); their products fit into 64 bits."""
 
-COMMON = 0.002
-"""A constant with this share of all operands is part of the code; a rarer one is data."""
+MIN_COMMON_FRACTION = 0.002
+"""Uses of a constant as a fraction of all operations, from which on the constant is part of the code. A rarer
+constant is in the table of an instance."""
 
 Operand = tuple[str, int | float]
-"""("own", number in the piece), ("value", number of the argument), ("data", number), ("literal", x)."""
+"""Operand of an operation in a piece: ("own", number of an operation of the piece), ("value", number of a
+value from another piece), ("data", number of a constant of the instance) or ("literal", common constant)."""
 
 Step = tuple[str, tuple[Operand, ...]]
+"""Operation of a piece: its name and its operands."""
 
 
 @dataclass
 class Instance:
-    """One occurrence of a piece.
+    """One occurrence of a piece in the program.
 
     Attributes:
-        nodes: those that it computes, in order.
-        values: nodes of other pieces that it uses, in order of first use.
-        data: its own constants.
+        nodes: indices of the nodes that the instance computes, in order.
+        values: indices of nodes of other pieces that the instance uses, in order of first use.
+        data: rare constants that the instance uses, in order of use.
     """
 
     nodes: list[int]
@@ -62,12 +68,13 @@ class Instance:
 
 @dataclass
 class Piece:
-    """Repeated structure.
+    """A sequence of operations that occurs once or several times in the program.
 
     Attributes:
-        steps: operations on operands that are the same in all instances but for values and data.
-        instances: its occurrences.
-        kept: those of its steps that some other piece or an output uses, in order.
+        number: number of the piece, part of the name of its LLVM function.
+        steps: operations, equal in all instances; values and data differ.
+        instances: occurrences of the piece.
+        kept: numbers of the steps whose results another piece or an output uses in some instance, ascending.
     """
 
     number: int
@@ -77,50 +84,54 @@ class Piece:
 
 
 def cut(program: Program) -> list[list[int]]:
-    """Cut the operations of a program into pieces."""
+    """Divide the operations of a program into pieces; return the indices of the nodes of each piece."""
     operations = [k for k, (op, _, _) in enumerate(program.nodes) if op not in LEAVES]
     if not operations:
         return []
     # a checksum of the operations around each place, independent of where the place is
     sums = _checksums([program.nodes[k][0] for k in operations])
-    around = np.pad(sums, REACH, constant_values=PRIME)
-    least = np.lib.stride_tricks.sliding_window_view(around, 2 * REACH + 1).min(axis=1)
+    around = np.pad(sums, CUT_NEIGHBORHOOD, constant_values=CHECKSUM_MODULUS)
+    least = np.lib.stride_tricks.sliding_window_view(around, 2 * CUT_NEIGHBORHOOD + 1).min(axis=1)
     # cut after local minima of the checksum, unless the piece would be too short
     pieces: list[list[int]] = []
     start = 0
     for n in np.flatnonzero(sums == least).tolist():
-        if n + 1 - start >= SHORTEST:
+        if n + 1 - start >= MIN_PIECE_OPERATIONS:
             pieces.append(operations[start : n + 1])
             start = n + 1
     return [*pieces, operations[start:]] if start < len(operations) else pieces
 
 
 def _checksums(words: Sequence[str]) -> Array:
-    """Compute numbers (n,) that depend on the letters of each word and the `WINDOW` - 1 before it.
+    """Compute a checksum (n,) of each word together with the `CHECKSUM_LENGTH` - 1 words before it.
 
-    They are those letters as a number of base `BASE`, modulo `PRIME`; hash() differs from process to process.
+    The checksum is the number with the letters of these words as digits in base `CHECKSUM_BASE`, modulo
+    `CHECKSUM_MODULUS`. Python's hash() would differ between processes.
     """
+    # value of each word as a number, and the factor by which it shifts the words before it
     kinds = sorted(set(words))
-    number = {word: k for k, word in enumerate(kinds)}
+    place_of = {word: k for k, word in enumerate(kinds)}
     digits = [[*word.encode()] for word in kinds]
-    values = [sum(d * BASE ** (len(each) - 1 - k) for k, d in enumerate(each)) % PRIME for each in digits]
-    shifts = [BASE ** len(each) % PRIME for each in digits]
-    places = np.array([number[word] for word in words])
+    numbers = [sum(d * CHECKSUM_BASE ** (len(each) - 1 - k) for k, d in enumerate(each)) for each in digits]
+    values = [number % CHECKSUM_MODULUS for number in numbers]
+    shifts = [CHECKSUM_BASE ** len(each) % CHECKSUM_MODULUS for each in digits]
+    places = np.array([place_of[word] for word in words])
     value, shift = np.array(values)[places], np.array(shifts)[places]
+    # append the words of the window one after the other, for all places at once
     total = np.zeros(len(words), dtype=np.int64)
-    for back in range(min(WINDOW, len(words)) - 1, -1, -1):
+    for back in range(min(CHECKSUM_LENGTH, len(words)) - 1, -1, -1):
         at = slice(0, len(words) - back)
-        total[back:] = (total[back:] * shift[at] + value[at]) % PRIME
+        total[back:] = (total[back:] * shift[at] + value[at]) % CHECKSUM_MODULUS
     return total
 
 
 def roll(program: Program) -> tuple[list[Piece], list[tuple[Piece, Instance]]]:
-    """Find the kinds of pieces of a program, and all instances in the order in which to run them."""
+    """Divide a program into pieces; return the different pieces, and all instances in order of execution."""
     common = _common_constants(program)
     pieces: dict[tuple[Step, ...], Piece] = {}
     order: list[tuple[Piece, Instance]] = []
-    home: dict[int, tuple[Piece, int]] = {}
-    used: set[int] = set(program.outputs)
+    home: dict[int, tuple[Piece, int]] = {}  # piece of each node, and number of its step
+    used: set[int] = set(program.outputs)  # nodes that other pieces or outputs use
     # pieces of equal structure share one entry
     for nodes in cut(program):
         steps, instance = _structure(program, nodes, common)
@@ -141,18 +152,26 @@ def roll(program: Program) -> tuple[list[Piece], list[tuple[Piece, Instance]]]:
 
 
 def _common_constants(program: Program) -> set[float]:
+    """Return the constants that are used so often that they become part of the code; see
+    `MIN_COMMON_FRACTION`."""
     used = Counter(a for op, a, _ in program.nodes if op not in LEAVES)
     used.update(b for _, _, b in program.nodes if b >= 0)
     counts: Counter[float] = Counter()
     for k, (op, value, _) in enumerate(program.nodes):
         if op == "const":
             counts[value] += used[k]
-    least = COMMON * program.operation_count
+    least = MIN_COMMON_FRACTION * program.operation_count
     return {value for value, count in counts.items() if count >= least}
 
 
 def _structure(program: Program, nodes: list[int], common: set[float]) -> tuple[tuple[Step, ...], Instance]:
-    """Separate the structure that all instances of a piece share from the data of one."""
+    """Separate the structure of some operations, which other instances may share, from the data of this
+    instance.
+
+    Args:
+        nodes: indices of the operations.
+        common: constants that belong to the structure.
+    """
     instance = Instance(nodes, [], [])
     known: dict[int, Operand] = {node: ("own", place) for place, node in enumerate(nodes)}
     steps: list[Step] = []
@@ -167,7 +186,7 @@ def _structure(program: Program, nodes: list[int], common: set[float]) -> tuple[
                     instance.values.append(end)
                 elif value in common:
                     operand = known[end] = "literal", value
-                else:  # in each place by itself, as other instances may have two different ones
+                else:  # one entry for each use: another instance may have two different constants
                     operand = "data", len(instance.data)
                     instance.data.append(value)
             ends.append(operand)
@@ -176,12 +195,12 @@ def _structure(program: Program, nodes: list[int], common: set[float]) -> tuple[
 
 
 def emit_rolled(program: Program, name: str, lanes: int = 1) -> str:
-    """Emit the program as loops over its pieces; an `Emitter`."""
+    """Write a program as a loop over its pieces; an `Emitter` (see `newton_euler.codegen.emit`)."""
     pieces, order = roll(program)
     # lay out the table of values: inputs, stored values of all instances, constants among the outputs
-    place = {k: int(a) for k, (op, a, _) in enumerate(program.nodes) if op == "input"}
+    place = {k: int(a) for k, (op, a, _) in enumerate(program.nodes) if op == "input"}  # by node
     size = program.inputs
-    starts = []
+    starts = []  # place of the first result of each instance
     for piece, instance in order:
         starts.append(size)
         for number, step in enumerate(piece.kept):
@@ -218,15 +237,15 @@ def emit_rolled(program: Program, name: str, lanes: int = 1) -> str:
     for k in fixed:
         constants.store(f"%c{k}", constant(program.nodes[k][1], lanes), "%v", place[k])
     bodies = [_emit_piece(piece, name, place, lanes) for piece in pieces]
-    begun, given = Instructions(lanes), Instructions(lanes)
-    given.store("%o.to", "%o.value", "%y", "%o", begun.mask("%mask", "%on"))
+    mask_lines, store_lines = Instructions(lanes), Instructions(lanes)
+    store_lines.store("%o.to", "%o.value", "%y", "%o", mask_lines.mask("%mask", "%on"))
     loops = _LOOPS.format(
         name=name,
         arguments=ARGUMENTS,
         t=vector_type("double", lanes),
         nan=constant(math.nan, lanes),
-        mask="\n".join(begun.lines),
-        give="\n".join(given.lines),
+        mask="\n".join(mask_lines.lines),
+        give="\n".join(store_lines.lines),
         bytes=8 * lanes * size,
         constants="\n".join(constants.lines),
         inputs=len(used),
@@ -237,21 +256,28 @@ def emit_rolled(program: Program, name: str, lanes: int = 1) -> str:
 
 
 def _table(kind: str, name: str, entries: Sequence[object]) -> str:
-    """Emit a constant array."""
+    """Return the LLVM text of a constant array, whose elements have the LLVM type `kind`."""
     content = ", ".join(f"{kind} {entry}" for entry in entries)
     return f"@{name} = private constant [{len(entries)} x {kind}] [{content}]"
 
 
 def _emit_piece(piece: Piece, name: str, place: dict[int, int], lanes: int) -> str:
-    """Emit a piece as `void(values, places of its arguments, data, start of its results)`.
+    """Write a piece as an LLVM function of four pointers: values, places of its arguments, data, and results.
 
-    A piece with one instance has places and data in its code; `place` holds the places of nodes.
+    If the piece has only one instance, its places and data are in the code.
+
+    Args:
+        piece: piece to write.
+        name: name of the LLVM function of the program.
+        place: place of each node in the array of values.
+        lanes: number of inputs that a call takes at once.
     """
     out = Instructions(lanes)
-    known: dict[Operand, str] = {}
+    known: dict[Operand, str] = {}  # LLVM operand of each operand that is loaded or computed
     first, *others = piece.instances
 
     def operand(key: Operand) -> str:
+        """Return the LLVM operand of an operand, and load it if it is used for the first time."""
         kind, number = key
         if kind == "literal":
             return constant(number, lanes)
@@ -281,6 +307,8 @@ def _emit_piece(piece: Piece, name: str, place: dict[int, int], lanes: int) -> s
     return "\n".join([head, *out.lines, "  ret void\n}"])
 
 
+# The function of the program: allocate the array of values; fill all results with NaN if that fails. Copy the
+# inputs and the constants, call the function of each instance, and copy the outputs to y.
 _LOOPS = """
 declare ptr @malloc(i64)
 declare void @free(ptr)

@@ -124,9 +124,9 @@ def sincos(lanes: int) -> str:
     """
     t, i, w, b = (vector_type(element, lanes) for element in ("double", "i32", "i64", "i1"))
     ending = intrinsic_suffix(lanes)
-    # The function calls the C library if an angle is large. It reduces the angle %x to %r3 within an eighth of
-    # a turn, evaluates both polynomials, exchanges sine and cosine after an odd number %k of quarter turns,
-    # and sets their signs by %k.
+    # The function calls the C library if an angle is large. It reduces the angle %x to %r3 within an eighth
+    # of a turn and evaluates both polynomials. After an odd number %k of quarter turns it exchanges sine and
+    # cosine. %k also sets their signs.
     all_near = f"call i1 @llvm.vector.reduce.and.v{lanes}i1({b} %lanes.near)"
     return f"""
 declare double @sin(double)

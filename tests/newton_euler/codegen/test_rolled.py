@@ -8,7 +8,7 @@ import pytest
 import newton_euler.codegen.compile
 from newton_euler.codegen.compile import NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, Program, operands
-from newton_euler.codegen.rolled import SHORTEST, cut, roll
+from newton_euler.codegen.rolled import MIN_PIECE_OPERATIONS, cut, roll
 from newton_euler.runs.assemble import initial_state
 
 
@@ -49,7 +49,7 @@ def test_pieces_make_up_the_program():
     program = windows(20, distinct=True)
     pieces = cut(program)
     assert [k for piece in pieces for k in piece] == [k for k, n in enumerate(program.nodes) if operands(n)]
-    assert all(len(piece) >= SHORTEST for piece in pieces[:-1])
+    assert all(len(piece) >= MIN_PIECE_OPERATIONS for piece in pieces[:-1])
 
 
 def test_a_large_scene_is_the_same_rolled_or_not(monkeypatch):
