@@ -1,20 +1,21 @@
-"""Translation of native functions to LLVM text, for one run or for several side by side.
+"""Translate native functions (see `newton_euler.codegen.native`) to LLVM text, for one run or for several at
+once.
 
-Several are in the lanes of vector registers, and the Python is read as a program for each lane (single
-program, multiple data). Numbers that are the same in all lanes stay scalars; others are vectors, and so are
-conditions on them, whose lanes are a mask:
+Several runs are processed in the *lanes* (elements) of vector registers. The Python function is the program
+of each lane (single program, multiple data). Numbers that are the same in all lanes are scalars; other
+numbers are vectors. A condition that differs between lanes is a *mask*, a vector of booleans:
 
-- `if` runs both sides, each in the lanes that want it, and none that no lane wants;
-- loops run until no lane is left in them;
-- `break`, `continue` and `return` turn lanes off until the end of the loop, of the round or of the function,
-  unless all leave together;
-- stores change the lanes that are on.
+- `if` executes both sides, each in the lanes that need it, and skips a side that no lane needs;
+- loops run until the last lane leaves;
+- `break`, `continue` and `return` turn lanes off until the end of the loop, of the iteration or of the
+  function, unless all lanes leave together;
+- assignments change only the lanes that are on.
 
-A `Vector` holds the elements of all lanes side by side: element i of lane l at `lanes` i + l. Tables and
-`Shared` vectors have each element once; lanes may read and write them at places of their own. A lane computes
-what code for one run does, to the last bit.
+A `Vector` holds the elements of all lanes: element i of lane l is at index `lanes` i + l. Tables and `Shared`
+vectors have each element once, and each lane may use another index. A lane computes the same as code for one
+run, bit by bit. Python that cannot be translated raises `NativeError` with its line.
 
-What native code cannot do is refused with its line.
+`text` is the entry point. Methods named `_on_...` translate one class of statements of the module `ast`.
 """
 
 from __future__ import annotations
@@ -35,11 +36,13 @@ class Loop(NamedTuple):
     """A loop that is being translated.
 
     Attributes:
-        line: where it is.
-        divergence: within it.
-        following, done: labels at the end of a round and behind the loop.
-        left, waiting: slots of the lanes that have left it and of those that wait for its next round, if
-            lanes do so one before the other.
+        line: line number of the loop.
+        divergence: depth, within the loop, of branches and loops in which lanes may be off.
+        following: label at the end of an iteration.
+        done: label behind the loop.
+        left: variable with the mask of lanes that have left the loop; empty if all lanes leave together.
+        waiting: variable with the mask of lanes that wait for the next iteration after `continue`; empty if
+            all lanes leave together.
     """
 
     line: int
@@ -51,18 +54,24 @@ class Loop(NamedTuple):
 
 
 class Translator(Expressions):
-    """Translation of one function, given the forms of its arguments."""
+    """Translation of one function for given forms of its arguments.
+
+    Attributes:
+        signature: kinds of the arguments and of the result of the function.
+    """
 
     def __init__(self, call: Call, lanes: int, found: Found) -> None:
         super().__init__(call.function, lanes, found)
         self.signature = signature_of(call.function)
         self._call_made = call
-        self._exits: list[str] = []
-        self._loops: list[Loop] = []
-        self._turned_off = self._returned = 0
+        self._exits: list[str] = []  # innermost last: label to jump to if no lane is on
+        self._loops: list[Loop] = []  # innermost last
+        self._turned_off = 0  # number of statements so far that turned lanes off
+        self._returned = 0  # number of those that are `return`
 
     def translated(self) -> str:
-        """Translate the whole function."""
+        """Return the LLVM text of the function."""
+        # arguments: store numbers in variables, note the records
         definition, arguments = definition_of(self.function), []
         if self.lanes > 1:
             arguments.append(f"{self._mask} %on.in")
@@ -79,6 +88,7 @@ class Translator(Expressions):
                 self._store(name, value)
             else:
                 self._records[name] = value
+        # body, with one exit at its end
         result = self.signature.result
         if result != "void":
             result = self._type_in_lanes(result)
@@ -90,12 +100,13 @@ class Translator(Expressions):
             raise self._error(definition, "ends without a return")
         self._jump(end)
         self._begin(end)
-        found = "" if result == "void" else self._new(f"load {result}, ptr %result")
-        self._emit(f"ret {result} {found}")
+        returned = "" if result == "void" else self._new(f"load {result}, ptr %result")
+        self._emit(f"ret {result} {returned}")
         head = f"define internal {result} @{self._call_made.name}({', '.join(arguments)}) {{"
         return "\n".join([head, "entry:", *self._slots, *self._entry, *self._lines, "}"])
 
     def _block(self, statements: list[ast.stmt]) -> None:
+        """Translate statements, each by the method for its syntax node."""
         for statement in statements:
             if not self._open:
                 raise self._error(statement, "is never reached")
@@ -105,20 +116,24 @@ class Translator(Expressions):
             method(statement)
 
     def _on_expr(self, statement: ast.Expr) -> None:
+        """Translate a call without a result; skip a docstring."""
         if not isinstance(statement.value, ast.Constant):  # a docstring
             self._value(statement.value)
 
     def _on_assign(self, statement: ast.Assign) -> None:
+        """Translate `a = b`."""
         if len(statement.targets) != 1:
             raise self._error(statement, "assigns to several targets")
         self._assign(statement.targets[0], self._value(statement.value))
 
     def _on_augassign(self, statement: ast.AugAssign) -> None:
+        """Translate `a += b` and the like as `a = a + b`."""
         target = statement.target
         before = ast.copy_location(ast.BinOp(_loaded(target), statement.op, statement.value), statement)
         self._assign(target, self._value(before))
 
     def _assign(self, target: ast.expr, value: Value) -> None:
+        """Assign a value to a variable or to an element of a vector."""
         if isinstance(target, ast.Name):
             self._store(target.id, value, target)
         elif isinstance(target, ast.Subscript):
@@ -129,33 +144,36 @@ class Translator(Expressions):
     # Lanes that are turned off
 
     def _leave(self) -> None:
-        """Turn all lanes off, and go where they may be on again."""
+        """Turn off all lanes that are on, and jump to the next place where other lanes may be on."""
         self._turn("zeroinitializer")
         self._jump(self._exits[-1])
         self._turned_off += 1
 
-    def _go_on_if_any(self) -> None:
-        """Go on if some lane is on."""
+    def _continue_if_any(self) -> None:
+        """Execute the following instructions only if some lane is on."""
         (further,) = self._labels("further")
         self._branch(self._any(self._on()), further, self._exits[-1])
         self._begin(further)
 
     def _add(self, slot: str, mask: str) -> None:
+        """Add the lanes of a mask to the mask in a variable."""
         before = self._new(f"load {self._mask}, ptr {slot}")
         self._emit(f"store {self._mask} {self._or(before, mask)}, ptr {slot}")
 
     # Branches
 
     def _on_if(self, statement: ast.If) -> None:
+        """Translate `if`; its condition may hold in some lanes only."""
         test, before = self._condition(statement.test), self._turned_off
         if varies(test):
             self._varying_if(test, statement)
         else:
             self._uniform_if(test, statement)
         if self._open and self._turned_off > before:
-            self._go_on_if_any()
+            self._continue_if_any()
 
     def _uniform_if(self, test: Value, statement: ast.If) -> None:
+        """Translate `if` with a condition that is the same in all lanes: a branch."""
         yes, no, after = self._labels("if", "else", "endif")
         self._branch(test.operand, yes, no)
         reached = False
@@ -167,6 +185,7 @@ class Translator(Expressions):
             self._begin(after)
 
     def _varying_if(self, test: Value, statement: ast.If) -> None:
+        """Translate `if` with a condition that differs between lanes: both sides, each in some lanes."""
         yes, between, no, after = self._labels("if", "between", "else", "endif")
         on = self._on()
         chosen, others = self._and(on, test.operand), self._without(on, test.operand)
@@ -180,7 +199,14 @@ class Translator(Expressions):
         self._divergence -= 1
 
     def _some_lanes(self, mask: str, label: str, after: str, body: list[ast.stmt]) -> None:
-        """Run statements in these lanes, unless there are none; those still on at their end stay on."""
+        """Translate statements that only the lanes of a mask execute; skip them if the mask is empty.
+
+        Args:
+            mask: the lanes.
+            label: label for the statements.
+            after: label behind them.
+            body: the statements.
+        """
         self._turn(mask)
         self._branch(self._any(mask), label, after)
         self._begin(label)
@@ -193,9 +219,11 @@ class Translator(Expressions):
     # Loops
 
     def _on_while(self, statement: ast.While) -> None:
+        """Translate a `while` loop."""
         self._loop(statement, lambda: self._condition(statement.test), lambda: None)
 
     def _on_for(self, statement: ast.For) -> None:
+        """Translate `for k in range(...)`."""
         name, start, stop = self._range(statement)
         if varies(start) or varies(stop):
             self._found.varying.add(name)
@@ -204,21 +232,23 @@ class Translator(Expressions):
         counter = self._variables[name]
 
         def test() -> Value:
+            """Emit the condition that another iteration follows."""
             number, last = self._pair(self._load(name), stop)
             more = self._new(f"icmp slt {number.type} {number.operand}, {last.operand}")
             return Value(str(number.type).replace("i64", "i1"), more)
 
         def step() -> None:
+            """Emit the increment of the loop variable."""
             one = self._alike(Value("i64", "1"), counter)
             number = self._new(f"add {counter.type} {self._load(name).operand}, {one.operand}")
             self._set(name, Value(counter.type, number))
 
         self._loop(statement, test, step)
         if statement.lineno in self._found.divergent and not varies(counter):
-            del self._variables[name]  # in each lane it would be another
+            del self._variables[name]  # undefined behind the loop, because lanes left with different values
 
     def _range(self, statement: ast.For) -> tuple[str, Value, Value]:
-        """Return the variable of a loop and its bounds."""
+        """Return the variable of a `for` loop and its first and last bound."""
         call = statement.iter
         if not (
             isinstance(statement.target, ast.Name)
@@ -234,7 +264,13 @@ class Translator(Expressions):
     def _loop(
         self, statement: ast.For | ast.While, test: Callable[[], Value], step: Callable[[], None]
     ) -> None:
-        """Emit a loop; lanes that have left it before others wait at its end."""
+        """Translate a loop. Lanes that leave before others are off until the loop ends.
+
+        Args:
+            statement: the loop.
+            test: emits the condition that another iteration follows, and returns it.
+            step: emits the instructions between two iterations.
+        """
         begin, body, following, done = self._labels("test", "do", "next", "done")
         divergent = statement.lineno in self._found.divergent
         left, waiting = (self._mask_slot() if divergent else "" for _ in range(2))
@@ -242,6 +278,7 @@ class Translator(Expressions):
         self._divergence += divergent
         loop = Loop(statement.lineno, self._divergence, following, done, left, waiting)
         self._loops.append(loop)
+        # condition and body of an iteration
         self._jump(begin)
         self._begin(begin)
         self._leave_unless(test(), body)
@@ -251,6 +288,7 @@ class Translator(Expressions):
         self._exits.pop()
         self._jump(following)
         self._begin(following)
+        # lanes that wait after `continue` are on again; next iteration, if there are lanes for it
         if waiting:
             again = self._new(f"load {self._mask}, ptr {waiting}")
             self._turn(self._or(self._on(), again))
@@ -260,18 +298,24 @@ class Translator(Expressions):
             self._branch(self._any(self._on()), begin, done)
         else:
             self._jump(begin)
+        # behind the loop, lanes that have left it are on again, except those that have returned
         self._begin(done)
         if left:
             self._turn(self._or(self._on(), self._new(f"load {self._mask}, ptr {left}")))
         self._divergence -= divergent
         self._loops.pop()
         if self._returned > returned:
-            self._go_on_if_any()
+            self._continue_if_any()
         else:
             self._turned_off = before
 
     def _leave_unless(self, test: Value, body: str) -> None:
-        """Begin a round in the lanes where the test holds; in the others the loop is over."""
+        """Begin an iteration in the lanes where a condition holds; the other lanes leave the loop.
+
+        Args:
+            test: the condition.
+            body: label of the body of the loop.
+        """
         loop, more = self._loops[-1], test.operand
         if varies(test):
             self._found.divergent.add(loop.line)
@@ -283,15 +327,23 @@ class Translator(Expressions):
         self._branch(more, body, loop.done)
 
     def _on_break(self, statement: ast.Break) -> None:
+        """Translate `break`."""
         loop = self._loops[-1]
-        self._leave_round(loop, loop.done, loop.left)
+        self._leave_iteration(loop, loop.done, loop.left)
 
     def _on_continue(self, statement: ast.Continue) -> None:
+        """Translate `continue`."""
         loop = self._loops[-1]
-        self._leave_round(loop, loop.following, loop.waiting)
+        self._leave_iteration(loop, loop.following, loop.waiting)
 
-    def _leave_round(self, loop: Loop, label: str, slot: str) -> None:
-        """Jump to a label if all lanes in a loop do; else add those that do to a slot and turn them off."""
+    def _leave_iteration(self, loop: Loop, label: str, slot: str) -> None:
+        """Leave an iteration of a loop in the lanes that are on.
+
+        Args:
+            loop: the loop.
+            label: label to jump to if all lanes in the loop leave together.
+            slot: variable to which the lanes are added otherwise, before they are turned off.
+        """
         if not slot and self._divergence == loop.divergence:
             self._jump(label)
             return
@@ -300,6 +352,7 @@ class Translator(Expressions):
         self._leave()
 
     def _on_return(self, statement: ast.Return) -> None:
+        """Translate `return`: store the result in the lanes that are on, and turn them off."""
         kind = self.signature.result
         if statement.value is not None:
             value = self._value(statement.value)
@@ -315,7 +368,15 @@ class Translator(Expressions):
 
 
 def text(functions: list[Callable[..., Any]], lanes: int = 1) -> str:
-    """Translate these native functions and all they call to LLVM text, for so many runs side by side."""
+    """Translate native functions, and all native functions that they call, to LLVM text.
+
+    Args:
+        functions: functions marked `native`, which can be called from other languages by their names.
+        lanes: number of runs at once.
+
+    Raises:
+        NativeError: if a function contains Python that cannot be translated.
+    """
     entries, waiting = map(list, zip(*(_entry(function, lanes) for function in functions), strict=True))
     written: dict[str, str] = {}
     tables: dict[str, str] = {}
@@ -334,26 +395,31 @@ def text(functions: list[Callable[..., Any]], lanes: int = 1) -> str:
 
 
 def _entry(function: Callable[..., Any], lanes: int) -> tuple[str, Call]:
-    """Return LLVM text of a function for other languages, which begins with all lanes on, and the call in it.
+    """Return the LLVM text of an entry function for callers in other languages, and the call that it
+    contains.
 
-    Of several lanes it has vectors, records, callbacks and whole numbers as arguments, and no result.
+    The entry function calls the translated function with all lanes on. For several lanes, its arguments are
+    vectors, records, callbacks and integers, and it has no result.
     """
     arguments, result = signature_of(function)
     call = Call(function, "".join(form_of(Value(kind_in(kind, lanes), "")) for kind in arguments.values()))
     given = [f"{machine_type(kind)} %{name}" for name, kind in arguments.items()]
     passed = [f"{vector_type('i1', lanes)} {ALL}", *given] if lanes > 1 else given
-    made, found = ("", "") if result == "void" else ("%found = ", "%found")
+    assigned, returned = ("", "") if result == "void" else ("%returned = ", "%returned")
     lines = [
         f"define {result} @{function.__name__}({', '.join(given)}) {{",
-        f"  {made}call {result} @{call.name}({', '.join(passed)})",
-        f"  ret {result} {found}",
+        f"  {assigned}call {result} @{call.name}({', '.join(passed)})",
+        f"  ret {result} {returned}",
         "}",
     ]
     return "\n".join(lines), call
 
 
 def _translation(call: Call, lanes: int) -> tuple[str, Translator]:
-    """Translate a function, again and again until what varies is known."""
+    """Return the LLVM text of a function, and its translator.
+
+    The function is translated again until no more variables and loops are found that differ between lanes.
+    """
     found = Found(set(), set())
     while True:
         known = len(found.varying) + len(found.divergent)
@@ -364,18 +430,18 @@ def _translation(call: Call, lanes: int) -> tuple[str, Translator]:
 
 
 def definition_of(function: Callable[..., Any]) -> ast.FunctionDef:
-    """Parse the definition of a function."""
+    """Return the syntax tree of the definition of a function."""
     return _definitions(function.__code__.co_filename)[function.__name__]
 
 
 @lru_cache
 def _definitions(file: str) -> dict[str, ast.FunctionDef]:
-    """Parse the functions that a file defines, by name."""
+    """Return the syntax trees of the functions that a file defines, by name."""
     body = ast.parse(Path(file).read_text(encoding="utf-8")).body
     return {node.name: node for node in body if isinstance(node, ast.FunctionDef)}
 
 
 def _loaded(target: ast.expr) -> ast.expr:
-    """Return the target of an assignment as an expression to read."""
+    """Return the target of an assignment as an expression that reads it, as `a += b` needs."""
     copy = ast.parse(ast.unparse(target), mode="eval").body
     return ast.copy_location(copy, target)
