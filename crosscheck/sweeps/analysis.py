@@ -1,4 +1,8 @@
-"""Statistics of a sweep: quantiles of kept outputs, rank correlations, and Sobol indices of parameters."""
+"""Statistics of a sweep: quantiles of kept outputs, rank correlations, and Sobol indices of parameters.
+
+A kept output is a number or array that is stored of each run. A first-order Sobol index is the fraction of
+the variance of a number that one parameter explains alone; the reports name the index "share of variance".
+"""
 
 from __future__ import annotations
 
@@ -21,12 +25,16 @@ MAX_ANALYZED_NUMBERS = 2**25
 """Largest number of values that are analyzed (270 MB); of more runs a sample is analyzed."""
 
 MAX_KEPT_NUMBERS = 200
-"""Largest number of kept numbers of a run that are analyzed, the same number for each variable."""
+"""Largest number of kept numbers of a run that are analyzed, divided equally among the kept outputs."""
 
-MAX_SHARE_RUNS, MAX_SALTELLI_SAMPLES = 2**17, 2**14
-"""Largest numbers of runs, and of base samples of Saltelli's design, for estimates of Sobol indices.
+MAX_SHARE_RUNS = 2**17
+"""Largest number of runs from which Sobol indices are estimated; it gives an accuracy of 0.5 %."""
 
-They give an accuracy of 0.5 % and 1 %.
+MAX_SALTELLI_SAMPLES = 2**14
+"""Largest number of base samples of Saltelli's design for Sobol indices; it gives an accuracy of 1 %.
+
+A base sample is a group of runs that vary one parameter at a time (A. Saltelli, Computer Physics
+Communications 145, 2002).
 """
 
 READ_NUMBERS = 2**20
@@ -55,12 +63,13 @@ NORMAL_QUANTILE_95 = 1.96
 """Half width of a 95 % confidence interval in standard errors."""
 
 TAIL_FRACTION = 0.1
-"""Fraction of the runs with the smallest (largest) values of a parameter, whose means form the tornado
-chart."""
+"""Fraction of the runs with the smallest (or largest) values of a parameter.
+
+The tornado chart shows the means of a number over these runs.
+"""
 
 SAME_SPREAD_RATIO = 1.1
-"""Ratio of spreads below which two numbers are considered to vary equally; the order of the samples
-decides."""
+"""Ratio of spreads below which two numbers are considered to vary equally; such numbers keep their order."""
 
 EPSILON = float(np.finfo(float).eps)
 
@@ -114,7 +123,7 @@ class KeptNumber:
         unit: unit of the values.
         values: (n,) values of the analyzed runs; NaN for failed runs.
         runs: (n,) numbers of these runs.
-        usual: median over runs of the variable's largest magnitude; the scale of round-off.
+        usual: median over runs of the largest magnitude of the variable in a run, in `unit`.
         reacts: True if the number depends on constraint forces.
     """
 
@@ -186,8 +195,13 @@ def with_unit(label: str, unit: str) -> str:
     return f"{label}, {unit}" if unit not in ("", "1") else label
 
 
-def thinned(count: int, most: int, block: int = 1) -> Array:
-    """Choose a sample of at most `most` blocks of consecutive runs: a random block from each of equal parts.
+def sample_blocks(count: int, most: int, block: int = 1) -> Array:
+    """Choose a sample of runs that covers the whole range of runs: a random block from each of equal parts.
+
+    Args:
+        count: number of runs.
+        most: largest number of blocks in the sample.
+        block: number of consecutive runs that stay together.
 
     Returns:
         Numbers of the runs, ascending.
@@ -203,7 +217,7 @@ def analyzed(swept: SweepResults) -> Array:
     """Return the numbers of the runs that are analyzed."""
     count = sum(len(_places(swept, each.name)) for each in swept.plan.kept)
     block = swept.plan.samples.block
-    return thinned(swept.plan.samples.runs, max(1, MAX_ANALYZED_NUMBERS // count // block), block)
+    return sample_blocks(swept.plan.samples.runs, max(1, MAX_ANALYZED_NUMBERS // count // block), block)
 
 
 def _places(swept: SweepResults, name: str) -> Array:
@@ -213,18 +227,20 @@ def _places(swept: SweepResults, name: str) -> Array:
     return np.linspace(0, size - 1, min(size, most)).round().astype(int)
 
 
-def scalars(swept: SweepResults) -> list[KeptNumber]:
-    """Return the kept numbers of a run that are analyzed, in the order of `--keep`."""
+def kept_numbers(swept: SweepResults) -> list[KeptNumber]:
+    """Read the kept numbers that are analyzed, in the order of `--keep`."""
     found: list[KeptNumber] = []
     runs = analyzed(swept)
     for each in swept.plan.kept:
         variable = swept.dataset[each.name]
         places = _places(swept, each.name)
+        # read some runs at a time; each row of `columns` has the values of one number in all runs
         columns = np.empty((len(places), len(runs)))
         block = max(1, READ_NUMBERS // int(np.prod(variable.shape[1:])))
         for first in range(0, len(runs), block):
             part = swept.read(each.name, runs[first : first + block])
             columns[:, first : first + len(part)] = part.reshape(len(part), -1)[:, places].T
+        # the typical magnitude of the variable, over the runs that did not fail
         known = columns[:, np.isfinite(columns).any(axis=0)]
         largest = np.max(np.abs(known), axis=0, initial=0.0, where=np.isfinite(known))
         usual = float(np.median(largest)) if len(largest) else 0.0
@@ -236,6 +252,7 @@ def scalars(swept: SweepResults) -> list[KeptNumber]:
 
 
 def _label(variable: object, dimension: str, place: int) -> str:
+    """Return the label at a place of a dimension, such as the name of a joint; times with their unit."""
     found = variable.coords[dimension].values[place]  # type: ignore[attr-defined]
     return f"{found:g} s" if dimension.startswith("time") else str(found)
 
@@ -248,24 +265,24 @@ class Analysis:
     """
 
     def __init__(self, samples: SweepSamples, runs: Array, inputs: Callable[[Array], Parameters]) -> None:
-        """Read the parameters.
+        """Read the parameters of the analyzed runs.
 
         Args:
-            samples: samples of the sweep.
+            samples: values of the varied parameters in all runs, and how they were drawn.
             runs: (n,) numbers of the analyzed runs.
-            inputs: returns the parameters of runs.
+            inputs: function that returns the parameters of given runs.
         """
         self._samples = samples
         self.names = [", ".join(names) for names, _ in samples.groups]
         most = MAX_SHARE_RUNS if samples.block == 1 else MAX_SALTELLI_SAMPLES
-        self._places = thinned(len(runs), most, samples.block)
+        self._places = sample_blocks(len(runs), most, samples.block)
         values = inputs(runs[self._places])
         self._inputs = [np.column_stack([values[name] for name in names]) for names, _ in samples.groups]
 
     @property
     def too_few(self) -> str:
-        """Reason why there are no Sobol indices; empty if there are. A single parameter explains
-        everything."""
+        """Reason why there are no Sobol indices; empty if there are, and for a single parameter, whose index
+        is 1."""
         block = self._samples.block
         if len(self.names) == 1:
             return ""
@@ -293,18 +310,19 @@ class Analysis:
         found = []
         ranks = rankdata(y)
         for k, (name, inputs) in enumerate(zip(self.names, self._inputs, strict=True)):
-            x, own = inputs[known, 0], y
-            rank, share = dict[str, Any](), dict[str, Any]()
-            if inputs.shape[1] > 1:
-                x, own, share = _regression(inputs[known], y)
+            x, y_of_x = inputs[known, 0], y
+            rank, estimate = dict[str, Any](), dict[str, Any]()
+            if inputs.shape[1] > 1:  # a group of correlated parameters
+                x, y_of_x, estimate = _regression(inputs[known], y)
             elif np.ptp(x) > 0.0:
-                of_x = rankdata(x)
-                rank = _rank(float(np.corrcoef(of_x, ranks)[0, 1]), independent)
-                share = {} if alone or sobol else _share(x, of_x, y)
-            elif len(y) >= MIN_SHARE_RUNS:
-                share = {"share": 0.0}
-            shares: dict[str, Any] = {"share": 1.0} if alone else sobol[k] if sobol else share
-            found.append(Effect(name, **_tenths(x, own), **rank, **shares))
+                ranks_of_x = rankdata(x)
+                rank = _rank_interval(float(np.corrcoef(ranks_of_x, ranks)[0, 1]), independent)
+                estimate = {} if alone or sobol else _first_order_index(x, ranks_of_x, y)
+            elif len(y) >= MIN_SHARE_RUNS:  # the parameter is constant
+                estimate = {"share": 0.0}
+            # a single parameter explains everything; Saltelli's design is better than a regression
+            share: dict[str, Any] = {"share": 1.0} if alone else sobol[k] if sobol else estimate
+            found.append(Effect(name, **_tail_means(x, y_of_x), **rank, **share))
         return sorted(found, key=lambda effect: -effect.size)
 
     def _sobol(self, y: Array) -> list[dict[str, Any]]:
@@ -329,18 +347,30 @@ class Analysis:
         ]
 
 
-def _rank(rank: float, runs: int) -> dict[str, Any]:
-    """Estimate the 95 % interval of a rank correlation (Bonett and Wright, Psychometrika 65, 2000)."""
+def _rank_interval(rank: float, runs: int) -> dict[str, Any]:
+    """Estimate the 95 % interval of a rank correlation (Bonett and Wright, Psychometrika 65, 2000).
+
+    Returns:
+        The attributes `rank` and `rank_error` of an `Effect`.
+    """
     half = NORMAL_QUANTILE_95 * np.sqrt((1.0 + 0.5 * rank**2) / (runs - MIN_RANK_RUNS + 1))
     middle = np.arctanh(np.clip(rank, -1.0 + EPSILON, 1.0 - EPSILON))
     return {"rank": rank, "rank_error": float(0.5 * (np.tanh(middle + half) - np.tanh(middle - half)))}
 
 
-def _share(x: Array, ranks: Array, y: Array) -> dict[str, Any]:
-    """Estimate the first-order Sobol index of x on y from any runs, by a polynomial regression.
+def _first_order_index(x: Array, ranks: Array, y: Array) -> dict[str, Any]:
+    """Estimate the first-order Sobol index of x (n,) on y (n,) from any runs, by a polynomial regression.
 
     The terms are x itself and Legendre polynomials of the ranks of x, which are robust against outliers. The
     number of terms minimizes generalized cross-validation (G. Golub et al., Technometrics 21, 1979).
+
+    Args:
+        x: (n,) values of the parameter.
+        ranks: (n,) ranks of x.
+        y: (n,) values of the number.
+
+    Returns:
+        The attributes `share` and `error` of an `Effect`; empty for too few runs.
     """
     n, values = len(y), len(np.unique(ranks))
     if n < MIN_SHARE_RUNS:
@@ -350,29 +380,35 @@ def _share(x: Array, ranks: Array, y: Array) -> dict[str, Any]:
     terms[:, 1] = (x - x.mean()) / x.std()
     y = y - y.mean()
     triangle = np.asarray(np.linalg.qr(np.column_stack([terms, y]), mode="r"))
-    # sums of squares that remain after the first term, the first two terms, and so on
-    left = np.cumsum(triangle[::-1, -1] ** 2)[-2::-1]
+    # sums of squared residuals after a fit by the first term, the first two terms, and so on
+    remaining = np.cumsum(triangle[::-1, -1] ** 2)[-2::-1]
     freedom = n - np.arange(1, most + 1)
-    count = int(np.argmin(left / freedom**2)) + 1
+    count = int(np.argmin(remaining / freedom**2)) + 1
     fitted = terms[:, :count] @ np.linalg.solve(triangle[:count, :count], triangle[:count, -1])
-    share, error = _adjusted(y - fitted, y, count, most)
+    share, error = _adjusted_r_squared(y - fitted, y, count, most)
     if most < values:
         # for a step or a kink, further terms would add as much as the second half of the terms did
-        half, whole = (left / freedom)[[most // 2 - 1, -1]] / (left / freedom)[0]
+        half, whole = (remaining / freedom)[[most // 2 - 1, -1]] / (remaining / freedom)[0]
         error += max(0.0, float(half - whole))
     return {"share": share, "error": error}
 
 
-def _adjusted(residuals: Array, y: Array, coefficients: int, tried: int) -> tuple[float, float]:
+def _adjusted_r_squared(residuals: Array, y: Array, coefficients: int, tried: int) -> tuple[float, float]:
     """Return the adjusted coefficient of determination R^2 of a regression, and its 95 % error.
 
-    The error is that of a ratio of two means over runs, for any distribution of y (n,). The noise of the
+    The error is that of a ratio of two means over runs, for any distribution of y. The noise of the
     coefficients that were tried is added.
+
+    Args:
+        residuals: (n,) y minus fitted values.
+        y: (n,) values.
+        coefficients: number of coefficients of the regression.
+        tried: number of coefficients of the largest regression that was tried.
     """
-    n, squares, own = len(y), residuals**2, (y - y.mean()) ** 2
-    unexplained = squares.sum() / own.sum()
+    n, squares, squares_of_y = len(y), residuals**2, (y - y.mean()) ** 2
+    unexplained = squares.sum() / squares_of_y.sum()
     share = max(0.0, 1.0 - unexplained * (n - 1) / max(1, n - coefficients))
-    variance = np.mean(((squares - unexplained * own) / own.mean()) ** 2) / n
+    variance = np.mean(((squares - unexplained * squares_of_y) / squares_of_y.mean()) ** 2) / n
     variance += 2.0 * (1.0 - share) ** 2 * (tried - 1) / n**2
     return float(share), float(NORMAL_QUANTILE_95 * variance**0.5)
 
@@ -388,7 +424,7 @@ def _regression(x: Array, y: Array) -> tuple[Array, Array, dict[str, Any]]:
     count = 1 + k + k * (k + 1) // 2
     if RUNS_PER_TERM * count > min(len(y), MAX_ANALYZED_NUMBERS // count):
         count = 1 + k
-    chosen = thinned(len(y), MAX_ANALYZED_NUMBERS // count)
+    chosen = sample_blocks(len(y), MAX_ANALYZED_NUMBERS // count)
     x, y = x[chosen], y[chosen]
     x = x - x.mean(axis=0)
     x /= np.maximum(x.std(axis=0), np.finfo(float).tiny)
@@ -399,11 +435,12 @@ def _regression(x: Array, y: Array) -> tuple[Array, Array, dict[str, Any]]:
     fitted = terms @ solution
     if len(y) < max(MIN_SHARE_RUNS, RUNS_PER_TERM * rank):
         return fitted, y, {}
-    share, error = _adjusted(y - fitted, y, int(rank), int(rank))
+    share, error = _adjusted_r_squared(y - fitted, y, int(rank), int(rank))
     return fitted, y, {"share": share, "error": error, "bounds": True}
 
 
-def _tenths(x: Array, y: Array) -> dict[str, Any]:
+def _tail_means(x: Array, y: Array) -> dict[str, Any]:
+    """Return the means of y (n,) over the runs with the lowest and with the highest tenth of x (n,)."""
     ordered = np.sort(x)
     count = max(1, int(TAIL_FRACTION * len(x)))
     low, high = y[x <= ordered[count - 1]], y[x >= ordered[-count]]

@@ -1,4 +1,8 @@
-"""Crosschecks of some runs of a sweep, extreme and random ones, in all engines."""
+"""Cross-check some runs of a sweep, extreme and random ones, in all engines.
+
+newton_euler executes the runs of a sweep. A check repeats a run in all engines as `crosscheck run` does, and
+compares the kept outputs (the numbers that the sweep stores of the run) of each engine with the stored ones.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +34,11 @@ from newton_euler.reading.import_report import ImportedElement, ImportReport
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
-RUNS_PER_CHECK, DEFAULT_CHECKS = 1_000, (2, 6)
-"""Number of runs that take about as long as one check, and the range of the default number of checks."""
+RUNS_PER_CHECK = 1_000
+"""Number of runs that take about as long as one check."""
+
+DEFAULT_CHECKS = (2, 6)
+"""Smallest and largest default number of checks."""
 
 CHOSEN_AT_RANDOM = "at random"
 """Reason for checking a run that is not extreme."""
@@ -88,7 +95,17 @@ def default_count(runs: int) -> int:
 def chosen(
     swept: SweepResults, kept: Sequence[KeptNumber], most_informative: Sequence[KeptNumber], count: int
 ) -> dict[int, str]:
-    """Choose runs to check by number, each with the reason: extreme ones and others at random by turns."""
+    """Choose runs to check, extreme and random ones alternately.
+
+    Args:
+        swept: the sweep.
+        kept: the kept numbers.
+        most_informative: the kept number of each variable that varies most; its extreme runs are chosen.
+        count: largest number of runs.
+
+    Returns:
+        The reason for each choice, by number of the run.
+    """
     known = kept[0].runs[~np.isin(kept[0].runs, swept.stopped)]
     generator = np.random.default_rng([swept.plan.samples.seed, swept.plan.samples.runs])
     random = [
@@ -126,17 +143,19 @@ def check_runs(
         mapping: import report of a model file; None for other scenes.
     """
     unverified = mapping.unverified() if mapping else None  # a run has other parameters than the file
-    said = [""]
+    current = ""
 
-    def tell(message: str) -> None:
-        said[0] = message
+    def start_run(message: str) -> None:
+        """Remember the message of the run that is checked, and report it."""
+        nonlocal current
+        current = message
         progress(message)
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NearlyRedundantWarning)  # the sweep has issued the warning
         return [
-            _check(swept, found, run, why, engines, lambda stage: progress(f"{said[0]}: {stage}"), unverified)
-            for run, why in with_progress(list(runs.items()), tell, "cross-check")
+            _check(swept, found, run, why, engines, lambda stage: progress(f"{current}: {stage}"), unverified)
+            for run, why in with_progress(list(runs.items()), start_run, "cross-check")
         ]
 
 
@@ -149,10 +168,11 @@ def _check(
     progress: Callable[[str], None],
     mapping: ImportReport | None,
 ) -> CheckedRun:
+    """Cross-check one run; an error of an engine is part of the result. Arguments as of `check_runs`."""
     names = tuple(each.name for each in engines)
     try:
         result = crosscheck(swept.plan.scene_of(run), engines, progress, "", {}, mapping)
-        kept = tuple(_compared(swept, found, run, result, engines))
+        kept = tuple(_check_kept(swept, found, run, result, engines))
     except (CrosscheckError, NewtonEulerError) as error:
         return CheckedRun(run, why, False, True, str(error), engines=names)
     complete = not (result.left_out or result.unfinished)
@@ -170,7 +190,7 @@ def _check(
     )
 
 
-def worded(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str:
+def result_line(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str:
     """Report the crosschecks in one line: the first failure, or the check closest to failing.
 
     Args:
@@ -188,39 +208,42 @@ def worded(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str:
         named = f"run {each.run} ({each.why})"
         if not (each.agrees and each.complete):
             return f"{named}: {each.verdict}; {of_runs} cross-checked"
-        wrong = [figure for figure in each.kept if not figure.agrees]
+        wrong = [check for check in each.kept if not check.agrees]
         if wrong:
-            return f"{named}: {_difference(max(wrong, key=_share))}; {of_runs} cross-checked"
-    kept = [figure for each in checked for figure in each.kept]
-    judged = [figure for figure in kept if figure.judged]
+            return f"{named}: {_difference(max(wrong, key=_tolerance_ratio))}; {of_runs} cross-checked"
+    kept = [check for each in checked for check in each.kept]
+    judged = [check for check in kept if check.judged]
     engines = checked[0].engines
     who = "all engines" if set(engines) == set(ENGINES) else ", ".join(engines)
     who += " alone" if len(engines) == 1 else ""
     found = f"{who} in all checks of {of_runs}"
     if judged:
-        found += f"; kept outputs agree too, closest to failing: {_difference(max(judged, key=_share))}"
-    soft = sorted({figure.between[0] for figure in kept if figure.detail == SOFT_CONSTRAINTS})
-    unsettled = sum(bool(figure.unconverged) for figure in kept)
+        found += (
+            f"; kept outputs agree too, closest to failing: {_difference(max(judged, key=_tolerance_ratio))}"
+        )
+    soft = sorted({check.between[0] for check in kept if check.detail == SOFT_CONSTRAINTS})
+    unsettled = sum(bool(check.unconverged) for check in kept)
     open_ = [f"reactions of {name}, whose constraints are soft" for name in soft]
-    open_ += ["reactions that are not unique"] * any(figure.detail == NOT_UNIQUE for figure in kept)
+    open_ += ["reactions that are not unique"] * any(check.detail == NOT_UNIQUE for check in kept)
     open_ += [f"{unsettled} numbers of unconverged runs"] if unsettled else []
     found += f"; not judged: {', '.join(open_)}" if open_ else ""
     return found if any(each.moves for each in checked) else f"{found}; nothing moves"
 
 
-def _share(figure: Check) -> float:
-    return float(np.nan_to_num(figure.tolerance_ratio, nan=np.inf))
+def _tolerance_ratio(check: Check) -> float:
+    """Return value divided by tolerance; infinity for NaN, so that NaN is the largest."""
+    return float(np.nan_to_num(check.tolerance_ratio, nan=np.inf))
 
 
-def _difference(figure: Check) -> str:
+def _difference(check: Check) -> str:
     """Report the difference of a kept number between an engine and the sweep."""
-    name, _, unit = figure.quantity.rpartition(", ")
-    quantity, unit = (name, f" {unit}") if name else (figure.quantity, "")
-    compared = f"{figure.value:.1e} {'<' if figure.agrees else '>'} {figure.tolerance:.1e}{unit}"
-    return f"{quantity}, {figure.between[0]} in {figure.where}: {compared}"
+    name, _, unit = check.quantity.rpartition(", ")
+    quantity, unit = (name, f" {unit}") if name else (check.quantity, "")
+    compared = f"{check.value:.1e} {'<' if check.agrees else '>'} {check.tolerance:.1e}{unit}"
+    return f"{quantity}, {check.between[0]} in {check.where}: {compared}"
 
 
-def _compared(
+def _check_kept(
     swept: SweepResults, found: Sequence[KeptNumber], run: int, result: Crosscheck, engines: Sequence[Engine]
 ) -> Iterator[Check]:
     """Yield for each variable and engine the check closest to failing.
@@ -235,9 +258,9 @@ def _compared(
     plan, scene = swept.plan, result.scene
     reductions = {each.name: each for each in plan.kept}
     numbers = {name: swept.read(name, run) for name in reductions}
-    shared: set[str] = set()
+    not_unique: set[str] = set()  # joints whose reactions redundant constraints leave undetermined
     if any(each.reacts for each in plan.kept):
-        shared.update(undetermined_joints(scene, initial_state(scene))[1])
+        not_unique.update(undetermined_joints(scene, initial_state(scene))[1])
 
     @cache
     def change_of_sweep() -> tuple[dict[str, Array], dict[str, Array]]:
@@ -256,28 +279,30 @@ def _compared(
         if trajectory is None or len(trajectory.time) < len(scene.times):
             continue
         outputs, kept = kept_of(plan, run, trajectory)
-        of_engine = cache(partial(_finer_of, plan, run, engine, scene))
-        figures: dict[str, list[Check]] = {}
+        finer_run = cache(partial(_finer_of, plan, run, engine, scene))
+        checks: dict[str, list[Check]] = {}
         # Compare each kept number with the sweep's
         for scalar in found:
             own, scale = float(numbers[scalar.variable][scalar.place]), scalar.scale(numbers[scalar.variable])
             value = float(kept[scalar.variable][scalar.place])
             why = SOFT_CONSTRAINTS if engine.evaluate_soft_constraints is not None and scalar.reacts else ""
-            if scalar.reacts and not shared.isdisjoint(reductions[scalar.variable].reacting(scalar.place)):
+            if scalar.reacts and not not_unique.isdisjoint(
+                reductions[scalar.variable].reacting(scalar.place)
+            ):
                 why = NOT_UNIQUE
             fixed = (engine.trajectory_error + ENGINES["newton_euler"].trajectory_error) * scale
             apart = 0.0 if np.array_equal(value, own, equal_nan=True) else abs(value - own)
             limit, unsettled = fixed, ""
             if apart > fixed and not why:
-                finer, finely = of_engine()
-                fine = finely[scalar.variable][scalar.place]
+                finer, finer_kept = finer_run()
+                fine = finer_kept[scalar.variable][scalar.place]
                 again, fine_own = (each[scalar.variable][0][scalar.place] for each in change_of_sweep())
                 change = max(abs(value - fine), _change(reductions[scalar.variable], scalar, outputs, finer))
                 limit += OWN_ERROR * float(change + abs(again - fine_own))
                 falls = abs(fine - fine_own) <= max(MAX_REMAINING_ERROR * max(apart, change), fixed)
                 if limit > UNRESOLVED * scale or (apart <= limit and not falls):
                     unsettled = engine.name
-            figures.setdefault(scalar.variable, []).append(
+            checks.setdefault(scalar.variable, []).append(
                 Check(
                     KEPT_LEVEL,
                     scalar.heading,
@@ -291,10 +316,10 @@ def _compared(
                 )
             )
         # Yield the check closest to failing of each variable and reason
-        for of_variable in figures.values():
+        for of_variable in checks.values():
             for kind in sorted({(not each.judged, each.detail) for each in of_variable}):
                 alike = [each for each in of_variable if (not each.judged, each.detail) == kind]
-                yield from sorted(alike, key=_share)[-1:]
+                yield from sorted(alike, key=_tolerance_ratio)[-1:]
 
 
 def finer_control(control: Mapping[str, Any]) -> dict[str, Any]:
@@ -324,6 +349,7 @@ KeptOutputs = tuple[Outputs, dict[str, Array]]
 
 
 def _finer_of(plan: SweepPlan, run: int, engine: Engine, scene: Scene) -> KeptOutputs:
+    """Repeat a run in an engine with finer steps or tolerances; return its outputs and kept outputs."""
     return kept_of(plan, run, (engine.refined_in_full or engine.refined)(scene))
 
 

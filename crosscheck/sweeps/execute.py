@@ -1,4 +1,8 @@
-"""Execution of the tasks of a sweep on threads, an executor of concurrent.futures, or a Dask cluster."""
+"""Execute tasks in parallel: on threads, an executor of concurrent.futures, or a Dask cluster.
+
+A task of a sweep executes a range of runs. `workers` opens the place of execution, `run_tasks` executes tasks
+there, `probed` measures the speed of runs, and `Pace` reports progress.
+"""
 
 from __future__ import annotations
 
@@ -43,29 +47,28 @@ RECOUNT_PERIOD_S = 2.0
 ASSUMED_WORKERS = 32
 """Number of workers of an executor that does not report it."""
 
-MIN_PROBE_S, NO_REPEAT_ABOVE_S = 0.05, 1.0
-"""s, shortest time of runs from which their speed is estimated, and time of a single run above which the
-estimate is not repeated."""
+MIN_PROBE_S = 0.05
+"""s, shortest time of runs from which their speed is estimated."""
+
+NO_REPEAT_ABOVE_S = 1.0
+"""s, time of a single run above which the measurement of its speed is not repeated."""
 
 CONNECT_TIMEOUT_S = 10.0
 """s, longest time that a cluster may need to answer."""
 
 NO_WORKERS = f"the cluster has no workers yet: waiting; press Ctrl-C to stop, {KEPT_REPEAT_COMMAND}"
 
-DASK_LOGS, SILENT_LEVEL = (
-    ("distributed.client", "distributed.protocol.core", "distributed.comm"),
-    logging.CRITICAL + 1,
-)
-"""Loggers of Dask that repeat raised errors, and a log level above all of theirs."""
+DASK_LOGS = ("distributed.client", "distributed.protocol.core", "distributed.comm")
+"""Names of Dask's loggers that print errors which Dask raises as well."""
 
 
 @dataclass(frozen=True)
 class Workers:
-    """An executor of tasks.
+    """Place where tasks are executed.
 
     Attributes:
-        executor: the executor.
-        count: returns the current number of workers.
+        executor: executor to which tasks are submitted.
+        count: function that returns the current number of workers.
     """
 
     executor: Executor
@@ -100,7 +103,9 @@ def workers(
         if not isinstance(executor, Executor):
             raise OptionError("executor", executor, "one of concurrent.futures")
         count = getattr(executor, "_max_workers", ASSUMED_WORKERS)
-        with safe_path():  # an executor starts its processes with the first task
+        # an executor starts its processes with the first task; `safe_path` keeps them from importing modules of
+        # the current folder
+        with safe_path():
             yield Workers(executor, lambda: count)
     else:
         count = thread_count(threads)
@@ -121,7 +126,7 @@ def _client(cluster: Client | str) -> Iterator[Client]:
     logs = [logging.getLogger(name) for name in DASK_LOGS]
     levels = [log.level for log in logs]
     for log in logs:
-        log.setLevel(SILENT_LEVEL)
+        log.setLevel(logging.CRITICAL + 1)  # above the level of every message
     try:
         with _connected(cluster) as client:
             yield client
@@ -131,7 +136,14 @@ def _client(cluster: Client | str) -> Iterator[Client]:
 
 
 def _connected(address: str) -> Client:
-    """Connect to a scheduler."""
+    """Connect to a Dask scheduler.
+
+    Args:
+        address: such as tcp://10.0.0.1:8786.
+
+    Raises:
+        CrosscheckError: if no scheduler answers.
+    """
     import dask
     import distributed
 
@@ -159,10 +171,10 @@ async def _check_scheduler(address: str) -> None:
         raise OSError(f"a {kind} listens there")
 
 
-def in_any_order(
+def run_tasks(
     task: Callable[[Item], Result],
     items: Iterable[Item],
-    at: Workers,
+    pool: Workers,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Generator[tuple[Item, Result]]:
     """Execute a task for each item, and yield items and results in order of completion.
@@ -171,20 +183,28 @@ def in_any_order(
     tasks complete, and waiting tasks are canceled. If the cluster has no workers yet, the function reports
     that to `progress` and waits.
 
+    Args:
+        task: function of an item; it must be picklable for processes and clusters.
+        items: items, taken as tasks complete.
+        pool: place of execution.
+        progress: receives messages.
+
     Raises:
         CrosscheckError: if a task fails, or if its process or the cluster is lost.
     """
-    left, count, counted = iter(items), 1, -RECOUNT_PERIOD_S
+    remaining, count, last_count_time = iter(items), 1, -RECOUNT_PERIOD_S
     running: dict[Future[Result], Item] = {}
     try:
         while True:
-            if time.perf_counter() - counted > RECOUNT_PERIOD_S:
-                before, count, counted = count, at.count(), time.perf_counter()
-                if before and not count:
+            # count the workers from time to time, as those of a cluster come and go
+            if time.perf_counter() - last_count_time > RECOUNT_PERIOD_S:
+                previous_count, count, last_count_time = count, pool.count(), time.perf_counter()
+                if previous_count and not count:
                     progress(NO_WORKERS)
-            room = TASKS_PER_WORKER * max(1, count) - len(running)
-            for _, item in zip(range(room), left, strict=False):
-                running[at.executor.submit(task, item)] = item
+            # submit tasks to idle workers, then yield the results of tasks that completed
+            free_places = TASKS_PER_WORKER * max(1, count) - len(running)
+            for _, item in zip(range(free_places), remaining, strict=False):
+                running[pool.executor.submit(task, item)] = item
             if not running:
                 return
             for future in wait(running, RECOUNT_PERIOD_S, FIRST_COMPLETED).done:
@@ -199,6 +219,12 @@ def in_any_order(
 
 
 def _result(future: Future[Result]) -> Result:
+    """Return the result of a completed task.
+
+    Raises:
+        CrosscheckError: for an error in the task.
+        BrokenExecutor, CancelledError: for the loss of a worker.
+    """
     try:
         return future.result()
     except (CrosscheckError, BrokenExecutor, CancelledError):
@@ -211,26 +237,37 @@ def _result(future: Future[Result]) -> Result:
 class Pace:
     """Counter of completed runs that reports their rate and the remaining time."""
 
-    def __init__(self, runs: int, there: int, progress: Callable[[str], None]) -> None:
-        self._runs, self._there, self._progress = runs, there, progress
-        self._made, self._start = 0, time.perf_counter()
-        if there:
-            progress(f"{there:,} of {runs:,} runs are stored already")
+    def __init__(self, runs: int, stored: int, progress: Callable[[str], None]) -> None:
+        """Start to count.
+
+        Args:
+            runs: number of runs of the sweep.
+            stored: number of runs that were stored before.
+            progress: receives messages.
+        """
+        self._runs, self._stored, self._progress = runs, stored, progress
+        self._executed, self._start = 0, time.perf_counter()
+        if stored:
+            progress(f"{stored:,} of {runs:,} runs are stored already")
 
     def add(self, runs: int) -> None:
         """Count completed runs, and report to `progress`."""
-        self._made += runs
-        rate = self._made / max(time.perf_counter() - self._start, 1e-9)
-        there = self._there + self._made
-        left = duration_text((self._runs - there) / rate)
-        self._progress(f"{there:,} of {self._runs:,} runs, {rate:,.0f} per s, {left} left")
+        self._executed += runs
+        rate = self._executed / max(time.perf_counter() - self._start, 1e-9)
+        stored = self._stored + self._executed
+        remaining = duration_text((self._runs - stored) / rate)
+        self._progress(f"{stored:,} of {self._runs:,} runs, {rate:,.0f} per s, {remaining} left")
 
 
 def probed(make: Callable[[int], Any], runs: int) -> float:
     """Estimate the runs per second of one worker from as few runs as possible.
 
-    The decisive measurement is repeated, as the first one can include compilation. A single long run is not
-    repeated, since a run was executed before.
+    The number of runs grows until they take `MIN_PROBE_S`. The last measurement is repeated, as the first one
+    can include compilation; a single run of more than `NO_REPEAT_ABOVE_S` is not repeated.
+
+    Args:
+        make: function that executes a number of runs.
+        runs: largest number of runs to execute.
     """
     count = 1
     while True:
@@ -243,6 +280,7 @@ def probed(make: Callable[[int], Any], runs: int) -> float:
 
 
 def _time(make: Callable[[int], Any], count: int) -> float:
+    """Return the time of `count` runs, s."""
     start = time.perf_counter()
     make(count)
     return time.perf_counter() - start

@@ -1,4 +1,8 @@
-"""Plan of a sweep: everything that its runs depend on, and the functions that execute runs."""
+"""Plan of a sweep: everything that its runs depend on, and the functions that execute runs.
+
+The plan is sent to all threads and processes that execute runs. A chunk is a range of consecutive runs that
+are stored together. A kept output is a number or array that is stored of each run.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +51,7 @@ CONDITION_DIFFERENCES = {
     "processor": "another kind of processor",
     "samples": "other samples by the same seed, of other versions of packages,",
 }
-"""Conditions besides the plan on which results depend; descriptions of a difference."""
+"""Conditions besides the plan on which the last bits of results depend, and texts that name a difference."""
 
 CACHED_PLANS = 4
 """Number of plans that a worker process keeps."""
@@ -59,11 +63,11 @@ RUN_COMPLETED, RUN_FAILED = 1, 2
 """Status of a run; 0 stands for a run that has not been executed."""
 
 Parameters = Mapping[str, Array]
-"""Values (runs,) by the name of a parameter."""
+"""Values (runs,) of each varied parameter, by the name of the parameter."""
 
 
 class Chunk(NamedTuple):
-    """SweepResults of consecutive runs.
+    """Results of consecutive runs.
 
     Attributes:
         values: arrays (runs, ...) by name of a parameter or kept output.
@@ -106,7 +110,7 @@ class SweepPlan:
 
     @property
     def lean(self) -> Scene:
-        """The scene with only those outputs that the reductions need."""
+        """The scene with only those outputs (such as velocities or reactions) that the reductions need."""
         return _kept(self.scene, self.keep, self.integrator)[1]
 
     def parameters(self, first: int, last: int) -> Parameters:
@@ -118,7 +122,7 @@ class SweepPlan:
         """Simulate runs with given parameters on a number of threads; on all processors if None."""
         return make_batch(scene, parameters=parameters, threads=threads, **self.control)
 
-    def together(self, scene: Scene) -> int:
+    def runs_per_batch(self, scene: Scene) -> int:
         """Return the number of runs that execute together, so that their outputs fit into
         `MAX_OUTPUT_BYTES`."""
         names = labels(self.scene)
@@ -147,13 +151,14 @@ class SweepPlan:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the plan as bytes that a process unpickles once for all its tasks."""
-        return _restored, (self._content,)
+        return _unpickle_plan, (self._content,)
 
     @cached_property
     def _content(self) -> bytes:
+        """The pickled plan."""
         needed = self.needed or self.conditions
         return pickle.dumps(
-            (_unseen(self.scene), self.samples, self.keep, dict(self.control), self.chunk, needed)
+            (_without_meshes(self.scene), self.samples, self.keep, dict(self.control), self.chunk, needed)
         )
 
     @cached_property
@@ -213,18 +218,19 @@ def processor() -> str:
 
 @lru_cache(maxsize=CACHED_PLANS)
 def _kept(scene: Scene, keep: tuple[str, ...], integrator: str) -> tuple[tuple[Reduction, ...], Scene]:
+    """Return the reductions of a plan, and the scene with only those outputs that they need."""
     kept = reductions(keep, scene)
     return kept, pruned(scene, kept, integrator)
 
 
 def _numbers(scene: Scene) -> dict[str, str]:
-    """Return the numbers of a scene by name; a comparison with another scene's shows what changed."""
+    """Return the parameters of a scene as texts by name, to show what differs between two scenes."""
     own = parameter_values(scene)
     own |= {name: np.array(getattr(scene, name)) for name in ("duration", "output_period")}
     return {name: " ".join(f"{number:.12g}" for number in value.flat) for name, value in own.items()}
 
 
-def _unseen(scene: Scene) -> Scene:
+def _without_meshes(scene: Scene) -> Scene:
     """Return the scene without meshes, which can be large."""
     mechanism = scene.mechanism
     if not any(body.meshes for body in mechanism.bodies):
@@ -233,13 +239,15 @@ def _unseen(scene: Scene) -> Scene:
     return replace(scene, mechanism=Mechanism(bodies, mechanism.joints, mechanism.couplings))
 
 
-def _restored(content: bytes) -> SweepPlan:
+def _unpickle_plan(content: bytes) -> SweepPlan:
+    """Unpickle a plan; all tasks of a process share one plan of the same content."""
     with RESTORE_LOCK:
-        return _plan(content)
+        return _cached_plan(content)
 
 
 @lru_cache(maxsize=CACHED_PLANS)
-def _plan(content: bytes) -> SweepPlan:
+def _cached_plan(content: bytes) -> SweepPlan:
+    """Unpickle a plan and prepare its reductions; a plan that was unpickled before is returned again."""
     plan = SweepPlan(*pickle.loads(content))
     _kept(plan.scene, plan.keep, plan.integrator)
     return plan
@@ -272,14 +280,15 @@ def run_all(plan: SweepPlan, parameters: Parameters) -> Chunk:
 def _parts(plan: SweepPlan, parameters: Parameters) -> Iterator[Chunk]:
     """Yield the results of groups of runs, as many per group as memory allows."""
     count = len(next(iter(parameters.values())))
-    parts = -(-count // plan.together(plan.lean))
-    size = -(-count // (parts * lane_count())) * lane_count()
+    # groups of equal size, a multiple of the number of runs that compiled code simulates side by side
+    groups = -(-count // plan.runs_per_batch(plan.lean))
+    size = -(-count // (groups * lane_count())) * lane_count()
     for start in range(0, count, size):
         own = {name: values[start : start + size] for name, values in parameters.items()}
         batch = plan.batch(own, plan.lean)
         outputs = Outputs.of_batch(plan.scene, batch)
         values = dict(own) | {each.name: each.of(outputs) for each in plan.kept}
-        # errors are numbered within the batch
+        # error messages begin with the number of the run within the batch, which is removed
         errors = [str(batch.errors.get(k, "")).removeprefix(f"run {k}: ") for k in range(len(batch))]
         for run in batch.errors:
             for each in plan.kept:

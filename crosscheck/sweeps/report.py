@@ -36,13 +36,13 @@ from crosscheck.sweeps.analysis import (
     Effect,
     KeptNumber,
     analyzed,
+    kept_numbers,
     most_informative,
     most_varying,
-    scalars,
-    thinned,
+    sample_blocks,
     with_unit,
 )
-from crosscheck.sweeps.checks import CheckedRun, worded
+from crosscheck.sweeps.checks import CheckedRun, result_line
 from crosscheck.sweeps.distributions import Distribution
 from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.pictures import MAX_SCATTER_POINTS, pictures, rank_of, share_of
@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from crosscheck.sweeps.recording import Envelope
 
 FILES = ("sweep.json", "sweep.rrd", "tornado.png", "histograms.png", "scatter.png")
+"""Names of the files that `write` can write: all findings, the Rerun recording, and plots."""
 
 MAX_PRINTED_ROWS, MAX_PRINTED_CHARTS, MAX_PRINTED_BARS, MAX_PRINTED_REASONS = 6, 2, 4, 3
 """Largest numbers of rows, charts, bars and reasons in the terminal; the whole report is 25 lines long."""
@@ -117,7 +118,7 @@ class Findings:
         found = f"{ended}; none was cross-checked"
         if self.checked:
             extremes = {scalar.extreme(largest) for scalar, _ in self.effects for largest in (True, False)}
-            found = f"{worded(self.checked, extremes)}; {ended}"
+            found = f"{result_line(self.checked, extremes)}; {ended}"
         found = "; ".join(filter(None, [self._reduced, found]))
         return f"{self.outcome}: {found}" if self.outcome else found
 
@@ -164,7 +165,7 @@ def findings(
     swept: SweepResults, checked: Sequence[CheckedRun], options: Mapping[str, str], start: tuple[str, ...]
 ) -> Findings:
     """Analyze a sweep; arguments as the attributes of `Findings`."""
-    found, analysis = scalars(swept), Analysis(swept.plan.samples, analyzed(swept), swept.inputs)
+    found, analysis = kept_numbers(swept), Analysis(swept.plan.samples, analyzed(swept), swept.inputs)
     effects = [(scalar, analysis.effects(scalar)) for scalar in most_informative(found)]
     nominal = _nominal(swept.plan, found)
     without = [scalar.label for scalar, each in effects if each and each[0].share is None]
@@ -174,6 +175,7 @@ def findings(
 
 
 def _nominal(plan: SweepPlan, found: Sequence[KeptNumber]) -> dict[str, float]:
+    """Execute the run with nominal parameters; return its kept numbers by label."""
     own = own_values(plan.scene, plan.samples.names)
     values = run_all(plan, {name: value.reshape(1) for name, value in own.items()}).values
     return {each.label: float(values[each.variable][0][each.place]) for each in found}
@@ -206,7 +208,7 @@ def report(found: Findings) -> Report:
     parts += [Lines("", [found.too_few])] if found.too_few else []
     parts += _checks(found.checked) if found.checked else []
     parts.append(_varied(swept.plan))
-    far, gaps = _far(swept.plan), _gaps(found)
+    far, gaps = _far_nominals(swept.plan), _missing_numbers(found)
     parts += [Lines("", list(lines)) for lines in (swept.repaired, found.notes, far, gaps) if lines]
     if failed:
         parts.append(Lines("failed runs", failed))
@@ -272,6 +274,7 @@ def _hint(plan: SweepPlan, reason: str) -> str:
 
 
 def _quantiles(found: Findings, rows: Sequence[KeptNumber], title: str) -> Table:
+    """Tabulate nominal values and quantiles of kept numbers; without a title in the short form."""
     wanted = slice(None if title else 1, None)
     columns = [Column("of each run"), *figures("nominal", *list(QUANTILE_LEVELS)[wanted])]
     content: Rows = []
@@ -321,21 +324,22 @@ def _checks(checked: Sequence[CheckedRun]) -> list[Part]:
         verdict = Cell("differ", "fails") if each.differs else Cell("agree", "holds")
         rows.append([str(each.run), each.why, verdict if each.complete else Cell("not all", "doubtful")])
         kept.append(f"run {each.run}")
-        for figure in each.kept:
-            unsettled = "not converged" if figure.unconverged else "not judged"
-            apart = judged(figure.value, figure.tolerance, figure.agrees)
-            if not figure.judged:
-                apart = Cell(f"{figure.value:.1e}, {figure.detail or unsettled}")
-            kept.append([figure.quantity, figure.between[0], apart])
+        for check in each.kept:
+            reason = "not converged" if check.unconverged else "not judged"
+            difference = judged(check.value, check.tolerance, check.agrees)
+            if not check.judged:
+                difference = Cell(f"{check.value:.1e}, {check.detail or reason}")
+            kept.append([check.quantity, check.between[0], difference])
     columns = [*figures("run"), *texts("chosen", "engines")]
-    beside = [*texts("kept number", "engine"), *figures("difference")]
+    columns_of_kept = [*texts("kept number", "engine"), *figures("difference")]
     parts: list[Part] = [Table("runs that were cross-checked", columns, rows, folded=True)]
-    parts.append(Table("kept outputs of these runs, closest to failing", beside, kept, folded=True))
+    parts.append(Table("kept outputs of these runs, closest to failing", columns_of_kept, kept, folded=True))
     wrong = [f"run {each.run}: {each.verdict}" for each in checked if not (each.agrees and each.complete)]
     return [*parts, Lines("", wrong)] if wrong else parts
 
 
 def _varied(plan: SweepPlan) -> Table:
+    """Tabulate the varied parameters: unit, nominal value and distribution."""
     own = own_values(plan.scene, plan.samples.names)
     units = units_of(plan.scene, plan.samples.names)
     rows: Rows = []
@@ -347,7 +351,7 @@ def _varied(plan: SweepPlan) -> Table:
     )
 
 
-def _far(plan: SweepPlan) -> list[str]:
+def _far_nominals(plan: SweepPlan) -> list[str]:
     """Report nominal values that are far from their distribution, for example because of a wrong unit."""
     own = own_values(plan.scene, plan.samples.names)
     initial, lines = initial_numbers(plan.scene, plan.samples.names), []
@@ -364,7 +368,7 @@ def _far(plan: SweepPlan) -> list[str]:
     return lines
 
 
-def _gaps(found: Findings) -> list[str]:
+def _missing_numbers(found: Findings) -> list[str]:
     """Report numbers that are NaN in some runs, and incomplete base samples of Saltelli's design."""
     lines, block = [], found.swept.plan.samples.block
     for scalar in found.scalars:
@@ -398,7 +402,7 @@ def write(found: Findings, made: Report, folder: Path) -> list[Path]:
     paths = [folder / name for name in FILES]
     check_writable(*paths)
     runs = analyzed(found.swept)
-    points = thinned(len(runs), MAX_SCATTER_POINTS)
+    points = sample_blocks(len(runs), MAX_SCATTER_POINTS)
     inputs, plan = found.swept.inputs(runs[points]), found.swept.plan
     units = units_of(plan.scene, plan.samples.names)
     drawn = pictures(found.effects, points, inputs, units, found.nominal)
@@ -459,13 +463,13 @@ def _repeated_runs(found: Findings) -> tuple[dict[str, Trajectory], list[Envelop
     )[:MAX_RECORDED_EXTREMES]
     named = ["nominal", *(f"run {run}" for run in extremes)]
     own = own_values(plan.scene, plan.samples.names)
-    inputs = found.swept.inputs(np.array([*extremes, *thinned(plan.samples.runs, ENVELOPE_RUNS)]))
+    inputs = found.swept.inputs(np.array([*extremes, *sample_blocks(plan.samples.runs, ENVELOPE_RUNS)]))
     values = {name: np.append(own[name], of_runs) for name, of_runs in inputs.items()}
     scene = replace(plan.lean, output_period=plan.scene.output_period)
     kept = {each.name: each for each in plan.kept}
     runs: dict[str, Trajectory] = {}
     parts: list[list[Array]] = []
-    size = max(len(named), plan.together(scene))
+    size = max(len(named), plan.runs_per_batch(scene))
     for first in range(0, len(next(iter(values.values()))), size):
         part = {name: of_runs[first : first + size] for name, of_runs in values.items()}
         batch = plan.batch(part, scene, threads=None)

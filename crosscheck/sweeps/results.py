@@ -1,4 +1,5 @@
-"""Results of a sweep: runs are executed in chunks, stored, and resumed after an interruption."""
+"""Execute the runs of a sweep: choose the size of tasks, run them, store the results, resume after an
+interruption."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ import numpy as np
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import check_writable
 from crosscheck.support.time_limits import signals_as_interrupts
-from crosscheck.sweeps.execute import Pace, Workers, in_any_order, probed
+from crosscheck.sweeps.execute import Pace, Workers, probed, run_tasks
 from crosscheck.sweeps.expressions import labels
 from crosscheck.sweeps.plan import RUN_FAILED, Chunk, Parameters, SweepPlan, make_runs, run_all
 from crosscheck.sweeps.store import (
@@ -66,7 +67,7 @@ class SweepResults:
         plan: the plan of the sweep.
         dataset: xarray Dataset of varied parameters and kept outputs by run; on disk if the store has a path.
         store: the store of the dataset.
-        made: number of runs that were executed now; other runs were stored before.
+        made: number of runs that were executed now; all others were stored before.
         wall_time: s, time of the execution.
         repaired: lines about damaged files whose runs were repeated.
     """
@@ -113,14 +114,14 @@ class SweepResults:
 
 
 def results_of(
-    plan: SweepPlan, folder: Path | None, at: Workers, progress: Callable[[str], None]
+    plan: SweepPlan, folder: Path | None, pool: Workers, progress: Callable[[str], None]
 ) -> SweepResults:
-    """Execute those runs of a plan that are not stored yet.
+    """Execute all runs of a plan that are not stored yet.
 
     Args:
         plan: the plan.
         folder: folder of the store; None for results in memory.
-        at: workers that execute the runs.
+        pool: workers that execute the runs.
         progress: called with the number of completed runs.
 
     Raises:
@@ -141,9 +142,9 @@ def results_of(
             progress("compiling")
             if run_all(plan, plan.parameters(0, 1)).errors[0]:
                 _check_starts(plan, progress)
-            plan = replace(plan, chunk=_task(plan, at, progress))
+            plan = replace(plan, chunk=_task_size(plan, pool, progress))
             store = Store.make(plan, path) if path else Store.in_memory(plan)
-        made = _make(plan, store, store.missing(plan), at, progress)
+        made = _execute(plan, store, store.missing(plan), pool, progress)
         if lost := sum(last - first for first, last in store.missing(plan)):
             problem = f"{lost:,} of {plan.samples.runs:,} runs are missing in {path}"
             raise CrosscheckError(f"{problem}; needed: a folder that all workers can access")
@@ -186,12 +187,13 @@ def _check_starts(plan: SweepPlan, progress: Callable[[str], None]) -> None:
             return
         reason = reason or str(errors[0]).removeprefix("run 0: ")
         progress(f"none of the first {last:,} of {runs:,} runs can start: {reason}")
-    guilty = (group for group in plan.samples.groups if any(repr(name) in reason for name in group[0]))
-    where = next((f"--vary {', '.join(names)}={given}: " for names, given in guilty), "")
+    # name the parameters that the reason quotes
+    named = (group for group in plan.samples.groups if any(repr(name) in reason for name in group[0]))
+    where = next((f"--vary {', '.join(names)}={given}: " for names, given in named), "")
     raise CrosscheckError(f"{where}no run of {runs:,} can start: {reason}")
 
 
-def _task(plan: SweepPlan, at: Workers, progress: Callable[[str], None]) -> int:
+def _task_size(plan: SweepPlan, pool: Workers, progress: Callable[[str], None]) -> int:
     """Choose the number of runs of a task so that a task takes about `TASK_DURATION_S`.
 
     The number is a power of 2 and does not depend on the number of runs, so that runs can be added to the
@@ -207,26 +209,37 @@ def _task(plan: SweepPlan, at: Workers, progress: Callable[[str], None]) -> int:
     rate = probed(make, max(runs, MIN_TIMED_RUNS))
     numbers = sum(prod(map(len, each.dimensions.values())) for each in plan.kept)
     largest = min(MAX_TASK_RUNS, MAX_TASK_NUMBERS // numbers)
-    about = max(1, min(int(max(TASK_DURATION_S, SCHEDULER_TIME_PER_TASK_S * at.count()) * rate), largest))
+    about = max(1, min(int(max(TASK_DURATION_S, SCHEDULER_TIME_PER_TASK_S * pool.count()) * rate), largest))
     return 1 << (about.bit_length() - 1)
 
 
-def _make(
+def _execute(
     plan: SweepPlan,
     store: Store,
     tasks: Sequence[tuple[int, int]],
-    at: Workers,
+    pool: Workers,
     progress: Callable[[str], None],
 ) -> int:
-    """Execute and store runs; return their number."""
+    """Execute and store runs.
+
+    Args:
+        plan: the plan of the sweep.
+        store: the store of the results.
+        tasks: ranges of runs, as first number and last number plus one.
+        pool: workers that execute the tasks.
+        progress: receives messages.
+
+    Returns:
+        Number of executed runs.
+    """
     made = sum(last - first for first, last in tasks)
     pace = Pace(plan.samples.runs, plan.samples.runs - made, progress)
     if tasks:
-        progress(f"runs to execute: {made:,}, workers: {at.count()}")
+        progress(f"runs to execute: {made:,}, workers: {pool.count()}")
     task: Callable[[tuple[int, int]], Chunk | None] = partial(make_runs, plan)
     if store.path is not None:
         task = partial(store_runs, plan, store.path.absolute(), store.group.attrs.get(STORE_ID))
-    with closing(in_any_order(task, tasks, at, progress)) as results:
+    with closing(run_tasks(task, tasks, pool, progress)) as results:
         for (first, last), chunk in results:
             if chunk is not None:
                 store.write(first, chunk)

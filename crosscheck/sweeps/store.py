@@ -1,9 +1,8 @@
-"""SweepResults of sweeps on disk or in memory, in Zarr's format: written by chunks, read as an xarray
-Dataset.
+"""Store the results of a sweep on disk or in memory, in the format of Zarr (arrays in files of chunks).
 
-The status of the runs of a chunk is written last, and Zarr renames each file into place when it is complete.
-A sweep
-can therefore be killed at any time: runs without a status are repeated.
+Results are written in chunks of consecutive runs, and read as an xarray Dataset. The status of the runs of a
+chunk is written last, and Zarr renames each file into place when it is complete. A sweep can therefore be
+killed at any time: runs without a status are repeated.
 
 Every chunk ends with a checksum, which is verified whenever the chunk is read. If a chunk is damaged, its
 runs are repeated when the sweep resumes.
@@ -41,6 +40,7 @@ from newton_euler.runs.variation import units_of
 from newton_euler.scalars import Array
 
 STORE_NAME = "sweep.zarr"
+"""Name of the folder of a store."""
 
 STATUS, ERROR = "status", "error"
 """Names of the variables for the status and the error of each run."""
@@ -75,7 +75,7 @@ def libraries() -> tuple[Any, Any]:
 
 
 class Store:
-    """SweepResults of a sweep.
+    """Stored results of a sweep: an array of all runs for each parameter and kept output, status and error.
 
     Attributes:
         group: the Zarr group.
@@ -129,37 +129,41 @@ class Store:
         """Make a store on disk. The store appears completely or not at all.
 
         Raises:
-            CrosscheckError: naming the path that cannot be written.
+            CrosscheckError: for a path that cannot be written.
         """
         _, zarr = libraries()
         record = plan.record()
         remove_abandoned(path.parent.glob(f".{path.stem}-????????{path.suffix}"))
-        made = path.parent / f".{path.stem}-{os.urandom(4).hex()}{path.suffix}"
+        temporary = path.parent / f".{path.stem}-{os.urandom(4).hex()}{path.suffix}"
         try:
-            with told(path):
+            with disk_errors(path):
                 make_folder(path.parent)
-                cls(zarr.create_group(made), made)._create(plan, record | {STORE_ID: os.urandom(8).hex()})
-                made.rename(path)
+                cls(zarr.create_group(temporary), temporary)._create(
+                    plan, record | {STORE_ID: os.urandom(8).hex()}
+                )
+                temporary.rename(path)
         finally:
-            shutil.rmtree(made, ignore_errors=True)
+            shutil.rmtree(temporary, ignore_errors=True)
         return cls.at(path)
 
     def _create(self, plan: SweepPlan, attributes: Mapping[str, Any]) -> None:
-        """Create all variables without values, and the labels of their dimensions."""
+        """Create all variables without values, the labels of their dimensions, and the attributes of the
+        plan."""
         from zarr.codecs import Crc32cCodec
 
         self.group.update_attributes(dict(attributes))
         of_runs = {"run": plan.samples.runs}
 
         def make(name: str, kind: Any, sizes: Mapping[str, int], unit: str = "", about: str = "") -> Any:
-            said = {"units": unit, "long_name": about}
+            """Create a variable of a data type `kind` with sizes by dimension; only runs are chunked."""
+            texts = {"units": unit, "long_name": about}
             return self.group.create_array(
                 name,
                 shape=tuple(sizes.values()),
                 chunks=tuple(plan.chunk if each == "run" else n for each, n in sizes.items()),
                 dtype=kind,
                 dimension_names=tuple(sizes),
-                attributes={key: text for key, text in said.items() if text},
+                attributes={key: text for key, text in texts.items() if text},
                 fill_value=np.nan if kind == "f8" else None,
                 compressors=[Crc32cCodec()],
             )
@@ -190,7 +194,7 @@ class Store:
             record |= {"runs": own["runs"], "samples": plan.samples.digest(own["runs"])}
         if what := _difference(own, record):
             raise CrosscheckError(f"{self.path} holds a sweep of {what}; {CHOOSE_ANOTHER_FOLDER}")
-        with intact(self.path), told(self.path):
+        with intact(self.path), disk_errors(self.path):
             remove_abandoned(self.path.rglob(f"*{PARTIAL}") if self.path else ())
             if more:
                 new = {"runs": runs, "samples": plan.samples.digest(runs), STORE_ID: os.urandom(8).hex()}
@@ -225,7 +229,7 @@ class Store:
         if self.path is None:
             return []
         lines = list[str]()
-        with told(self.path):
+        with disk_errors(self.path):
             for name, values in _coordinates(plan).items():
                 if _unreadable(self.group[name], 0, 1) or not np.array_equal(self.group[name][:], values):
                     lines.append(f"{self.path / name} was damaged and is written again")
@@ -233,15 +237,17 @@ class Store:
             count = -(-plan.samples.runs // plan.chunk)
             for number in self._discard(STATUS, _unreadable(self.group[STATUS], 0, count)):
                 lines.append(self._line(STATUS, number, plan))
-            made, stopped = set[int](), set[int]()
+            # numbers of the chunks with executed runs, and of those with failed runs
+            executed, failed = set[int](), set[int]()
             for start, status in self._statuses(plan):
                 chunks = np.arange(0, len(status), plan.chunk)
-                for marked, found in ((status != 0, made), (status == RUN_FAILED, stopped)):
-                    of_chunks = np.logical_or.reduceat(marked, chunks)
-                    found.update(((start + chunks[of_chunks]) // plan.chunk).tolist())
+                for marked, numbers in ((status != 0, executed), (status == RUN_FAILED, failed)):
+                    has_marked = np.logical_or.reduceat(marked, chunks)
+                    numbers.update(((start + chunks[has_marked]) // plan.chunk).tolist())
+            # each of them must have a readable file for every variable; only failed runs have an error
             for name in (*plan.samples.names, *(each.name for each in plan.kept), ERROR):
                 array = self.group[name]
-                lost = (stopped if name == ERROR else made) - stored_chunks(self.path / name, array.ndim)
+                lost = (failed if name == ERROR else executed) - stored_chunks(self.path / name, array.ndim)
                 for number in self._discard(name, sorted(lost | {*_unreadable(array, 0, count)})):
                     first = number * plan.chunk
                     self.group[STATUS][first : first + plan.chunk] = 0
@@ -257,6 +263,7 @@ class Store:
             yield number
 
     def _line(self, name: str, number: int, plan: SweepPlan) -> str:
+        """Report a damaged or lost chunk of a variable, and the runs that are repeated."""
         assert self.path is not None
         first, last = number * plan.chunk, min((number + 1) * plan.chunk, plan.samples.runs) - 1
         file = chunk_file(self.path / name, number, self.group[name].ndim)
@@ -270,16 +277,16 @@ class Store:
         Raises:
             CrosscheckError: for damaged files.
         """
-        runs, left = plan.samples.runs, list[tuple[int, int]]()
+        runs, ranges = plan.samples.runs, list[tuple[int, int]]()
         with intact(self.path, STATUS):
             for start, status in self._statuses(plan):
-                there = (status != 0).astype(int)
-                chunks = np.arange(0, len(there), plan.chunk)
-                firsts = start + chunks + np.add.reduceat(there, chunks)
+                is_stored = (status != 0).astype(int)
+                chunks = np.arange(0, len(is_stored), plan.chunk)
+                firsts = start + chunks + np.add.reduceat(is_stored, chunks)
                 lasts = np.minimum(start + chunks + plan.chunk, runs)
-                some = firsts < lasts
-                left += zip(firsts[some].tolist(), lasts[some].tolist(), strict=True)
-        return left
+                is_missing = firsts < lasts
+                ranges += zip(firsts[is_missing].tolist(), lasts[is_missing].tolist(), strict=True)
+        return ranges
 
     def _statuses(self, plan: SweepPlan) -> Iterator[tuple[int, Array]]:
         """Yield the status of all runs in parts of whole chunks, with the number of the first run of each
@@ -297,17 +304,17 @@ class Store:
         with intact(self.path, STATUS):
             status = self.group[STATUS]
             starts = range(0, status.shape[0], STATUS_RUNS)
-            there = sum(int(np.count_nonzero(status[start : start + STATUS_RUNS])) for start in starts)
-        return f"{there:,} of {status.shape[0]:,} runs"
+            stored = sum(int(np.count_nonzero(status[start : start + STATUS_RUNS])) for start in starts)
+        return f"{stored:,} of {status.shape[0]:,} runs"
 
     def write(self, first: int, chunk: Chunk) -> None:
         """Write consecutive runs, and then their status.
 
         Raises:
-            CrosscheckError: naming the path that cannot be written.
+            CrosscheckError: for a path that cannot be written.
         """
         last, stopped = first + len(chunk.errors), chunk.errors != ""
-        with intact(self.path), told(self.path):
+        with intact(self.path), disk_errors(self.path):
             for name, values in chunk.values.items():
                 # chunks of NaN are written too, since a chunk without a file counts as lost
                 self.group[name].with_config({"write_empty_chunks": True})[first:last] = values
@@ -351,7 +358,7 @@ def _unreadable(array: Any, first: int, last: int) -> list[int]:
 
 def _difference(own: Mapping[str, Any], record: Mapping[str, Any]) -> str:
     """Describe the first difference between a store's attributes and the record of a plan; empty if none."""
-    # other versions of packages also change fingerprints and plans, so that conditions are compared first
+    # other versions of packages also change fingerprints and plans: compare conditions first
     follows = {*record} - {*CONDITION_DIFFERENCES} | {"samples"}
     for name in sorted(_changed(own, record), key=follows.__contains__):
         if name in CONDITION_DIFFERENCES:
@@ -367,6 +374,7 @@ def _difference(own: Mapping[str, Any], record: Mapping[str, Any]) -> str:
 
 
 def _changed(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
+    """Return the names of the entries that differ between two mappings."""
     return [name for name in {**new, **old} if old.get(name) != new.get(name)]
 
 
@@ -398,7 +406,7 @@ def intact(path: Path | None, name: str = "") -> Iterator[None]:
 
 
 @contextmanager
-def told(path: Path | None) -> Iterator[None]:
+def disk_errors(path: Path | None) -> Iterator[None]:
     """Convert errors of a full or read-only disk into `CrosscheckError`."""
     try:
         yield
@@ -421,17 +429,17 @@ def interruptible(path: Path) -> Iterator[None]:
 def check_finished(folder: Path) -> None:
     """Raise `CrosscheckError` for a folder with an unfinished sweep."""
     if (folder / STORE_NAME).is_dir() and not any(folder.glob("*.json")):
-        there = Store.checked(folder / STORE_NAME).progress()
-        raise CrosscheckError(f"{folder} holds an unfinished sweep, {there}; {REPEAT_COMMAND}")
+        stored = Store.checked(folder / STORE_NAME).progress()
+        raise CrosscheckError(f"{folder} holds an unfinished sweep, {stored}; {REPEAT_COMMAND}")
 
 
-def store_runs(plan: SweepPlan, path: Path, tasks: str | None, runs: tuple[int, int]) -> None:
+def store_runs(plan: SweepPlan, path: Path, store_id: str | None, runs: tuple[int, int]) -> None:
     """Execute a range of runs and write them into the store at a path, unless another store has replaced it.
 
     Args:
         plan: the plan.
         path: path of the store.
-        tasks: identifier of the store.
+        store_id: attribute `STORE_ID` that the store had when the task was submitted.
         runs: number of the first run, and one more than the number of the last run.
 
     Raises:
@@ -439,5 +447,5 @@ def store_runs(plan: SweepPlan, path: Path, tasks: str | None, runs: tuple[int, 
     """
     chunk = make_runs(plan, runs)
     store = Store.at(path)
-    if store.group.attrs.get(STORE_ID) == tasks:
+    if store.group.attrs.get(STORE_ID) == store_id:
         store.write(runs[0], chunk)

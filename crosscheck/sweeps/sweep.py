@@ -21,7 +21,7 @@ from crosscheck.report.run import moved_start_lines
 from crosscheck.report.table import Report
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import path_of
-from crosscheck.sweeps.analysis import most_informative, scalars
+from crosscheck.sweeps.analysis import kept_numbers, most_informative
 from crosscheck.sweeps.checks import CheckedRun, check_runs, chosen, default_count
 from crosscheck.sweeps.distributions import Vary
 from crosscheck.sweeps.execute import workers
@@ -161,7 +161,7 @@ class Sweep:
         count = default_count(self.results.plan.samples.runs) if runs is None else runs
         if not is_count(count):
             raise OptionError("runs", runs, "a whole number, 1 or more")
-        found = scalars(self.results)
+        found = kept_numbers(self.results)
         picked = chosen(self.results, found, most_informative(found), count)
         checked = check_runs(self.results, found, picked, choose(list(engines)), progress, self.mapping)
         return replace(self, checks=tuple(checked))

@@ -12,7 +12,7 @@ from crosscheck import sweep
 @pytest.fixture
 def short_tasks(monkeypatch):
     """Tasks of few runs."""
-    monkeypatch.setattr(crosscheck.sweeps.results, "_task", lambda plan, at, progress: 7)
+    monkeypatch.setattr(crosscheck.sweeps.results, "_task_size", lambda plan, at, progress: 7)
 
 
 @pytest.fixture(scope="session")

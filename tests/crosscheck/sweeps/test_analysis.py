@@ -17,7 +17,7 @@ from crosscheck.sweeps.analysis import (
     KeptNumber,
     most_informative,
     most_varying,
-    thinned,
+    sample_blocks,
 )
 from crosscheck.sweeps.pictures import SCATTER_COLUMNS, _scatter, share_of
 from crosscheck.sweeps.sampling import samples_of
@@ -204,8 +204,8 @@ def test_runs_of_equal_values_are_taken_together():
 
 @pytest.mark.parametrize("block", [1, 5])
 def test_runs_that_are_analyzed_are_all_or_one_of_each_part(block):
-    assert thinned(20, 20, block).tolist() == list(range(20))
-    chosen = thinned(1000, 7, block)
+    assert sample_blocks(20, 20, block).tolist() == list(range(20))
+    chosen = sample_blocks(1000, 7, block)
     assert len(chosen) == 7 * block
     assert np.all(np.diff(chosen) > 0)
     starts = chosen.reshape(-1, block)

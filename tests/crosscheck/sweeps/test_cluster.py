@@ -21,7 +21,7 @@ import crosscheck.sweeps.execute
 import crosscheck.sweeps.results
 from crosscheck import sweep
 from crosscheck.support.errors import CrosscheckError
-from crosscheck.sweeps.execute import NO_WORKERS, in_any_order, workers
+from crosscheck.sweeps.execute import NO_WORKERS, run_tasks, workers
 
 pytestmark = pytest.mark.usefixtures("short_tasks")
 
@@ -66,7 +66,7 @@ def test_a_task_that_fails_is_not_made_again(cluster, tmp_path):
 
     words = "No space left on device"
     with workers(cluster=cluster.scheduler_address) as at, pytest.raises(CrosscheckError, match=words):
-        list(in_any_order(fail, [0], at))
+        list(run_tasks(fail, [0], at))
     assert len(list(tmp_path.iterdir())) == 1
 
 

@@ -148,7 +148,7 @@ def test_a_task_that_outlives_its_sweep_writes_nothing_into_another(tmp_path, mo
     scene, vary, runs, keep = ARGUMENTS
     other = {"dumbbell.mass": "uniform(3, 4)"}
     with monkeypatch.context() as patch:
-        patch.setattr(crosscheck.sweeps.results, "in_any_order", killed)
+        patch.setattr(crosscheck.sweeps.results, "run_tasks", killed)
         with pytest.raises(KeyboardInterrupt):
             sweep(scene, vary if more else other, 24 if more else runs, keep, output=tmp_path)
     if not more:
@@ -317,7 +317,7 @@ def finished(tmp_path_factory):
     """The folder of the small sweep, of tasks of 7 runs."""
     folder = tmp_path_factory.mktemp("finished")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(crosscheck.sweeps.results, "_task", lambda plan, at, progress: 7)
+        patch.setattr(crosscheck.sweeps.results, "_task_size", lambda plan, at, progress: 7)
         sweep(*ARGUMENTS, output=folder)
     return folder
 
