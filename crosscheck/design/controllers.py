@@ -1,4 +1,7 @@
-"""Comparison of the controllers of a scene: tracking error, actuator force and energy in each engine."""
+"""Compare the controllers of a scene: tracking error, actuator force and energy in each engine.
+
+`compared` runs a scene with each of its controllers in each engine and returns tables of their performance.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ class Performance(NamedTuple):
 
     Attributes:
         error_rms, error_peak: root mean square over time and coordinates, and largest magnitude, of the
-            tracking error x - r.
+            tracking error x - r (coordinate minus target).
         force_rms, force_peak: the same of the actuator forces or torques.
         energy: J, positive work of all actuators, see `work_and_energy`.
     """
@@ -55,6 +58,7 @@ def controllers(scene: str, given: Mapping[str, str | float]) -> Iterator[tuple[
     Raises:
         CrosscheckError: if no control law of the scene follows a target.
     """
+    # a library scene with the option offers the names of its controllers as the option's values
     known = options_of(SCENES[scene]) if scene in SCENES else {}
     has_choice = CONTROLLER_OPTION in known and CONTROLLER_OPTION not in given
     values: object = known[CONTROLLER_OPTION].values if has_choice else ()
@@ -107,10 +111,11 @@ def _targets(scene: Scene) -> dict[int, float | TimeFunction]:
 
 
 def _follows(law: DeclaredLaw) -> bool:
-    """Return True if a gain of the law acts on its target. Motors of model files and dampers have none."""
-    driven = isinstance(law.target, TimeFunction)
+    """Return True if a gain of the law acts on its target, which motors of model files and dampers do not
+    have."""
+    moves = isinstance(law.target, TimeFunction)
     gains = law.feedback.values()
-    return isinstance(law, ComputedTorque) or any(k_p or (k_d and driven) for k_p, k_d in gains)
+    return isinstance(law, ComputedTorque) or any(k_p or (k_d and moves) for k_p, k_d in gains)
 
 
 def compared(
@@ -125,7 +130,7 @@ def compared(
         progress: called with the name of each stage.
 
     Returns:
-        A table for slides and one for hinges, as far as the scene has such coordinates with targets.
+        A table for slides if slides have targets, and one for hinges if hinges have targets.
     """
     kinds: dict[str, Rows] = {}
     pairs = list(product(controllers(scene, given), engines))

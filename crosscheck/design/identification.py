@@ -1,4 +1,5 @@
-"""Report on an identification: fitted parameters, residuals of the measurements, correlations."""
+"""Report on an identification (fit of model parameters to measured motion): parameters, residuals,
+correlations."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ MAX_REPORTED_PAIRS = 5
 
 
 def report(found: Identification) -> Report:
-    """Make the report: a table of parameters, a table of measured columns, and notes."""
+    """Make the report on a fit: a table of parameters, a table of measured columns, and notes."""
     numbers = sum(len(column) for run in found.residuals for column in run.values())
     runs = f"{len(found.residuals)} run{'s' * (len(found.residuals) != 1)}"
     fitted = f"{len(found.parameters)} parameter{'s' * (len(found.parameters) != 1)}"

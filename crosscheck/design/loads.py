@@ -1,6 +1,7 @@
-"""Design loads: run the load cases of a scene, and write the loads of joints and actuators.
+"""Design loads: run the load cases of a scene, and write the largest loads of joints and actuators.
 
-The results are tables, a CSV, a plot and a recording.
+A load case is a run of the scene with settings of its own. The results are tables, a CSV, a plot and a
+recording.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CASE_NAME = re.compile(r"[A-Za-z0-9_.\-]+")
+"""Allowed names of load cases."""
 
 UNNAMED_CASE = "run"
 """Name of the only case if the user names no case."""
@@ -49,7 +51,7 @@ LOAD_ROUND_OFF = 1e-9
 """Loads below this fraction of the largest load and of the weight on Earth are printed as 0."""
 
 STANDARD_GRAVITY = 9.81
-"""m/s^2"""
+"""m/s^2, rounded acceleration of gravity on Earth, for the weight that scales `LOAD_ROUND_OFF`."""
 
 NOT_UNIQUE = "stiffness decides how these joints share loads: the tables show one solution of many"
 """Note on joints whose reactions are not unique."""
@@ -58,6 +60,7 @@ EXCITE = "; --set excitation=on moves joints of model files and drives their act
 """Next step if nothing moves."""
 
 GOVERNED_BY = Column("governed by", below=True)
+"""Column of the load case and time of the largest load."""
 
 COMPONENTS = {"force": ("axial force", "shear force"), "torque": ("axial torque", "bending torque")}
 """Components along and across the axis, of the loads of joints with one axis."""
@@ -125,19 +128,20 @@ def loads(
     runs, acting = dict[str, Trajectory](), dict[str, list[ImportedElement]]()
     for name, (scene, mapping) in models.items():
         with limited(f"case {name}", "a shorter duration, or fewer cases", progress):
-            complete = replace(scene, outputs=frozenset(OUTPUTS))
+            complete = replace(scene, outputs=frozenset(OUTPUTS))  # with all kinds of outputs
             runs[name] = rest_case(scene) if at_rest else simulate(complete)
+            # elements of the model file, such as contacts, that would have acted in the run
             if mapping and (found := watched(scene, mapping, runs[name]).acting):
                 acting[name] = found
-    first, _ = next(iter(models.values()))
-    envelope = load_envelope(first, runs)
-    still = [] if at_rest else [name for name, run in runs.items() if nothing_moves({name: run}, first)]
-    report = _report(first, envelope, at_rest, still, acting)
+    first_scene, _ = next(iter(models.values()))
+    envelope = load_envelope(first_scene, runs)
+    still = [] if at_rest else [name for name, run in runs.items() if nothing_moves({name: run}, first_scene)]
+    report = _report(first_scene, envelope, at_rest, still, acting)
     progress("plot and recording")
-    drawn = recorded(log_run, first, runs, markdown(report), report.title)
-    shown = {plot: png(_figure(first, runs)), recording: drawn}
+    drawn = recorded(log_run, first_scene, runs, markdown(report), report.title)
+    shown = {plot: png(_figure(first_scene, runs)), recording: drawn}
     data = {
-        "scene": first.name,
+        "scene": first_scene.name,
         "source": source,
         "at_rest": at_rest,
         "cases": list(models),
@@ -166,7 +170,7 @@ def _report(
     named = envelope.cases != (UNNAMED_CASE,)
     cases = f"cases {', '.join(envelope.cases)}" if named else "initial pose" if at_rest else "its run"
     title = f"{scene.name}: loads {'at rest,' if at_rest else 'over'} {cases}"
-    most, least = max(_of(envelope, "force"), key=lambda each: each.peak), _least(scene, envelope)
+    most, least = max(_of(envelope, "force"), key=lambda each: each.peak), _negligible_force(scene, envelope)
     verdict = f"largest force {most.peak:.3g} N at joint {most.element!r}, {_when(most)}"
     if most.peak <= least:
         verdict = "no joint carries a force"
@@ -188,15 +192,17 @@ def _report(
 
 
 def _of(envelope: LoadEnvelope, quantity: str) -> list[LoadRange]:
+    """Return the load ranges of a quantity, such as "force", for all joints and actuators that have it."""
     return [each for each in (*envelope.joints, *envelope.actuators) if each.quantity == quantity]
 
 
 def _when(load: LoadRange) -> str:
+    """Format the load case and the time of the largest load."""
     case, time = load.governing
     return f"{case} at {time:.4g} s"
 
 
-def _least(scene: Scene, envelope: LoadEnvelope) -> float:
+def _negligible_force(scene: Scene, envelope: LoadEnvelope) -> float:
     """Compute the force, N, below which a force is round-off."""
     size = scene.mechanism.size
     weight = STANDARD_GRAVITY * sum(body.mass for body in scene.mechanism.bodies[1:])
@@ -223,6 +229,7 @@ def _of_joints(envelope: LoadEnvelope, quantity: str, unit: str, least: float) -
 
 
 def _of_actuators(envelope: LoadEnvelope) -> Table:
+    """Tabulate peak and rms forces of actuators, their peak speeds and powers, and their energies."""
     columns = [*texts("actuator"), *figures("force", "rms", "speed", "power, W", "energy, J"), GOVERNED_BY]
     rows: Rows = []
     for load in _of(envelope, "actuator force"):

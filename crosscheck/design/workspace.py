@@ -1,6 +1,8 @@
-"""Workspace of a scene over joint coordinates: reachable poses, singular poses and clearances.
+"""Map the workspace of a scene over joint coordinates: reachable poses, singular poses and clearances.
 
-The results are a table, a CSV and, for two coordinates, a picture.
+The input is a grid of values of some joint coordinates. `measure` solves the pose at each point of the grid;
+the results are a table, a CSV and, for two coordinates, a picture. In a singular pose the mechanism cannot be
+driven by these coordinates; the distance from singular poses is a dimensionless number, 0 at a singular pose.
 """
 
 from __future__ import annotations
@@ -35,6 +37,7 @@ SINGULAR_SEARCHES = 4000
 """Number of random configurations from which singular poses are searched."""
 
 FILES = "workspace.json", "workspace.png", "workspace.csv"
+"""Names of the files that `write` can write."""
 
 
 class WorkspaceMap(NamedTuple):
@@ -168,6 +171,7 @@ def _row(found: WorkspaceMap, name: str, which: Array) -> list[str | Cell]:
 
 
 def _unit(found: WorkspaceMap, name: str | Key) -> str:
+    """Return the unit of a joint coordinate."""
     return "m" if found.scene.mechanism.is_slide(*found.scene.mechanism.coordinate(name)) else "rad"
 
 
@@ -222,6 +226,7 @@ def _picture(found: WorkspaceMap) -> bytes:
     if space.elevation is not None:
         maps.append(("elevation of the axis, deg", np.degrees(space.elevation)))
     figure = Figure(figsize=(5.2 * len(maps), 4.6), layout="constrained")
+    # clearances over the whole grid, NaN at points that are not reachable
     clear = np.full(space.reachable.shape, np.nan)
     clear[space.reachable] = found.clearance
     collide = bool(np.nanmin(clear, initial=np.inf) < 0.0)

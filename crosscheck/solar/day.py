@@ -26,6 +26,7 @@ REST_RATE = 1e-8
 """Rates, SI, below which the tracker is at rest: the simulation skips to the next set-point."""
 
 DEFAULT_TRACKING = Tracking()
+"""Rules of tracking of `tracker_day` if the caller gives none."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array
 
 ALBEDO = 0.2
+"""Fraction of the light that the ground reflects, a common value."""
 
 ROW_TILT = 60.0
 """Degrees, largest rotation of a horizontal single-axis tracker; a common value in solar fields."""
@@ -34,11 +35,12 @@ class ClearSky:
     """
 
     def __init__(self, place: Place, sun: Sun) -> None:
+        """Compute the direct, diffuse and extraterrestrial irradiance at all times."""
         self.place, self.sun = place, sun
         self._pvlib = optional_package("pvlib", SUN)
         location = self._pvlib.location.Location(place.latitude, place.longitude, altitude=place.altitude)
         self._light: Any = location.get_clearsky(sun.times, model="ineichen")
-        self._beyond = self._pvlib.irradiance.get_extra_radiation(sun.times)
+        self._extraterrestrial = self._pvlib.irradiance.get_extra_radiation(sun.times)
 
     def on(self, normals: Array) -> Array:
         """Compute the irradiance (n,), W/m^2, on a panel with the normals (n, 3): east, north, up."""
@@ -52,7 +54,7 @@ class ClearSky:
             self._light["dni"].to_numpy(),
             self._light["ghi"].to_numpy(),
             self._light["dhi"].to_numpy(),
-            dni_extra=self._beyond.to_numpy(),
+            dni_extra=self._extraterrestrial.to_numpy(),
             albedo=ALBEDO,
             model="haydavies",
         )
@@ -61,8 +63,8 @@ class ClearSky:
     def alternatives(self) -> dict[str, Array]:
         """Return the normals (n, 3) of the panels that a tracker is compared with, by name.
 
-        These panels are a flat one, one tilted by the latitude towards the equator, one on a horizontal
-        north-south axis that turns by up to `ROW_TILT`, and one that always faces the sun.
+        Two panels are fixed: one lies flat, one is tilted by the latitude towards the equator. One turns
+        about a horizontal north-south axis by up to `ROW_TILT`. One always faces the sun.
         """
         count, latitude = len(self.sun.times), np.radians(self.place.latitude)
         fixed = np.array([0.0, -np.sin(latitude), np.cos(latitude)])

@@ -20,8 +20,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 RANGES = {"latitude": (-90.0, 90.0, "degrees north"), "longitude": (-180.0, 180.0, "degrees east")}
-HEIGHTS = (-500.0, 9000.0)
-"""m above the sea."""
+"""Allowed range and unit of each coordinate of a place."""
+
+ALTITUDES = (-500.0, 9000.0)
+"""Allowed range of altitudes, m above the sea."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Place:
     altitude: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, (low, high, unit) in {**RANGES, "altitude": (*HEIGHTS, "m")}.items():
+        for name, (low, high, unit) in {**RANGES, "altitude": (*ALTITUDES, "m")}.items():
             value = getattr(self, name)
             if not is_finite_number(value) or not low <= value <= high:
                 raise CrosscheckError(f"{name} {value!r:.100} is off the globe: {low:g} to {high:g} {unit}")
@@ -81,7 +83,7 @@ def day_times(date: str, zone: str, period: float) -> pd.DatetimeIndex:
         raise CrosscheckError(f"date {date!r:.100} is not a day of the form YYYY-MM-DD") from error
     try:
         begin = pd.Timestamp(start).tz_localize(zone)
-    except Exception as error:  # of zoneinfo, dateutil or pandas, by the kind of mistake
+    except Exception as error:  # zoneinfo, dateutil and pandas raise different kinds of errors
         raise CrosscheckError(
             f"time zone {zone!r:.100} is unknown; needed: a name such as Asia/Phnom_Penh or UTC+07:00"
         ) from error

@@ -24,10 +24,13 @@ MAX_PRINTED_HOURS = 9
 """Largest number of rows of the table of a day in the terminal; the whole report is 25 lines long."""
 
 SURVEYED = ("on sun\nh", "off\ndeg", "fixed\nkWh/m^2", "this\n%", "1 axis\n%", "facing\n%", "work\nmWh")
-"""Columns of several days."""
+"""Headings of the columns of a survey, the table of several days."""
 
 FILES = ("commands.csv", "day.png", "day.rrd")
+"""Names of the files of one day: set-points, plot and recording."""
+
 SURVEY_FILES = ("days.csv",)
+"""Names of the files of several days."""
 
 
 def hours(day: Day) -> Iterator[list[str | Cell]]:
@@ -209,6 +212,7 @@ def picture(day: Day) -> Figure:
     above, commands, light = figure.subplots(3, 1, sharex=True)
 
     def draw(ax: object, lines: dict[str, Array], label: str) -> None:
+        """Plot lines (n,) by name over the time of day."""
         for name, values in lines.items():
             ax.plot(hour, values, label=name, linewidth=1.4)  # type: ignore[attr-defined]
         ax.set_ylabel(label)  # type: ignore[attr-defined]

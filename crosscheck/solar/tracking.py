@@ -16,6 +16,7 @@ from newton_euler.errors import is_finite_number
 from newton_euler.scalars import Array
 
 UP = np.array([0.0, 0.0, 1.0])
+"""Normal of a panel that lies flat: east, north, up."""
 
 
 @dataclass(frozen=True)
@@ -109,8 +110,9 @@ class Tracking:
         facing = 0.5 * np.pi - elevation
         if self.pitch == np.inf:
             return facing
-        share = self.pitch * np.sin(np.maximum(elevation, 0.0))
-        return np.where(share < 1.0, np.arcsin(np.minimum(share, 1.0)) - elevation, facing)
+        # the shadow ends at the next row: sin(e + t) = pitch sin e
+        sine = self.pitch * np.sin(np.maximum(elevation, 0.0))
+        return np.where(sine < 1.0, np.arcsin(np.minimum(sine, 1.0)) - elevation, facing)
 
     def _held(self, wanted: Array) -> Array:
         """Hold each direction (n, 3) until the wanted one differs by more than the dead band."""

@@ -10,6 +10,7 @@ from newton_euler.model.source_file import TimeTable, csv_rows, read_text
 from newton_euler.scalars import Array
 
 COLUMNS = ("time", "speed")
+"""Names of the columns of a CSV of wind speeds."""
 
 NEEDED_COLUMNS = "columns time, s since midnight, and speed, m/s, separated by commas"
 
@@ -37,6 +38,8 @@ def wind_over_day(given: str, seconds: Array) -> Array:
 
 
 def _read(path: str, seconds: Array) -> Array:
+    """Read wind speeds (n,), m/s, from a CSV and interpolate them at times (n,), s; errors as of
+    `wind_over_day`."""
     rows = csv_rows(path, read_text(path, "csv_size"))
     header = [cell.lower() for cell in rows[0][1]] if rows else []
     if sorted(header) != sorted(COLUMNS) or not rows[1:]:

@@ -1,4 +1,7 @@
-"""Probability distributions of varied parameters, and their text form on the command line."""
+"""Probability distributions of varied parameters, and their text form on the command line.
+
+An example is `normal(14, 0.5)`, a normal distribution with mean 14 and standard deviation 0.5.
+"""
 
 from __future__ import annotations
 
@@ -35,6 +38,7 @@ FORMS = "; ".join(f"{name}({', '.join(numbers)})" for name, numbers in KINDS.ite
 FORMS += (
     "; NAME,NAME=normal([MEANS], [[COVARIANCE]]); NAME,NAME=correlated(DISTRIBUTION, ..., [[CORRELATION]])"
 )
+"""Text forms of all distributions, for error messages."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +183,16 @@ class Correlated:
 
 
 def _matrix(what: str, given: object, count: int) -> Array:
-    """Return a matrix (count, count); raises `CrosscheckError` unless it is symmetric and not negative."""
+    """Convert input to a covariance or correlation matrix (count, count).
+
+    Args:
+        what: name of the matrix in error messages.
+        given: rows of numbers.
+        count: number of rows.
+
+    Raises:
+        CrosscheckError: unless the matrix is symmetric and positive semidefinite with a positive diagonal.
+    """
     try:
         matrix = real_array(given)
     except (TypeError, ValueError, OverflowError):
@@ -193,14 +206,14 @@ def _matrix(what: str, given: object, count: int) -> Array:
         raise CrosscheckError(f"{what} is not symmetric")
     matrix = 0.5 * (matrix + matrix.T)
     if np.linalg.eigvalsh(matrix / scale)[0] < -EIGENVALUE_ROUND_OFF:
-        raise CrosscheckError(f"{what} has a negative eigenvalue; no numbers vary together like that")
+        raise CrosscheckError(f"{what} has a negative eigenvalue; needed: a positive semidefinite matrix")
     return matrix
 
 
 def _cholesky(matrix: Array) -> Array:
     """Return L (n, n), lower triangular, of a matrix L L^T that may be singular.
 
-    LAPACK's last digits, and those of every run, would be the processor's.
+    LAPACK is not used: the last digits of its results, and thus those of every run, depend on the processor.
     """
     count = len(matrix)
     root = np.zeros((count, count))
@@ -215,7 +228,9 @@ def _cholesky(matrix: Array) -> Array:
 
 
 Vary = Mapping[str | tuple[str, ...], Distribution | Correlated | str | Iterable[float]]
-"""Distributions, or texts of them or numbers, by the parameter that varies, or by several together."""
+"""Distributions by name of the varied parameter, or by names of several correlated parameters.
+
+A distribution may be given as an object, as text, or as a list of equally likely numbers."""
 
 
 def parse_vary(given: Iterable[str]) -> dict[str | tuple[str, ...], Distribution | Correlated]:
@@ -246,7 +261,7 @@ def parse(text: str) -> Distribution | Correlated:
     These are `normal([MEANS], [[COVARIANCE]])` and `correlated(DISTRIBUTION, ..., [[CORRELATION]])`.
 
     Raises:
-        CrosscheckError: saying what is wrong with the text.
+        CrosscheckError: for text that is not a distribution, with the reason.
     """
     found: object = None
     try:
@@ -272,16 +287,17 @@ def wrong_syntax(error: SyntaxError, text: str) -> str:
 
 
 def _read(node: ast.expr, text: str) -> object:
-    """Evaluate numbers, lists and distributions; raises `ValueError` for all else."""
+    """Evaluate a syntax tree of numbers, lists and distributions; raises `ValueError` for anything else."""
     if isinstance(node, ast.List):
         return [_read(each, text) for each in node.elts]
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
-        return _made(node.func.id, [_read(each, text) for each in node.args])
+        return _make_distribution(node.func.id, [_read(each, text) for each in node.args])
     source = ast.get_source_segment(text, node) or ""
     return plain_number(source.replace(" ", ""))
 
 
-def _made(kind: str, arguments: list[object]) -> Distribution | Correlated:
+def _make_distribution(kind: str, arguments: list[object]) -> Distribution | Correlated:
+    """Make the distribution of a kind; raises `ValueError` or `CrosscheckError` for invalid arguments."""
     if kind == "correlated":
         distributions = [each for each in arguments[:-1] if isinstance(each, Distribution)]
         if not distributions or len(distributions) < len(arguments) - 1:

@@ -103,8 +103,7 @@ def workers(
         if not isinstance(executor, Executor):
             raise OptionError("executor", executor, "one of concurrent.futures")
         count = getattr(executor, "_max_workers", ASSUMED_WORKERS)
-        # an executor starts its processes with the first task; `safe_path` keeps them from importing modules of
-        # the current folder
+        # an executor starts its processes with the first task; `safe_path` hides the current folder from them
         with safe_path():
             yield Workers(executor, lambda: count)
     else:

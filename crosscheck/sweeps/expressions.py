@@ -1,7 +1,7 @@
 """Expressions over the outputs of many runs, such as `norm(panel_7.position - slider_2.position)`.
 
-A quantity is an array of a trajectory (`reaction_force`), the part of one body, joint or actuator
-(`panel_7.quaternion`), a component (`panel_7.position.z`), or a joint coordinate or its rate
+A quantity is one of these: an array of a trajectory (`reaction_force`); the part of one body, joint or
+actuator (`panel_7.quaternion`); a component (`panel_7.position.z`); a joint coordinate or its rate
 (`slide_12.coordinate`). Quantities are combined by + - * / **, numbers, vectors `[x, y, z]` and `FUNCTIONS`.
 
 An expression is parsed once, and evaluated by NumPy for all times of many runs. This takes little time
@@ -38,16 +38,20 @@ Dimensions = tuple[str, str]
 """Names of the dimensions of elements and of components; empty for a missing dimension."""
 
 ELEMENT_DIMENSIONS = {"b": "body", "j": "joint", "a": "actuator"}
+"""Names of the dimensions of elements, by their letters in `SHAPES`."""
+
 PART_DIMENSIONS = {"3": "axis", "4": "component"}
-"""Names of dimensions by their letters in `SHAPES`."""
+"""Names of the dimensions of vectors and quaternions, by their digits in `SHAPES`."""
 
 COMPONENTS = {"axis": tuple("xyz"), "component": tuple("wxyz")}
+"""Labels of the components of vectors and quaternions, by dimension."""
 
 SAME_UNIT = "same"
 """Stands for the unit of the operands, if all of them have the same unit."""
 
 
-def _named(letters: str, names: Mapping[str, str]) -> str:
+def _dimension(letters: str, names: Mapping[str, str]) -> str:
+    """Return the name of the dimension that occurs in the letters of a shape; empty if none does."""
     return next((names[letter] for letter in letters if letter in names), "")
 
 
@@ -55,7 +59,7 @@ COORDINATES = {"coordinate": "coordinates", "rate": "rates"}
 """Quantities of joints, and the attributes of `Trajectory.joint` that contain them."""
 
 DIMENSIONS = {
-    name: (_named(SHAPES[name], ELEMENT_DIMENSIONS), _named(SHAPES[name], PART_DIMENSIONS))
+    name: (_dimension(SHAPES[name], ELEMENT_DIMENSIONS), _dimension(SHAPES[name], PART_DIMENSIONS))
     for name in QUANTITIES
 } | dict.fromkeys(COORDINATES, ("coordinate", ""))
 """Dimensions of each quantity."""
@@ -97,8 +101,8 @@ class Outputs:
     Attributes:
         scene: the scene.
         times: (n,) s, output times.
-        stacked: returns the array (runs, n, ...) of a quantity.
-        joint: returns the coordinates (runs, n, k) of a joint and their rates.
+        stacked: function that returns the array (runs, n, ...) of a quantity, given its name.
+        joint: function that returns the coordinates (runs, n, k) of a joint and their rates, given its name.
     """
 
     scene: Scene
@@ -162,6 +166,7 @@ class Outputs:
         return Value(array, ("" if element else "coordinate", ""), unit)
 
     def _unit(self, name: str, element: str) -> str:
+        """Return the unit of a quantity of an element; empty if elements have different units."""
         if name != "actuator_force":
             return QUANTITIES[name].unit
         laws = zip(self.labels["actuator"], self.scene.control, strict=True)
@@ -215,12 +220,16 @@ class Expression:
     def __init__(self, text: str, scene: Scene) -> None:
         """Parse and check an expression.
 
+        Args:
+            text: the expression.
+            scene: scene whose runs the expression is evaluated for.
+
         Raises:
             CrosscheckError: describing the error in the text.
         """
         self.text, self.signed, self.elements = text.strip(), False, dict[str, set[str]]()
         self._timed = False
-        self._labels, self._works = labels(scene), bool(scene.control or scene.forces or scene.motions)
+        self._labels, self._has_work = labels(scene), bool(scene.control or scene.forces or scene.motions)
         try:
             if len(text) > MAX_EXPRESSION_LENGTH:
                 raise ValueError(f"the expression is longer than {MAX_EXPRESSION_LENGTH} characters")
@@ -230,6 +239,7 @@ class Expression:
                     "it contains no output of a run; name a quantity, for example panel_7.position"
                 )
             with np.errstate(all="ignore"):
+                # evaluate for outputs of zero, to find dimensions and unit
                 zeros = Outputs(scene, np.array([0.0, 1.0]), self._zeros, partial(_resting, scene.mechanism))
                 self.example = self.evaluate(zeros)
         except SyntaxError as error:
@@ -243,6 +253,7 @@ class Expression:
         return set(self.elements)
 
     def _zeros(self, name: str) -> Array:
+        """Return a zero array of the shape of a quantity, for one run and two times."""
         return np.zeros((1, 2, *(len(self._labels[each]) for each in DIMENSIONS[name])))
 
     def _look_up(self, text: str) -> Node | None:
@@ -274,9 +285,11 @@ class Expression:
         return lambda outputs: Value(number)
 
     def _number(self, node: ast.expr) -> float:
+        """Return the value of a number; raises `ValueError` for anything else."""
         return plain_number((ast.get_source_segment(self.text, node) or "").replace(" ", ""))
 
     def _call(self, name: str, arguments: list[ast.expr]) -> Node:
+        """Return the node of a function call; raises `ValueError` for an unknown function."""
         if name not in FUNCTIONS:
             raise ValueError(f"unknown function {name!r:.50}; {choices(name, FUNCTIONS)}")
         function, count = FUNCTIONS[name]
@@ -288,6 +301,7 @@ class Expression:
         return _applied(function, first or self._node(arguments[0]), *map(self._node, arguments[1:]))
 
     def _output(self, text: str) -> Node:
+        """Return the node of a quantity or of `time`; raises `ValueError` for an unknown name."""
         if text == "time":
             self._timed = True
             return lambda outputs: Value(outputs.times[None, :, None, None], unit="s")
@@ -310,7 +324,7 @@ class Expression:
             raise ValueError(f"{last} belongs to the whole mechanism, not to {before!r:.100}")
         if before and before not in self._labels[elements]:
             raise UnknownNameError(elements, before, self._labels[elements])
-        if last == "work" and not self._works:
+        if last == "work" and not self._has_work:
             raise ValueError("the scene has no control, forces or motions that do work")
         letters = COMPONENTS.get(parts, ())
         if component and component not in letters:
@@ -329,36 +343,37 @@ class Expression:
 
 
 def _applied(function: Callable[..., Value], *nodes: Node) -> Node:
+    """Return the node that applies a function to the values of other nodes."""
     return lambda outputs: function(*(node(outputs) for node in nodes))
 
 
-def _together(a: Dimensions, b: Dimensions) -> Dimensions:
+def _combined_dimensions(a: Dimensions, b: Dimensions) -> Dimensions:
     """Return the dimensions of the combination of two values; raises `ValueError` if they do not match."""
     if any(one and two and one != two for one, two in zip(a, b, strict=True)):
         raise ValueError(f"{Value(np.zeros(0), a)} and {Value(np.zeros(0), b)} do not combine")
     return a[0] or b[0], a[1] or b[1]
 
 
-def _each(function: Callable[..., Array], unit: str = "") -> Callable[..., Value]:
+def _elementwise(function: Callable[..., Array], unit: str = "") -> Callable[..., Value]:
     """Convert a function of arrays into a function of values, whose result has the given unit."""
 
     def apply(*values: Value) -> Value:
         units = {value.unit for value in values}
         own = (units.pop() if len(units) == 1 else "") if unit == SAME_UNIT else unit
-        dimensions = reduce(_together, (value.dimensions for value in values))
+        dimensions = reduce(_combined_dimensions, (value.dimensions for value in values))
         return Value(function(*(value.array for value in values)), dimensions, own)
 
     return apply
 
 
-NEGATIVE = _each(np.negative, SAME_UNIT)
+NEGATIVE = _elementwise(np.negative, SAME_UNIT)
 
 OPERATORS: Mapping[type[ast.operator], Callable[..., Value]] = {
-    ast.Add: _each(operator.add, SAME_UNIT),
-    ast.Sub: _each(operator.sub, SAME_UNIT),
-    ast.Mult: _each(operator.mul),
-    ast.Div: _each(operator.truediv),
-    ast.Pow: _each(operator.pow),
+    ast.Add: _elementwise(operator.add, SAME_UNIT),
+    ast.Sub: _elementwise(operator.sub, SAME_UNIT),
+    ast.Mult: _elementwise(operator.mul),
+    ast.Div: _elementwise(operator.truediv),
+    ast.Pow: _elementwise(operator.pow),
 }
 
 
@@ -367,10 +382,11 @@ def _vectors(a: Value, b: Value) -> Dimensions:
     for value in (a, b):
         if value.dimensions[1] != "axis":
             raise ValueError(f"{value} is not a vector")
-    return _together(a.dimensions, b.dimensions)
+    return _combined_dimensions(a.dimensions, b.dimensions)
 
 
 def _dot(a: Value, b: Value) -> Value:
+    """Return the scalar products of vectors."""
     elements, _ = _vectors(a, b)
     products = a.array * b.array
     # explicit sums, whose order does not depend on the number of runs
@@ -378,6 +394,7 @@ def _dot(a: Value, b: Value) -> Value:
 
 
 def _cross(a: Value, b: Value) -> Value:
+    """Return the vector products of vectors."""
     return Value(np.cross(a.array, b.array), _vectors(a, b))
 
 
@@ -388,6 +405,7 @@ def norm(value: Value) -> Value:
 
 
 def _angle(a: Value, b: Value) -> Value:
+    """Return the angles between vectors, rad."""
     return ARCTAN2(norm(_cross(a, b)), _dot(a, b))
 
 
@@ -395,21 +413,22 @@ def _direction(quaternion: Value, vector: Value) -> Value:
     """Transform vectors from the body frame to the world frame."""
     if quaternion.dimensions[1] != "component":
         raise ValueError(f"{quaternion} is not a quaternion")
-    turning = replace(quaternion, dimensions=(quaternion.dimensions[0], "axis"))
-    dimensions = _vectors(vector, turning)
-    q, fixed = quaternion.array, vector.array
-    twice = 2.0 * np.cross(q[..., 1:], fixed)
-    turned = fixed + q[..., :1] * twice + np.cross(q[..., 1:], twice)
-    return Value(turned, dimensions, vector.unit)
+    as_vector = replace(quaternion, dimensions=(quaternion.dimensions[0], "axis"))
+    dimensions = _vectors(vector, as_vector)
+    # with q = (w, u): v' = v + w (2 u x v) + u x (2 u x v)
+    q, in_body = quaternion.array, vector.array
+    twice = 2.0 * np.cross(q[..., 1:], in_body)
+    in_world = in_body + q[..., :1] * twice + np.cross(q[..., 1:], twice)
+    return Value(in_world, dimensions, vector.unit)
 
 
-ARCTAN2 = _each(np.arctan2, "rad")
+ARCTAN2 = _elementwise(np.arctan2, "rad")
 
 FUNCTIONS: dict[str, tuple[Callable[..., Value], int]] = {
-    "abs": (_each(np.abs, SAME_UNIT), 1),
-    "sqrt": (_each(np.sqrt), 1),
-    "sin": (_each(np.sin), 1),
-    "cos": (_each(np.cos), 1),
+    "abs": (_elementwise(np.abs, SAME_UNIT), 1),
+    "sqrt": (_elementwise(np.sqrt), 1),
+    "sin": (_elementwise(np.sin), 1),
+    "cos": (_elementwise(np.cos), 1),
     "arctan2": (ARCTAN2, 2),
     "norm": (norm, 1),
     "dot": (_dot, 2),

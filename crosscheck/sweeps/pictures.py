@@ -1,4 +1,8 @@
-"""Plots of a sweep: tornado charts, histograms and scatter plots, as PNG."""
+"""Draw the plots of a sweep as PNG files: tornado charts, histograms and scatter plots.
+
+A tornado chart has one bar per parameter, from the mean of the runs with its lowest values to that with its
+highest.
+"""
 
 from __future__ import annotations
 
@@ -35,6 +39,7 @@ LOW_COLOR, HIGH_COLOR, POINT_COLOR = (
     ENGINE_COLORS["mujoco"],
     ENGINE_COLORS["pinocchio"],
 )
+"""Colors of low and high values of a parameter, and of points."""
 
 Effects = Sequence[tuple[KeptNumber, Sequence[Effect]]]
 """Varying numbers, each with the effects of parameters."""
@@ -73,6 +78,13 @@ def pictures(
 
 @own_style()
 def _rows(rows: int, columns: int, draw: Callable[[Array], None], height: float) -> bytes:
+    """Return a PNG of a grid of plots.
+
+    Args:
+        rows, columns: size of the grid.
+        draw: function that draws into the array (rows, columns) of axes.
+        height: height of a row, inches.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.0, height * rows), layout="constrained")
@@ -106,9 +118,9 @@ def _tornado(axes: Array, effects: Effects) -> None:
     """Draw the means of the runs with the lowest and highest tenth of each parameter, and its Sobol index."""
     for ax, (scalar, found) in zip(axes, effects, strict=True):
         bars = list(found[:MAX_TORNADO_BARS])[::-1]
-        beside = "rank" if bars and bars[0].share is None else "share of variance"
+        annotation = "rank" if bars and bars[0].share is None else "share of variance"
         if len(found) > len(bars):
-            beside += f"; {len(found) - len(bars)} smaller ones are not shown"
+            annotation += f"; {len(found) - len(bars)} smaller ones are not shown"
         origin, less = _origin(np.array([end for bar in bars for end in (bar.low, bar.high)]))
         middle = float(np.nanmean(scalar.values)) - origin
         for end, color, label in (("low", LOW_COLOR, "lowest tenth"), ("high", HIGH_COLOR, "highest tenth")):
@@ -121,7 +133,7 @@ def _tornado(axes: Array, effects: Effects) -> None:
         ax.margins(x=0.35)
         _label_numbers(ax, "x")
         title = with_unit(scalar.label + less, scalar.unit)
-        ax.set_title(f"{title}: means of runs; {beside}", fontsize="small")
+        ax.set_title(f"{title}: means of runs; {annotation}", fontsize="small")
         ax.legend(fontsize="small", title="parameter in its", title_fontsize="small", loc="lower right")
 
 
@@ -142,6 +154,7 @@ def rank_of(effect: Effect) -> str:
 
 
 def _histograms(axes: Array, effects: Effects, nominal: Mapping[str, float]) -> None:
+    """Draw the histogram of each number, with its quantiles and nominal value."""
     for ax, (scalar, _) in zip(axes, effects, strict=True):
         known, own = scalar.values[np.isfinite(scalar.values)], nominal[scalar.label]
         origin, less = _origin(np.append(known, own))
@@ -159,6 +172,7 @@ def _histograms(axes: Array, effects: Effects, nominal: Mapping[str, float]) -> 
 def _scatter(
     axes: Array, effects: Effects, points: Array, inputs: Mapping[str, Array], units: Mapping[str, str]
 ) -> None:
+    """Draw each number over the parameters with the largest effects; arguments as of `pictures`."""
     for row, (scalar, found) in zip(axes, effects, strict=True):
         names = [effect.name.partition(", ")[0] for effect in found[:SCATTER_COLUMNS]]
         y, less = _origin(scalar.values[points])

@@ -1,10 +1,14 @@
-"""A sweep as a Rerun recording: its nominal run, its extreme ones as ghosts, and envelopes of many over time.
+"""Record a sweep for the Rerun viewer: the nominal run, extreme runs as ghosts, and envelopes of many runs
+over time.
+
+A ghost is a transparent copy of the bodies. An envelope shows quantiles of a number over all runs as lines
+over time.
 
 Entities:
     /ground                 shapes of the fixed body
-    /mechanism/RUN/BODY     shapes, and the body's pose over time, of the nominal run and of each extreme one
-    /plots/K/LINE           envelope K: `least`, `5 %`, `median`, `95 %` and `most` of a sample, and each run
-    /sweep                  the tables, as text
+    /mechanism/RUN/BODY     shapes and poses over time, of the nominal run and of each extreme run
+    /plots/K/LINE           envelope K: the quantiles `least`, `5 %`, `median`, `95 %`, `most`, and single
+    runs /sweep                  the tables, as text
 """
 
 from __future__ import annotations
@@ -25,8 +29,8 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
-THIN, THICK = 1.0, 2.0
-"""Widths of lines, points: of envelopes, and of runs."""
+ENVELOPE_WIDTH, RUN_WIDTH = 1.0, 2.0
+"""Widths of the lines of envelopes and of runs, points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +38,10 @@ class Envelope:
     """A number of many runs over time.
 
     Attributes:
-        title: the number and its unit.
-        times: (n,) s.
-        sample: (runs, n) of a sample of runs; not a number where a run could not go on.
-        lines: (n,) of some runs by name.
+        title: name and unit of the number.
+        times: (n,) s, output times.
+        sample: (runs, n) values in a sample of runs; NaN after the time at which a run failed.
+        lines: (n,) values in single runs, by name of the run.
     """
 
     title: str
@@ -54,21 +58,22 @@ def log_sweep(
     text: str,
     title: str,
 ) -> None:
-    """Log all there is to see of a sweep, and how the viewer lays it out.
+    """Log the runs and envelopes of a sweep, and the layout of the viewer.
 
     Args:
-        scene: with its nominal values, by which bodies are drawn.
-        runs: by name, the nominal one first.
-        envelopes: drawn beside them.
-        text: Markdown.
-        title: of the recording.
+        recording: the recording to log to.
+        scene: scene with nominal values, whose bodies are drawn.
+        runs: runs by name; the nominal run is the first.
+        envelopes: envelopes, drawn next to the mechanism.
+        text: report of the sweep, Markdown.
+        title: title of the recording.
     """
     mechanism = scene.mechanism
     log_text(recording, "/sweep", text)
     first, colors = next(iter(runs.values())), palette(list(runs))
     log_ground(recording, mechanism, first)
     for name, run in runs.items():
-        style = Style(rgb(colors[name]), THICK, ghost=run is not first)
+        style = Style(rgb(colors[name]), RUN_WIDTH, ghost=run is not first)
         log_bodies(recording, ["mechanism", name], mechanism, run, style)
     for number, envelope in enumerate(envelopes):
         _log_envelope(recording, f"{number}", envelope, colors)
@@ -78,8 +83,8 @@ def log_sweep(
         rrb.TimeSeriesView(origin=f"/plots/{number}", name=envelope.title)
         for number, envelope in enumerate(envelopes)
     ]
-    told = rrb.TextDocumentView(origin="/sweep", name="Sweep")
-    left = rrb.Vertical(view, told, row_shares=[1.6, 1.0])
+    report_view = rrb.TextDocumentView(origin="/sweep", name="Sweep")
+    left = rrb.Vertical(view, report_view, row_shares=[1.6, 1.0])
     whole = rrb.Horizontal(left, rrb.Vertical(*plots)) if plots else left
     send_layout(recording, laid_out(whole, float(first.time[-1])))
     recording.send_recording_name(title)
@@ -88,14 +93,15 @@ def log_sweep(
 def _log_envelope(
     recording: rr.RecordingStream, number: str, envelope: Envelope, colors: Mapping[str, str]
 ) -> None:
+    """Log the quantiles of an envelope and the lines of its single runs, with colors by name of the run."""
     known = envelope.sample[np.isfinite(envelope.sample).all(axis=1)]
     lines: dict[str, tuple[Array, rr.SeriesLines]] = {}
     for name, level in QUANTILE_LEVELS.items():
         if len(known):
-            look = rr.SeriesLines(colors=PLAIN_COLOR, names=name, widths=THIN)
+            look = rr.SeriesLines(colors=PLAIN_COLOR, names=name, widths=ENVELOPE_WIDTH)
             lines[name] = np.quantile(known, level, axis=0), look
     for name, values in envelope.lines.items():
-        lines[name] = values, rr.SeriesLines(colors=rgb(colors[name]), names=name, widths=THICK)
+        lines[name] = values, rr.SeriesLines(colors=rgb(colors[name]), names=name, widths=RUN_WIDTH)
     for name, (values, look) in lines.items():
         path = rr.new_entity_path(["plots", number, name])
         recording.log(path, look, static=True)

@@ -1,4 +1,7 @@
-"""Reductions: the outputs that a sweep keeps of each run, computed for many runs at once.
+"""Reductions: the numbers or arrays that a sweep keeps of each run, computed for many runs at once.
+
+A reduction computes its result from an expression over the outputs of a run, see
+`crosscheck.sweeps.expressions`.
 
 Examples: `peak:reaction_force` is the largest reaction force of each joint, `final:panel_7.quaternion` the
 last orientation of the panel, and `tilt=final:angle(direction(panel_7.quaternion, [0, 0, 1]), [0, 0, 1])` a
@@ -27,6 +30,7 @@ REDUCTION_PATTERN = re.compile(
 """Form of the text of a reduction: [NAME=]KIND[(TIMES)]:EXPRESSION."""
 
 REDUCTION_FORM = "[NAME=]KIND:OUTPUT, as peak:reaction_force"
+"""Form of the text of a reduction, for error messages."""
 
 OUTPUT_TIME_TOLERANCE = 1e-9
 """Largest difference between a requested time and an output, in output periods."""
@@ -52,18 +56,19 @@ def _mean(array: Array, times: Array) -> Array:
 
 def _first_above(excess: Array, times: Array) -> Array:
     """Return the first times (runs,), s, at which a function of time (runs, n) is positive."""
+    # interpolate linearly between the first positive output and the one before
     above = excess > 0.0
     k = np.argmax(above, axis=1)
     runs = np.arange(len(excess))
     before = np.maximum(k - 1, 0)
     low, high = excess[runs, before], excess[runs, k]
-    share = np.where(k > 0, -low / (high - low), 1.0)
-    crossed = times[before] + share * (times[k] - times[before])
+    fraction = np.where(k > 0, -low / (high - low), 1.0)
+    crossed = times[before] + fraction * (times[k] - times[before])
     return np.where(above.any(axis=1), crossed, np.nan)
 
 
 AT, WHEN = "at", "when"
-"""Reductions with a special form. `at(0.5; 1)` keeps the outputs at these times, s, and `at()` at all times.
+"""Reductions with a special form. `at(0.5; 1)` keeps the outputs at 0.5 s and 1 s, and `at()` at all times.
 `when:a > b` is the first time, s, at which a exceeds b, interpolated linearly between outputs; NaN if a never
 exceeds b."""
 
@@ -79,6 +84,7 @@ REDUCTIONS: dict[str, Callable[[Array, Array], Array]] = {
 """Functions of values (runs, n, ...) and times (n,) by reduction. Peak and rms apply to magnitudes."""
 
 MAGNITUDE_REDUCTIONS = ("peak", "rms")
+"""Reductions of the lengths of vectors and the magnitudes of numbers."""
 
 REACTIONS = ("reaction_force", "reaction_torque")
 """Quantities that depend on constraint forces."""
@@ -114,11 +120,12 @@ class Reduction:
 
     def reacting(self, place: tuple[int, ...]) -> set[str]:
         """Return the names of joints whose reactions affect the number at a place of the results."""
-        taken = set[str]().union(*(self.expression.elements.get(name, ()) for name in REACTIONS))
-        if "" not in taken:
-            return taken
-        own = dict(zip(self.dimensions, place, strict=True))["joint"]
-        return taken - {""} | {str(self.dimensions["joint"][own])}
+        joints = set[str]().union(*(self.expression.elements.get(name, ()) for name in REACTIONS))
+        if "" not in joints:
+            return joints
+        # the empty name stands for all joints: the place of the number is at one of them
+        index = dict(zip(self.dimensions, place, strict=True))["joint"]
+        return joints - {""} | {str(self.dimensions["joint"][index])}
 
     @property
     def needs_all_times(self) -> bool:
@@ -197,6 +204,7 @@ def _split(text: str) -> list[str]:
 
 
 def _reduction(text: str, scene: Scene) -> Reduction:
+    """Parse the text of one reduction; raises `CrosscheckError` that quotes the text."""
     parts = REDUCTION_PATTERN.fullmatch(text)
     if parts is None:
         raise CrosscheckError(f"--keep {text!r:.200} is not of the form {REDUCTION_FORM}")

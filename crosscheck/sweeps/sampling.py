@@ -1,4 +1,7 @@
-"""Samples of the parameters that a sweep varies; the sample of a run does not depend on other runs."""
+"""Sample the parameters that a sweep varies: values of all varied parameters for each run.
+
+The values of a run do not depend on which other runs are executed, in which order, or by which process.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +25,7 @@ SamplingName = Literal["random", "latin_hypercube", "sobol", "saltelli", "grid"]
 full factorial grid."""
 
 SAMPLINGS: tuple[SamplingName, ...] = get_args(SamplingName)
+"""Names of all samplings."""
 
 MIN_PROBABILITY = 2.0**-33
 """Smallest distance of probabilities from 0 and 1. Of 10^9 runs, one in ten would come closer."""
@@ -120,7 +124,7 @@ class SweepSamples:
             places = np.unravel_index(np.arange(first, last), [len(each) for each in self.grid])
             columns = [np.array(numbers)[k] for numbers, k in zip(self.grid, places, strict=True)]
             return np.stack(columns, axis=1)
-        u = np.clip(self._shares(first, last), MIN_PROBABILITY, 1.0 - MIN_PROBABILITY)
+        u = np.clip(self._probabilities(first, last), MIN_PROBABILITY, 1.0 - MIN_PROBABILITY)
         parts, start = [], 0
         for names, distribution in self.groups:
             own = u[:, start : start + len(names)]
@@ -135,8 +139,9 @@ class SweepSamples:
         """Hash the values of the first runs: other versions of packages may draw other values for a seed."""
         return sha256(self.values(0, min(runs, HASHED_RUNS)).tobytes()).hexdigest()[:16]
 
-    def _shares(self, first: int, last: int) -> Array:
-        """Return probabilities between 0 and 1 (last - first, parameters)."""
+    def _probabilities(self, first: int, last: int) -> Array:
+        """Return the probabilities (last - first, parameters), between 0 and 1, whose quantiles are the
+        values."""
         count, size = last - first, len(self.names)
         if self.sampling == "random":
             blocks = -(-size // 4)  # a step of Philox's counter gives four numbers
@@ -241,6 +246,11 @@ def samples_of(vary: Vary, sampling: SamplingName, runs: int | None, seed: int) 
 
 
 def _distribution(names: tuple[str, ...], given: object) -> Distribution | Correlated:
+    """Convert a text, or a list of numbers, to the distribution of one or several parameters.
+
+    Raises:
+        CrosscheckError: for an invalid distribution, or one of another number of parameters.
+    """
     try:
         if isinstance(given, str):
             given = parse(given)

@@ -1,4 +1,4 @@
-"""Files of a sweep's store: checks before Zarr opens them, and a lock.
+"""Check the files of a sweep's store before Zarr opens them, and lock a store against other processes.
 
 A store may come from an untrusted source. Zarr would wait forever for a named pipe, and would read a link to
 a device until the memory is full.
@@ -23,6 +23,7 @@ from newton_euler.folders import make_folder
 from newton_euler.limits import size_in_bytes
 
 METADATA = "zarr.json"
+"""Name of the file with the metadata of a group or an array."""
 
 CHUNKS = "c"
 """Name of the folder with the numbered chunks of an array."""
@@ -36,6 +37,7 @@ CODECS = {
 bits."""
 
 CHECKSUM_BYTES = 4
+"""Bytes of the checksum at the end of a chunk."""
 
 ITEM_BYTES = {"float64": 8, "uint8": 1}
 """Bytes of a number by data type. Files are not compressed, so that their sizes are known."""
@@ -47,9 +49,12 @@ PARTIAL = ".partial"
 """Ending of incomplete files that Zarr leaves if a process is killed."""
 
 Name = Annotated[str, StringConstraints(max_length=1000)]
+"""Type of a name in metadata."""
 
 
 class _Strict(BaseModel):
+    """Base of all parts of the metadata: a field that the class does not know is an error."""
+
     model_config = ConfigDict(extra="forbid")
 
 
@@ -63,35 +68,49 @@ class _Attributes(BaseModel):
 
 
 class _Group(_Strict):
+    """Metadata of the store, a group of arrays, in version 3 of Zarr's format."""
+
     zarr_format: Literal[3]
     node_type: Literal["group"]
     attributes: _Attributes
 
 
 class _ChunkShape(_Strict):
+    """Shape of the chunks of an array."""
+
     chunk_shape: list[Annotated[StrictInt, Field(ge=1, le=2**32)]] = Field(min_length=1, max_length=8)
 
 
 class _Grid(_Strict):
+    """Division of an array into chunks of equal shape."""
+
     name: Literal["regular"]
     configuration: _ChunkShape
 
 
 class _Separator(_Strict):
+    """Separator of chunk indices in paths: each index is a folder or file."""
+
     separator: Literal["/"]
 
 
 class _Encoding(_Strict):
+    """Names of the files of chunks."""
+
     name: Literal["default"]
     configuration: _Separator
 
 
 class _Codec(_Strict):
+    """Codec: a step of the conversion between arrays and bytes."""
+
     name: str
     configuration: dict[str, str] = {}
 
 
 class _Array(_Strict):
+    """Metadata of a variable of the sweep, an array."""
+
     zarr_format: Literal[3]
     node_type: Literal["array"]
     shape: list[Annotated[StrictInt, Field(ge=0, le=MAX_RUNS)]] = Field(min_length=1, max_length=8)
@@ -162,6 +181,7 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def _files_below(folder: Path) -> Iterator[Path]:
+    """Yield all files in a folder and its subfolders, each checked by `_check_entry`."""
     for entry in _entries(folder):
         if entry.is_dir():
             yield from _files_below(entry)

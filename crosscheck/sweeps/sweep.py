@@ -1,4 +1,4 @@
-"""Sweeps from Python: `crosscheck.sweep(scene, vary, runs, keep)`, and its result, a `Sweep`."""
+"""Run Monte Carlo and design-of-experiments studies from Python: `sweep`, and its result, a `Sweep`."""
 
 from __future__ import annotations
 
@@ -223,7 +223,9 @@ def sweep(
     """Run a Monte Carlo or design-of-experiments study: vary parameters, and keep outputs of each run.
 
     Args:
-        scene: as of `check`; files are excited like there.
+        scene: scene, name of a library scene, or scene or model file, as of `crosscheck.check`. Model files
+            are excited: their joints start with small velocities, and sinusoidal inputs drive their
+            actuators.
         vary: distributions by parameter name, see `newton_euler.equations.parameters`: texts such as
             "normal(14, 0.5)", or a list of equally likely numbers.
         runs: number of runs; None for all combinations of a grid.

@@ -87,7 +87,7 @@ def test_a_variable_of_many_numbers_hides_no_other_one():
     """Of each as many are analyzed and checked, from the first to the last, and that is said."""
     short = replace(load("pendulum"), duration=2.0)
     swept = sweep(short, {"dumbbell.mass": "uniform(1, 2)"}, 3, "at():dumbbell.position, peak:reaction_force")
-    labels = [scalar.label for scalar in swept.findings.kept_numbers]
+    labels = [scalar.label for scalar in swept.findings.scalars]
     assert (labels[0], labels[99], labels[100:]) == (
         "at():dumbbell.position 0 s x",
         "at():dumbbell.position 2 s z",
