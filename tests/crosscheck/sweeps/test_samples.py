@@ -62,7 +62,7 @@ def test_saltelli_plans_are_those_of_salib():
     owners = ["a", "b", "cd", "cd", "e"]
     problem = {"num_vars": size, "names": list("abcde"), "groups": owners, "bounds": [[0.0, 1.0]] * size}
     plan = sobol.sample(problem, samples.runs // samples.block, calc_second_order=False, seed=7)
-    assert np.array_equal(samples._shares(0, samples.runs), plan)
+    assert np.array_equal(samples._probabilities(0, samples.runs), plan)
 
 
 def test_a_latin_hypercube_has_one_run_in_each_share():
