@@ -21,7 +21,7 @@ from mjcf.evaluate import EvaluatedScene, constraint_jacobian, mass_and_force
 from mjcf.loops import active_loops, closes_loop, loops_with_rows
 from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.model_control import EngineControl, servo_forces
-from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
+from newton_euler.equations.redundancy import constraint_rank, rows_left_out, with_zero_rows
 from newton_euler.equations.system import Evaluation
 from newton_euler.model.joint import Key
 from newton_euler.model.joint_geometry import JointGeometry, geometry_in_tree, loop_closing_geometry
@@ -162,7 +162,7 @@ class RigidMuJoCo(EvaluatedScene):
         unused = rows_left_out(self)
         gamma = self._gamma(q, v)
         mass, force = self._mass_and_force()
-        rows, gamma = without(self._jacobian(), unused), without(gamma, unused)
+        rows, gamma = with_zero_rows(self._jacobian(), unused), with_zero_rows(gamma, unused)
         units = self.phi_units, self.velocity_units
         return solve_constrained(mass, force, rows, gamma, *units, constraint_rank(self))
 

@@ -21,7 +21,7 @@ import pinocchio as pin
 from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.model_control import EngineControl, roles, servo_forces
-from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, without
+from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, with_zero_rows
 from newton_euler.equations.system import Evaluation, MassProperties, Observation
 from newton_euler.errors import SingularityError
 from newton_euler.model.constraints import Frame
@@ -271,8 +271,8 @@ class PinocchioSystem:
             found, multipliers = solve_constrained(
                 mass,
                 force,
-                without(jacobian, self._unused),
-                without(gamma, self._unused),
+                with_zero_rows(jacobian, self._unused),
+                with_zero_rows(gamma, self._unused),
                 self.phi_units,
                 self.velocity_units,
                 self._rank,

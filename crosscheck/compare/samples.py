@@ -13,7 +13,7 @@ from crosscheck.compare.check import EPSILON
 from crosscheck.compare.energy import RANDOM_RATE, energy_scale
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.dense import numerical_rank, orthonormal_range, rank, singular_values
-from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, without
+from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, with_zero_rows
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation, MassProperties, System, dimensionless_jacobian
 from newton_euler.equations.undetermined import undetermined
@@ -275,7 +275,7 @@ def admissible_basis(system: System, q: Array, units: Array) -> tuple[Array, flo
     is the constraint Jacobian in a form that depends on no choice of coordinates or rows. The condition is
     that of the independent constraint rows, 1 without constraints.
     """
-    jacobian = without(dimensionless_jacobian(system, q), rows_left_out(system))
+    jacobian = with_zero_rows(dimensionless_jacobian(system, q), rows_left_out(system))
     transformation = system.velocity_transformation(q) * system.velocity_units / units[:, None]
     if not jacobian.size:
         return orthonormal_range(transformation), 1.0

@@ -43,7 +43,7 @@ from newton_euler.equations.parameters import (
     places,
     with_values,
 )
-from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual
+from newton_euler.equations.redundancy import NearlyRedundant, loose_tolerance, mobility, residual
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.row_choice import (
     NO_ROWS,
@@ -474,7 +474,7 @@ class CompiledEquations:
         """
         weights = np.ones(len(phi))
         if self.omitted:
-            weights[self.omitted] = OPEN_TOLERANCE / loosely_closed(self.scene.redundancy_tolerance)
+            weights[self.omitted] = OPEN_TOLERANCE / loose_tolerance(self.scene.redundancy_tolerance)
         weighted = weights * phi
         return weighted @ weighted
 

@@ -22,7 +22,7 @@ import numpy as np
 from newton_euler.equations import dense, sparse
 from newton_euler.equations.cartesian_terms import CartesianTerms
 from newton_euler.equations.reactions import at_joint_points, constraint_wrenches
-from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
+from newton_euler.equations.redundancy import constraint_rank, rows_left_out, with_zero_rows
 from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, add, spread, to_array
 from newton_euler.equations.system import fastest_joint
 from newton_euler.errors import SingularityError
@@ -80,7 +80,7 @@ class Cartesian(CartesianTerms):
         """
         matrix, right = self.equation_21(q, v)
         n, unused = self.nv, rows_left_out(self)
-        matrix[n:], right[n:] = without(matrix[n:], unused), without(right[n:], unused)
+        matrix[n:], right[n:] = with_zero_rows(matrix[n:], unused), with_zero_rows(right[n:], unused)
         force_units = np.concatenate([self.force_units, np.ones(len(self.bodies))])
         units = self.phi_units[: self.rows], self.velocity_units, force_units
         try:

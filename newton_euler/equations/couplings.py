@@ -1,14 +1,14 @@
-"""Measured joint coordinates, and couplings between joint coordinates: gears, screws, prescribed motions.
+"""Joint coordinates, and couplings between them: gears, screws, polynomial couplings, prescribed motions.
 
-The poses of two bodies determine a slide, but an angle only within a revolution. The number of revolutions
-follows from the integral of the rate, which is carried in q and starts within half a revolution. All
-couplings have one form: a sum of polynomials of joint coordinates, most of them linear, equals a function of
-time,
+A key (joint, number) names a joint coordinate x. The poses of two bodies determine a slide, but an angle only
+up to full revolutions. A carried angle is an additional element of q: the integral of the angle's rate, from
+which the number of revolutions follows. All couplings have one form: a sum of polynomials of joint
+coordinates, most of them linear, equals a function of time,
 
     Phi = sum_i p_i(x_i) - f(t),    Phi_q = sum_i p_i'(x_i) dx_i/dq,    Phi_t = -f'(t)
     gamma = sum_i p_i'(x_i) gamma_i - p_i''(x_i) (dx_i/dt)^2 + f''(t)
 
-with d2x_i/dt2 = dx_i/dq . qddot - gamma_i (Haug, Computer Aided Kinematics and Dynamics of
+with d2x_i/dt2 = dx_i/dq . qddot - gamma_i (E. J. Haug, Computer Aided Kinematics and Dynamics of
 Mechanical Systems, 1989, chapters 3 and 9).
 """
 
@@ -30,29 +30,40 @@ from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.state import State, whole_revolutions
 from newton_euler.scalars import Array, Scalar, arctan2, cos, sin
 
-MAX_START_REVOLUTIONS = 1000  # revolutions of the slowest of several coupled angles in an initial state
-MAX_ANGLE_ERROR = 1e-6  # rad, between an angle and the pose; wrong revolutions rarely match by chance
+MAX_START_REVOLUTIONS = 1000
+"""Largest number of revolutions that is tried for the slowest of several coupled angles at the start."""
+
+MAX_ANGLE_ERROR = 1e-6
+"""Largest difference, rad, of an angle from the pose; a wrong number of revolutions rarely comes so close."""
 
 
 class Measured(NamedTuple):
-    """A joint coordinate at a state, with d2x/dt2 = jacobian . accelerations - gamma."""
+    """A joint coordinate x at a state, with d2x/dt2 = jacobian . accelerations - gamma.
+
+    Attributes:
+        x: m or rad from the initial pose.
+        rate: m/s or rad/s.
+        jacobian: in Cartesian coordinates a `Jacobian` between two bodies, blocks (1, 3); in joint
+        coordinates
+            a sparse row over the velocities v.
+        gamma: m/s^2 or rad/s^2, minus the acceleration of x at zero accelerations.
+    """
 
     x: Scalar
-    """m or rad from the initial pose."""
     rate: Scalar
     jacobian: Any
-    """A `Jacobian` between two bodies, blocks (1, 3); in joint coordinates the nonzeros of a row over v."""
     gamma: Scalar
 
 
 @dataclass(frozen=True, eq=False)
 class Coordinate:
-    """A hinge or slide that is measured between two bodies.
+    """A hinge or slide coordinate that is measured between two bodies.
 
     Attributes:
         first, second: numbers of the bodies.
-        constraint: constraint whose residual is the coordinate.
-        carried: index in q of the carried angle; None for a slide, or if revolutions have no effect.
+        constraint: constraint whose residual is the coordinate, m or rad.
+        carried: index in q of the carried angle, which counts revolutions; None for a slide, and for an angle
+            whose revolutions have no effect.
     """
 
     first: int
@@ -61,17 +72,18 @@ class Coordinate:
     carried: int | None
 
     def measure(self, q: Array, frames: Sequence[Frame]) -> Measured:
-        """Measure the coordinate where the bodies have these frames."""
+        """Measure the coordinate and its rate at q and the frames of all bodies."""
         first, second = frames[self.first], frames[self.second]
         jacobian = self.constraint.jacobian(first, second)
         rate = jacobian.rate(first, second)[0]
         return Measured(self.value(q, frames), rate, jacobian, self.constraint.gamma(first, second)[0])
 
     def value(self, q: Array, frames: Sequence[Frame]) -> Scalar:
-        """Compute the coordinate, m or rad, where the bodies have these frames."""
+        """Compute the coordinate, m or rad, at q and the frames of all bodies."""
         x = self.constraint.phi(frames[self.first], frames[self.second])[0]
         if self.carried is None:
             return x
+        # the angle of the pose in the revolution of the carried angle
         past = x - q[self.carried]
         return q[self.carried] + arctan2(sin(past), cos(past))
 
@@ -79,7 +91,13 @@ class Coordinate:
 def coordinates(
     keys: dict[Key, JointEquations], size: int, counted: Collection[Key]
 ) -> dict[Key, Coordinate]:
-    """Describe coordinates of joints; those of `counted` angles are carried from place `size` of q on."""
+    """Describe joint coordinates that are measured between two bodies.
+
+    Args:
+        keys: equations of the joint, by joint coordinate.
+        size: index in q at which the carried angles begin.
+        counted: coordinates whose angles are carried in q, because their revolutions have an effect.
+    """
     found: dict[Key, Coordinate] = {}
     for key, equations in keys.items():
         constraint = equations.coordinates[key[1]]
@@ -92,33 +110,34 @@ def coordinates(
 def _carried(
     measured: dict[Key, Coordinate], frames: Sequence[Frame]
 ) -> Iterator[tuple[Constraint, Frame, Frame]]:
+    """Yield the constraint and the frames of both bodies of each carried angle."""
     for each in measured.values():
         if each.carried is not None:
             yield each.constraint, frames[each.first], frames[each.second]
 
 
 def carried_angles(measured: dict[Key, Coordinate], frames: Sequence[Frame]) -> Array:
-    """Compute the carried angles within half a revolution, rad."""
+    """Compute the carried angles (n,) from the frames of the bodies, rad, between -pi and pi."""
     return np.array([angle.phi(*ends)[0] for angle, *ends in _carried(measured, frames)])
 
 
 def carried_rates(measured: dict[Key, Coordinate], frames: Sequence[Frame]) -> Array:
-    """Compute the rates of the carried angles, rad/s."""
+    """Compute the rates (n,) of the carried angles from the frames of the bodies, rad/s."""
     return np.array([angle.jacobian(*ends).rate(*ends)[0] for angle, *ends in _carried(measured, frames)])
 
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """One equation: the sum of polynomials, each of one joint coordinate x, equals f(t).
+    """One constraint equation: a sum of polynomials p(x), each of one joint coordinate x, equals f(t).
 
     Attributes:
-        what: "motion of joint", "joint", or the `kind` of a `JointCoupling`.
-        name: of the joint, gear or coupling that it belongs to.
-        joint: name of the joint that errors blame for its residual.
-        factors: of the first powers of all joint coordinates.
-        function: f; None for 0.
+        what: kind of element for messages: "motion of joint", "joint", or the `kind` of a `JointCoupling`.
+        name: name of the joint, gear or coupling that the equation belongs to.
+        joint: name of the joint to which messages attribute the residual.
+        factors: factor of the first power of each joint coordinate, by key.
+        function: f, a function of time; None for 0.
         is_length: True for an equation in meters, False for one in radians.
-        powers: factors of the second and higher powers of the coordinates that have them.
+        powers: factors of the powers 2, 3, ... of the coordinates that have them, by key.
     """
 
     what: str
@@ -136,7 +155,7 @@ class Coupling:
         )
 
     def phi_t(self, time: Scalar) -> Scalar:
-        """Compute the partial derivative of the residual by time, m/s or rad/s."""
+        """Compute the partial derivative of the residual with respect to time, m/s or rad/s."""
         return -self.function.rate(time) if self.function else 0.0
 
     def rate(self, seen: Mapping[Key, Measured], time: Scalar) -> Scalar:
@@ -148,7 +167,11 @@ class Coupling:
         """Compute the right side of Phi_q qddot = gamma."""
         x, rates = ({key: getattr(seen[key], name) for key in self.factors} for name in ("x", "rate"))
         products = sum(slope * seen[key].gamma for key, slope in self.slopes(x).items())
-        return products - self.bend(x, rates) + (self.function.acceleration(time) if self.function else 0.0)
+        return (
+            products
+            - self.curvature_term(x, rates)
+            + (self.function.acceleration(time) if self.function else 0.0)
+        )
 
     def value(self, x: Mapping[Key, Scalar]) -> Scalar:
         """Compute the sum of the polynomials p(x), m or rad."""
@@ -159,7 +182,7 @@ class Coupling:
         return x * _polynomial((self.factors[key], *self.powers.get(key, ())), x)
 
     def slopes(self, x: Mapping[Key, Scalar]) -> dict[Key, Scalar]:
-        """Compute the derivative p'(x) of each coordinate's polynomial; those of linear ones need no x."""
+        """Compute the derivative p'(x) of each coordinate's polynomial at the coordinates x, by key."""
         slopes = dict(self.factors)
         for key, powers in self.powers.items():
             derivative = (self.factors[key], *(k * c for k, c in enumerate(powers, start=2)))
@@ -167,11 +190,11 @@ class Coupling:
         return slopes
 
     def seen_slopes(self, seen: Mapping[Key, Measured]) -> dict[Key, Scalar]:
-        """Compute the slopes at measured coordinates."""
+        """Compute the derivatives p'(x) at measured coordinates, by key."""
         return self.slopes({key: seen[key].x for key in self.factors})
 
-    def bend(self, x: Mapping[Key, Scalar], rates: Mapping[Key, Scalar]) -> Scalar:
-        """Compute the sum of p''(x) (dx/dt)^2: the second rate of `value` at constant rates."""
+    def curvature_term(self, x: Mapping[Key, Scalar], rates: Mapping[Key, Scalar]) -> Scalar:
+        """Compute the sum of p''(x) (dx/dt)^2, m/s^2 or rad/s^2."""
         total: Scalar = 0.0
         for key, powers in self.powers.items():
             derivative = [k * (k - 1) * c for k, c in enumerate(powers, start=2)]
@@ -180,7 +203,7 @@ class Coupling:
 
 
 def _polynomial(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
-    """Compute the sum of coefficients times the powers 0, 1, ... of x, by Horner's method."""
+    """Evaluate a polynomial with the given coefficients of x^0, x^1, ... by Horner's method."""
     total = coefficients[-1]
     for coefficient in reversed(coefficients[:-1]):
         total = total * x + coefficient
@@ -191,15 +214,18 @@ def couplings(scene: Scene) -> tuple[Coupling, ...]:
     """List all couplings of a scene: prescribed motions, screws, then couplings of the mechanism."""
     mechanism = scene.mechanism
     found = []
+    # prescribed motions: x = f(t)
     for motion in scene.motions:
         slides = mechanism.is_slide(*motion.key)
         factors = {motion.key: 1.0}
         what, name = "motion of joint", motion.joint
         found.append(Coupling(what, name, name, factors, motion.function, slides))
+    # screws: translation (coordinate 0) = pitch times rotation (coordinate 1)
     for joint in mechanism.joints:
         if isinstance(joint, Screw):
             factors = {(joint.name, 0): 1.0, (joint.name, 1): -joint.pitch}
             found.append(Coupling("joint", joint.name, joint.name, factors, None, True))
+    # gears and polynomial couplings; the first coordinate follows the others
     for coupling in mechanism.couplings:
         factors = coupling.factors()
         first = next(iter(factors))
@@ -218,19 +244,23 @@ def needed_coordinates(scene: Scene, couplings: Sequence[Coupling]) -> list[Key]
 
 
 def counted_angles(scene: Scene) -> tuple[Key, ...]:
-    """List the angles on which forces and couplings of a scene depend; runs carry their revolutions."""
+    """List the keys of the angles on which forces and couplings depend; runs count their revolutions."""
     needed = needed_coordinates(scene, couplings(scene))
     return tuple(key for key in needed if not scene.mechanism.is_slide(*key))
 
 
 def row_units(equations: Sequence[JointEquations], couplings: Sequence[Coupling], size: float) -> Array:
-    """Compute units (k,) of the rows of joints, then couplings: `size` (m) for lengths, else 1."""
+    """Return divisors that make the constraint rows of joints, then couplings, dimensionless.
+
+    Returns:
+        (k,) the mechanism's size, m, for a row in meters; 1 for a row in radians.
+    """
     coupled = np.array([size if coupling.is_length else 1.0 for coupling in couplings])
     return np.concatenate([np.zeros(0), *(e.units(size) for e in equations), coupled])
 
 
 def row_owners(equations: Sequence[JointEquations], couplings: Sequence[Coupling]) -> tuple[str, ...]:
-    """List the names of the joints, then couplings, that rows belong to."""
+    """List the joint that each constraint row belongs to, then the name of each coupling."""
     joints = [e.joint.name for e in equations for _ in range(e.count)]
     return (*joints, *(coupling.name for coupling in couplings))
 
@@ -242,30 +272,36 @@ def revolutions(
     time: float,
     known: Mapping[Key, float],
 ) -> dict[Key, float]:
-    """Compute multiples of 2 pi to add to angles so that they are the known ones and couplings hold.
+    """Find the full revolutions of angles at which all couplings hold.
 
-    Poses determine angles within half a revolution only. Known angles, prescribed motions and slides
-    determine the rest, directly or through couplings. Angles that are only coupled to each other, or that
-    others follow by polynomials, get the fewest revolutions that agree with all poses. The order of the
+    Poses determine angles between -pi and pi only. Known angles, prescribed motions and slides determine the
+    revolutions of other angles through couplings. Angles that are coupled only to each other, or that
+    determine others by polynomials, get the fewest revolutions that match all poses. The order of the
     couplings does not matter.
 
     Args:
-        couplings: those of several coordinates without a function of time.
-        x: the coordinates that poses give, m or rad.
-        angles: which of them are angles.
+        couplings: all couplings of the scene.
+        x: joint coordinates that the poses give, by key, m or rad.
+        angles: keys of those that are angles.
         time: s.
-        known: angles with their revolutions, rad, as of `State.angles`.
+        known: angles with their full revolutions, rad, by key, as in `State.angles`.
+
+    Returns:
+        Multiple of 2 pi to add to each angle, rad, by key.
     """
+    # known angles and prescribed motions
     wanted = {key: x[key] + whole_revolutions(known[key] - x[key]) for key in angles if key in known}
     for coupling in couplings:
         if coupling.function:
             (key,) = coupling.factors
             wanted.setdefault(key, float(coupling.function.value(time)))
+    # coordinates that follow from these by couplings; then slides, and what follows from them
     linked = sorted((c for c in couplings if c.function is None), key=lambda c: (c.what, c.name))
     _follow(linked, wanted)
     coupled = {key for coupling in couplings for key in coupling.factors}
     wanted |= {key: x[key] for key in coupled if key not in angles and key not in wanted}
     _follow(linked, wanted)
+    # groups of angles that are coupled only to each other: search for the fewest revolutions
     while coupled - wanted.keys():
         ratios = {_first_to_turn(linked, wanted, coupled - wanted.keys()): 1.0}
         _follow([c for c in linked if not c.powers], ratios)
@@ -275,7 +311,12 @@ def revolutions(
 
 
 def _follow(couplings: Sequence[Coupling], wanted: dict[Key, Any]) -> None:
-    """Add the coordinates, numbers or arrays, that follow from the wanted ones by couplings."""
+    """Add the coordinates that follow from known coordinates by couplings.
+
+    Args:
+        couplings: couplings without a function of time.
+        wanted: known coordinates, numbers or arrays, by key; the new ones are added.
+    """
     before = -1
     while before < len(wanted):
         before = len(wanted)
@@ -287,16 +328,24 @@ def _follow(couplings: Sequence[Coupling], wanted: dict[Key, Any]) -> None:
 
 
 def _first_to_turn(couplings: Sequence[Coupling], wanted: Mapping[Key, float], among: Collection[Key]) -> Key:
-    """Choose the angle whose revolutions are searched first: the angle that most others follow."""
-    bent = [key for coupling in couplings for key in coupling.powers if key in among]
-    if not bent:
+    """Choose the angle whose revolutions are searched first: the one that determines most other angles.
+
+    Only angles with a polynomial of higher degree are compared; without any, the first key is chosen.
+
+    Args:
+        couplings: couplings without a function of time.
+        wanted: known coordinates by key.
+        among: keys of the angles to choose from.
+    """
+    nonlinear = [key for coupling in couplings for key in coupling.powers if key in among]
+    if not nonlinear:
         return min(among)
     reached = {}
-    for key in bent:
+    for key in nonlinear:
         followers = {**wanted, key: 0.0}
         _follow(couplings, followers)
         reached[key] = len(followers)
-    return min(bent, key=lambda key: (-reached[key], key))
+    return min(nonlinear, key=lambda key: (-reached[key], key))
 
 
 def _fewest_revolutions(
@@ -305,11 +354,21 @@ def _fewest_revolutions(
     wanted: Mapping[Key, float],
     x: Mapping[Key, float],
 ) -> dict[Key, float]:
-    """Find the smallest angles of these ratios that agree with their poses x, up to `MAX_START_REVOLUTIONS`.
+    """Find the smallest angles with given ratios that match the poses up to full revolutions.
 
-    What follows from them and the wanted coordinates by the couplings has to agree, too. If there are no such
-    angles, those of the slowest one within half a revolution.
+    Coordinates that follow from the angles by couplings must match their poses, too. If no angles up to
+    `MAX_START_REVOLUTIONS` match, the slowest angle is between -pi and pi.
+
+    Args:
+        ratios: ratio of each angle to a common angle, by key.
+        couplings: couplings without a function of time.
+        wanted: known coordinates by key.
+        x: joint coordinates that the poses give, by key, m or rad.
+
+    Returns:
+        The angles with their revolutions, rad, by key.
     """
+    # candidates of the slowest angle in ascending magnitude, and the other angles for each of them
     slowest = min(ratios, key=lambda key: (abs(ratios[key]), key))
     count = np.arange(MAX_START_REVOLUTIONS + 1)
     count = np.stack([count, -count], axis=1).ravel()
@@ -317,15 +376,16 @@ def _fewest_revolutions(
     angle = angle[np.argsort(np.abs(angle), kind="stable")]
     angles = {key: angle * (ratio / ratios[slowest]) for key, ratio in ratios.items()}
     known: dict[Key, Any] = {**wanted, **angles}
-    bent = [coupling for coupling in couplings if coupling.powers]
-    if bent:
+    nonlinear = [coupling for coupling in couplings if coupling.powers]
+    if nonlinear:
         _follow(couplings, known)
-    away = [known[key] - x[key] for key in known.keys() - wanted.keys()]
-    turned = np.array(away) / (2.0 * np.pi)
+    # the first candidate at which all angles differ from their poses by full revolutions; an angle of so many
+    # revolutions that its fraction is rounded off does not count
+    differences = [known[key] - x[key] for key in known.keys() - wanted.keys()]
+    turned = np.array(differences) / (2.0 * np.pi)
     near = MAX_ANGLE_ERROR / (2.0 * np.pi)
-    # angles of so many revolutions that their fractions are rounded off agree with nothing
     agree = np.all((np.abs(turned - np.round(turned)) < near) & (np.spacing(np.abs(turned)) < near), axis=0)
-    for coupling in bent:
+    for coupling in nonlinear:
         if coupling.factors.keys() <= known.keys():
             agree = agree & (np.abs(coupling.value(known)) < MAX_ANGLE_ERROR)
     best = int(np.argmax(agree))
@@ -333,18 +393,21 @@ def _fewest_revolutions(
 
 
 class Residuals(NamedTuple):
-    """Residuals of couplings at given frames of the bodies."""
+    """Residuals of c couplings at given frames of the bodies.
+
+    Attributes:
+        phi: (c,) m or rad.
+        rate: (c,) m/s or rad/s.
+        slopes: for each coupling, the derivative of its residual with respect to each coordinate, by key.
+    """
 
     phi: Array
-    """(c,) m or rad."""
     rate: Array
-    """(c,) m/s or rad/s."""
     slopes: list[dict[Key, float]]
-    """Derivative of the residual of each coupling with respect to each of its coordinates."""
 
     @property
     def sensitivity(self) -> Array:
-        """Return the sums (c,) of the slopes' magnitudes: how far a residual moves with its coordinates."""
+        """Return the sum (c,) of the slopes' magnitudes: a bound of the residual for unit coordinates."""
         return np.array([sum(map(abs, slopes.values())) for slopes in self.slopes])
 
 
@@ -355,9 +418,14 @@ def residuals(
     time: float,
     known: Mapping[Key, float],
 ) -> Residuals:
-    """Compute residuals of couplings at given frames of the bodies.
+    """Compute the residuals of couplings at given frames of the bodies.
 
-    The frames are those of the bodies of the mechanism. Angles are in the revolution of `revolutions`.
+    Args:
+        mechanism: the mechanism of the couplings.
+        couplings: the couplings.
+        frames: pose and velocity of each body, ground first.
+        time: s.
+        known: angles with their full revolutions, rad, by key; others get those of `revolutions`.
     """
     x, rates = dict[Key, float](), dict[Key, float]()
     for key in {key for coupling in couplings for key in coupling.factors}:
@@ -373,17 +441,19 @@ def residuals(
 
 
 class TreeCouplings:
-    """The couplings of a scene, in order: jacobian(q) @ v + phi_t = 0.
+    """The couplings of a scene as equations in the coordinates q and velocities v of a spanning tree.
 
-    The coordinates are those of a tree that keeps all the joints they couple, as that of a welded mechanism
-    does: only balls, rods and welds are cut there, which have no coordinates.
+    The tree must contain all coupled joints. This holds if only balls, rods and welds close loops, because
+    these joints have no coordinates.
 
     Attributes:
-        couplings: as of `couplings`.
-        units: (c,) of the equations: the mechanism's size (m) for lengths, else 1.
+        couplings: the c couplings of the scene.
+        units: (c,) divisors that make the equations dimensionless: the mechanism's size, m, for lengths, else
+        1.
     """
 
     def __init__(self, scene: Scene, tree: SpanningTree) -> None:
+        """Find the coupled joint coordinates in the coordinates of the tree."""
         self.couplings = couplings(scene)
         self._angles = counted_angles(scene)
         self._on_q: dict[Key, int] = {}
@@ -396,16 +466,16 @@ class TreeCouplings:
         self.units = row_units((), self.couplings, scene.mechanism.size)
 
     def _x(self, q: Array) -> dict[Key, Any]:
-        """Return the coordinates that forces and couplings depend on, m or rad, at q (nq,)."""
+        """Return the joint coordinates that forces and couplings depend on, m or rad, by key, at q (nq,)."""
         return {key: q[place] for key, place in self._on_q.items()}
 
     def phi(self, q: Array, time: float) -> Array:
-        """Compute residuals (c,), m or rad."""
+        """Compute the residuals (c,), m or rad, at q (nq,) and a time, s."""
         x = self._x(q)
         return np.array([coupling.value(x) for coupling in self.couplings]) - self.value(time)
 
     def jacobian(self, q: Array) -> Array:
-        """Compute the derivative (c, nv) of the residuals along tree velocities."""
+        """Compute the Jacobian (c, nv) of the residuals with respect to the tree velocities."""
         rows, x = np.zeros((len(self.couplings), self._nv)), self._x(q)
         for row, coupling in zip(rows, self.couplings, strict=True):
             for key, slope in coupling.slopes(x).items():
@@ -413,19 +483,19 @@ class TreeCouplings:
         return rows
 
     def value(self, time: float) -> Array:
-        """Compute the prescribed values (c,) of the combinations of coordinates, m or rad."""
+        """Compute the prescribed values f(t) (c,) of the couplings, m or rad; 0 without a function."""
         return np.array([c.function.value(time) if c.function else 0.0 for c in self.couplings])
 
     def rate(self, time: float) -> Array:
-        """Compute the first derivatives (c,) of `value`."""
+        """Compute the first time derivatives (c,) of `value`."""
         return np.array([c.function.rate(time) if c.function else 0.0 for c in self.couplings])
 
     def acceleration(self, time: float) -> Array:
-        """Compute the second derivatives (c,) of `value`."""
+        """Compute the second time derivatives (c,) of `value`."""
         return np.array([c.function.acceleration(time) if c.function else 0.0 for c in self.couplings])
 
     def turned(self, q: Array, state: State, time: float) -> Array:
-        """Add revolutions to the angles in q (nq,) of a state's poses, as `revolutions` finds them."""
+        """Return q (nq,) with the full revolutions that `revolutions` finds added to its angles."""
         x = {key: float(value) for key, value in self._x(q).items()}
         q = q.copy()
         for key, angle in revolutions(self.couplings, x, self._angles, time, state.angles).items():

@@ -1,7 +1,9 @@
-"""Coordinates and outputs that the Cartesian and the joint-coordinate form of the equations of motion share.
+"""Base class of the two forms of the equations of motion: joint coordinates and Cartesian coordinates.
 
-Extensions of the paper, the same in both forms: couplings, prescribed motions and angles whose revolutions
-are counted (`newton_euler.equations.couplings`), and the work of what has no potential energy.
+The class `Formulation` has what both forms share: couplings between joint coordinates, prescribed motions,
+angles whose revolutions are counted (`newton_euler.equations.couplings`), work, energies and inverse
+dynamics. The subclasses compute frames, mass matrix and constraint Jacobian. All methods accept floats, or
+symbolic scalars when the equations are traced for compilation.
 """
 
 from __future__ import annotations
@@ -36,54 +38,69 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar, minimum
 
 T = TypeVar("T")
-REMEMBERED = 64  # states whose kinematics are kept
+REMEMBERED = 64
+"""Number of most recent states whose kinematics a formulation keeps, so that they are computed once."""
 
 
 class Servos(NamedTuple):
-    """Actuators, and the joint coordinates that get wanted accelerations by the actuators."""
+    """Data of inverse dynamics: joint coordinates with desired accelerations, and the actuators.
+
+    A key (joint, number) names a joint coordinate.
+
+    Attributes:
+        coordinates: (d,) keys of the coordinates z with desired accelerations, independent of each other.
+        actuators: (a,) keys of the coordinates on which actuators act: z itself, or at least d others. In
+            the second case z must determine the whole motion.
+        rows: constraint rows in use.
+        scales: usual magnitude of the pivot of each of these rows, then of each coordinate; None if unknown.
+    """
 
     coordinates: tuple[Key, ...]
-    """(d,) coordinates z, independent of each other."""
     actuators: tuple[Key, ...]
-    """(a,) coordinates of the actuators: z, or at least d others if z determines the whole motion."""
     rows: RowsInUse
-    """Constraint rows in use."""
     scales: list[float] | None = None
-    """Usual sizes of the pivots of these rows and of those of the coordinates; None where unknown."""
 
     def with_flags(self, flags: Mapping[int, Scalar] | None) -> Servos:
-        """Return the same with other constraint rows left out, if there are flags of rows."""
+        """Return a copy with given flags of constraint rows (1 for a row left out); itself without flags."""
         return self._replace(rows=self.rows._replace(flags=flags)) if flags else self
 
 
 class Formulation(System):
-    """A form of the equations of motion of a scene, over floats or generic scalars.
+    """A form of the equations of motion of a scene, over floats or symbolic scalars.
 
-    q (nq,) holds the form's own coordinates, the carried angles, and the work if the scene tracks it; v (nv,)
-    holds the velocities of its own coordinates.
+    q (nq,) holds the form's own coordinates, then the carried angles, then the work if the scene tracks it.
+    The own coordinates are those of a spanning tree or the poses of all bodies. A carried angle is the
+    integral of an angle's rate, which counts revolutions. v (nv,) holds the velocities of the own
+    coordinates.
 
     Attributes:
         K_D, K_P: Baumgarte's gains, 1/s and 1/s^2.
         time: time of prescribed motions, s.
-        equations: of all joints, in body frames of the reference `poses`.
-        constrained: of the joints that have multipliers in this form.
-        rows: number of equations of these joints and of the couplings.
-        between: joint coordinates that are measured between two bodies.
-        angles: places in q of the angles whose revolutions are counted.
-        carried, work: where in q the carried angles and the work are.
-        in_use: constraint rows that imply all others, over generic scalars; None in floats.
+        poses: reference pose of each body, ground first, which defines the body frame.
+        equations: constraint equations of all joints, in the body frames of `poses`.
+        constrained: those of the joints that have Lagrange multipliers in this form.
+        couplings: gears, screws and prescribed motions.
+        rows: number of equations of `constrained` and of the couplings.
+        places: index in q and v of each joint coordinate that forces and couplings depend on, by key; None
+            for a coordinate that is measured between two bodies.
+        between: those joint coordinates that are measured between two bodies.
+        angles: index in q of each angle whose revolutions are counted, by key.
+        carried, work: slices of q with the carried angles and the work.
+        in_use: constraint rows that imply all others, over symbolic scalars; None over floats.
         omitted: rows of `phi` to leave out; None for those that `newton_euler.equations.redundancy` selects.
-        phi_units, row_owners: of the rows of `phi`, what makes them dimensionless, and the joint, coupling or
-            body that each belongs to.
-        quaternions: where in q there are Euler parameters.
+        phi_units: (k,) divisors that make the rows of `phi` dimensionless.
+        row_owners: (k,) name of the joint, coupling or body that each row of `phi` belongs to.
+        inertias: (3, 3) of each body about its center of mass, in its body frame, kg m^2.
+        velocity_units: (nv,) divisors that make v dimensionless but for time.
+        coordinate_units: divisors that make the own coordinates dimensionless: the mechanism's size, m, for
+            lengths, else 1.
+        quaternions: slices of q with quaternions (w, x, y, z).
     """
 
     name: str
     inertias: list[Array]
-    """(3, 3) of each body about its center of mass, in the frame of its reference pose, kg m^2."""
     velocity_units: Array
     coordinate_units: Array
-    """Units of the coordinates of bodies or of the tree: the mechanism's size, m, for lengths, else 1."""
     quaternions: list[slice]
 
     def __init__(
@@ -96,7 +113,15 @@ class Formulation(System):
         nq: int,
         nv: int,
     ) -> None:
-        """`nq` counts the form's own coordinates; `alpha` is in 1/s, 0 for no stabilization."""
+        """Collect the constraints of joints and couplings, and lay out q.
+
+        Args:
+            scene: the scene.
+            alpha: 1/s, Baumgarte's parameter; 0 for no stabilization.
+            poses, equations, constrained: see the attributes of this class.
+            nq, nv: numbers of the form's own coordinates and of their velocities.
+        """
+        # scene, Baumgarte's gains, constraint rows
         self.scene, self.mechanism = scene, scene.mechanism
         self.K_D, self.K_P = 2.0 * alpha, alpha * alpha  # Appendix B, eqs (30) and (31) with zeta = 1
         self.poses, self.equations, self.constrained = poses, equations, constrained
@@ -107,6 +132,7 @@ class Formulation(System):
         self.rows = sum(e.count for e in constrained) + len(self.couplings)
         self.phi_units = row_units(constrained, self.couplings, self.mechanism.size)
         self.row_owners = row_owners(constrained, self.couplings)
+        # joint coordinates that forces, couplings and armatures (rotor inertias) depend on
         counted = needed_coordinates(scene, self.couplings)
         rotors = (armature.key for armature in scene.armatures if not armature.on_ball)
         self.places = {key: self.place(key) for key in [*counted, *rotors]}
@@ -116,6 +142,7 @@ class Formulation(System):
             if place is None
         }
         self.between = coordinates(cut, nq, counted)
+        # counted angles are own coordinates, or carried angles behind the own coordinates
         self.angles: dict[Key, int] = {}
         for key in counted:
             place = self.places[key]
@@ -123,6 +150,7 @@ class Formulation(System):
             if on_q is not None and not self.mechanism.is_slide(*key):
                 self.angles[key] = on_q
         carried = sum(coordinate.carried is not None for coordinate in self.between.values())
+        # layout of q: own coordinates, carried angles, work
         self.carried = slice(nq, nq + carried)
         self.work = slice(nq + carried, nq + carried + int(scene.tracks_work))
         self.nq, self.nv = self.work.stop, nv
@@ -135,13 +163,13 @@ class Formulation(System):
 
     @property
     def uncounted_angles(self) -> list[int]:
-        """Places in q of angles whose revolutions nothing counts."""
+        """Indices in q of angles whose full revolutions have no effect."""
         return []
 
-    # The two forms define
+    # Methods that the two forms implement
 
     def place(self, key: Key) -> tuple[int, int] | None:
-        """Find where a joint coordinate is in q and in v; None if it is none of the form's own."""
+        """Return the indices of a joint coordinate in q and in v; None if it is not one of the own ones."""
         return None
 
     def frames(self, q: Array, v: Array) -> list[Frame]:
@@ -149,91 +177,109 @@ class Formulation(System):
         raise NotImplementedError
 
     def orientations(self, q: Array, v: Array) -> list[Array]:
-        """Compute Euler parameters (4,) of all bodies, ground first, continuous in q."""
+        """Compute the quaternions (4,), (w, x, y, z), of all bodies, ground first, continuous in q."""
         raise NotImplementedError
 
     def measured(self, q: Array, v: Array) -> Mapping[Key, Measured]:
-        """Compute the joint coordinates that something acts on."""
+        """Compute the joint coordinates that forces, couplings and armatures depend on, by key."""
         raise NotImplementedError
 
     def model_forces(self, q: Array, v: Array) -> Mapping[Key, Scalar]:
-        """Compute the forces that control laws get of a model of the mechanism, N or N m."""
+        """Compute the forces of control laws that use a model of the mechanism, by key, N or N m."""
         raise NotImplementedError
 
     def own_coordinates(self, state: State) -> tuple[Array, Array]:
-        """Compute the form's own coordinates and velocities in a state."""
+        """Compute the form's own coordinates and velocities at a state."""
         raise NotImplementedError
 
     def own_rate(self, q: Array, v: Array) -> Array:
-        """Compute the rates of the form's own coordinates."""
+        """Compute the time derivatives of the form's own coordinates."""
         raise NotImplementedError
 
     def own_retract(self, q: Array, step: Array) -> Array:
-        """Move the form's own coordinates by a small step (nv,); quaternions come out with norm 1."""
+        """Return the form's own coordinates moved by a small step (nv,), with quaternions of norm 1."""
         raise NotImplementedError
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Compute M and f, see `newton_euler.equations.system.System`."""
+        """Compute the mass matrix M and force f, see `newton_euler.equations.system.System`."""
         raise NotImplementedError
 
     def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
-        """Compute the residuals (k,) and the nonzeros of their Jacobian (k, nv)."""
+        """Compute the constraint residuals (k,) and the sparse rows of their Jacobian (k, nv)."""
         raise NotImplementedError
 
     def rows_of(self, relative: Collection[int]) -> list[int]:
-        """Select rows of `phi`: these of the joint-coordinate form, and all of joints that its tree keeps."""
+        """Translate row numbers of the joint-coordinate form into row numbers of `phi` of this form.
+
+        The result also contains all rows of joints that have no rows in the joint-coordinate form.
+        """
         raise NotImplementedError
 
     def closing_rows(self) -> list[int]:
-        """Return the row of `phi` for each row of the joint-coordinate form."""
+        """Return the row number in `phi` of this form for each row of the joint-coordinate form."""
         raise NotImplementedError
 
     def mass_rows(self, q: Array) -> Rows:
-        """Compute the nonzeros of the mass matrix (nv, nv), over generic scalars."""
+        """Compute the sparse rows of the mass matrix (nv, nv)."""
         raise NotImplementedError
 
     def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Solve for vdot (nv,) and lambda (rows,) with dense matrices."""
+        """Solve for dv/dt (nv,) and the Lagrange multipliers (rows,) with dense matrices, over floats."""
         raise NotImplementedError
 
     def sparse_equations(self, q: Array, v: Array, rows: RowsInUse) -> Equations:
-        """Compute the equations that `sparse_solution` solves for the form's own accelerations."""
+        """Compute the linear equations that `sparse_solution` solves for accelerations and multipliers."""
         raise NotImplementedError
 
     def sparse_residuals(
         self, q: Array, v: Array, rows: RowsInUse, accelerations: Array, multipliers: Array
     ) -> tuple[Array, Array]:
-        """Compute M a - f - J^T lambda (n,) and J a + softness lambda - gamma (k,) of `sparse_equations`."""
+        """Compute the residuals of given accelerations a and multipliers lambda in `sparse_equations`.
+
+        Returns:
+            M a - f - J^T lambda (n,), and J a + softness lambda - gamma (k,).
+        """
         raise NotImplementedError
 
     def sparse_coordinates(self, q: Array, v: Array, keys: Sequence[Key]) -> tuple[Rows, Array]:
-        """Compute rows and gamma (k,) of d2x/dt2 = rows @ accelerations - gamma for joint coordinates.
+        """Compute sparse rows and gamma (k,) of d2x/dt2 = rows @ accelerations - gamma.
 
-        The accelerations are those of `sparse_equations`; something has to act on each coordinate.
+        x are joint coordinates, which must be among those of `measured`. The accelerations are the unknowns
+        of `sparse_equations`.
         """
         raise NotImplementedError
 
     def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
-        """Compute vdot (nv,) from a sparse solution."""
+        """Compute dv/dt (nv,) from a solution of `sparse_equations`."""
         raise NotImplementedError
 
     def body_accelerations(self, q: Array, v: Array, vdot: Array) -> tuple[Array, Array]:
-        """Compute linear and angular accelerations (b, 3) of all bodies."""
+        """Compute the linear and angular accelerations of all bodies, (b, 3) each, world frame."""
         raise NotImplementedError
 
     def reactions(
         self, q: Array, v: Array, vdot: Array, bodies: tuple[Array, Array], multipliers: Array
     ) -> tuple[Array, Array]:
-        """Compute forces and torques (j, 3) of joints from accelerations `bodies` of all bodies."""
+        """Compute the reaction forces and torques of all joints at a solution.
+
+        Args:
+            q, v, vdot: (nq,), (nv,) and (nv,), the state and dv/dt.
+            bodies: linear and angular accelerations of all bodies, (b, 3) each.
+            multipliers: (rows,) Lagrange multipliers.
+
+        Returns:
+            Forces and torques on the second bodies at the joint points, (j, 3) each, world frame.
+        """
         raise NotImplementedError
 
     # Coordinates
 
     def remembered(self, q: Array, v: Array, compute: Callable[[Array, Array], T]) -> T:
         """Return compute(q, v), or the result of an earlier call for one of the last `REMEMBERED` states."""
-        # over generic scalars the bytes tell which objects they are, which the copies keep alive
+        # the bytes of an array of symbolic scalars are the identities of these objects; the copies of q and v
+        # keep the objects alive, so that no identity is used again
         state = (q.dtype, q.tobytes(), v.dtype, v.tobytes())
-        known = self._states  # is replaced, never changed: other threads may be reading
+        known = self._states  # never changed but replaced, because other threads may be reading
         if state not in known:
             last = list(known.items())[1 - REMEMBERED :]
             self._states = known = dict([*last, (state, ((q.copy(), v.copy()), compute(q, v)))])
@@ -241,10 +287,10 @@ class Formulation(System):
         return found
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
-        """Compute q and v of a state; no work done.
+        """Compute q (nq,) and v (nv,) of a state, with zero work.
 
-        Counted angles are in the revolution of `State.angles`, else in the one that couplings ask for, else
-        within half a revolution.
+        Counted angles have the full revolutions of `State.angles`. For an angle without an entry there, the
+        couplings determine the revolutions; without couplings the angle is between -pi and pi.
         """
         q, v = self.own_coordinates(state)
         if self.nq == len(q) and not self.couplings and not state.angles:
@@ -258,16 +304,22 @@ class Formulation(System):
         return q, v
 
     def coordinates_from(self, other: Formulation, q: Array) -> Array:
-        """Return q (nq,) at the configuration that another scene of the mechanism has in the same form.
+        """Convert coordinates of another scene of the same mechanism, in the same form, to this scene.
 
-        Angles that the other scene does not count are within half a revolution; no work is done.
+        Args:
+            other: equations of the other scene.
+            q: coordinates of the other scene.
+
+        Returns:
+            q (nq,) of this scene, with zero work. Angles that the other scene does not count are between -pi
+            and pi.
         """
         counted = [key for key, coordinate in self.between.items() if coordinate.carried is not None]
         angles = [q[other.angles[key]] if key in other.angles else 0.0 for key in counted]
         return np.concatenate([q[: self.carried.start], angles, np.zeros(self.nq - self.work.start)])
 
     def rate(self, q: Array, v: Array) -> Array:
-        """Compute qdot (nq,): the own coordinates' rates, those of the carried angles, and the power."""
+        """Compute dq/dt (nq,): rates of the own coordinates and of the carried angles, and the power."""
         own = self.own_rate(q, v)
         if self.nq == self.carried.start:
             return own
@@ -275,7 +327,7 @@ class Formulation(System):
         return np.concatenate([own, carried_rates(self.between, self.frames(q, v)), work])
 
     def retract(self, q: Array, step: Array) -> Array:
-        """Move q by a small step (nv,); quaternions come out with norm 1, carried angles follow."""
+        """Return q moved by a small step (nv,), with quaternions of norm 1 and the carried angles updated."""
         own = self.own_retract(q, step)
         if self.nq == self.carried.start:
             return own
@@ -283,7 +335,7 @@ class Formulation(System):
         return np.concatenate([own, angles, q[self.work]])
 
     def state(self, q: Array, v: Array) -> State:
-        """Compute body poses and velocities."""
+        """Compute the poses and velocities of the bodies, and the counted angles."""
         frames = self.frames(q, v)
         return State(
             np.array([frame.position for frame in frames]),
@@ -294,7 +346,7 @@ class Formulation(System):
         )
 
     def counted(self, q: Array, frames: Sequence[Frame]) -> dict[Key, Scalar]:
-        """Compute the angles whose revolutions are counted, rad, where the bodies have these frames."""
+        """Compute the angles with counted revolutions, rad, by key, at q and the frames of the bodies."""
         found = {}
         for key, place in self.angles.items():
             angle = q[place] if self.places[key] is not None else self.between[key].value(q, frames)
@@ -302,30 +354,31 @@ class Formulation(System):
         return found
 
     def mass_properties(self) -> MassProperties:
-        """Return the masses and inertias that the mechanism states."""
+        """Return the masses and inertias that the mechanism declares."""
         return MassProperties.of(self.mechanism)
 
     def joint_geometry(self) -> dict[str, JointGeometry]:
-        """Return the joints that the mechanism states."""
+        """Return the joints that the mechanism declares, by name, at the initial pose."""
         return geometry_in_mechanism(self.mechanism)
 
     # Constraints
 
     def phi(self, q: Array) -> Array:
-        """Compute the residuals (k,) that projection removes."""
+        """Compute the constraint residuals (k,), m or rad, which projection removes."""
         return self.phi_and_jacobian(q)[0]
 
     def phi_jacobian(self, q: Array) -> Array:
-        """Compute the derivative (k, nv) of `phi` along `retract`, and of the rate of `phi` by v."""
+        """Compute the constraint Jacobian (k, nv): derivative of `phi` for a step of `retract`."""
         return to_array(self.phi_and_jacobian(q)[1], self.nv)
 
     def phi_t(self) -> Array:
+        """Compute the partial derivative of `phi` with respect to time (k,); 0 without prescribed motions."""
         prescribed = [coupling.phi_t(self.time) for coupling in self.couplings]
         before, after = self.rows - len(prescribed), len(self.phi_units) - self.rows
         return np.concatenate([np.zeros(before), prescribed, np.zeros(after)])
 
     def joint_phi(self, q: Array) -> Array:
-        """Compute the residuals of all joints, then of all couplings, m or rad."""
+        """Compute the residuals of all joints, tree joints included, then of all couplings, m or rad."""
         frames = self.frames(q, np.zeros(self.nv))
         phis = [e.phi(frames[e.first], frames[e.second]) for e in self.equations]
         return np.concatenate([*phis, self.coupling_phi(q)])
@@ -336,7 +389,11 @@ class Formulation(System):
         return np.concatenate([np.zeros(0), [c.phi(measured, self.time) for c in self.couplings]])
 
     def phi_rate(self, q: Array, v: Array) -> Array:
-        """Compute Phi_q qdot + Phi_t (rows,), eqs (5) and (7): joints with multipliers, then couplings."""
+        """Compute dPhi/dt = Phi_q qdot + Phi_t (rows,), m/s or rad/s: joints with multipliers, then
+        couplings.
+
+        These are equations (5) and (7) of the paper cited in `newton_euler.equations.cartesian`.
+        """
         frames, measured, rates = self.frames(q, v), self.measured(q, v), [np.zeros(0)]
         for e in self.constrained:
             first, second = frames[e.first], frames[e.second]
@@ -346,29 +403,32 @@ class Formulation(System):
     # Forces on joint coordinates, and the power
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
-        """Compute the coordinates (m or rad) that control laws act on or read, and their rates."""
+        """Compute each joint coordinate that control laws act on or read, m or rad, and its rate."""
         measured = self.measured(q, v)
         return [measured[key][:2] for key in self.scene.sensed]
 
     def joint_forces(self, q: Array, v: Array) -> Iterator[Scalar]:
-        """Compute the forces of control laws and of springs on joint coordinates, N or N m."""
+        """Yield the force of each control law and each spring on a joint coordinate, N or N m."""
         at = self.seen(q, v)
         for law in self.scene.joint_forces:
             yield law.at_joint(at)
 
     def seen(self, q: Array, v: Array) -> Surroundings:
-        """Compute what the forces depend on."""
+        """Compute the quantities that forces depend on: frames, joint coordinates, time."""
         frames, measured, model = self.frames(q, v), self.measured(q, v), partial(self.model_forces, q, v)
         return Surroundings(self.mechanism, self.poses, frames, measured, self.time, model)
 
     def energies(self, at: Surroundings) -> tuple[Scalar, Scalar]:
-        """Compute the kinetic and the potential energy, J."""
+        """Compute the kinetic energy, J, and the potential energy, J; armatures and springs included."""
         kinetic, potential = energies(self.scene, list(at.frames), self.inertias)
         rotors = sum((armature.energy(at) for armature in self.scene.armatures), start=0.0)
         return kinetic + rotors, potential + sum((f.energy(at) for f in self.scene.forces), start=0.0)
 
     def power(self, q: Array, v: Array) -> Scalar:
-        """Compute the power, W, of what has no potential energy; that of constraints is -lambda . Phi_t."""
+        """Compute the power, W, of forces without potential energy and of prescribed motions.
+
+        The power of prescribed motions is -lambda . Phi_t, with the Lagrange multipliers lambda.
+        """
         total = power(self.scene, self.seen(q, v))
         if not self.scene.motions:
             return total
@@ -380,29 +440,35 @@ class Formulation(System):
     # Solutions
 
     def sparse_solution(self, q: Array, v: Array, rows: RowsInUse) -> Solution:
-        """Solve by sparse elimination; `rows` of `phi` are used, the others must follow from them."""
+        """Solve for accelerations and multipliers by sparse elimination.
+
+        Args:
+            q, v: (nq,) and (nv,), the state.
+            rows: constraint rows to use; all other rows must follow from them.
+        """
         return sparse.solve_constrained(self.sparse_equations(q, v, rows))
 
     def servo_forces(
         self, q: Array, v: Array, servos: Servos, accelerations: Sequence[Scalar]
     ) -> tuple[Array, Scalar]:
-        """Compute forces of actuators for wanted accelerations of joint coordinates, over generic scalars.
+        """Compute actuator forces for desired accelerations of joint coordinates z: inverse dynamics.
 
-        Further constraints J_z vdot = zddot + gamma_z give the accelerations the wanted values. Their
-        multipliers tau are the forces on z that this takes: those of the actuators, if these act on z. Else
-        the actuators' forces u are to do the same work, (dx/dz)^T u = tau, with dx/dz from
-        J T = 0, J_z T = I, dx/dz = J_x T. If that leaves a choice, u is the shortest one in N m, forces on
-        slides times the mechanism's size.
+        Additional constraints J_z vdot = zddot + gamma_z prescribe the accelerations. Their multipliers tau
+        are the required forces on z. If the actuators act on other coordinates x, their forces u must do the
+        same work: (dx/dz)^T u = tau, with dx/dz = J_x T from J T = 0 and J_z T = I. If several u do, the
+        shortest is chosen, in N m; forces on slides are multiplied by the mechanism's size.
 
         Args:
-            q, v: (nq,) and (nv,).
-            servos: of a scene whose control laws leave `servos.coordinates` and `servos.actuators` alone.
+            q, v: (nq,) and (nv,), the state.
+            servos: the coordinates z and the actuators. The control laws of the scene must exert no force on
+                them.
             accelerations: (d,) zddot, m/s^2 or rad/s^2.
 
         Returns:
-            Forces (a,), N or N m, and the pivot ratio of the elimination: not positive where the coordinates
-            do not determine the motion, or the actuators cannot make it.
+            Forces (a,), N or N m, and the pivot ratio of the elimination: not positive if the coordinates do
+            not determine the motion, or if the actuators cannot cause it.
         """
+        # equations of motion with the additional constraints
         coordinates, actuators = servos.coordinates, servos.actuators
         equations = self.sparse_equations(q, v, servos.rows)
         wanted, gamma = self.sparse_coordinates(q, v, coordinates)
@@ -413,6 +479,7 @@ class Formulation(System):
         forces = np.array([solution.multipliers.get(place, 0.0) for place in places])
         if actuators == coordinates:
             return forces, solution.pivot_ratio
+        # dimensionless dx/dz, one row for each coordinate z: solutions without force for a unit rate of z
         acting, _ = self.sparse_coordinates(q, v, actuators)
         units, on = (np.array([self.unit(key) for key in keys]) for keys in (coordinates, actuators))
         shares: Rows = []
@@ -421,21 +488,22 @@ class Formulation(System):
             only[place] = unit
             tangent = sparse.solve_constrained(equations._replace(free={}, gamma=only)).acceleration
             shares.append(sparse_vector([dot(row, tangent) / on[k] for k, row in enumerate(acting)]))
+        # shortest forces of the actuators that do the same work
         found, pivot_ratio = sparse.least_squares(shares, forces * units)
         forces = np.array([found.get(k, 0.0) / unit for k, unit in enumerate(on)])
         return forces, minimum(solution.pivot_ratio, pivot_ratio)
 
     def acceleration(self, q: Array, v: Array) -> Array:
-        """Compute vdot (nv,)."""
+        """Compute dv/dt (nv,) with dense matrices, over floats."""
         return self.solve(q, v)[0]
 
     def sparse_acceleration(self, q: Array, v: Array, rows: RowsInUse) -> tuple[Array, Scalar]:
-        """Compute vdot (nv,) and the pivot ratio of the elimination, over generic scalars."""
+        """Compute dv/dt (nv,) and the pivot ratio (1 far from singular states) by sparse elimination."""
         solution = self.sparse_solution(q, v, rows)
         return self.sparse_vdot(q, v, solution), solution.pivot_ratio
 
     def observe(self, q: Array, v: Array) -> Observation:
-        """Compute poses, velocities and energies."""
+        """Compute the poses, velocities and energies at a state."""
         kinetic, potential = self.energies(self.seen(q, v))
         return Observation(
             state=self.state(q, v),
@@ -445,17 +513,18 @@ class Formulation(System):
         )
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
-        """Compute accelerations, reactions and energies."""
+        """Compute the accelerations, reactions and energies at a state with dense matrices, over floats."""
         return self._evaluation(q, v, *self.solve(q, v))
 
     def sparse_evaluation(self, q: Array, v: Array, rows: RowsInUse) -> tuple[Evaluation, Scalar]:
-        """Evaluate by sparse elimination over generic scalars; return the pivot ratio, too."""
+        """Compute the accelerations, reactions and energies by sparse elimination, and the pivot ratio."""
         solution = self.sparse_solution(q, v, rows)
         multipliers = np.array([solution.multipliers.get(k, 0.0) for k in range(self.rows)])
         vdot = self.sparse_vdot(q, v, solution)
         return self._evaluation(q, v, vdot, multipliers), solution.pivot_ratio
 
     def _evaluation(self, q: Array, v: Array, vdot: Array, multipliers: Array) -> Evaluation:
+        """Collect the evaluation of a state from dv/dt (nv,) and the multipliers (rows,)."""
         bodies = self.body_accelerations(q, v, vdot)
         forces, torques = self.reactions(q, v, vdot, bodies, multipliers)
         return Evaluation(

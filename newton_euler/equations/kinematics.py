@@ -1,7 +1,9 @@
-"""Kinematics of a scene in the coordinates of its spanning tree, over generic scalars.
+"""Forward kinematics of a scene in the coordinates of its spanning tree, and the constraints of its loops.
 
-The bodies come one by one, from the ground to the leaves, then the constraints of the loops: Phi and its
-Jacobian. Body frames are those of the tree, parallel to the world at the initial pose.
+A spanning tree connects all bodies by joints without loops; the remaining joints close loops and are called
+cut. The poses, velocities and accelerations of the bodies are computed from the ground to the leaves. Then
+follow the residuals Phi of the loop-closing joints and their Jacobian. Body frames are parallel to the world
+at the initial pose. All functions accept floats, or symbolic scalars when the equations are traced.
 """
 
 from __future__ import annotations
@@ -32,13 +34,13 @@ class Link:
     """Kinematics of one body of the tree.
 
     Attributes:
-        frame: pose and velocity; the rotation is that of the body's tree frame.
-        acceleration, angular_acceleration: (3,) of the center of mass; at qddot = 0 unless accelerations are
-            given to `tree_links`.
-        path: numbers of the joint velocities that move the body.
+        frame: pose and velocity of the center of mass and of the body frame, in the world frame.
+        acceleration: (3,) of the center of mass, m/s^2, for the joint accelerations given to `tree_links`.
+        angular_acceleration: (3,) rad/s^2, for the same joint accelerations.
+        path: indices in v of the joint velocities that move the body, ground first.
         axes: axes of these velocities.
         lever: (3,) from the point of the last axis to the center of mass, world frame, m.
-        orientation: (4,) the rotation as Euler parameters, continuous in the joint coordinates.
+        orientation: (4,) the rotation as a quaternion (w, x, y, z), continuous in the joint coordinates.
     """
 
     frame: Frame
@@ -51,7 +53,7 @@ class Link:
 
     @cached_property
     def linear(self) -> Array:
-        """Velocity transformation (3, len(path)): v = linear @ qdot[path]."""
+        """Matrix (3, len(path)) from joint velocities to the velocity of the center of mass."""
         columns, lever = list[Array](), self.lever
         for axis in reversed(self.axes):
             columns.append(axis.direction if axis.slides else cross(axis.direction, lever))
@@ -60,19 +62,27 @@ class Link:
 
     @cached_property
     def angular(self) -> Array:
-        """Velocity transformation (3, len(path)): omega = angular @ qdot[path]."""
+        """Matrix (3, len(path)) from joint velocities to the angular velocity."""
         columns = [np.zeros(3) if axis.slides else axis.direction for axis in self.axes]
         return np.array(columns).T if columns else np.zeros((3, 0))
 
 
 def rotation_about(axis: Array, angle: Array) -> Array:
-    """Compute the rotation (3, 3) about a constant unit axis (Rodrigues)."""
+    """Compute the rotation matrix (3, 3) for an angle, rad, about a unit axis (3,), by Rodrigues' formula."""
     k = tilde(axis)
     return np.eye(3) + sin(angle) * k + (1.0 - cos(angle)) * (k @ k)
 
 
 def tree_links(mechanism: Mechanism, tree: SpanningTree, q: Array, v: Array, vdot: Array) -> list[Link]:
-    """Compute the kinematics of all bodies, ground first, at q (nq,), v (nv,) and vdot (nv,)."""
+    """Compute the kinematics of all bodies, ground first.
+
+    Args:
+        mechanism: bodies and joints.
+        tree: spanning tree of the mechanism.
+        q: (nq,) coordinates of the tree.
+        v: (nv,) velocities of the tree.
+        vdot: (nv,) accelerations of the tree.
+    """
     ground = mechanism.bodies[0]
     zero = np.zeros(3)
     frame = Frame(ground.center_of_mass, np.eye(3), zero, zero)
@@ -87,14 +97,25 @@ def tree_links(mechanism: Mechanism, tree: SpanningTree, q: Array, v: Array, vdo
 def _child(
     mechanism: Mechanism, tree: SpanningTree, joint: TreeJoint, parent: Link, q: Array, v: Array, vdot: Array
 ) -> Link:
-    """Compute the kinematics of a joint's child, motion by motion from its parent."""
-    r, a, velocity, omega = parent.frame
+    """Compute the kinematics of a joint's child from those of its parent.
+
+    A joint is a series of motions (hinges, slides, a ball). A point and a frame travel from the parent's
+    center of mass through all motions to the child's center of mass.
+
+    Args:
+        mechanism, tree, joint: the joint of the tree.
+        parent: kinematics of the parent.
+        q, v, vdot: coordinates of this joint, their velocities and accelerations.
+    """
+    r, a, velocity, omega = parent.frame  # position, rotation, velocity, angular velocity
     acceleration, alpha = parent.acceleration, parent.angular_acceleration
     orientation = parent.orientation
-    way = [parent.lever]  # to the first motion, from each to the next, and to the child's center of mass
+    # vectors from the last axis before the joint to its first motion, from each motion to the next, and to
+    # the child's center of mass
+    way = [parent.lever]
 
     def move(s: Array) -> None:
-        """Go from the present point to the one at s, fixed in the present frame."""
+        """Move the point by a vector s (3,), world frame, that is fixed in the present frame."""
         nonlocal r, velocity, acceleration
         turning = cross(omega, s)
         r, way[-1] = r + s, way[-1] + s
@@ -144,7 +165,8 @@ def _child(
     # from the last motion's point to the child's center of mass
     move(a @ (mechanism.bodies[joint.child].center_of_mass - (here - (0.0 if joint.forward else apart))))
 
-    # the point of a slide is that of the next axis, or the center of mass: no mass is apart from it
+    # arms from each axis to the next, leaves first; the point of a slide can be chosen freely, and is that of
+    # the next axis or the center of mass
     arms, ahead = list[Array](), way[-1]
     for (_, slides), step in zip(reversed(directions), reversed(way[:-1]), strict=True):
         arms.append(np.zeros(3) if slides else ahead)
@@ -157,7 +179,16 @@ def _child(
 
 
 def drift(jacobian: Jacobian, first: Link, second: Link) -> Array:
-    """Compute Phi_r a0 + Phi_theta alpha0 (k,), the second rate of constraints at qddot = 0."""
+    """Compute the part of the second time derivative of constraints that comes from body accelerations.
+
+    Args:
+        jacobian: Jacobian blocks (k, 3) of the constraints between two bodies.
+        first, second: kinematics of the bodies.
+
+    Returns:
+        Phi_r a + Phi_theta alpha (k,). For links at zero joint accelerations, this is the velocity-dependent
+        part.
+    """
     return np.asarray(
         jacobian.r_first @ first.acceleration
         + jacobian.theta_first @ first.angular_acceleration
@@ -167,14 +198,19 @@ def drift(jacobian: Jacobian, first: Link, second: Link) -> Array:
 
 
 class TreeKinematics(Formulation):
-    """Kinematics of a scene: q (nq,) and v (nv,) are those of a spanning tree.
+    """Kinematics and constraints of a scene in the coordinates q and velocities v of a spanning tree.
 
     Attributes:
-        tree: the spanning tree; the joints that it cuts are `constrained`.
+        tree: the spanning tree; the joints outside the tree close loops and are `constrained`.
     """
 
     def __init__(self, scene: Scene, alpha: float = 0.0) -> None:
-        """`alpha`, 1/s, gives Baumgarte's gains of the loops; none for 0."""
+        """Build the spanning tree of a scene.
+
+        Args:
+            scene: the scene.
+            alpha: 1/s, Baumgarte's parameter for the loops; 0 for no stabilization.
+        """
         self.tree = tree = SpanningTree(scene.mechanism)
         equations = [tree.equations(k) for k in range(len(scene.mechanism.joints))]
         closures = [equations[k] for k in tree.cuts]
@@ -214,10 +250,15 @@ class TreeKinematics(Formulation):
         return rows.reshape(6 * len(links), self.nv)
 
     def project(self, jacobian: Jacobian, first: Link, second: Link) -> Rows:
-        """Project a Jacobian between two bodies onto joint velocities: J = Phi_r V + Phi_theta W.
+        """Convert a Jacobian between two bodies to sparse rows over joint velocities: Phi_r V + Phi_theta W.
 
-        A velocity that moves both bodies has an entry only if the constraint changes when both bodies turn as
-        one, as in the world components of an open ball joint.
+        V and W are the matrices from joint velocities to velocities and angular velocities of the bodies. A
+        joint that moves both bodies turns them as one. It has an entry only if the constraint then changes,
+        as the world components of an open ball joint do.
+
+        Args:
+            jacobian: Jacobian blocks (k, 3) of constraints between the bodies.
+            first, second: kinematics of the bodies.
         """
         r_i, theta_i, r_j, theta_j = jacobian
         rows: Rows = [{} for _ in r_i]
@@ -249,7 +290,10 @@ class TreeKinematics(Formulation):
         return self.tree.retract(q, step)
 
     def measured(self, q: Array, v: Array) -> dict[Key, Measured]:
-        """Compute the joint coordinates that something acts on, their Jacobians as rows over v."""
+        """Compute the joint coordinates that forces, couplings and armatures depend on, by key.
+
+        Their Jacobians are sparse rows over v.
+        """
         links, frames = self.links(q, v), self.frames(q, v)
         found = {}
         for key, place in self.places.items():
@@ -266,7 +310,7 @@ class TreeKinematics(Formulation):
     # Constraints
 
     def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
-        """Compute Phi (k,) of loop closures and couplings, and the nonzeros of J (k, nv)."""
+        """Compute the residuals Phi (k,) of loop closures and couplings, and the sparse rows of J (k, nv)."""
         v = np.zeros(self.nv)
         links, phis, rows = self.links(q, v), [np.zeros(0)], list[dict[int, Any]]()
         for closure in self.constrained:
@@ -281,7 +325,7 @@ class TreeKinematics(Formulation):
         return np.concatenate(phis), rows
 
     def coupled_row(self, coupling: Coupling, measured: Mapping[Key, Measured]) -> dict[int, Any]:
-        """Compute the nonzeros of a coupling's row of J."""
+        """Compute the sparse row of the constraint Jacobian that belongs to a coupling."""
         row: dict[int, Any] = {}
         for key, slope in coupling.seen_slopes(measured).items():
             for k, entry in measured[key].jacobian.items():
@@ -295,12 +339,12 @@ class TreeKinematics(Formulation):
         return list(range(len(self.phi_units)))
 
     def row_scales(self, q: Array) -> Array:
-        """Compute natural magnitudes (k,) of the dimensionless rows of the Jacobian, to decide on their rank.
+        """Compute the natural magnitude (k,) of each dimensionless row of the Jacobian, for rank decisions.
 
-        A row of a loop is the difference of the motions that its two branches give to the bodies that it
-        joins. Its magnitude is the largest of these contributions, so that a row in which they cancel counts
-        as small. The magnitude of a coupling's row is the root sum of squares of its coordinates' magnitudes
-        times their slopes. A row without contributions has magnitude 1.
+        A row of a loop is the difference of the motions of two bodies. Its magnitude is the largest motion
+        that one joint gives to one of these bodies. A row in which the two motions cancel is then small
+        relative to its magnitude. The magnitude of a coupling's row is the root of the sum of squares of its
+        coordinates' magnitudes times their slopes. A row without any motion has magnitude 1.
         """
         links = self.links(q, np.zeros(self.nv))
         scales: list[float] = []
@@ -318,9 +362,13 @@ class TreeKinematics(Formulation):
         return np.array(scales)
 
     def _reach(self, blocks: Jacobian, first: Link, second: Link) -> Array:
-        """Compute the largest rate (k,), m/s or rad/s, that one velocity gives a row by one of its bodies.
+        """Compute the largest rate (k,), m/s or rad/s, that one unit velocity gives to each constraint row.
 
-        A velocity that moves both bodies does not count.
+        The motions of the two bodies are examined separately. A joint that moves both bodies is ignored.
+
+        Args:
+            blocks: Jacobian blocks (k, 3) of the constraints.
+            first, second: kinematics of the bodies.
         """
         r_i, theta_i, r_j, theta_j = (np.linalg.norm(block, axis=1) for block in blocks)
         largest = np.zeros(len(r_i))
@@ -334,7 +382,10 @@ class TreeKinematics(Formulation):
         return largest
 
     def _coordinate_reach(self, key: Key, links: Sequence[Link]) -> float:
-        """Compute the largest rate of a joint coordinate, or its unit if nothing moves its bodies apart."""
+        """Compute the largest rate of a joint coordinate that one unit velocity causes, m/s or rad/s.
+
+        If no joint moves the two bodies relative to each other, the result is the unit of the coordinate.
+        """
         place = self.places[key]
         if place is not None:
             return float(self.velocity_units[place[1]])

@@ -1,10 +1,11 @@
-"""Assembly of a model file's loops: closed as well as the file's digits allow.
+"""Close the kinematic loops of an imported model file, as well as the rounded numbers of the file allow.
 
 A file rounds its numbers, so that constraints that are redundant by design contradict each other slightly.
-The independent constraints are closed to round-off. The residual of the others is an offset that the loops
-keep. All quantities are dimensionless, as in the decision on redundant constraints
-(`newton_euler.equations.redundancy`): velocities in spreads of the mechanism and rad, the residual of a loop
-in units of the largest motion that one of these velocities gives to its bodies.
+The independent constraints are closed to round-off by Newton's method. The residuals of the other constraints
+remain as a constant offset. Rank decisions use dimensionless quantities
+(`newton_euler.equations.redundancy`). Lengths of steps are divided by the spread, a typical length of the
+mechanism. The residual of a loop is divided by its reach, the largest motion that one unit velocity gives to
+the bodies of the loop.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 
 from newton_euler.equations.dense import largest, singular_values
 from newton_euler.equations.independence import independent
-from newton_euler.equations.redundancy import loosely_closed
+from newton_euler.equations.redundancy import loose_tolerance
 from newton_euler.equations.sparse import sparse_vector
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE
@@ -26,46 +27,53 @@ from newton_euler.model.source_file import SourceError
 from newton_euler.scalars import Array
 
 MAX_CLOSED_RESIDUAL = 1e-12
-"""Dimensionless residual of loops that need no assembly: the file's round-off."""
+"""Largest dimensionless residual of loops that count as closed in the file and are not moved."""
 
 MAX_CLOSING_STEPS = 60
-"""Number of Newton's steps."""
+"""Largest number of Newton steps."""
 
 MAX_STEP_LENGTH = 0.2
-"""Longest step, rad or spreads of the mechanism, so that the mechanism stays on its branch."""
+"""Largest component of a step, rad, or a length divided by the spread; keeps the assembly on its branch."""
 
 
 class Units(NamedTuple):
-    """Units of the equations of a file's loops."""
+    """Divisors that make the loop equations of a file dimensionless.
+
+    Attributes:
+        velocities: (nv,) spread of the mechanism, m, for slides and free translations; 1 for rotations.
+        rows: (k,) m or rad: `reach` of a loop; for a coupling, the length of its dimensionless row.
+    """
 
     velocities: Array
-    """(nv,) spread of the mechanism, m, for slides and free translations, 1 for rotations."""
     rows: Array
-    """(k,) m or rad: `reach` of a loop, length of the dimensionless row for a coupling."""
 
     def jacobian(self, jacobian: Array) -> Array:
-        """Divide a Jacobian (k, nv) by the units."""
+        """Return a Jacobian (k, nv) in dimensionless form."""
         return np.asarray(jacobian * self.velocities / self.rows[:, None])
 
 
 class Closure(NamedTuple):
-    """A configuration in which the loops of a file are closed as well as they can be."""
+    """A configuration in which the loops of a file are closed as well as possible.
+
+    Attributes:
+        q: the configuration.
+        residuals: (k,) m or rad.
+        noise: largest residual, dimensionless.
+        independent: largest residual of the independent constraints, dimensionless.
+        tolerance: dimensionless size below which constraints count as redundant.
+    """
 
     q: Array
     residuals: Array
-    """(k,) m or rad."""
     noise: float
-    """Largest residual, dimensionless."""
     independent: float
-    """Largest residual of the independent constraints, dimensionless."""
     tolerance: float
-    """Dimensionless size below which constraints were taken as redundant."""
 
     @property
     def is_closed(self) -> bool:
-        """True if rounding of the file explains the residuals."""
-        # rounding may exceed a tight tolerance: no motion removes these residuals
-        loose = loosely_closed(max(self.tolerance, REDUNDANCY_TOLERANCE))
+        """True if the residuals are so small that rounding of the file's numbers explains them."""
+        # rounding may exceed a small tolerance of the scene; no motion can remove such residuals
+        loose = loose_tolerance(max(self.tolerance, REDUNDANCY_TOLERANCE))
         return self.independent <= CLOSURE_TOLERANCE and self.noise <= loose
 
     @property
@@ -81,14 +89,18 @@ def close(
     units: Units,
     tolerance: float,
 ) -> Closure:
-    """Close loops near a configuration by Newton's steps of least length.
+    """Close loops near a configuration by minimum-norm Newton steps.
 
     Args:
         q: configuration to start from.
         evaluate: computes residuals (k,), m or rad, and their Jacobian (k, nv) at a configuration.
-        move: moves a configuration by a step (nv,).
-        units: of residuals and steps.
-        tolerance: of the scene, see `newton_euler.Scene.redundancy_tolerance`.
+        move: returns a configuration moved by a step (nv,).
+        units: divisors that make residuals and steps dimensionless.
+        tolerance: dimensionless size below which constraints count as redundant, see
+            `newton_euler.Scene.redundancy_tolerance`.
+
+    Returns:
+        The configuration with the smallest residual of the independent constraints.
     """
     best: Closure | None = None
     for _ in range(MAX_CLOSING_STEPS + 1):
@@ -112,15 +124,20 @@ def close(
 
 
 def reach(motions: Sequence[Array], levers: Sequence[float], velocities: Array) -> tuple[float, float]:
-    """Compute the largest motion, m and rad, that one velocity gives to a closure between two bodies.
+    """Compute the largest motion that one unit velocity gives to the point where two bodies close a loop.
 
-    The bodies count separately. If their motions cancel, the row of the loop is therefore small: noise. See
-    `newton_euler.equations.kinematics.TreeKinematics.row_scales`.
+    The motions of the two bodies are examined separately. A constraint row in which they cancel is then small
+    relative to the reach, and counts as noise
+    (`newton_euler.equations.kinematics.TreeKinematics.row_scales`). A velocity that moves both bodies is
+    ignored.
 
     Args:
-        motions: (6, nv) for each body: velocity of its center of mass, and angular velocity.
-        levers: m, distances of the two centers of mass from the point of the closure.
-        velocities: (nv,) units of velocities.
+        motions: (6, nv) for each body: velocity of its center of mass, and its angular velocity.
+        levers: distance of each center of mass from the point, m.
+        velocities: (nv,) divisors of the velocities.
+
+    Returns:
+        Largest motion, m, and largest rotation, rad; 1 in place of 0.
     """
     rotations, moves = np.zeros(len(velocities)), np.zeros(len(velocities))
     first, second = (np.any(motion != 0.0, axis=0) for motion in motions)
@@ -134,13 +151,15 @@ def reach(motions: Sequence[Array], levers: Sequence[float], velocities: Array) 
 
 @dataclass(frozen=True)
 class MovedStart:
-    """The change of a file's start that closes its loops.
+    """Change of the initial state of a model file that closes its loops.
 
     Attributes:
-        open: largest loop-closure error of the file's own start, m or rad.
-        loop: element of the file with that error.
-        body, displacement: body whose center of mass moves farthest, and its distance, m.
-        joint, joint_motion: joint that moves most, and its motion, m or rad.
+        open: largest loop-closure error at the initial state of the file, m or rad.
+        loop: element of the file with this error.
+        body: name of the body whose center of mass moves farthest.
+        displacement: distance by which this body moves, m.
+        joint: name of the joint that moves most.
+        joint_motion: motion of this joint, m or rad.
     """
 
     open: float
@@ -152,12 +171,12 @@ class MovedStart:
 
 
 class FileStart(ABC):
-    """The start of a model file in the coordinates of the file's own reader.
+    """Initial state of a model file; subclasses compute its loops in the coordinates of a file format.
 
     Attributes:
-        path: path of the file, for errors.
-        error: class of the errors.
-        owners: (k,) element of the file that each residual belongs to.
+        path: path of the file, for error messages.
+        error: class of the errors that are raised.
+        owners: (k,) name of the element of the file that each residual belongs to.
     """
 
     path: str
@@ -170,39 +189,40 @@ class FileStart(ABC):
 
     @abstractmethod
     def units(self) -> Units:
-        """Compute the units of the residuals at the configuration of the last call of `residuals`."""
+        """Compute the divisors of residuals and steps at the configuration of the last `residuals` call."""
 
     @abstractmethod
     def centers(self) -> Array:
-        """Return the bodies' centers of mass (n, 3), m, world, at that configuration."""
+        """Return the centers of mass (n, 3), m, world frame, at the last configuration of `residuals`."""
 
     @abstractmethod
     def center_names(self) -> Sequence[str]:
-        """Return the names (n,) of the bodies that `centers` are of."""
+        """Return the names (n,) of the bodies whose centers of mass `centers` returns."""
 
     @abstractmethod
     def moved(self, q: Array, step: Array) -> Array:
-        """Move a configuration by a step (nv,)."""
+        """Return a configuration moved by a step (nv,)."""
 
     @abstractmethod
     def difference(self, q: Array, other: Array) -> Array:
-        """Compute the step (nv,) from one configuration to another."""
+        """Compute the step (nv,) from the configuration q to another one."""
 
     @abstractmethod
     def joint_of(self, dof: int) -> str:
-        """Return the name of the joint that a velocity belongs to."""
+        """Return the name of the joint that velocity number `dof` belongs to."""
 
     def closed(self, q: Array, called: str, tolerance: float) -> tuple[Array, list[str], MovedStart | None]:
         """Close the loops near a configuration.
 
         Args:
             q: the configuration.
-            called: its name in messages.
-            tolerance: of the scene, see `newton_euler.Scene.redundancy_tolerance`.
+            called: name of the configuration in messages.
+            tolerance: dimensionless size below which constraints count as redundant, see
+                `newton_euler.Scene.redundancy_tolerance`.
 
         Returns:
-            The closed configuration, lines of a report, and the change of the start; None if the loops are
-            closed already.
+            The closed configuration; lines of a report; the change of the initial state, None if the loops
+            are closed already.
 
         Raises:
             SourceError: of the class `error`, naming the element that stays open the most.

@@ -1,10 +1,11 @@
-"""Forces of control laws with a model of the mechanism: computed torque and gravity compensation.
+"""Control laws that use a model of the mechanism: forces of computed torque and of gravity compensation.
 
 Both laws use inverse dynamics of the controller's model
 (`newton_euler.equations.formulation.Formulation.servo_forces`). The controller's model is the scene without
-control laws and without wind, because a controller cannot know the wind. Computed torque solves for the
-accelerations that the law commands; gravity compensation solves at rest for zero accelerations. Other engines
-solve the same problem with their own mass matrices, bias forces and Jacobians.
+control laws and without wind, because a controller cannot know the wind. Its parameters may differ from those
+of the scene. Computed torque solves for the accelerations that the law commands. Gravity compensation solves
+at rest for zero accelerations. Other engines solve the same problem with their own mass matrices and
+Jacobians. A key (joint, number) names a joint coordinate.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from newton_euler.equations.parameters import (
     places,
     with_values,
 )
-from newton_euler.equations.redundancy import inherit_mobility, rows_left_out, without
+from newton_euler.equations.redundancy import inherit_mobility, rows_left_out, with_zero_rows
 from newton_euler.equations.row_choice import (
     exchangeable_rows,
     in_use_alone,
@@ -48,12 +49,12 @@ from newton_euler.scalars import Array, Scalar
 
 
 class Roles(NamedTuple):
-    """The joint coordinates whose control laws use a model of the mechanism.
+    """Joint coordinates whose control laws use a model of the mechanism.
 
     Attributes:
-        torque: coordinates of laws of computed torque.
-        holding: coordinates of laws with gravity compensation.
-        model: parameter values of the controller's model that differ from the scene.
+        torque: keys of the coordinates with computed torque.
+        holding: keys of the coordinates with gravity compensation.
+        model: values, by name, of the parameters in which the controller's model differs from the scene.
     """
 
     torque: tuple[Key, ...]
@@ -65,14 +66,16 @@ class Roles(NamedTuple):
 
 
 def roles(scene: Scene, digital: bool = False) -> Roles:
-    """Find the control laws with a model of the mechanism.
+    """Find the control laws of a scene that use a model of the mechanism.
 
     Args:
         scene: the scene with the laws.
-        digital: True for laws that a computer executes (`Digital`), False for laws in continuous time.
+        digital: True to find laws that a computer executes at sampling instants (`Digital`), False to find
+            laws in continuous time.
 
     Raises:
-        MechanismError: for laws of computed torque whose models differ; the laws act together.
+        MechanismError: for computed-torque laws with different models, because all such laws solve one
+            problem together.
     """
     laws: list[DeclaredLaw] = []
     for law in scene.control:
@@ -95,8 +98,8 @@ def known_scene(scene: Scene, model: Mapping[str, Any]) -> Scene:
     """Return the controller's model: the scene with other parameter values, without wind.
 
     Raises:
-        NewtonEulerError: for an unknown parameter, one of wind or of control laws, which the model does not
-            have, or a value that it cannot have.
+        NewtonEulerError: for an unknown parameter, a parameter of wind or of a control law, or a value that
+            the scene cannot have.
     """
     check_dynamic(scene, model, "the model of control laws")
     values = checked(scene, model)
@@ -110,7 +113,7 @@ def known_scene(scene: Scene, model: Mapping[str, Any]) -> Scene:
 
 
 def without_wind(scene: Scene) -> Scene:
-    """The scene without its wind, for equations alone."""
+    """Return a copy of the scene without wind loads, not checked, for equations of motion only."""
     calm = tuple(force for force in scene.forces if not isinstance(force, WindLoad))
     if len(calm) == len(scene.forces):
         return scene
@@ -120,21 +123,24 @@ def without_wind(scene: Scene) -> Scene:
 
 
 class ModelControl:
-    """Inverse dynamics for the control laws of a formulation, in its coordinates.
+    """Inverse dynamics for the control laws of a form of the equations, in the coordinates of this form.
 
     Attributes:
-        roles: coordinates of the laws.
-        torque, holding: coordinates with the constraint rows in use; None without such laws.
+        roles: joint coordinates of the laws.
+        torque: inverse dynamics data of computed torque; None without such laws.
+        holding: inverse dynamics data of gravity compensation; None without such laws.
     """
 
     def __init__(self, system: Formulation, known: ModelControl | None = None) -> None:
-        """Prepare the inverse dynamics of a formulation.
+        """Build the controller's model in the form of a system.
 
-        `known` is the object for the same laws over floats, if the system's parameters are generic scalars.
+        Args:
+            system: equations of the scene with the control laws.
+            known: the object for the same laws over floats, if the system is evaluated over symbolic scalars.
+                Its rank decisions and checks are reused, because they need floats.
         """
         self.roles: Roles = known.roles if known else roles(system.scene)
         form: Any = type(system)
-        # generic scalars cannot be checked; the same values were checked as floats
         if known:
             scene = without_wind(with_values(system.scene, self.roles.model))
         else:
@@ -142,6 +148,7 @@ class ModelControl:
         self._moving, self._resting = (
             form(measuring(scene, keys), 0.0) if keys else None for keys in self.roles[:2]
         )
+        # gravity compensation is at rest: prescribed motions stand still
         if self._resting:
             still = tuple(replace(each, function=None) for each in self._resting.couplings)
             self._resting.couplings = still
@@ -150,12 +157,16 @@ class ModelControl:
         self._last: tuple[Any, Any, dict[Key, Scalar]] = (None, None, {})
 
     def forces(self, system: Formulation, q: Array, v: Array) -> dict[Key, Scalar]:
-        """Compute the forces (N or N m) by coordinates at q (nq,) and v (nv,) of the system.
+        """Compute the forces of the laws, N or N m, by key; the result for the last state is reused.
+
+        Args:
+            system: equations of the scene with the control laws.
+            q, v: (nq,) and (nv,), the state of the system.
 
         Raises:
-            SingularityError: over floats, in a state in which the coordinates do not determine the motion.
+            SingularityError: over floats, at a state where the coordinates do not determine the motion.
         """
-        # for generic scalars the bytes are identities of objects; the copies keep the objects alive
+        # the bytes of an array of symbolic scalars are identities of objects; the copies keep them alive
         state = q.dtype, q.tobytes(), v.tobytes(), id(system.time), id(system.scene)
         last = self._last  # other threads may replace it
         if last[0] != state:
@@ -164,6 +175,7 @@ class ModelControl:
         return last[2]
 
     def _forces(self, system: Formulation, q: Array, v: Array) -> dict[Key, Scalar]:
+        """Compute the forces of the laws, N or N m, by key."""
         readings, time = system.measured(q, v), system.time
         torque = [law for law in system.scene.control if isinstance(law, ComputedTorque)]
         wanted = [law.command(law.references(time), readings) for law in torque]
@@ -173,15 +185,21 @@ class ModelControl:
 
 
 def _servos(model: Formulation | None, keys: tuple[Key, ...]) -> Servos | None:
+    """Return inverse dynamics data for a model with actuators at the given keys; None without a model."""
     if model is None:
         return None
     return scaled(Servos(keys, keys, rows_in_use(model)), model)
 
 
 def scaled(servos: Servos, system: Formulation) -> Servos:
-    """Return the same actuators and coordinates for a formulation, with typical magnitudes of pivots.
+    """Return inverse dynamics data for a form of the equations, with usual magnitudes of the pivots.
 
-    The magnitudes are unknown (None) if no state of the mobility analysis is regular.
+    The magnitudes come from the states that the mobility analysis examined. They are None if all of these
+    states are singular.
+
+    Args:
+        servos: coordinates and actuators.
+        system: the form of the equations, which gives the constraint rows in use.
     """
     exchangeable = exchangeable_rows(system)
     used, pivots = rows_in_use(system, exchangeable=exchangeable), []
@@ -206,7 +224,16 @@ def _solve(
     v: Array,
     accelerations: Sequence[Scalar],
 ) -> dict[Key, Scalar]:
-    """Compute the forces on coordinates that cause given accelerations."""
+    """Compute the actuator forces that cause given accelerations, N or N m, by key.
+
+    Args:
+        system: equations of the scene with the control laws, which give time and constraint rows.
+        model: equations of the controller's model; without a model there are no forces.
+        servos: coordinates and actuators.
+        q: (nq,) coordinates of the system.
+        v: (nv,) velocities of the model.
+        accelerations: m/s^2 or rad/s^2, one for each coordinate of `servos`.
+    """
     if model is None or servos is None:
         return {}
     now = at_time(model, system.time)
@@ -220,7 +247,7 @@ def _solve(
 
 
 def model_control(system: Formulation) -> ModelControl:
-    """Return the inverse dynamics for a formulation's laws, built once for all copies of the formulation."""
+    """Return the inverse dynamics for the laws of a system, built once for all copies of the system."""
     if not system.model_control:
         system.model_control.append(ModelControl(system))
     found: ModelControl = system.model_control[0]
@@ -228,45 +255,62 @@ def model_control(system: Formulation) -> ModelControl:
 
 
 def share_model_control(system: Formulation, floats: Formulation) -> None:
-    """Copy choices that need floats, such as rows in use, to a formulation over generic scalars."""
+    """Give a system over symbolic scalars the decisions that need floats, such as constraint rows in use.
+
+    Args:
+        system: receives the inverse dynamics of its control laws.
+        floats: the same equations over floats.
+    """
     if roles(floats.scene):
         system.model_control.append(ModelControl(system, model_control(floats)))
 
 
 class EngineModel(Protocol):
-    """An engine's model of a mechanism."""
+    """Equations of motion of the controller's model in another engine.
+
+    Attributes:
+        time: s, of prescribed motions.
+        couplings: gears and prescribed motions.
+    """
 
     time: float
     couplings: TreeCouplings
 
     def servo_forces(self, q: Array, v: Array, keys: Sequence[Key], accelerations: Array) -> Array:
-        """Compute the forces on joint coordinates, N or N m, that cause given accelerations."""
+        """Compute the forces on joint coordinates, N or N m, that cause given accelerations of them."""
 
 
 class EngineControl:
-    """Inverse dynamics of the controller's model, by the equations of another engine."""
+    """Inverse dynamics of the controller's model by the equations of another engine."""
 
     def __init__(self, scene: Scene, build: Callable[[Scene], EngineModel]) -> None:
-        """`build` returns the engine's model of a scene."""
+        """Build the controller's models for computed torque and for gravity compensation.
+
+        Args:
+            scene: the scene with the control laws.
+            build: returns the engine's model of a scene.
+        """
         self._torque, self._holding, values = roles(scene)
         known = known_scene(scene, values)
         self._moving = build(measuring(known, self._torque)) if self._torque else None
         self._resting = build(measuring(known, self._holding)) if self._holding else None
+        # gravity compensation is at rest: prescribed motions stand still
         if self._resting:
             coupled = self._resting.couplings
             coupled.couplings = tuple(replace(each, function=None) for each in coupled.couplings)
         self._last: tuple[Any, Mapping[Key, float]] = None, {}
 
     def forces(self, q: Array, v: Array, time: float, accelerations: Sequence[float]) -> Mapping[Key, float]:
-        """Compute the forces, N or N m, by joint coordinates.
+        """Compute the forces of the laws, N or N m, by key; the result for the last state is reused.
 
         Args:
             q, v: (nq,) and (nv,) tree coordinates and velocities.
             time: s.
-            accelerations: commanded by the laws of computed torque, in order, m/s^2 or rad/s^2.
+            accelerations: accelerations that the computed-torque laws command, in their order, m/s^2 or
+                rad/s^2.
         """
         state = q.tobytes(), v.tobytes(), time, tuple(accelerations)
-        if self._last[0] != state:  # the power needs the same forces
+        if self._last[0] != state:
             found: dict[Key, float] = {}
             wanted = np.zeros(len(self._holding)), np.array(accelerations)
             keys, models = (self._holding, self._torque), (self._resting, self._moving)
@@ -286,14 +330,16 @@ def servo_forces(
     keys: Sequence[Key],
     accelerations: Array,
 ) -> Array:
-    """Compute the forces on joint coordinates, N or N m, with given accelerations as further constraints.
+    """Compute the forces on joint coordinates for given accelerations of them, from an engine's matrices.
+
+    The accelerations are additional constraints; the forces, N or N m, are their Lagrange multipliers.
 
     Args:
-        system: the engine's system with these matrices.
-        tree: spanning tree of the system's coordinates.
+        system: the engine's equations of motion.
+        tree: spanning tree whose coordinates the system has.
         mass_and_force: M (nv, nv) and f (nv,) of M vdot = f + J^T lambda.
         jacobian_and_gamma: J (k, nv) and gamma (k,) of J vdot = gamma.
-        keys: joint coordinates of the tree, without cut joints.
+        keys: keys of the joint coordinates; none belongs to a joint that closes a loop.
         accelerations: accelerations of these coordinates, m/s^2 or rad/s^2.
 
     Raises:
@@ -304,7 +350,7 @@ def servo_forces(
     rows[np.arange(len(keys)), [place[1] for place in places if place]] = 1.0
     units = [system.mechanism.size if system.mechanism.is_slide(*key) else 1.0 for key in keys]
     unused = rows_left_out(system)
-    jacobian, gamma = (without(each, unused) for each in jacobian_and_gamma)
+    jacobian, gamma = (with_zero_rows(each, unused) for each in jacobian_and_gamma)
     try:
         _, multipliers = dense.solve_constrained(
             *mass_and_force,

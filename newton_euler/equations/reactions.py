@@ -1,12 +1,12 @@
-"""Reactions of joints: the wrenches (force, torque) on their second bodies.
+"""Joint reactions: the force and torque that each joint exerts on its second body.
 
-The reaction of a joint includes the forces of couplings and prescribed motions on its coordinates, but not
-the forces of control laws and springs.
+The reaction of a joint includes the forces of couplings and prescribed motions on its coordinates. It does
+not include the forces of control laws and springs.
 
-If constraints are redundant, only the sum of the wrenches on each body, J^T lambda, is unique. A formulation
-returns the reactions of its smallest dimensionless multipliers. Cartesian coordinates have multipliers of all
-joints. Joint coordinates have multipliers only of couplings and of joints that close loops, from which the
-reactions of the tree's joints follow. The two results differ, and both are right.
+If constraints are redundant, only the sum of the wrenches on each body, J^T lambda, is unique. Each form of
+the equations returns the reactions of its minimum-norm multipliers. The Cartesian form has multipliers for
+all joints. The joint-coordinate form has multipliers for couplings and loop-closing joints only; the
+reactions of the other joints follow from them. The two results then differ, and both are right.
 """
 
 from __future__ import annotations
@@ -25,7 +25,13 @@ from newton_euler.scalars import Array, Scalar, cross
 
 
 class ConstraintWrench(NamedTuple):
-    """Wrenches (6,) of a constraint on two bodies: force, and torque about the center of mass, world."""
+    """Wrenches of a constraint on its two bodies.
+
+    Attributes:
+        joint: number of the joint.
+        first, second: numbers of the bodies.
+        on_first, on_second: (6,) force, N, and torque about the center of mass, N m, world frame.
+    """
 
     joint: int
     first: int
@@ -35,7 +41,10 @@ class ConstraintWrench(NamedTuple):
 
 
 def _push(joint: int, first: int, second: int, jacobian: Jacobian, multipliers: Array) -> ConstraintWrench:
-    """Compute Phi_q^T lambda, eq. (17)."""
+    """Compute the wrenches Phi_q^T lambda of multipliers (k,), from the Jacobian between two bodies.
+
+    This is equation (17) of the paper cited in `newton_euler.equations.cartesian`.
+    """
     r_i, theta_i, r_j, theta_j = (block.T @ multipliers for block in jacobian)
     return ConstraintWrench(
         joint, first, second, np.concatenate([r_i, theta_i]), np.concatenate([r_j, theta_j])
@@ -45,7 +54,14 @@ def _push(joint: int, first: int, second: int, jacobian: Jacobian, multipliers: 
 def constraint_wrenches(
     system: Formulation, frames: Sequence[Frame], measured: Mapping[Key, Measured], multipliers: Array
 ) -> Iterator[ConstraintWrench]:
-    """Compute the wrenches of all multipliers (rows,): joints, then couplings of measured coordinates."""
+    """Yield the wrenches of joints with multipliers, then of couplings between bodies.
+
+    Args:
+        system: the equations of motion.
+        frames: pose and velocity of each body.
+        measured: joint coordinates that couplings act on.
+        multipliers: (rows,) Lagrange multipliers of joints and couplings.
+    """
     row, index = 0, system.mechanism.joint_index
     for e in system.constrained:
         share = multipliers[row : row + e.count]
@@ -62,7 +78,7 @@ def constraint_wrenches(
 
 
 def _arms(system: Formulation, frames: Sequence[Frame]) -> list[Array]:
-    """Compute vectors (3,) from the second bodies' centers of mass to the joint points, world frame."""
+    """Compute the vector (3,) from each second body's center of mass to its joint point, world frame, m."""
     return [
         frames[e.second].rotation @ system.poses[e.second].point_to_body(e.joint.reaction_point)
         for e in system.equations
@@ -72,7 +88,16 @@ def _arms(system: Formulation, frames: Sequence[Frame]) -> list[Array]:
 def at_joint_points(
     system: Formulation, frames: Sequence[Frame], found: Iterable[ConstraintWrench]
 ) -> tuple[Array, Array]:
-    """Reduce wrenches to forces and torques (j, 3) about the joint points on the second bodies."""
+    """Sum wrenches by joint and refer them to the joint points.
+
+    Args:
+        system: the equations of motion.
+        frames: pose and velocity of each body.
+        found: wrenches of constraints.
+
+    Returns:
+        Forces, N, and torques, N m, on the second bodies at the joint points, (j, 3) each, world frame.
+    """
     arms = _arms(system, frames)
     forces: list[Array] = [np.zeros(3)] * len(arms)
     torques = list(forces)
@@ -92,19 +117,25 @@ def tree_reactions(
     joint_forces: Iterable[tuple[Key, Scalar]],
     couples: Iterable[tuple[tuple[int, int], Array]],
 ) -> tuple[Array, Array]:
-    """Compute forces and torques (j, 3) about the joint points on the second bodies.
+    """Compute the reactions of all joints in the joint-coordinate form.
 
-    Joints that the tree cuts have multipliers. The reactions of the other joints follow from the bodies'
-    Newton-Euler equations, from the leaves to the ground.
+    Loop-closing joints have multipliers. The reactions of the tree's joints follow from the Newton-Euler
+    equations of the bodies, from the leaves to the ground.
 
     Args:
         system: the equations of motion.
-        frames: of all bodies.
+        frames: pose and velocity of each body.
         measured: joint coordinates that couplings act on.
-        needed: (6,) for each body: force, and torque about its center of mass, that joints must supply.
-        multipliers: (k,) of the loop closures and couplings.
-        joint_forces: N or N m of control laws, springs and armatures, by joint coordinate.
-        couples: of armatures on balls: numbers of both bodies, and (3,) N m on the second, world frame.
+        needed: (6,) for each body: force, N, and torque about the center of mass, N m, world frame, that
+            joints, joint forces and armatures must supply together.
+        multipliers: (k,) Lagrange multipliers of loop closures and couplings.
+        joint_forces: force of each control law, spring or armature (rotor inertia) on a joint coordinate, N
+            or N m, with the key of the coordinate.
+        couples: for each armature on a ball joint: numbers of both bodies, and the torque (3,) on the second
+            one, N m, world frame.
+
+    Returns:
+        Forces, N, and torques, N m, on the second bodies at the joint points, (j, 3) each, world frame.
     """
     # wrenches of multipliers, joint forces and armatures reduce what the tree's joints must supply
     mechanism, tree, need = system.mechanism, system.tree, list(needed)

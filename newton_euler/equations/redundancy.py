@@ -1,17 +1,18 @@
-"""Redundant constraints and the degrees of freedom they leave, decided once for each scene.
+"""Mobility analysis of a scene: redundant constraints and the number of degrees of freedom.
 
-A constraint row is redundant if it follows from the others in every configuration. A row that depends on the
-others in one configuration only, as in a dead center, is not redundant. Several configurations are examined.
+A constraint row is redundant if it follows from the other rows in every configuration. A row that depends on
+the others in one configuration only, such as a dead center, is not redundant. Therefore several
+configurations are examined.
 
-Files are rarely exact. Axes tilted by 1e-12 to 1e-7 rad and points rounded to 1e-6 m leave rows with a very
-small independent part, although the design is redundant. Taken literally these rows would lock the mechanism.
-A row counts as redundant if its independent part is smaller than `Scene.redundancy_tolerance` and separated
-from the others by a gap (`newton_euler.equations.independence`). The report names it with its singular value
-(on such models see J. Garcia de Jalon and M. D. Gutierrez-Lopez, Multibody System Dynamics 30, 2013).
+Model files are rarely exact. Axes tilted by 1e-12 to 1e-7 rad and points rounded to 1e-6 m leave rows that
+are almost dependent, although the design is redundant. If these rows counted as independent, they would lock
+the mechanism. The independent part of a row is its distance from the span of the other rows. A row counts as
+redundant if this part is smaller than `Scene.redundancy_tolerance` and separated from the others by a gap
+(`newton_euler.equations.independence`). Reports name such a row with its singular value (on such models see
+J. Garcia de Jalon and M. D. Gutierrez-Lopez, Multibody System Dynamics 30, 2013).
 
-The decision is made in joint coordinates. Each row is in units of the body motions whose difference it is.
-All other forms of the equations, dense and sparse, of every engine, use its degrees of freedom. All matrices
-are sparse: scenes may have thousands of rows.
+The analysis uses joint coordinates of a spanning tree, and scales each row by the body motions that it
+compares. All other forms of the equations, in every engine, use the resulting degrees of freedom.
 """
 
 from __future__ import annotations
@@ -45,21 +46,24 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 MIN_CONFIGURATIONS = 4
-"""Number of configurations that decide."""
+"""Number of configurations that are examined if at least `MIN_REGULAR` of them are regular (not singular)."""
 
 MAX_CONFIGURATIONS = 16
-"""Number of configurations if fewer than `MIN_REGULAR` of them are regular."""
+"""Largest number of configurations that are examined."""
 
 SAMPLE_DISTANCE = 0.1
-"""Distance between configurations, rad or sizes of the mechanism."""
+"""Distance between examined configurations, rad, or a length divided by the mechanism's size."""
 
 RESIDUAL_FACTOR = 10.0
-"""Largest residual of a nearly redundant constraint, divided by the scene's tolerance. Joints move by some
-rad or sizes of the mechanism, which multiply the noise of the file's numbers."""
+"""Largest dimensionless residual of an almost redundant constraint, divided by the scene's tolerance.
 
-SUSPECT = 1e-2, 100.0
-"""Largest singular value of a row that looks redundant by design although it is taken literally, and least
-ratio to the next larger singular value."""
+Joints move by several rad or mechanism sizes, which multiply the rounding errors of the file's numbers."""
+
+MAX_SUSPECT_VALUE = 1e-2
+"""Singular value below which an independent constraint may have been redundant by design."""
+
+MIN_SUSPECT_GAP = 100.0
+"""Smallest ratio of the next larger singular value to that of such a suspect constraint."""
 
 MAX_LISTED = 20
 """Number of redundant constraints listed for a scene that is too large for singular values."""
@@ -68,19 +72,23 @@ DENSE_LIMIT = 1_000_000
 """Number of elements of the largest Jacobian whose singular values are computed."""
 
 MAX_NEIGHBOR_STEPS = 30
-"""Number of Newton's steps to a configuration. From a singular configuration they converge slowly."""
+"""Number of Newton steps to another configuration; they converge slowly near a singular configuration."""
 
 MAX_SAMPLE_RESIDUAL = 1e-11
 """Largest dimensionless residual of the independent rows of a closed configuration."""
 
 
 class NearlyRedundant(NamedTuple):
-    """A constraint that is almost implied by the others."""
+    """A constraint that almost follows from the others.
+
+    Attributes:
+        joint: name of the joint or coupling with the largest share in the constraint.
+        singular_value: dimensionless singular value of the constraint Jacobian in joint coordinates.
+        taken: "redundant" if the constraint is ignored, "literally" if it counts as independent.
+    """
 
     joint: str
-    """Name of the joint or coupling with the largest share in the constraint."""
     singular_value: float
-    """Dimensionless, of the constraint Jacobian in joint coordinates."""
     taken: Literal["redundant", "literally"]
 
     def __str__(self) -> str:
@@ -88,41 +96,48 @@ class NearlyRedundant(NamedTuple):
 
 
 def residual(nearly: Iterable[NearlyRedundant]) -> float:
-    """Find the largest singular value that is taken as redundant; 0 without any."""
+    """Return the largest singular value of constraints that are ignored as redundant; 0 without any."""
     return max((weak.singular_value for weak in nearly if weak.taken == "redundant"), default=0.0)
 
 
 class Configuration(NamedTuple):
-    """Constraint rows at a closed configuration."""
+    """Constraint rows at a closed configuration.
+
+    Attributes:
+        q: joint coordinates.
+        rows: sparse dimensionless rows, each divided by its scale.
+        scales: (k,) natural magnitude of each dimensionless row before the division.
+        chosen: selection of independent rows.
+    """
 
     q: Array
     rows: Rows
-    """Dimensionless, in units of `scales`."""
     scales: Array
-    """(k,) natural magnitudes of the dimensionless rows."""
     chosen: Independent
 
     @property
     def rank(self) -> int:
+        """Number of independent rows."""
         return len(self.chosen.factor.order)
 
 
 @dataclass(frozen=True, eq=False)
 class Mobility:
-    """Degrees of freedom of a scene.
+    """Result of the mobility analysis of a scene. Rows are those of the joint-coordinate form.
 
     Attributes:
         degrees_of_freedom: number of independent velocities in configurations that are not singular.
-        independent: rows of the joint-coordinate form that imply all others.
-        redundant: other rows that are not zero everywhere: with them multipliers are not unique.
-        exchangeable: natural magnitudes of the rows among which a run chooses, see
-            `newton_euler.equations.row_choice`; empty if rows are redundant except for noise.
-        nearly: constraints that are almost redundant, and whether they are taken as redundant.
-        residual: largest singular value that is taken as redundant; 0 if redundancy is exact.
+        independent: numbers of independent rows; all other rows follow from them.
+        redundant: numbers of the other rows that are not zero in all configurations. If there are any,
+            Lagrange multipliers and reactions are not unique.
+        exchangeable: natural magnitudes, by number, of rows that a run may exchange for each other, see
+            `newton_euler.equations.row_choice`. Empty if redundancy is not exact.
+        nearly: constraints that are almost redundant.
+        residual: largest singular value of constraints that are ignored; 0 if redundancy is exact.
         configurations: closed configurations that were examined.
         states: states of these configurations, at rest.
-        between_branches: joint that loses rank at a singular start whose velocities no motion has; empty if a
-            motion has them. See `newton_euler.equations.branches`.
+        between_branches: joint with a dependent constraint at a singular start whose velocities are tangent
+            to no branch of motion, see `newton_euler.equations.branches`; else empty.
     """
 
     degrees_of_freedom: int
@@ -140,11 +155,14 @@ class Mobility:
 
 
 _KNOWN: WeakKeyDictionary[Scene, Mobility] = WeakKeyDictionary()
+"""Results of the mobility analysis by scene."""
+
 _LEFT_OUT: WeakKeyDictionary[Scene, dict[str, list[int]]] = WeakKeyDictionary()
+"""Row numbers that `rows_left_out` has found, by scene and name of the system."""
 
 
 def mobility(scene: Scene) -> Mobility:
-    """Decide which constraints of a scene are redundant, once for each scene."""
+    """Analyze which constraints of a scene are redundant; the result is kept for the scene."""
     if scene not in _KNOWN:
         with np.errstate(all="ignore"):  # a run reports overflows
             _KNOWN[scene] = _mobility(TreeKinematics(scene))
@@ -152,15 +170,18 @@ def mobility(scene: Scene) -> Mobility:
 
 
 def constraint_rank(system: System) -> int:
-    """Compute the number of independent constraints of any form of a scene's equations."""
+    """Compute the number of independent constraint rows of a form of a scene's equations."""
     return system.nv - mobility(system.scene).degrees_of_freedom
 
 
 def rows_left_out(system: System) -> list[int]:
-    """Select the rows of `phi` that are redundant except for noise, which all solvers leave out.
+    """Select the almost redundant constraint rows that solvers leave out; none if redundancy is exact.
 
-    A `Formulation` keeps the rows of the joint-coordinate form. Another engine keeps the rows that a QR
-    factorization with pivoting selects at the configuration of the largest rank.
+    This package's own forms keep the independent rows of the joint-coordinate form. For another engine, a QR
+    factorization with pivoting selects the rows to keep, at the configuration of the largest rank.
+
+    Returns:
+        Row numbers in `phi` of the system.
     """
     decided, count = mobility(system.scene), len(system.phi_units)
     if decided.residual == 0.0:
@@ -177,72 +198,84 @@ def rows_left_out(system: System) -> list[int]:
 
         best = max(range(len(decided.states)), key=lambda k: decided.configurations[k].rank)
         q, _ = system.coordinates(decided.states[best])
-        used = qr(dimensionless_jacobian(system, q).T, mode="r", pivoting=True)[1][
-            : constraint_rank(system)
-        ].tolist()
+        _, pivots = qr(dimensionless_jacobian(system, q).T, mode="r", pivoting=True)
+        used = pivots[: constraint_rank(system)].tolist()
     known[system.name] = sorted(set(range(count)) - set(used))
     return known[system.name]
 
 
-def loosely_closed(tolerance: float) -> float:
-    """Compute the largest residual, sizes or rad, of closed constraints that are nearly redundant."""
+def loose_tolerance(tolerance: float) -> float:
+    """Return the largest residual that an almost redundant constraint may have if its loop counts as closed.
+
+    Args:
+        tolerance: dimensionless size below which constraints count as redundant.
+
+    Returns:
+        Dimensionless residual: rad, or a length divided by the mechanism's size.
+    """
     return max(RESIDUAL_FACTOR * tolerance, CLOSURE_TOLERANCE)
 
 
-def without(rows: Array, left_out: Sequence[int]) -> Array:
-    """Copy an array (k, ...) with some of its rows zero."""
+def with_zero_rows(rows: Array, left_out: Sequence[int]) -> Array:
+    """Return a copy of an array (k, ...) in which the rows with the given numbers are zero."""
     changed = np.array(rows)
     changed[list(left_out)] = 0.0
     return changed
 
 
 def inherit_mobility(scene: Scene, of: Scene) -> None:
-    """Use the decision on another scene with the same geometry, if it has been made."""
+    """Use for a scene the result of another scene with the same geometry, if that has been analyzed."""
     if of in _KNOWN:
-        _KNOWN[scene] = replace(_KNOWN[of], between_branches="")  # its start may be another one
+        _KNOWN[scene] = replace(_KNOWN[of], between_branches="")  # initial states may differ
 
 
 def _mobility(system: TreeKinematics) -> Mobility:
-    seen, alive = _examine(system)
-    best = max(seen, key=lambda at: at.rank)
+    """Analyze the constraints of a system in joint coordinates."""
+    examined, nonzero_rows = _examine(system)
+    best = max(examined, key=lambda at: at.rank)
     used, rest = best.chosen.rows, np.zeros(system.nv)
-    redundant = sorted(alive - set(used))
-    nearly = tuple(_nearly(system, [at for at in seen if at.rank == len(used)]))
-    exact = redundant if residual(nearly) == 0.0 else []
+    redundant = sorted(nonzero_rows - set(used))
+    nearly = tuple(_nearly(system, [at for at in examined if at.rank == len(used)]))
+    exactly_redundant = redundant if residual(nearly) == 0.0 else []
+    scaled = [ScaledRows(at.rows, at.scales) for at in examined]
     return Mobility(
-        system.nv - len(used),
-        used,
-        redundant,
-        varying_rows([ScaledRows(at.rows, at.scales) for at in seen], used, exact),
-        nearly,
-        seen,
-        [system.state(at.q, rest) for at in seen],
-        _between_branches(system),
+        degrees_of_freedom=system.nv - len(used),
+        independent=used,
+        redundant=redundant,
+        exchangeable=varying_rows(scaled, used, exactly_redundant),
+        nearly=nearly,
+        configurations=examined,
+        states=[system.state(at.q, rest) for at in examined],
+        between_branches=_between_branches(system),
     )
 
 
 def _between_branches(system: TreeKinematics) -> str:
-    """Find the joint of a start between branches, see `Mobility`; large mechanisms are not examined."""
+    """Find the joint of a start between branches of motion, see `Mobility`; skip large mechanisms."""
     if system.scene.initial_state is None or len(system.phi_units) * system.nv > DENSE_LIMIT:
         return ""
     return joint_between_branches(system, *system.coordinates(system.scene.initial_state))
 
 
 def _nearly(system: TreeKinematics, seen: Sequence[Configuration]) -> Iterator[NearlyRedundant]:
-    """Find small singular values on both sides of the rank.
+    """Yield almost redundant constraints, from small singular values on both sides of the rank.
 
-    Singular values taken literally come from the configuration where the smallest of them is largest, those
-    of redundant rows from the configuration with the largest noise: in some poses noise has no effect.
+    Args:
+        system: equations in joint coordinates.
+        seen: examined configurations that are not singular.
     """
+    # largest independent part of an exactly redundant row; other configurations are less exact than the
+    # initial pose, because they are results of Newton's method
     own, _ = system.coordinates(State.initial(system.scene.mechanism))
     exact = [MIN_INEXACT if np.array_equal(at.q, own) else MAX_SAMPLE_RESIDUAL for at in seen]
+    # independent constraints, at the configuration where their smallest singular value is largest
     if all(at.chosen.weak for at in seen):
         spectra = [_spectrum(system, at) for at in seen]
         values, rank, owner = max(spectra, key=lambda each: each.values[each.rank - 1])
-        smallest, apart = SUSPECT
         for k in range(1, rank):
-            if values[k] < smallest and values[k] * apart < values[k - 1]:
+            if values[k] < MAX_SUSPECT_VALUE and values[k] * MIN_SUSPECT_GAP < values[k - 1]:
                 yield NearlyRedundant(owner(k), values[k], "literally")
+    # redundant constraints, at the configuration with the largest noise: in some poses noise has no effect
     noisiest = max(range(len(seen)), key=lambda k: seen[k].chosen.noise / exact[k])
     if seen[noisiest].chosen.noise > exact[noisiest]:
         values, rank, owner = _spectrum(system, seen[noisiest])
@@ -252,19 +285,22 @@ def _nearly(system: TreeKinematics, seen: Sequence[Configuration]) -> Iterator[N
 
 
 class Spectrum(NamedTuple):
-    """Singular values of the Jacobian of a configuration, the largest first.
+    """Singular values of the dimensionless constraint Jacobian at a configuration.
 
-    A Jacobian too large for singular values has the independent parts of its rows instead.
+    Attributes:
+        values: singular values in descending order. For a Jacobian too large for singular values, the
+            independent parts of its rows instead.
+        rank: number of independent constraints.
+        owner: function from the index of a singular value to the joint or coupling with the largest share.
     """
 
     values: list[float]
     rank: int
-    """Number of singular values that are not taken as redundant."""
     owner: Callable[[int], str]
-    """Function from the number of a singular value to the joint or coupling with the largest share."""
 
 
 def _spectrum(system: TreeKinematics, at: Configuration) -> Spectrum:
+    """Compute the singular values at a configuration, or independent parts of rows if there are many."""
     rows, chosen, owners = at.rows, at.chosen, system.row_owners
     if len(rows) * system.nv <= DENSE_LIMIT:
         u, s, _ = singular_values(to_array(rows, system.nv))
@@ -278,13 +314,17 @@ def _spectrum(system: TreeKinematics, at: Configuration) -> Spectrum:
 
 
 def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
-    """Examine closed configurations; also return the rows that are not zero in all of them."""
+    """Examine the initial configuration and other closed configurations.
+
+    Returns:
+        The configurations; the numbers of the rows that are nonzero in at least one of them.
+    """
     tolerance = system.scene.redundancy_tolerance
     pose = State.initial(system.scene.mechanism)
     q, v = system.coordinates(pose if system.scene.initial_state is None else system.scene.initial_state)
     own, _ = system.coordinates(pose)
     directions = _directions(system, v)
-    alive: set[int] = set()
+    nonzero_rows: set[int] = set()
     seen: list[Configuration] = []
     for number in range(MAX_CONFIGURATIONS):
         # keep the start, and configurations whose loops are closed
@@ -295,11 +335,11 @@ def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
             largest(phi[found.rows]) < MAX_SAMPLE_RESIDUAL
             and largest(others) < max(MAX_SAMPLE_RESIDUAL, RESIDUAL_FACTOR * tolerance)
         ):
-            alive.update(i for i, row in enumerate(rows) if length(row) > ROW_ROUND_OFF)
+            nonzero_rows.update(i for i, row in enumerate(rows) if length(row) > ROW_ROUND_OFF)
             seen.append(Configuration(q, rows, scales, found))
         # stop if the rank is the largest possible, or enough configurations are regular
         best = max(seen, key=lambda at: at.rank)
-        if number > 0 and best.rank == len(alive):
+        if number > 0 and best.rank == len(nonzero_rows):
             break
         regular = sum(at.rank == best.rank for at in seen)
         if number + 1 >= MIN_CONFIGURATIONS and regular >= MIN_REGULAR:
@@ -307,11 +347,16 @@ def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
         # next: the initial pose if the start is another one, then neighbors of the best configuration
         moved = number == 0 and not np.array_equal(own, q)
         q = own if moved else _neighbor(system, best.q, next(directions))
-    return seen, alive
+    return seen, nonzero_rows
 
 
 def _scaled(system: TreeKinematics, q: Array) -> tuple[Array, Rows, Array]:
-    """Compute residuals and Jacobian rows, dimensionless and in units of their motions, and these units."""
+    """Compute scaled constraint residuals and Jacobian rows at q (nq,).
+
+    Returns:
+        Residuals (k,) and sparse rows, dimensionless and divided by their natural magnitudes; the magnitudes
+        (k,), see `newton_euler.equations.kinematics.TreeKinematics.row_scales`.
+    """
     phi, jacobian = system.phi_and_jacobian(q)
     natural = system.row_scales(q)
     units, scales = system.velocity_units, system.phi_units * natural
@@ -322,10 +367,10 @@ def _scaled(system: TreeKinematics, q: Array) -> tuple[Array, Rows, Array]:
 
 
 def _directions(system: TreeKinematics, v: Array) -> Iterator[Array]:
-    """Yield directions to other configurations: the start's velocity, then random directions.
+    """Yield directions (nv,) of unit size to other configurations: the initial velocity v, then random ones.
 
-    From a singular configuration a random step leaves all branches, and projection returns to a point too
-    near to decide. A velocity belongs to a branch.
+    At a singular configuration a random step leaves all branches of motion, and Newton's method returns to a
+    point too close to the singular one. The initial velocity is tangent to a branch.
     """
     speed = np.max(np.abs(v / system.velocity_units), initial=0.0)
     if speed > 0.0:
@@ -336,7 +381,13 @@ def _directions(system: TreeKinematics, v: Array) -> Iterator[Array]:
 
 
 def _neighbor(system: TreeKinematics, q: Array, direction: Array) -> Array:
-    """Find another closed configuration of the independent constraints, `SAMPLE_DISTANCE` away."""
+    """Find another configuration q (nq,) that closes the independent constraints.
+
+    Args:
+        system: equations in joint coordinates.
+        q: (nq,) closed configuration to start from.
+        direction: (nv,) direction of unit size; the step has the size `SAMPLE_DISTANCE`.
+    """
     tolerance, unit = system.scene.redundancy_tolerance, system.velocity_units
     # a step along the direction, projected onto the tangent space
     step = SAMPLE_DISTANCE * direction
@@ -344,7 +395,7 @@ def _neighbor(system: TreeKinematics, q: Array, direction: Array) -> Array:
     rate = np.array([sum(x * step[k] / unit[k] for k, x in row.items()) for row in rows])
     back = least_step(rows, independent(rows, tolerance).factor, rate, system.nv)
     q = system.retract(q, step - unit * back)
-    # Newton's steps of least length
+    # minimum-norm Newton steps
     for _ in range(MAX_NEIGHBOR_STEPS):
         phi, rows, _ = _scaled(system, q)
         factor = independent(rows, tolerance).factor

@@ -1,11 +1,11 @@
 """Equations of motion in joint coordinates of a spanning tree, with constraints that close the loops.
 
-The body equations are those of the Cartesian form, projected onto the velocities of the tree. With
-v_i = V_i qdot and omega_i = W_i qdot of body i, and with its accelerations a0_i, alpha0_i at qddot = 0
-(`newton_euler.equations.kinematics`),
+The Newton-Euler equations of the bodies are projected onto the velocities of the tree. Body i has mass m,
+inertia I, velocity v_i = V_i qdot and angular velocity omega_i = W_i qdot. Its accelerations at qddot = 0 are
+a0_i and alpha0_i (`newton_euler.equations.kinematics`). Then
 
     M qddot = f + J^T lambda
-    J qddot = gamma - K_D (J qdot) - K_P Phi                    as in eq. (9)
+    J qddot = gamma - K_D (J qdot) - K_P Phi                    Baumgarte's gains K_D, K_P
 
     M = sum m V^T V + W^T I W
     f = sum V^T m (g - a0) - W^T (I alpha0 + omega x I omega) + applied forces
@@ -16,7 +16,7 @@ v_i = V_i qdot and omega_i = W_i qdot of body i, and with its accelerations a0_i
 Dynamics Algorithms, 2008, section 8.1, for loops on top of a tree). Recursions over the axes of the tree
 compute M, f, and the factor of M (`newton_euler.equations.articulated`).
 
-Couplings and prescribed motions are further rows of J. Rotors add to M.
+Couplings (gears) and prescribed motions are further rows of J. Armatures (rotor inertias) add to M.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from newton_euler.equations.formulation import Servos
 from newton_euler.equations.kinematics import Link, TreeKinematics, drift, tree_links
 from newton_euler.equations.model_control import model_control
 from newton_euler.equations.reactions import constraint_wrenches, tree_reactions
-from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
+from newton_euler.equations.redundancy import constraint_rank, rows_left_out, with_zero_rows
 from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, add
 from newton_euler.errors import SingularityError
 from newton_euler.model import balls
@@ -48,7 +48,7 @@ from newton_euler.scalars import Array, Scalar, cross, symmetric, zeros
 
 
 class Relative(TreeKinematics):
-    """Joint-coordinate formulation of a scene. State: q (nq,), v (nv,) of the spanning tree."""
+    """Joint-coordinate form of the equations of a scene: q (nq,) and v (nv,) are those of a spanning tree."""
 
     name = "relative"
 
@@ -62,13 +62,15 @@ class Relative(TreeKinematics):
     def body_wrenches(
         self, q: Array, v: Array, linear: Sequence[Array] | Array, angular: Sequence[Array] | Array
     ) -> list[Array]:
-        """Compute the wrenches (6,) that joints supply to bodies with given accelerations.
-
-        They are m (a - g) and I alpha + omega x I omega, less applied forces, about the centers of mass.
+        """Compute the wrenches that joints must supply to bodies with given accelerations.
 
         Args:
-            q, v: (nq,) and (nv,).
+            q, v: (nq,) and (nv,), the state.
             linear, angular: (b, 3) accelerations of all bodies, world frame, m/s^2 and rad/s^2.
+
+        Returns:
+            (6,) for each body, ground first: force m (a - g) and torque I alpha + omega x I omega about the
+            center of mass, minus applied forces, N and N m, world frame.
         """
         applied, needed = applied_wrenches(self.scene, self.seen(q, v)), []
         for body, link in enumerate(self.links(q, v)):
@@ -79,12 +81,16 @@ class Relative(TreeKinematics):
         return needed
 
     def axis_wrenches(self, links: list[Link], q: Array, v: Array) -> dict[int, Array]:
-        """Sum up the wrenches (6,) of bodies with the accelerations of these links, as `on_axes`."""
+        """Sum the wrenches (6,) of `body_wrenches` by axis, for the accelerations of the links.
+
+        An axis collects the wrenches of the bodies that it moves and that no later axis moves, about its
+        point.
+        """
         moving = [k.acceleration for k in links], [k.angular_acceleration for k in links]
         return on_axes(links, self.body_wrenches(q, v, *moving))
 
     def axis_inertias(self, links: list[Link]) -> list[SpatialInertia]:
-        """Sum up the inertias of bodies by the last axis that moves them, about the point of the axis."""
+        """Sum the inertias of bodies by the last axis that moves each body, about the point of the axis."""
         found = [SpatialInertia.none()] * self.nv
         for body, link in enumerate(links):
             if link.path:
@@ -94,7 +100,7 @@ class Relative(TreeKinematics):
         return found
 
     def _joint_forces(self, q: Array, v: Array) -> dict[int, Scalar]:
-        """Compute the part of control laws, springs and rotors in f."""
+        """Compute the sparse part of f from control laws, springs and armatures at joints."""
         force = sparse.sparse_vector(self.actuation(q, v))
         for rotor in self._rotors(q, v):
             for i, x in rotor.jacobian.items():
@@ -102,7 +108,7 @@ class Relative(TreeKinematics):
         return force
 
     def actuation(self, q: Array, v: Array) -> Array:
-        """Compute the part (nv,) of control laws and springs on joint coordinates in f."""
+        """Compute the part of f (nv,) from control laws and springs on joint coordinates."""
         measured, generalized = self.measured(q, v), zeros(self.nv, q, v)
         for law, u in zip(self.scene.joint_forces, self.joint_forces(q, v), strict=True):
             for k, entry in measured[law.key].jacobian.items():
@@ -110,9 +116,9 @@ class Relative(TreeKinematics):
         return generalized
 
     def _rotors(self, q: Array, v: Array) -> list[Rotor]:
-        """Collect the rotors of armatures: one for a hinge or slide, three for a ball.
+        """Collect the rotors of all armatures: one for a hinge or slide, three for a ball joint.
 
-        The three of a ball have the components of the relative angular velocity.
+        The rates of the three rotors are the components of the relative angular velocity.
         """
         measured, found = self.measured(q, v), list[Rotor]()
         for armature in self.scene.armatures:
@@ -125,9 +131,9 @@ class Relative(TreeKinematics):
         return found
 
     def _spin_terms(self, joint: str, links: list[Link]) -> list[tuple[dict[int, Scalar], Scalar]]:
-        """Compute J and gamma of the relative angular velocity at a ball.
+        """Compute a sparse Jacobian row and gamma for each component of the angular velocity at a ball joint.
 
-        The components are three of v if the tree has the ball.
+        If the joint belongs to the tree, the components are three elements of v.
         """
         place = self.tree.ball_place(joint)
         if place is not None:
@@ -142,11 +148,15 @@ class Relative(TreeKinematics):
     # J, Phi and gamma
 
     def constraints(self, q: Array, v: Array) -> tuple[Rows, Array]:
-        """Compute the nonzeros of J (k, nv), and gamma - K_D (J qdot) - K_P Phi (k,), as in eq. (9)."""
+        """Compute the sparse rows of J (k, nv), and the right side gamma - K_D (J qdot) - K_P Phi (k,)."""
         return self._constraints(self.links(q, v), q, v)
 
     def _constraints(self, links: list[Link], q: Array, v: Array) -> tuple[Rows, Array]:
-        """Compute J and the right side, for joints less J qddot for the accelerations of these links."""
+        """Compute the sparse rows of J (k, nv), and the right side (k,).
+
+        The links usually have zero joint accelerations. If they have joint accelerations qddot, the right
+        side of loop-closing joints is the residual: J qddot is subtracted. That of couplings is not changed.
+        """
         jacobian, right = list[dict[int, Scalar]](), [np.zeros(0)]
         for closure in self.constrained:
             first, second = links[closure.first], links[closure.second]
@@ -169,7 +179,11 @@ class Relative(TreeKinematics):
     def sparse_residuals(
         self, q: Array, v: Array, rows: RowsInUse, accelerations: Array, multipliers: Array
     ) -> tuple[Array, Array]:
-        """Compute the residuals without M, by the recursive Newton-Euler algorithm."""
+        """Compute the residuals of accelerations and multipliers without M, by recursive Newton-Euler.
+
+        See `newton_euler.equations.formulation.Formulation.sparse_residuals`.
+        """
+        # constraints: loop-closing joints from the accelerations of the bodies, then couplings
         links = tree_links(self.mechanism, self.tree, q, v, accelerations)
         jacobian, right = self._constraints(links, q, v)
         right, known = right.astype(object), sparse.sparse_vector(accelerations)
@@ -179,6 +193,7 @@ class Relative(TreeKinematics):
             right[k] = right[k] - sparse.dot(jacobian[k], known)
             for place, entry in jacobian[k].items():
                 force[place] = force[place] - entry * multipliers[k]
+        # forces: wrenches of the bodies minus those of loop-closing joints, projected onto the axes
         moving = [k.acceleration for k in links], [k.angular_acceleration for k in links]
         wrenches = self.body_wrenches(q, v, *moving)
         for push in constraint_wrenches(self, self.frames(q, v), self.measured(q, v), of_joints):
@@ -186,6 +201,7 @@ class Relative(TreeKinematics):
             wrenches[push.second] = wrenches[push.second] - push.on_second
         for place, share in axis_tree(links).rnea_backward(on_axes(links, wrenches)).items():
             force[place] = force[place] + share
+        # armatures
         for rotor in self._rotors(q, v):
             push_back = rotor.inertia * (sparse.dot(rotor.jacobian, known) - rotor.gamma)
             for place, entry in rotor.jacobian.items():
@@ -208,15 +224,16 @@ class Relative(TreeKinematics):
         return rows
 
     def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Solve for qddot (nv,) and lambda (k,) with dense matrices.
+        """Solve for accelerations qddot (nv,) and multipliers lambda (k,) with dense matrices, over floats.
 
         Raises:
-            SingularityError: if M is singular to working precision.
+            SingularityError: if M is singular to working precision or not finite, naming a joint.
         """
         mass, force = self.mass_and_force(q, v)
         rows, right = self.constraints(q, v)
         unused = rows_left_out(self)
-        jacobian, right = without(sparse.to_array(rows, self.nv), unused), without(right, unused)
+        jacobian = with_zero_rows(sparse.to_array(rows, self.nv), unused)
+        right = with_zero_rows(right, unused)
         try:
             return dense.solve_constrained(
                 mass, force, jacobian, right, self.phi_units, self.velocity_units, constraint_rank(self)
@@ -225,7 +242,7 @@ class Relative(TreeKinematics):
             raise self._singularity(mass, force) from error
 
     def _singularity(self, mass: Array, force: Array) -> SingularityError:
-        """Name the joint whose motion cannot be solved for, and the reason."""
+        """Return the error for a singular mass matrix M (nv, nv) or a force (nv,) that is not finite."""
         finite = np.isfinite(mass).all(axis=1) & np.isfinite(force)
         if not finite.all():
             return SingularityError(self._joint_of(int(np.argmin(finite))), "inertia or force is not finite")
@@ -237,12 +254,12 @@ class Relative(TreeKinematics):
         )
 
     def _joint_of(self, velocity: int) -> str:
-        """Find the name of the joint that a velocity belongs to."""
+        """Return the name of the joint that the velocity with an index in v belongs to."""
         (kept,) = (kept for kept in self.tree.joints if kept.v.start <= velocity < kept.v.stop)
         return self.tree.joint(kept.joint).name
 
     def sparse_equations(self, q: Array, v: Array, rows: RowsInUse) -> Equations:
-        """Factorize M, leaves first, over generic scalars; accelerations are qddot."""
+        """Compute the linear equations for qddot, with M factorized from the leaves to the ground."""
         links, rotors = self.links(q, v), self._rotors(q, v)
         jacobian, right = self._constraints(links, q, v)
         factor = axis_tree(links).factorize(self.axis_inertias(links), rotors, rows.mass_scales)
@@ -257,7 +274,18 @@ class Relative(TreeKinematics):
         return np.array([solution.acceleration.get(k, 0.0) for k in range(self.nv)])
 
     def servo_velocities(self, q: Array, servos: Servos, rates: Sequence[Scalar]) -> tuple[Array, Scalar]:
-        """Compute v (nv,) of least kinetic energy for rates (d,) of coordinates, and the pivot ratio."""
+        """Compute all velocities from the rates of chosen joint coordinates.
+
+        If the rates do not determine the motion, the result has the least kinetic energy.
+
+        Args:
+            q: (nq,) coordinates.
+            servos: the chosen joint coordinates.
+            rates: (d,) their rates, m/s or rad/s.
+
+        Returns:
+            v (nv,), and the pivot ratio, which is not positive at a singular configuration.
+        """
         rest = np.zeros(self.nv)
         equations = self.sparse_equations(q, rest, servos.rows)
         wanted, _ = self.sparse_coordinates(q, rest, servos.coordinates)
@@ -270,7 +298,7 @@ class Relative(TreeKinematics):
     # Bodies and reactions at a solution
 
     def body_accelerations(self, q: Array, v: Array, vdot: Array) -> tuple[Array, Array]:
-        """Compute linear and angular accelerations (b, 3): a0 + V qddot and alpha0 + W qddot."""
+        """Compute the linear and angular accelerations of all bodies, (b, 3) each, world frame."""
         links = tree_links(self.mechanism, self.tree, q, v, vdot)
         return (
             np.array([link.acceleration for link in links]),
@@ -280,6 +308,7 @@ class Relative(TreeKinematics):
     def reactions(
         self, q: Array, v: Array, vdot: Array, bodies: tuple[Array, Array], multipliers: Array
     ) -> tuple[Array, Array]:
+        # forces of control laws, springs and armatures on joint coordinates, and torques of ball armatures
         frames, measured, (linear, angular) = self.frames(q, v), self.measured(q, v), bodies
         laws = [law.key for law in self.scene.joint_forces]
         joint_forces = list(zip(laws, self.joint_forces(q, v), strict=True))
@@ -298,7 +327,7 @@ class Relative(TreeKinematics):
 
 
 def axis_tree(links: Sequence[Link]) -> AxisTree:
-    """Collect the axes of all velocities from the bodies that they move."""
+    """Collect the axes of all joint velocities from the kinematics of all bodies."""
     axes: dict[int, Axis] = {}
     before: dict[int, int] = {}
     for link in links:
@@ -312,9 +341,14 @@ def axis_tree(links: Sequence[Link]) -> AxisTree:
 
 
 def on_axes(links: Sequence[Link], wrenches: Sequence[Array]) -> dict[int, Array]:
-    """Sum up wrenches (6,) by the last axis that moves their bodies, about the point of the axis.
+    """Sum the wrenches on bodies by the last axis that moves each body.
 
-    The wrenches given are about the centers of mass of all bodies, ground first.
+    Args:
+        links: kinematics of all bodies, ground first.
+        wrenches: (6,) for each body: force, and torque about the center of mass, world frame.
+
+    Returns:
+        (6,) by index of the axis: force, and torque about the point of the axis.
     """
     found: dict[int, Array] = {}
     for link, wrench in zip(links, wrenches, strict=True):

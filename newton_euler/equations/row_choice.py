@@ -1,20 +1,21 @@
-"""Constraint rows in use: the choice for a scene, and exchangeable rows among which a run chooses.
+"""Choice of the constraint rows in use, for scenes with redundant constraints.
 
-If constraints are redundant, some rows imply all others. In most mechanisms a row left out is a combination
-of rows in use with constant coefficients (shares). In Bennett's linkage or Bricard's mechanism the shares
-depend on the configuration. The loop has the same rank everywhere, but any choice of rows becomes dependent
-in some configuration, and shares grow without bound near this configuration.
+If constraints are redundant, the equations use an independent subset of the rows. In most mechanisms a row
+left out is a combination of the rows in use with constant coefficients, called shares. In Bennett's linkage
+and Bricard's mechanism the shares depend on the configuration. All rows together have the same rank
+everywhere, but any fixed subset becomes dependent in some configuration. Near it the shares grow without
+bound.
 
 Such rows are *exchangeable*. The compiled equations contain all of them, each with a flag that leaves it out
 (`newton_euler.equations.sparse.RowsInUse`). Between two steps of a run, a row in use is exchanged for a row
-left out while its share in that row is larger than 1. Each exchange multiplies the volume of the rows
-in use by the share, so the exchanges end at a local maximum of the volume (S. A. Goreinov, I. V. Oseledets,
+left out if its share in that row is larger than 1. Each exchange multiplies the volume of the rows in use by
+the share, so that the exchanges end at a local maximum of the volume (S. A. Goreinov, I. V. Oseledets,
 D. V. Savostyanov, E. E. Tyrtyshnikov, N. L. Zamarashkin, How to find a good submatrix, in: Matrix Methods:
-Theory, Algorithms and Applications, World Scientific 2010). The accelerations of a state that meets the
-constraints are the same with any choice, so a run keeps its steps.
+Theory, Algorithms and Applications, World Scientific 2010). At a state that satisfies the constraints, the
+accelerations do not depend on the choice, so that a run keeps its steps.
 
-A small pivot in spite of small shares is a loss of rank of all rows: a singular configuration
-(`newton_euler.integrators.singular`).
+If all shares are small and a pivot of the elimination is small as well, all rows together lose rank: this is
+a singular configuration (`newton_euler.integrators.singular`).
 """
 
 from __future__ import annotations
@@ -37,15 +38,15 @@ MIN_EXCHANGED_SHARE = 1.1
 """Share above which rows are exchanged. Each exchange multiplies the volume by at least this factor."""
 
 MAX_EXCHANGES = 100
-"""Number of exchanges at one state. More are caused by round-off or numbers that are not finite."""
+"""Largest number of exchanges at one state; only round-off or infinite numbers would cause more."""
 
 
 class ExchangeableRows(NamedTuple):
-    """Constraint rows among which a run chooses.
+    """Constraint rows that a run may exchange for each other.
 
     Attributes:
-        numbers: numbers of the rows in `phi`, ascending.
-        left_out: 1 for rows that are left out at first, 0 for rows in use.
+        numbers: row numbers in the residuals `phi`, ascending.
+        left_out: at the start of a run, 1 for a row that is left out, 0 for a row in use.
         units: natural magnitudes of the dimensionless rows.
     """
 
@@ -55,10 +56,11 @@ class ExchangeableRows(NamedTuple):
 
 
 NO_ROWS = ExchangeableRows([], [], [])
+"""Record of a scene without exchangeable rows."""
 
 
 def exchangeable_rows(system: Formulation) -> ExchangeableRows:
-    """Return the exchangeable rows of a form of the equations, as decided once for the scene."""
+    """Return the exchangeable rows of a form of the equations, from the scene's mobility analysis."""
     decided, places = mobility(system.scene), system.closing_rows()
     ordered = sorted((places[row], row) for row in decided.exchangeable)
     return ExchangeableRows(
@@ -71,7 +73,7 @@ def exchangeable_rows(system: Formulation) -> ExchangeableRows:
 def candidate_rows(
     system: Formulation, used: Sequence[int] | None = None, exchangeable: ExchangeableRows = NO_ROWS
 ) -> tuple[list[int], list[int]]:
-    """Return the rows of the joint-coordinate form in use, and the others that are exchangeable.
+    """List the rows of the joint-coordinate form that are in use, and the exchangeable rows left out.
 
     See `rows_in_use` for the arguments.
     """
@@ -84,19 +86,22 @@ def candidate_rows(
 def rows_in_use(
     system: Formulation, used: Sequence[int] | None = None, exchangeable: ExchangeableRows = NO_ROWS
 ) -> RowsInUse:
-    """Select rows of a form of the equations that are independent and imply all others.
+    """Select independent constraint rows of a form of the equations, with usual magnitudes of the pivots.
 
     Args:
         system: the form of the equations.
-        used: rows of the joint-coordinate form to select; None for the independent rows of its mobility.
+        used: row numbers of the joint-coordinate form to select; None for the independent rows of the
+            scene's mobility analysis.
         exchangeable: rows to select in addition, with flags that leave them out.
     """
+    # pivots of the mass matrix and of the constraints at states that are not singular
     choices = list(regular_choices(system, used, exchangeable))
     pivots = []
     for state, rows in choices:
         q, _ = system.coordinates(state)
         solution = system.sparse_solution(q, np.zeros(system.nv), rows)
         pivots.append((in_use_alone(solution.pivots, rows), solution.mass_pivots))
+    # the usual magnitude of a pivot is its largest value
     scales, mass_scales = (
         [float(max(column)) for column in zip(*each, strict=True)] for each in zip(*pivots, strict=True)
     )
@@ -107,7 +112,7 @@ def rows_in_use(
 def constraint_scales(
     system: Formulation, used: Sequence[int] | None = None, exchangeable: ExchangeableRows = NO_ROWS
 ) -> list[float]:
-    """Find the usual sizes of the pivots of the constraints alone, of the Gram matrix of their rows.
+    """Find the usual magnitudes of the pivots of the Gram matrix (inner products) of constraint rows.
 
     See `rows_in_use` for the arguments.
     """
@@ -120,7 +125,7 @@ def constraint_scales(
 
 
 def dimensionless_rows(system: Formulation, jacobian: Rows, numbers: Sequence[int]) -> Rows:
-    """Return some rows of Phi_q, dimensionless."""
+    """Return the rows with the given numbers of a sparse constraint Jacobian, in dimensionless form."""
     units = system.velocity_units
     return [{k: x * (units[k] / system.phi_units[i]) for k, x in jacobian[i].items()} for i in numbers]
 
@@ -128,9 +133,9 @@ def dimensionless_rows(system: Formulation, jacobian: Rows, numbers: Sequence[in
 def regular_choices(
     system: Formulation, used: Sequence[int] | None = None, exchangeable: ExchangeableRows = NO_ROWS
 ) -> Iterator[tuple[State, RowsInUse]]:
-    """Yield choices of independent rows at states of the mobility; each row is in one of the choices.
+    """Yield states that are not singular with choices of independent rows; each row is in one of the choices.
 
-    See `rows_in_use` for the arguments.
+    The states are those of the scene's mobility analysis. See `rows_in_use` for the arguments.
     """
     decided, flagged = mobility(system.scene), exchangeable.numbers
     used, others = candidate_rows(system, used, exchangeable)
@@ -139,6 +144,8 @@ def regular_choices(
         # in a singular configuration, such as a flat four-bar, pivots are zero or round-off
         if not are_independent(at.rows, used):
             continue
+        # the rows in use; then, for each left-out row, the choice with this row in place of the row in use
+        # that has the largest share in it
         choices = [used]
         for other, share in zip(others, shares(at.rows, used, others), strict=True):
             largest = max(share, key=lambda row: abs(share[row]), default=other)
@@ -151,20 +158,23 @@ def regular_choices(
 
 
 def in_use_alone(pivots: Sequence[float], rows: RowsInUse) -> list[float]:
-    """Return the pivots of an elimination, 0 for rows that are left out."""
+    """Return the pivots of an elimination, with 0 in place of those of rows that flags leave out."""
     flags = rows.flags or {}
     left_out = {n for n, number in enumerate(rows.numbers) if flags.get(number)}
     return [0.0 if n in left_out else pivot for n, pivot in enumerate(pivots)]
 
 
 def flags_at(system: Formulation, q: Array, numbers: Sequence[int], exchangeable: ExchangeableRows) -> Array:
-    """Choose rows that are well conditioned at q (nq,): flags (m,), see `exchanged`.
+    """Choose well-conditioned constraint rows at a configuration.
 
     Args:
         system: the form of the equations.
-        q: (nq,).
-        numbers: of all rows that are independent or exchangeable.
-        exchangeable: rows to choose from.
+        q: (nq,) configuration.
+        numbers: row numbers of all rows that are in use or exchangeable.
+        exchangeable: the exchangeable rows.
+
+    Returns:
+        Flags (m,) of the exchangeable rows: 1 for a row that is left out, 0 for a row in use.
     """
     jacobian = dimensionless_jacobian(system, q)[list(numbers)]
     places = [numbers.index(number) for number in exchangeable.numbers]
@@ -175,20 +185,22 @@ def exchanged(jacobian: Array, rows: Sequence[int], units: Array, left_out: Arra
     """Exchange rows in use for those left out while a share is larger than `MIN_EXCHANGED_SHARE`.
 
     Args:
-        jacobian: (k, nv), dimensionless, of independent rows and of rows left out.
-        rows: (m,) indices of exchangeable rows in `jacobian`.
-        units: (m,) natural magnitudes of exchangeable rows.
-        left_out: (m,) 1 for rows left out, 0 for rows in use.
+        jacobian: (k, nv) dimensionless rows, in use or left out.
+        rows: (m,) indices of the exchangeable rows in `jacobian`.
+        units: (m,) natural magnitudes of the exchangeable rows.
+        left_out: (m,) flags: 1 for a row left out, 0 for a row in use.
 
     Returns:
-        `left_out` (m,) after the exchanges.
+        Flags (m,) after the exchanges.
     """
     flags, places = left_out.copy(), np.array(rows)
     if not np.isfinite(jacobian).all():
         return flags
+    # components of the exchangeable rows orthogonal to the rows that are always in use
     always = jacobian[np.delete(np.arange(len(jacobian)), places)]
-    beside = np.linalg.qr(always.T, mode="complete")[0][:, len(always) :]
-    own = jacobian[places] @ beside  # what rows add to those that are always in use
+    complement = np.linalg.qr(always.T, mode="complete")[0][:, len(always) :]
+    own = jacobian[places] @ complement
+    # exchange the pair of rows with the largest share
     for _ in range(MAX_EXCHANGES):
         used, out = np.flatnonzero(flags == 0.0), np.flatnonzero(flags == 1.0)
         found = np.linalg.lstsq(own[used].T, own[out].T, rcond=None)[0]

@@ -1,8 +1,10 @@
-"""Sparse symmetric factorization and solver over generic scalars; the structure depends on no number.
+"""Sparse linear algebra for equations of motion: L D L^T factorization, constrained systems, least squares.
 
-A zero of type float is a structural zero: it is not stored, multiplied or added. Run over traced
-scalars, what is left is straight-line code for exactly the nonzeros; run over floats it is the same
-algorithm. There is no pivoting: `Factor.pivot_ratio` measures how close to singular the matrix is.
+Numbers may be floats, or symbolic scalars when the equations are traced for compilation. The order of
+operations depends only on the pattern of nonzeros, so that traced code is the same algorithm as the one over
+floats. A zero of type float is a structural zero: it is not stored, multiplied or added. There is no
+pivoting. `Factor.pivot_ratio` measures how close to singular a matrix is. A sparse vector is a dictionary
+from index to number, a sparse matrix a list of such rows.
 """
 
 from __future__ import annotations
@@ -16,23 +18,26 @@ import numpy as np
 
 from newton_euler.scalars import NUMBERS, Array, Scalar, minimum
 
-SINGULAR = 1e-11  # ratio of a pivot to its usual size below which it counts as zero
+SINGULAR = 1e-11
+"""Ratio of a pivot to its usual magnitude below which the pivot counts as zero."""
 
 LEFT_OUT = 1e30
-"""Compliance of a constraint row that is left out, in units of the row's diagonal element. The multiplier of
-the row is zero to round-off, and no digit of the other rows depends on the row."""
+"""Compliance of a constraint row that is left out, divided by the row's diagonal element.
+
+The multiplier of such a row is zero up to round-off, and the row changes no digit of the other rows."""
 
 
 def is_zero(scalar: Scalar) -> bool:
-    """Return True for a scalar that is zero in all states."""
+    """Return True for a structural zero: a number 0, not a symbolic scalar."""
     return isinstance(scalar, NUMBERS) and scalar == 0.0
 
 
-Rows = list[dict[int, Any]]  # a matrix as one dictionary per row: column to scalar
+Rows = list[dict[int, Any]]
+"""A sparse matrix: for each row a dictionary from column to scalar."""
 
 
 def to_array(rows: Rows, columns: int) -> Array:
-    """Copy a matrix to an array (rows, columns) of floats."""
+    """Convert a sparse matrix of floats to an array (rows, columns)."""
     matrix = np.zeros((len(rows), columns))
     for i, row in enumerate(rows):
         for j, x in row.items():
@@ -41,35 +46,38 @@ def to_array(rows: Rows, columns: int) -> Array:
 
 
 def sparse_vector(vector: Array | Sequence[Scalar]) -> dict[int, Any]:
-    """Return the nonzeros of a vector."""
+    """Convert a vector to a sparse vector."""
     return {k: x for k, x in enumerate(vector) if not is_zero(x)}
 
 
 def add(row: dict[int, Any], column: int, scalar: Scalar) -> None:
-    """Compute row[column] += scalar, storing no structural zero."""
+    """Compute row[column] += scalar for a sparse row; a structural zero is not stored."""
     if not is_zero(scalar):
         row[column] = row[column] + scalar if column in row else scalar
 
 
 def spread(rows: Rows, start: int, block: Array) -> None:
-    """Add a block (rows, columns) whose first column is `start`."""
+    """Add a dense block (rows, columns) to sparse rows; `start` is the column of its first element."""
     for row, entries in zip(rows, block, strict=True):
         for k, entry in enumerate(entries):
             add(row, start + k, entry)
 
 
 def add_symmetric(rows: Rows, i: int, j: int, scalar: Scalar) -> None:
-    """Compute rows[i][j] += scalar and its mirror image, both alike to the last bit."""
+    """Compute rows[i][j] += scalar for a symmetric sparse matrix, and store the same number in rows[j][i]."""
     add(rows[i], j, scalar)
     if i != j and j in rows[i]:
         rows[j][i] = rows[i][j]
 
 
 def minimum_degree(matrix: Sequence[Collection[int]]) -> list[int]:
-    """Compute an order of elimination with little fill: the row with the fewest neighbors left is next.
+    """Compute an elimination order with few new nonzeros: the row with the fewest neighbors is next.
 
-    Of a matrix the columns of each row are looked at. On the graph of a tree it is leaves first and makes no
-    fill at all (George and Liu, SIAM Review 31, 1989).
+    The matrix of a tree is eliminated from the leaves to the root, without new nonzeros (A. George,
+    J. W. H. Liu, The evolution of the minimum degree ordering algorithm, SIAM Review 31, 1989).
+
+    Args:
+        matrix: columns of the nonzeros of each row; the matrix is symmetric.
     """
     neighbors = [set(columns) - {i} for i, columns in enumerate(matrix)]
     waiting = [(len(others), i) for i, others in enumerate(neighbors)]
@@ -78,7 +86,7 @@ def minimum_degree(matrix: Sequence[Collection[int]]) -> list[int]:
     while waiting:
         degree, k = heapq.heappop(waiting)
         if k in done or degree != len(neighbors[k]):
-            continue  # a replaced entry
+            continue  # an outdated entry of the heap
         done.add(k)
         order.append(k)
         for i in neighbors[k]:
@@ -90,13 +98,14 @@ def minimum_degree(matrix: Sequence[Collection[int]]) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """L D L^T of a symmetric positive definite matrix, eliminated in `order`.
+    """Factorization A = L D L^T of a symmetric positive definite sparse matrix.
 
     Attributes:
-        order: rows in the order of their elimination.
-        columns: for each row k the entries of L below it, {row: l}.
+        order: row numbers in the order of their elimination.
+        columns: for each row k, the elements of column k of L below the diagonal, by row.
         pivots, inverse_pivots: d and 1 / d for each row.
-        pivot_ratio: the least ratio of a pivot to its usual size, less `SINGULAR`; not positive if singular.
+        pivot_ratio: smallest ratio of a pivot to its usual magnitude, minus `SINGULAR`; not positive if A is
+            singular.
     """
 
     order: list[int]
@@ -135,14 +144,14 @@ class Factor:
 def factorize(
     matrix: Rows, order: Sequence[int], scales: Sequence[float] | None = None, drop: float = 0.0
 ) -> Factor:
-    """Eliminate the rows of a symmetric matrix in the given order.
+    """Factorize a symmetric sparse matrix by elimination in a given order.
 
     Args:
-        matrix: all nonzeros.
-        order: in which to eliminate.
-        scales: usual sizes of the pivots; the diagonal elements if not given.
-        drop: ratio of a pivot to its usual size below which the row depends on those before it and is left
-            out, of `Factor.order` too; for numbers only.
+        matrix: all nonzeros, on both sides of the diagonal.
+        order: row numbers in the order of elimination.
+        scales: usual magnitudes of the pivots; the diagonal elements if None.
+        drop: ratio of a pivot to its usual magnitude below which the row counts as dependent on earlier rows.
+            Such a row is left out, also of `Factor.order`. For floats only.
     """
     work = [dict(row) for row in matrix]
     usual = [row.get(k, 0.0) for k, row in enumerate(work)] if scales is None else scales
@@ -152,18 +161,21 @@ def factorize(
     pivot_ratio: Scalar = np.inf
     done = []
     for k in order:
+        # take row and column k out of the remaining matrix
         pivot = work[k].get(k, 0.0)
         below = [(i, entry) for i, entry in work[k].items() if i != k]
         for i, _ in below:
             del work[i][k]
         if drop and not pivot > drop * usual[k]:
             continue
+        # pivot and column k of L
         done.append(k)
         pivots[k] = pivot
         pivot_ratio = minimum(pivot_ratio, pivot / usual[k] - SINGULAR)
         inverse_pivots[k] = 1.0 / pivot
         for i, entry in below:
             columns[k][i] = entry * inverse_pivots[k]
+        # subtract their product from the remaining matrix
         for n, (i, _) in enumerate(below):
             for j, entry in below[n:]:
                 add(work[i], j, -(columns[k][i] * entry))
@@ -184,7 +196,10 @@ def dot(a: dict[int, Any], b: dict[int, Any]) -> Scalar:
 
 
 def gram(rows: Rows, others: Rows) -> Rows:
-    """Compute the inner products of rows with others of the same pattern, which form a symmetric matrix."""
+    """Compute the matrix of inner products of sparse rows with other rows of the same pattern of nonzeros.
+
+    The matrix must be symmetric, as for others = rows or others = rows @ (diagonal matrix).
+    """
     touching: dict[int, list[int]] = {}
     for i, row in enumerate(rows):
         for k in row:
@@ -199,13 +214,15 @@ def gram(rows: Rows, others: Rows) -> Rows:
 
 
 class RowsInUse(NamedTuple):
-    """Constraint rows that imply all others.
+    """Constraint rows from which all other rows follow.
 
     Attributes:
-        numbers: numbers of the rows.
-        scales: usual sizes of the pivots of the rows' Schur complement; None if unknown.
-        mass_scales: usual sizes of the pivots of the mass matrix; None if unknown.
-        flags: 1 for rows that are left out now, 0 for rows in use, by number; other rows are always in use.
+        numbers: row numbers.
+        scales: usual magnitudes of the pivots of these rows in the Schur complement J M^-1 J^T; None if
+            unknown.
+        mass_scales: usual magnitudes of the pivots of the mass matrix; None if unknown.
+        flags: for exchangeable rows, by number: 1 if the row is left out at present, 0 if it is in use. All
+            other rows are always in use.
     """
 
     numbers: list[int]
@@ -215,14 +232,21 @@ class RowsInUse(NamedTuple):
 
     @property
     def in_use(self) -> list[int]:
-        """Numbers of the rows that are in use now, if flags are floats."""
+        """Numbers of the rows that are in use at present; the flags must be floats."""
         flags = self.flags or {}
         return [number for number in self.numbers if not flags.get(number)]
 
     def compliance(self, matrix: Rows) -> dict[int, Scalar]:
-        """Return by row number what to add to the diagonal of a matrix to leave rows out."""
+        """Compute what to add to the diagonal of a Schur complement or Gram matrix to leave rows out.
+
+        Args:
+            matrix: the sparse matrix, whose row n belongs to constraint row `numbers[n]`.
+
+        Returns:
+            Number to add, by constraint row, for each row with a flag.
+        """
         flags = self.flags or {}
-        return {  # 1 is for rows that are zero in some configurations
+        return {  # the summand 1 is for rows that are zero in some configurations
             i: flags[i] * (LEFT_OUT * matrix[n].get(n, 0.0) + 1.0)
             for n, i in enumerate(self.numbers)
             if i in flags
@@ -230,7 +254,7 @@ class RowsInUse(NamedTuple):
 
 
 class MassFactor(Protocol):
-    """L D L^T of a mass matrix, as `Factor`."""
+    """Interface of a factorization M = L D L^T of a mass matrix; see `Factor` for its members."""
 
     @property
     def pivots(self) -> list[Any]: ...
@@ -246,17 +270,17 @@ class MassFactor(Protocol):
 
 
 class Equations(NamedTuple):
-    """M a = f + J^T lambda, J a + softness * lambda = gamma: arguments of `solve_constrained`.
+    """Linear equations M a = f + J^T lambda, J a + softness * lambda = gamma for a and lambda.
 
     Attributes:
-        factor: factor of M.
-        free: L^-1 f.
-        jacobian: J.
-        gamma: (k,).
-        rows: rows of J and gamma to use; the other rows must follow from these.
-        refine: True to solve once more for the remaining J a - gamma, which regains the digits
-            that a badly conditioned complement loses.
-        softness: softness of compliant rows by number.
+        factor: factorization M = L D L^T.
+        free: sparse vector L^-1 f.
+        jacobian: sparse rows of J.
+        gamma: (k,) right side of the constraints.
+        rows: rows of J and gamma to use; the other rows must follow from them.
+        refine: True for a second solution for the residual J a - gamma. The second solution recovers digits
+            that an ill-conditioned Schur complement loses.
+        softness: softness, by row number, of rows that are not rigid constraints.
     """
 
     factor: MassFactor
@@ -268,7 +292,13 @@ class Equations(NamedTuple):
     softness: Mapping[int, Scalar] | None = None
 
     def extended(self, rows: Rows, gamma: Array, scales: list[float] | None) -> Equations:
-        """Return the same with further rows of J, in use, another gamma (k,), and scales of rows in use."""
+        """Return the equations with additional constraints.
+
+        Args:
+            rows: additional sparse rows of J, always in use.
+            gamma: (k,) right side of all rows.
+            scales: usual magnitudes of the pivots of all rows in use; None if unknown.
+        """
         numbers = [*self.rows.numbers, *range(len(self.jacobian), len(self.jacobian) + len(rows))]
         used = self.rows._replace(numbers=numbers, scales=scales)
         return self._replace(jacobian=[*self.jacobian, *rows], gamma=gamma, rows=used)
@@ -276,11 +306,12 @@ class Equations(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Acceleration and multipliers of `solve_constrained`.
+    """Solution of the linear equations `Equations`.
 
     Attributes:
-        acceleration, multipliers: nonzeros of a and lambda.
-        pivot_ratio: the lesser pivot ratio of both factors, see `Factor`.
+        acceleration: sparse vector a.
+        multipliers: sparse vector lambda, by row number.
+        pivot_ratio: smaller pivot ratio of the mass matrix and the Schur complement, see `Factor`.
         pivots: pivots of the Schur complement, for the rows in use.
         mass_pivots: pivots of the mass matrix.
     """
@@ -293,7 +324,7 @@ class Solution:
 
 
 def solve_constrained(equations: Equations) -> Solution:
-    """Solve for accelerations a and multipliers lambda by the Schur complement J M^-1 J^T."""
+    """Solve `Equations` for accelerations a and multipliers lambda by the Schur complement J M^-1 J^T."""
     factor, total, jacobian, gamma, rows, refine, softness = equations
     # without constraints: a = L^-T D^-1 L^-1 f
     kept = rows.numbers
@@ -329,9 +360,12 @@ def solve_constrained(equations: Equations) -> Solution:
 
 
 def gram_factor(rows: Rows, used: RowsInUse | None = None, scales: Sequence[float] | None = None) -> Factor:
-    """Factorize the Gram matrix of dimensionless rows, of which those that are `used` now count.
+    """Factorize the Gram matrix (inner products) of dimensionless sparse rows.
 
-    The usual sizes of the pivots are `scales`, 1 if not given.
+    Args:
+        rows: the rows.
+        used: constraint row number of each row, and flags of rows to leave out; None to use all rows.
+        scales: usual magnitudes of the pivots; 1 for each if None.
     """
     products = gram(rows, rows)
     if used is not None:
@@ -342,9 +376,15 @@ def gram_factor(rows: Rows, used: RowsInUse | None = None, scales: Sequence[floa
 
 
 def least_squares(rows: Rows, right: Array, used: RowsInUse | None = None) -> tuple[dict[int, Any], Scalar]:
-    """Compute the shortest x with rows @ x = right (k,), and the pivot ratio of the Gram matrix.
+    """Compute the shortest x with rows @ x = right.
 
-    Rows that `used` leaves out now do not count.
+    Args:
+        rows: dimensionless sparse rows.
+        right: (k,) right side.
+        used: flags of rows to leave out, see `gram_factor`; None to use all rows.
+
+    Returns:
+        The sparse vector x, and the pivot ratio of the Gram matrix.
     """
     factor = gram_factor(rows, used)
     weights = factor.solve(sparse_vector(right))

@@ -1,8 +1,10 @@
-"""Joint reactions that the equations of motion determine, and those that they leave open.
+"""Joint reactions that redundant constraints leave undetermined.
 
-If constraints are redundant, some reactions balance each other on every body. Any multiple of them can be
-added: engines give different reactions, and all are right (J. Garcia de Jalon, M. D. Gutierrez-Lopez,
-Multibody dynamics with redundant constraints and singular mass matrix, Multibody System Dynamics 30, 2013).
+If constraints are redundant, some combinations of reactions balance each other on every body. Any multiple of
+such a combination can be added to a solution. Engines therefore give different reactions, and all are right
+(J. Garcia de Jalon, M. D. Gutierrez-Lopez, Multibody dynamics with redundant constraints and singular mass
+matrix, Multibody System Dynamics 30, 2013). The functions here compute these combinations, so that only the
+determined part of reactions is compared.
 """
 
 from __future__ import annotations
@@ -23,19 +25,32 @@ from newton_euler.scalars import Array
 
 
 class ReactionPlace(NamedTuple):
-    """Number of a joint, the body that its reaction acts on, and the point on this body."""
+    """Where the reaction of a joint acts.
+
+    Attributes:
+        joint: number of the joint.
+        body: number of the body that the reaction acts on.
+        arm: (3,) from the center of mass of the body to the joint point, world frame, m.
+    """
 
     joint: int
     body: int
     arm: Array
-    """(3,) from the body's center of mass to the point, world frame, m."""
 
 
 def undetermined(scene: Scene, state: State) -> Array:
-    """Compute orthonormal reactions (6 j, r) that together act on no body, for r redundant constraints.
+    """Compute combinations of joint reactions that balance each other on every body.
 
-    For each joint: force, and torque divided by the mechanism's size, both N, on the second body at the joint
-    point, world frame. Forces of couplings and prescribed motions on a joint's coordinates are included.
+    Forces of couplings and prescribed motions on the coordinates of a joint are part of its reaction.
+
+    Args:
+        scene: the scene.
+        state: poses and angles of the bodies.
+
+    Returns:
+        (6 j, r) orthonormal columns, one for each of r redundant constraints. Each of the j joints has a
+        force, and a torque divided by the mechanism's size, both N, on its second body at the joint point,
+        world frame.
     """
     mechanism, redundant = scene.mechanism, redundant_constraints(scene)
     if not redundant:
@@ -47,27 +62,32 @@ def undetermined(scene: Scene, state: State) -> Array:
 
 
 def redundant_constraints(scene: Scene) -> int:
-    """Count the redundant constraints of joints and couplings."""
+    """Count the redundant constraints of all joints and couplings of a scene."""
     rank = 6 * (len(scene.mechanism.bodies) - 1) - mobility(scene).degrees_of_freedom
     return max(0, _constraints(scene) - rank)
 
 
 def _constraints(scene: Scene) -> int:
+    """Count the constraint equations of all joints and couplings of a scene."""
     return sum(equations.count for equations in scene.mechanism.equations) + len(couplings(scene))
 
 
 def undetermined_in_both(
     first: Scene, second: Scene, joints: Mapping[str, str], states: tuple[State, State]
 ) -> Array:
-    """Compute the undetermined reactions (6 j, r) of two scenes with the same bodies and motion.
+    """Compute the undetermined reactions of two scenes with the same bodies and motion.
 
-    The reactions of the scenes in their common joints differ only by these; see `undetermined` for units.
+    The reactions of the scenes in their common joints can differ by combinations of these only.
 
     Args:
-        first, second: the scenes; j joints of the first.
-        joints: name in the second scene, by name in the first, of each common joint.
-        states: one state, with the angles of the first and of the second scene.
+        first, second: the scenes.
+        joints: name in the second scene of each common joint, by its name in the first scene.
+        states: the same state twice, with the angles of the first and of the second scene.
+
+    Returns:
+        (6 j, r) orthonormal columns for the j joints of the first scene, in the units of `undetermined`.
     """
+    # all joints that only one scene has share the number j, after those of the first scene
     state, other = states
     own, count, size = _places(first, state), len(first.mechanism.joints), first.mechanism.size
     others = {name: place._replace(joint=count) for name, place in _places(second, other).items()}
@@ -78,7 +98,7 @@ def undetermined_in_both(
 
 
 def _places(scene: Scene, state: State) -> dict[str, ReactionPlace]:
-    """Find the place of the reaction of each joint: on the second body at its joint point."""
+    """Find where the reaction of each joint acts, by name: on the second body at the joint point."""
     found, frames = dict[str, ReactionPlace](), state.frames()
     for k, joint in enumerate(scene.mechanism.joints):
         body = scene.mechanism.body_index(joint.second)
@@ -90,21 +110,24 @@ def _places(scene: Scene, state: State) -> dict[str, ReactionPlace]:
 
 
 class _Columns(NamedTuple):
-    """Constraint forces on bodies and joints, one for each of k constraints."""
+    """Forces that unit multipliers of k constraints exert on b bodies and on joints.
+
+    Attributes:
+        rows: (k, 6 b) on the bodies; 0 on the ground, which supports any force.
+        wrenches: (joints, 6, k) on the joints.
+    """
 
     rows: Array
-    """(k, 6 b) on the bodies; 0 on the ground, which carries any force."""
     wrenches: Array
-    """(joints, 6, k) on the joints."""
 
 
 def _acting_on_nothing(columns: Sequence[_Columns], joints: int, rank: int | None = None) -> Array:
-    """Compute orthonormal reactions (6 j, r) of the first j joints that act on no body.
+    """Compute orthonormal reactions (6 j, r) of the first j joints whose sum on every body is zero.
 
     Args:
-        columns: constraint forces, of one or two scenes.
-        joints: j.
-        rank: rank of the rows, at most.
+        columns: constraint forces of one or two scenes.
+        joints: number j of joints.
+        rank: rank of the constraint forces on the bodies; None for the numerical rank.
     """
     null = orthonormal_null(np.concatenate([part.rows for part in columns]).T, rank)
     wrenches = np.concatenate([part.wrenches[:joints].reshape(6 * joints, -1) for part in columns], axis=1)
@@ -118,16 +141,22 @@ def _columns(
 
     Args:
         scene, state: give the constraints.
-        places: place of the reaction, by joint.
-        count: number of joints; the last one may stand for several.
-        size: of the mechanism, m.
+        places: where the reaction of each joint acts, by name.
+        count: number of joints; the last number may stand for several joints.
+        size: size of the mechanism, m, which makes torques comparable with forces.
     """
     mechanism, frames = scene.mechanism, state.frames()
     rows = [np.zeros((0, 6 * len(frames)))]
     wrenches = [np.zeros((count, 6, 0))]
 
     def add(parts: list[tuple[str, int, int, Jacobian]], unit: Array) -> None:
-        """Append equations with units (k,): for each joint, its bodies and Jacobian blocks."""
+        """Append the forces of k equations.
+
+        Args:
+            parts: for each joint coordinate in the equations: name of the joint, numbers of its bodies, and
+                Jacobian blocks.
+            unit: (k,) divisors that make the equations dimensionless.
+        """
         row = np.zeros((len(unit), len(frames), 6))
         wrench = np.zeros((count, 6, len(unit)))
         for name, i, j, blocks in parts:
@@ -164,12 +193,15 @@ def _columns(
 
 
 def determined(force: Array, torque: Array, free: Sequence[Array], size: float) -> tuple[Array, Array]:
-    """Remove the undetermined part from differences of reactions.
+    """Remove the undetermined part from differences between reactions of two engines.
 
     Args:
-        force, torque: (n, j, 3) N and N m.
+        force, torque: (n, j, 3) differences at n states, N and N m.
         free: result of `undetermined` for each of the n states.
-        size: of the mechanism, m.
+        size: size of the mechanism, m.
+
+    Returns:
+        Forces and torques (n, j, 3) without their undetermined part.
     """
     found = np.concatenate([force, torque / size], axis=2)
     for n, basis in enumerate(free):
@@ -189,7 +221,11 @@ def undetermined_joints(scene: Scene, state: State) -> tuple[int, list[str]]:
 
 
 def is_undetermined(scene: Scene) -> Array:
-    """True (j, 2, 3) for components of force and torque, world frame, not unique in some configuration."""
+    """Find the components of reactions that are not unique in some configuration.
+
+    Returns:
+        (j, 2, 3) True for undetermined components of force (index 0) and torque (index 1), world frame.
+    """
     found = np.zeros(6 * len(scene.mechanism.joints), dtype=bool)
     for state in mobility(scene).states:
         found |= np.linalg.norm(undetermined(scene, state), axis=1) > RANK_TOLERANCE

@@ -24,7 +24,7 @@ import numpy as np
 from newton_euler.codegen.native import Vector, native
 from newton_euler.equations.couplings import couplings, residuals, row_owners, row_units
 from newton_euler.equations.dense import largest, minimum_norm
-from newton_euler.equations.redundancy import constraint_rank, loosely_closed, rows_left_out, without
+from newton_euler.equations.redundancy import constraint_rank, loose_tolerance, rows_left_out, with_zero_rows
 from newton_euler.equations.system import System, rate_of_phi
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.dense_projection import RESIDUAL_ROUND_OFF, close
@@ -406,15 +406,19 @@ def project_position(system: System, q: Array) -> Array:
     # iterate until the residual is at round-off, or has not improved twice in a row
     worse, least = 0, np.inf
     for _ in range(MAX_ITERATIONS + 1):
-        phi, jacobian = system.phi(at), without(system.phi_jacobian(at), unused)
-        open_by = largest(without(phi, unused))
+        phi, jacobian = system.phi(at), with_zero_rows(system.phi_jacobian(at), unused)
+        open_by = largest(with_zero_rows(phi, unused))
         worse = 0 if open_by < least else worse + 1
         if worse == 0:
             best, least = at, open_by
         if not np.isfinite(phi).all() or least < RESIDUAL_ROUND_OFF * system.mechanism.size or worse == 2:
             break
         step = minimum_norm(
-            jacobian, without(phi, unused), system.phi_units, system.velocity_units, constraint_rank(system)
+            jacobian,
+            with_zero_rows(phi, unused),
+            system.phi_units,
+            system.velocity_units,
+            constraint_rank(system),
         )
         at = system.retract(at, -step)
     _check_closed(system, best, system.phi(best))
@@ -430,8 +434,8 @@ def _check_closed(system: System, q: Array, phi: Array) -> None:
     """
     unused = rows_left_out(system)
     noise = largest(phi[unused] / system.phi_units[unused])
-    loose = loosely_closed(system.scene.redundancy_tolerance)
-    if not (largest(without(phi, unused)) <= CLOSURE_TOLERANCE and noise <= loose):
+    loose = loose_tolerance(system.scene.redundancy_tolerance)
+    if not (largest(with_zero_rows(phi, unused)) <= CLOSURE_TOLERANCE and noise <= loose):
         joint, residual = worst_joint(system, system.state(q, np.zeros(system.nv)))
         raise AssemblyError(joint, residual, CLOSURE_TOLERANCE)
 
@@ -447,9 +451,9 @@ def project_velocity(system: System, q: Array, v: Array) -> Array:
         return v
     unused = rows_left_out(system)
     jacobian = system.phi_jacobian(q)
-    excess = without(rate_of_phi(system, jacobian, v), unused)
+    excess = with_zero_rows(rate_of_phi(system, jacobian, v), unused)
     units = system.phi_units, system.velocity_units
-    step = minimum_norm(without(jacobian, unused), excess, *units, constraint_rank(system))
+    step = minimum_norm(with_zero_rows(jacobian, unused), excess, *units, constraint_rank(system))
     return np.asarray(v - step)
 
 

@@ -46,7 +46,7 @@ from newton_euler.equations.parameters import (
     unambiguous,
     with_values,
 )
-from newton_euler.equations.redundancy import loosely_closed, mobility
+from newton_euler.equations.redundancy import loose_tolerance, mobility
 from newton_euler.errors import MechanismError, listed
 from newton_euler.integrators.projection import worst_joint
 from newton_euler.integrators.status import Status
@@ -313,7 +313,7 @@ class Assembly:
 
         found = np.abs(at_rows(self._function("rates", computed, len(free)), x))
         rates, speeds = np.split(found, [len(code.system.phi_units) - len(free)], axis=1)
-        allowed = loosely_closed(code.noise) * speeds.max(axis=1, initial=0.0)
+        allowed = loose_tolerance(code.noise) * speeds.max(axis=1, initial=0.0)
         return np.flatnonzero(rates.max(axis=1, initial=0.0) > allowed).tolist()
 
     @np.errstate(all="ignore")  # what overflows is refused by a run
